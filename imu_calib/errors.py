@@ -1,0 +1,19 @@
+"""The two ways in which a calibration can fail, each with its exit code."""
+
+
+class ImuCalibError(Exception):
+    """Root of all errors that this package raises on purpose; the text is for a person."""
+
+    exit_code = 2
+
+
+class InputError(ImuCalibError):
+    """Wrong usage or unreadable input: file, key, topic, what was found, what was expected."""
+
+    exit_code = 2
+
+
+class NotObservable(ImuCalibError):
+    """The data cannot give the answer: which parameter or position, and why."""
+
+    exit_code = 1

@@ -1,0 +1,132 @@
+"""Columns of samples: the only form in which data moves between recordings, nodes and the core.
+
+A block is a run of consecutive messages of one topic. How a stream is cut into blocks carries no
+meaning: concatenating the blocks of a topic gives the topic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+Stamps: TypeAlias = NDArray[np.int64]
+
+
+class Units(Enum):
+    """What the numbers of an Imu message are."""
+
+    PULSES = 'pulses'
+    """Increments counted over the sample interval that ends at the stamp."""
+    COUNTS = 'counts'
+    """Values proportional to rate: ADC codes, counts per second."""
+    SI = 'si'
+    """rad/s and m/s^2."""
+
+
+class Mode(IntEnum):
+    """What a setpoint asks of the table; values as in imu_calib_msgs/TurntableSetpoint."""
+
+    POSITION = 0
+    RATE = 1
+    HOLD = 2
+
+
+@dataclass(frozen=True, eq=False)
+class ImuBlock:
+    """Consecutive samples of one sensor_msgs/Imu topic, as the sensor delivers them.
+
+    Attributes:
+        stamp: (n,) header stamps, ns.
+        gyro: (n, 3) angular_velocity; the unit is the sensor's (see `Units`).
+        accel: (n, 3) linear_acceleration; the unit is the sensor's.
+        frame_id: Frame of every sample of the block.
+
+    """
+
+    stamp: Stamps
+    gyro: Floats
+    accel: Floats
+    frame_id: str = ''
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+
+@dataclass(frozen=True, eq=False)
+class JointBlock:
+    """Consecutive samples of the table's sensor_msgs/JointState topic.
+
+    Attributes:
+        stamp: (n,) header stamps, ns.
+        names: Joint names, the columns of `position`.
+        position: (n, k) joint angles, rad; NaN where a message carries none.
+        velocity: (n, k) joint rates, rad/s; NaN where a message carries none.
+
+    """
+
+    stamp: Stamps
+    names: tuple[str, ...]
+    position: Floats
+    velocity: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """One imu_calib_msgs/TurntableSetpoint.
+
+    Attributes:
+        stamp: Header stamp, ns.
+        plan: Name of the plan that is run.
+        step: Index of the step in the plan, from 0.
+        position: Id of the position in the plan, for instance '1' or 'x_up'.
+        mode: POSITION (go there), RATE (turn) or HOLD (stand still now).
+        joints: Joint names, the order of `angles` and `rates`.
+        angles: Joint angles to reach, rad (POSITION, and the held joints of RATE).
+        rates: Joint rates, rad/s (RATE).
+        turns: Whole turns of a RATE step, counted without sign.
+        dwell: Seconds to stand after arriving.
+
+    """
+
+    stamp: int
+    plan: str
+    step: int
+    position: str
+    mode: Mode
+    joints: tuple[str, ...]
+    angles: tuple[float, ...]
+    rates: tuple[float, ...]
+    turns: float
+    dwell: float
+
+
+@dataclass(frozen=True)
+class SetpointBlock:
+    """Consecutive setpoints of one topic; a repeated setpoint differs in its stamp alone."""
+
+    setpoints: tuple[Setpoint, ...]
+
+    def __len__(self) -> int:
+        return len(self.setpoints)
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureBlock:
+    """Consecutive sensor_msgs/Temperature samples: (n,) stamps in ns, (n,) degrees Celsius."""
+
+    stamp: Stamps
+    celsius: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+
+Block: TypeAlias = ImuBlock | JointBlock | SetpointBlock | TemperatureBlock

@@ -1,0 +1,48 @@
+"""Package imu_calib for pip and for colcon (ament_python)."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = 'imu_calib'
+
+
+def shared(folder: str) -> list[tuple[str, list[str]]]:
+    """List the files below a folder for installation under share/imu_calib."""
+    files = [p for p in sorted(Path(folder).rglob('*')) if p.is_file()]
+    targets = sorted({p.parent for p in files})
+    return [(f'share/{NAME}/{t}', [str(p) for p in files if p.parent == t]) for t in targets]
+
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Calibration of strapdown IMUs on a turntable: 24 parameters, no north reference',
+    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    author='The imu_calib developers',
+    license='Apache-2.0',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        *shared('config'),
+        *shared('msg_defs/msg'),
+    ],
+    python_requires='>=3.10',
+    install_requires=[
+        'numpy>=1.26',
+        'scipy>=1.11',
+        'pyyaml>=6',
+        'rich>=13',
+        'rosbags>=0.10.7',
+    ],
+    extras_require={
+        'plot': ['matplotlib>=3.6'],
+        'test': ['pytest>=7.4', 'hypothesis>=6', 'matplotlib>=3.6'],
+        'dev': ['mypy>=1.11', 'ruff>=0.6', 'types-PyYAML'],
+    },
+    entry_points={'console_scripts': ['imu-calib = imu_calib.cli.main:main']},
+    zip_safe=False,
+)
