@@ -1,0 +1,133 @@
+"""An IMU as its YAML describes it: what its numbers mean, and the noise that its data sheet states."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from .config import Section
+from .errors import InputError
+from .share import named_file
+from .stream import Units
+from .units import Dimension
+
+
+@dataclass(frozen=True)
+class TriadSpec:
+    """Three channels of one kind.
+
+    Attributes:
+        scale_factor: Nominal: rad or m/s per pulse, rad/s or m/s^2 per count, 1 for SI.
+        random_walk: rad/sqrt(s) or (m/s)/sqrt(s); 0 when not stated.
+        bias_instability: rad/s or m/s^2; 0 when not stated.
+        range: Largest rate or specific force, rad/s or m/s^2; inf when not stated.
+
+    """
+
+    scale_factor: float = 1.0
+    random_walk: float = 0.0
+    bias_instability: float = 0.0
+    range: float = math.inf
+
+
+@dataclass(frozen=True)
+class ImuSpec:
+    """One type of IMU.
+
+    Attributes:
+        id: Name of the unit or of its type.
+        units: What the numbers of its Imu messages are.
+        sample_rate: Nominal, Hz; None when not stated.
+        gyro: The gyro triad.
+        accel: The accelerometer triad.
+
+    """
+
+    id: str
+    units: Units
+    sample_rate: float | None
+    gyro: TriadSpec
+    accel: TriadSpec
+
+
+def load_imu(name: str | Path) -> ImuSpec:
+    """Read an IMU's YAML file, shipped (by name) or the user's (by path).
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    return read_imu(Section.load(named_file('imus', name)))
+
+
+def read_imu(section: Section) -> ImuSpec:
+    """Read an IMU from its YAML mapping.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    text = section.text('units')
+    try:
+        units = Units(text)
+    except ValueError:
+        known = ', '.join(u.value for u in Units)
+        raise InputError(
+            f'{section.key("units")}: found {text!r}, expected one of {known}.'
+        ) from None
+    rate = None
+    if section.has('sample_rate'):
+        rate = section.quantity('sample_rate', Dimension.FREQUENCY)
+        if not rate > 0:
+            raise InputError(f'{section.key("sample_rate")}: found {rate:g} Hz, expected above 0.')
+    gyro_scale, accel_scale = {
+        Units.PULSES: (Dimension.ANGLE_PER_PULSE, Dimension.VELOCITY_PER_PULSE),
+        Units.COUNTS: (Dimension.RATE_PER_COUNT, Dimension.ACCELERATION_PER_COUNT),
+        Units.SI: (None, None),
+    }[units]
+    gyro = _read_triad(
+        section,
+        'gyro',
+        gyro_scale,
+        'angle_random_walk',
+        Dimension.ANGLE_RANDOM_WALK,
+        Dimension.RATE,
+    )
+    accel = _read_triad(
+        section,
+        'accelerometer',
+        accel_scale,
+        'velocity_random_walk',
+        Dimension.VELOCITY_RANDOM_WALK,
+        Dimension.ACCELERATION,
+    )
+    spec = ImuSpec(section.text('id'), units, rate, gyro, accel)
+    section.finish()
+    return spec
+
+
+def _read_triad(
+    parent: Section,
+    name: str,
+    scale: Dimension | None,
+    walk_key: str,
+    walk: Dimension,
+    value: Dimension,
+) -> TriadSpec:
+    if scale is None and not parent.has(name):
+        return TriadSpec()
+    section = parent.section(name)
+    factor = 1.0 if scale is None else section.quantity('scale_factor', scale)
+    if not factor > 0:
+        raise InputError(f'{section.key("scale_factor")}: must be above zero.')
+    spec = TriadSpec(
+        factor,
+        section.quantity(walk_key, walk, 0.0),
+        section.quantity('bias_instability', value, 0.0),
+        section.quantity('range', value, math.inf),
+    )
+    if spec.random_walk < 0 or spec.bias_instability < 0 or spec.range <= 0:
+        raise InputError(f'{section.where}: noise figures cannot be negative, the range not zero.')
+    section.finish()
+    return spec

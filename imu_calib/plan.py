@@ -1,0 +1,268 @@
+"""Plans: which positions, rates and dwells a session runs through, read from YAML and checked whole."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .config import Section
+from .errors import InputError
+from .share import named_file
+from .stream import Floats, Mode
+from .turntable import TURN, Table, rotation
+from .units import DEG, Dimension, parse
+
+_COMPASS = {
+    'E': (1.0, 0.0, 0.0),
+    'N': (0.0, 1.0, 0.0),
+    'U': (0.0, 0.0, 1.0),
+    'W': (-1.0, 0.0, 0.0),
+    'S': (0.0, -1.0, 0.0),
+    'D': (0.0, 0.0, -1.0),
+}
+_BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.array([0, 0, 1.0])}
+
+
+@dataclass(frozen=True, eq=False)
+class RateTest:
+    """Turns about the vertical at a position, before its dwell.
+
+    Attributes:
+        rates: Signed rates about up, rad/s, in order; empty when the turn is made by hand.
+        turns: Whole turns at each rate.
+
+    """
+
+    rates: tuple[float, ...]
+    turns: int
+
+
+@dataclass(frozen=True, eq=False)
+class Position:
+    """One attitude of the plan.
+
+    Attributes:
+        id: Name, unique within the plan.
+        attitude: (3, 3) R_nb, columns are the body axes in east, north, up of the table's azimuth.
+        dwell: Time to stand still, s.
+        rate_test: Turns made here before the dwell.
+
+    """
+
+    id: str
+    attitude: Floats
+    dwell: float
+    rate_test: RateTest | None = None
+
+    @property
+    def up(self) -> Floats:
+        """Up in body axes, (3,)."""
+        return np.asarray(self.attitude[2])
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One setpoint of the plan on a given table.
+
+    Attributes:
+        index: From 0.
+        position: Id of the plan's position.
+        mode: POSITION or RATE.
+        angles: (k,) joint angles, rad.
+        rates: (k,) joint rates, rad/s.
+        turns: Whole turns of a RATE step.
+        dwell: Time to stand still afterwards, s.
+
+    """
+
+    index: int
+    position: str
+    mode: Mode
+    angles: Floats
+    rates: Floats
+    turns: int
+    dwell: float
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A calibration session: positions in order, each with its dwell and its rate test.
+
+    Attributes:
+        name: Name of the plan.
+        title: One line for a person.
+        source: Document and section.
+        method: The solver that this plan is made for.
+        positions: In the order of the run.
+        by_hand: Turned by hand: the angle of a turn is known, its rate is not.
+
+    """
+
+    name: str
+    title: str
+    source: str
+    method: str
+    positions: tuple[Position, ...]
+    by_hand: bool = False
+
+    def position(self, name: str) -> Position:
+        """Return a position by its id.
+
+        Raises:
+            KeyError: The plan has no such position.
+
+        """
+        for position in self.positions:
+            if position.id == name:
+                return position
+        raise KeyError(name)
+
+    def steps(self, table: Table, start: Floats | None = None) -> tuple[Step, ...]:
+        """Lay the plan out on a table: every setpoint in order, each within the limits.
+
+        A rate test ends where it began: the joint comes back to the same azimuth, modulo a turn.
+
+        Args:
+            table: The table that is to run it.
+            start: (k,) joint angles where the table stands, rad; zeros if not given.
+
+        Raises:
+            InputError: Names position, joint, value and limit.
+
+        """
+        steps: list[Step] = []
+        angles = np.zeros(len(table.joints)) if start is None else start
+        still = np.zeros(len(table.joints))
+
+        def add(position: Position, mode: Mode, rates: Floats, turns: int, dwell: float) -> None:
+            step = Step(len(steps), position.id, mode, angles.copy(), rates, turns, dwell)
+            where = f'plan {self.name}, position {position.id}'
+            table.check(step.angles, step.rates, where)
+            steps.append(step)
+
+        for position in self.positions:
+            try:
+                angles = table.angles(position.attitude, angles)
+            except InputError as error:
+                raise InputError(f'plan {self.name}, position {position.id}: {error}') from None
+            if position.rate_test is not None:
+                joint = self._turning_joint(table, position, angles)
+                sense = self._sense(table, joint, angles)
+                add(position, Mode.POSITION, still, 0, 0.0)
+                for rate in position.rate_test.rates:
+                    rates = still.copy()
+                    rates[joint] = sense * rate
+                    add(position, Mode.RATE, rates, position.rate_test.turns, 0.0)
+                    travel = math.copysign(TURN * (position.rate_test.turns + 1), rates[joint])
+                    angles[joint] += travel
+                angles = table.angles(position.attitude, angles)
+            add(position, Mode.POSITION, still, 0, position.dwell)
+        return tuple(steps)
+
+    def _turning_joint(self, table: Table, position: Position, angles: Floats) -> int:
+        joint = table.vertical_joint(angles)
+        if joint is None:
+            raise InputError(
+                f'plan {self.name}, position {position.id}: the rate test needs a vertical axis, '
+                f'table {table.name} has none in this attitude.'
+            )
+        if not table.joints[joint].continuous:
+            raise InputError(
+                f'plan {self.name}, position {position.id}: the rate test turns joint '
+                f'{table.joints[joint].name}, which table {table.name} limits to '
+                f'{table.joints[joint].lower / DEG:g} to {table.joints[joint].upper / DEG:g} deg.'
+            )
+        return joint
+
+    def _sense(self, table: Table, joint: int, angles: Floats) -> float:
+        up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
+        return math.copysign(1.0, float(table.joint_axis(joint, angles) @ up))
+
+
+def load_plan(name: str | Path) -> Plan:
+    """Read a plan's YAML file, shipped (by name) or the user's (by path).
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    return read_plan(Section.load(named_file('plans', name)))
+
+
+def read_plan(section: Section) -> Plan:
+    """Read a plan from its YAML mapping.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    by_hand = section.flag('by_hand', default=False)
+    rate_test = _read_rate_test(section, by_hand=by_hand)
+    dwell = section.quantity('dwell', Dimension.TIME)
+    positions = tuple(_read_position(s, dwell, rate_test) for s in section.sections('positions'))
+    names = [p.id for p in positions]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError(f'{section.key("positions")}: two positions have the id {twice[0]!r}.')
+    plan = Plan(
+        section.text('name'),
+        section.text('title'),
+        section.text('source'),
+        section.text('method'),
+        positions,
+        by_hand,
+    )
+    section.finish()
+    return plan
+
+
+def _read_rate_test(section: Section, *, by_hand: bool) -> RateTest | None:
+    if not section.has('rate_test'):
+        return None
+    test = section.section('rate_test')
+    turns = test.number('turns', 1.0)
+    if turns != int(turns) or turns < 1:
+        raise InputError(f'{test.key("turns")}: found {turns:g}, expected a whole number above 0.')
+    rates: tuple[float, ...] = ()
+    if not by_hand:
+        key = test.key('rates')
+        rates = tuple(parse(r, Dimension.RATE, key) for r in test.items('rates'))
+        if any(rate == 0 for rate in rates):
+            raise InputError(f'{key}: a rate of zero turns nothing.')
+    test.finish()
+    return RateTest(rates, int(turns))
+
+
+def _read_position(section: Section, dwell: float, rate_test: RateTest | None) -> Position:
+    name = section.text('id')
+    own_dwell = section.quantity('dwell', Dimension.TIME, dwell)
+    if not own_dwell > 0:
+        raise InputError(f'{section.where}: the dwell must be above zero.')
+    turns = section.flag('rate_test', default=False)
+    if turns and rate_test is None:
+        raise InputError(f'{section.where}: asks for a rate test, but the plan describes none.')
+    attitude = _read_attitude(section)
+    section.finish()
+    return Position(name, attitude, own_dwell, rate_test if turns else None)
+
+
+def _read_attitude(section: Section) -> Floats:
+    """Read where the body axes X, Y, Z point, and a further turn about one of them."""
+    letters = section.items('axes')
+    where = section.key('axes')
+    if len(letters) != 3 or any(letter not in _COMPASS for letter in letters):
+        raise InputError(f'{where}: found {letters}, expected three of E, N, U, W, S, D.')
+    attitude = np.array([_COMPASS[letter] for letter in letters]).T
+    if abs(np.linalg.det(attitude) - 1) > 1e-9:
+        raise InputError(f'{where}: X, Y, Z along {letters} are no right-handed frame.')
+    if section.has('turned'):
+        turned = section.section('turned')
+        axis = turned.text('about')
+        if axis not in _BODY_AXES:
+            raise InputError(f'{turned.key("about")}: found {axis!r}, expected X, Y or Z.')
+        attitude = attitude @ rotation(_BODY_AXES[axis], turned.quantity('by', Dimension.ANGLE))
+        turned.finish()
+    return attitude

@@ -1,0 +1,364 @@
+"""Kinematics of a turntable of any number of joints: angles to attitude and back, and its limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from .config import Section
+from .errors import InputError
+from .share import named_file
+from .stream import Floats
+from .units import DEG, Dimension
+
+TURN = 2 * math.pi
+_UP = np.array([0.0, 0.0, 1.0])
+_REACH_TOLERANCE = 1e-6
+_LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
+
+
+def rotation(axis: Floats, angle: Floats | float) -> Floats:
+    """Return the rotation matrices about a unit axis (Rodrigues).
+
+    Args:
+        axis: (3,) unit vector.
+        angle: (...) angles, rad.
+
+    Returns:
+        (..., 3, 3) matrices.
+
+    """
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine = np.sin(angle)[..., None, None]
+    versine = (1 - np.cos(angle))[..., None, None]
+    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One axis of the table.
+
+    Attributes:
+        name: As in joint states and setpoints.
+        axis: Unit vector in the frame of the joint before it.
+        zero: Angle to add to the encoder's, rad.
+        lower: Lowest encoder angle, rad; -inf for a continuous joint.
+        upper: Highest encoder angle, rad; inf for a continuous joint.
+        max_rate: rad/s.
+        max_acceleration: rad/s^2.
+
+    """
+
+    name: str
+    axis: tuple[float, float, float]
+    zero: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    max_rate: float = math.inf
+    max_acceleration: float = math.inf
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the joint turns without end."""
+        return math.isinf(self.lower) and math.isinf(self.upper)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A turntable: joints from the base outwards, and how the unit is mounted on the last.
+
+    Attributes:
+        name: Name of the table.
+        joints: From the base to the unit.
+        mount: (3, 3) columns are the body axes in the frame of the last joint.
+        azimuth: Heading of the table's zero against north about up, rad; None when unknown.
+
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    mount: Floats = field(default_factory=lambda: np.eye(3))
+    azimuth: float | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names in order."""
+        return tuple(joint.name for joint in self.joints)
+
+    def attitude(self, angles: Floats) -> Floats:
+        """Return R_nb: columns are the body axes in east, north, up of the table's own azimuth.
+
+        An unknown azimuth counts as zero: north is then where the table's zero points.
+
+        Args:
+            angles: (..., k) encoder angles, rad.
+
+        Returns:
+            (..., 3, 3)
+
+        """
+        result = np.broadcast_to(rotation(_UP, self.azimuth or 0.0), (*angles.shape[:-1], 3, 3))
+        for k, joint in enumerate(self.joints):
+            result = result @ rotation(np.array(joint.axis), angles[..., k] + joint.zero)
+        return np.asarray(result @ self.mount)
+
+    def joint_axis(self, index: int, angles: Floats) -> Floats:
+        """Return the axis about which a joint turns, (3,) in the body frame.
+
+        Args:
+            index: Which joint.
+            angles: (k,) encoder angles of all joints, rad.
+
+        """
+        frame = self.mount.T
+        for k in range(len(self.joints) - 1, index, -1):
+            joint = self.joints[k]
+            frame = frame @ rotation(np.array(joint.axis), angles[k] + joint.zero).T
+        return np.asarray(frame @ np.array(self.joints[index].axis))
+
+    def vertical_joint(self, angles: Floats) -> int | None:
+        """Return the first joint whose axis stands vertical at these angles, None if none does."""
+        up = self.attitude(angles).T @ _UP
+        for k in range(len(self.joints)):
+            if abs(self.joint_axis(k, angles) @ up) > 1 - 1e-9:
+                return k
+        return None
+
+    def angles(self, attitude: Floats, near: Floats | None = None) -> Floats:
+        """Return the encoder angles that bring the unit into an attitude.
+
+        Of the solutions within the limits the one with the least travel from `near` is taken.
+
+        Args:
+            attitude: (3, 3) R_nb wanted.
+            near: (k,) angles to come from, rad; zeros if not given.
+
+        Returns:
+            (k,) rad.
+
+        Raises:
+            InputError: The table cannot reach it; says by how much it misses.
+
+        """
+        start = np.zeros(len(self.joints)) if near is None else near
+        base = rotation(_UP, self.azimuth or 0.0)
+        target = base.T @ attitude @ self.mount.T
+        axes = [np.array(joint.axis) for joint in self.joints]
+        zeros = np.array([joint.zero for joint in self.joints])
+        best: Floats | None = None
+        closest = math.inf
+        for solution in _inverse(axes, target):
+            reached = np.eye(3)
+            for axis, angle in zip(axes, solution, strict=True):
+                reached = reached @ rotation(axis, angle)
+            miss = float(np.linalg.norm(reached - target)) / math.sqrt(2)
+            closest = min(closest, miss)
+            if miss > _REACH_TOLERANCE:
+                continue
+            candidate = self._within_limits(solution - zeros, start)
+            if candidate is not None and (
+                best is None or _travel(candidate, start) < _travel(best, start) - 1e-9
+            ):
+                best = candidate
+        if best is None:
+            if closest > _REACH_TOLERANCE:
+                raise InputError(
+                    f'Table {self.name} ({len(self.joints)} joints) cannot reach the attitude: '
+                    f'its closest is {closest / DEG:.3g} deg away.'
+                )
+            raise InputError(f'The attitude lies outside the joint limits of table {self.name}.')
+        return best
+
+    def _within_limits(self, angles: Floats, near: Floats) -> Floats | None:
+        """Shift angles by whole turns: near where the table stands, and inside the limits."""
+        result = np.empty_like(angles)
+        for k, joint in enumerate(self.joints):
+            angle = angles[k] + TURN * round((near[k] - angles[k]) / TURN)
+            options = [angle, angle - TURN, angle + TURN, angles[k] % TURN, angles[k] % TURN - TURN]
+            inside = [a for a in options if joint.lower - 1e-9 <= a <= joint.upper + 1e-9]
+            if not inside:
+                return None
+            result[k] = _nearest(inside, float(near[k]))
+        return result
+
+    def check(self, angles: Floats, rates: Floats, where: str) -> None:
+        """Refuse angles or rates beyond the table's limits.
+
+        Args:
+            angles: (k,) encoder angles, rad.
+            rates: (k,) joint rates, rad/s.
+            where: What is checked, for the message.
+
+        Raises:
+            InputError: Names joint, value and limit.
+
+        """
+        for joint, angle, rate in zip(self.joints, angles, rates, strict=True):
+            if not (joint.lower - 1e-9 <= angle <= joint.upper + 1e-9):
+                raise InputError(
+                    f'{where}: joint {joint.name} at {angle / DEG:g} deg, table {self.name} '
+                    f'allows {joint.lower / DEG:g} to {joint.upper / DEG:g} deg.'
+                )
+            if not abs(rate) <= joint.max_rate * (1 + 1e-9):
+                raise InputError(
+                    f'{where}: joint {joint.name} at {rate / DEG:g} deg/s, table {self.name} '
+                    f'allows {joint.max_rate / DEG:g} deg/s.'
+                )
+
+
+def _nearest(options: list[float], near: float) -> float:
+    """Return the option with the least travel; at equal travel the one that unwinds the cable."""
+    return min(options, key=lambda a: (round(abs(a - near), 9), round(abs(a), 9), -a))
+
+
+def _travel(angles: Floats, near: Floats) -> float:
+    return float(np.abs(angles - near).sum())
+
+
+def _inverse(axes: list[Floats], target: Floats) -> list[Floats]:
+    """List joint angles that may reach a rotation; the caller checks which do.
+
+    Three joints: the middle angle follows from the angle between the outer axes,
+    a1.(R2 a3) = a1.(G a3), with two solutions; then each neighbour from what is left.
+    """
+    if len(axes) == 1:
+        return [np.array([_angle_about(axes[0], target)])]
+    if len(axes) == 2:
+        first = _angle_between(axes[0], axes[1], target @ axes[1])
+        rest = rotation(axes[0], first).T @ target
+        return [np.array([first, _angle_about(axes[1], rest)])]
+    first_axis, middle, last = axes
+    cosine = first_axis @ last - (first_axis @ middle) * (middle @ last)
+    sine = first_axis @ np.cross(middle, last)
+    wanted = first_axis @ target @ last - (first_axis @ middle) * (middle @ last)
+    amplitude = math.hypot(cosine, sine)
+    phase = math.atan2(sine, cosine)
+    spread = math.acos(float(np.clip(wanted / amplitude, -1, 1))) if amplitude > 1e-12 else 0.0
+    solutions = []
+    for second in (phase + spread, phase - spread):
+        turned = rotation(middle, second) @ last
+        if np.linalg.norm(np.cross(first_axis, turned)) < 1e-7:
+            # Outer and inner axis coincide: the inner stays at zero, the outer does the turning.
+            first = _angle_about(first_axis, target @ rotation(middle, second).T)
+            solutions.append(np.array([first, second, 0.0]))
+            continue
+        first = _angle_between(first_axis, turned, target @ last)
+        rest = (rotation(first_axis, first) @ rotation(middle, second)).T @ target
+        solutions.append(np.array([first, second, _angle_about(last, rest)]))
+    return solutions
+
+
+def _angle_about(axis: Floats, matrix: Floats) -> float:
+    """Return the angle of the rotation about an axis that comes closest to a matrix."""
+    skew = np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )
+    return math.atan2(float(axis @ skew), float(np.trace(matrix) - axis @ matrix @ axis))
+
+
+def _angle_between(axis: Floats, start: Floats, end: Floats) -> float:
+    """Return the angle about an axis from one vector to another."""
+    along_start, along_end = start - axis * (axis @ start), end - axis * (axis @ end)
+    return math.atan2(
+        float(axis @ np.cross(along_start, along_end)), float(along_start @ along_end)
+    )
+
+
+def load_table(name: str | Path) -> Table:
+    """Read a table's YAML file, shipped (by name) or the user's (by path).
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    path = named_file('tables', name)
+    return read_table(Section.load(path))
+
+
+def read_table(section: Section) -> Table:
+    """Read a table from its YAML mapping.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    joints = tuple(_read_joint(s) for s in section.sections('joints'))
+    if len({joint.name for joint in joints}) != len(joints):
+        raise InputError(f'{section.key("joints")}: two joints have the same name.')
+    if len(joints) > 3:
+        raise InputError(f'{section.key("joints")}: found {len(joints)} joints, expected 1 to 3.')
+    azimuth = None
+    if section.has('azimuth') and section.raw('azimuth') != 'unknown':
+        azimuth = section.quantity('azimuth', Dimension.ANGLE)
+    table = Table(section.text('name'), joints, _read_mount(section), azimuth)
+    section.finish()
+    return table
+
+
+def _read_joint(section: Section) -> Joint:
+    limits = (-math.inf, math.inf)
+    if section.has('limits') and section.raw('limits') != 'continuous':
+        pair = section.section('limits')
+        limits = (pair.quantity('lower', Dimension.ANGLE), pair.quantity('upper', Dimension.ANGLE))
+        pair.finish()
+        if limits[0] >= limits[1]:
+            raise InputError(f'{section.key("limits")}: lower is not below upper.')
+    rate = section.quantity('max_rate', Dimension.RATE)
+    acceleration = section.quantity('max_acceleration', Dimension.ANGULAR_ACCELERATION)
+    if rate <= 0 or acceleration <= 0:
+        raise InputError(f'{section.where}: max_rate and max_acceleration must be above zero.')
+    joint = Joint(
+        section.text('name'),
+        _read_axis(section.raw('axis'), section.key('axis')),
+        section.quantity('zero', Dimension.ANGLE, 0.0),
+        *limits,
+        rate,
+        acceleration,
+    )
+    section.finish()
+    return joint
+
+
+def _read_axis(value: object, where: str) -> tuple[float, float, float]:
+    if isinstance(value, str) and value.lstrip('-') in _LETTERS:
+        sign = -1.0 if value.startswith('-') else 1.0
+        x, y, z = (sign * c if c else 0.0 for c in _LETTERS[value.lstrip('-')])
+        return x, y, z
+    if (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(isinstance(c, (int, float)) and not isinstance(c, bool) for c in value)
+        and math.hypot(*value) > 0
+    ):
+        norm = math.hypot(*value)
+        x, y, z = (c / norm for c in value)
+        return x, y, z
+    raise InputError(f'{where}: found {value!r}, expected x, y, z, -x, -y, -z or three numbers.')
+
+
+def _read_mount(section: Section) -> Floats:
+    """Read where the body axes lie on the last joint: three axes, or yaw, pitch and roll."""
+    if not section.has('mount'):
+        return np.eye(3)
+    if isinstance(section.raw('mount'), list):
+        axes = section.items('mount')
+        columns = [_read_axis(a, f'{section.key("mount")}[{i}]') for i, a in enumerate(axes)]
+        mount = np.array(columns).T
+        if mount.shape != (3, 3) or not np.allclose(mount.T @ mount, np.eye(3), atol=1e-9):
+            raise InputError(f'{section.key("mount")}: expected three perpendicular axes.')
+        if np.linalg.det(mount) < 0:
+            raise InputError(f'{section.key("mount")}: the three axes are left-handed.')
+        return mount
+    angles = section.section('mount')
+    mount = np.eye(3)
+    for name, letter in (('yaw', 'z'), ('pitch', 'y'), ('roll', 'x')):
+        mount = mount @ rotation(
+            np.array(_LETTERS[letter]), angles.quantity(name, Dimension.ANGLE, 0.0)
+        )
+    angles.finish()
+    return mount

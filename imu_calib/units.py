@@ -1,0 +1,107 @@
+"""Units at the edges: text to SI on the way in, engineers' units on the way out."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from enum import Enum
+
+from .errors import InputError
+
+DEG = math.pi / 180
+ARCMIN = DEG / 60
+ARCSEC = DEG / 3600
+DEG_H = DEG / 3600
+HOUR = 3600.0
+STANDARD_GRAVITY = 9.80665
+MICRO_G = STANDARD_GRAVITY * 1e-6
+PPM = 1e-6
+
+_ANGLES: dict[str, float] = {'rad': 1.0, 'deg': DEG, 'arcmin': ARCMIN, 'arcsec': ARCSEC}
+_ACCELERATIONS: dict[str, float] = {
+    'm/s^2': 1.0,
+    'g': STANDARD_GRAVITY,
+    'mg': STANDARD_GRAVITY * 1e-3,
+    'ug': MICRO_G,
+}
+_RATES: dict[str, float] = {
+    f'{angle}/{time}': value / seconds
+    for angle, value in _ANGLES.items()
+    for time, seconds in {'s': 1.0, 'min': 60.0, 'h': HOUR}.items()
+}
+_ROOT_HOUR = math.sqrt(HOUR)
+
+
+def _per(word: str, units: Mapping[str, float]) -> dict[str, float]:
+    return {
+        spelling: value
+        for unit, value in units.items()
+        for spelling in (
+            (f'({unit})/{word}', f'{unit}/{word}') if '/' in unit else (f'{unit}/{word}',)
+        )
+    }
+
+
+class Dimension(Enum):
+    """A kind of quantity, with the units in which a person may write it and their SI values."""
+
+    ANGLE = _ANGLES
+    RATE = _RATES
+    ANGULAR_ACCELERATION: Mapping[str, float] = {f'{a}/s^2': v for a, v in _ANGLES.items()}
+    ACCELERATION = _ACCELERATIONS
+    TIME: Mapping[str, float] = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'min': 60.0, 'h': HOUR}
+    FREQUENCY: Mapping[str, float] = {'Hz': 1.0, 'kHz': 1e3}
+    LENGTH: Mapping[str, float] = {'m': 1.0, 'mm': 1e-3, 'km': 1e3}
+    RATIO: Mapping[str, float] = {'ppm': PPM, '%': 0.01}
+    ANGLE_PER_PULSE = _per('pulse', _ANGLES)
+    RATE_PER_COUNT = _per('count', _RATES)
+    VELOCITY_PER_PULSE = _per('pulse', {'m/s': 1.0, 'mm/s': 1e-3})
+    ACCELERATION_PER_COUNT = _per('count', _ACCELERATIONS)
+    ANGLE_RANDOM_WALK: Mapping[str, float] = {
+        'rad/sqrt(s)': 1.0,
+        'deg/sqrt(s)': DEG,
+        'deg/sqrt(h)': DEG / _ROOT_HOUR,
+        'arcsec/sqrt(s)': ARCSEC,
+        '(deg/s)/sqrt(Hz)': DEG,
+        'deg/s/sqrt(Hz)': DEG,
+        '(deg/h)/sqrt(Hz)': DEG_H,
+    }
+    VELOCITY_RANDOM_WALK: Mapping[str, float] = {
+        '(m/s)/sqrt(s)': 1.0,
+        '(m/s)/sqrt(h)': 1 / _ROOT_HOUR,
+        'm/s/sqrt(h)': 1 / _ROOT_HOUR,
+        'ug/sqrt(Hz)': MICRO_G,
+        'mg/sqrt(Hz)': MICRO_G * 1e3,
+    }
+
+
+_QUANTITY = re.compile(r'^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*$')
+
+
+def parse(text: object, dimension: Dimension, key: str) -> float:
+    """Turn a quantity written with its unit into SI.
+
+    Args:
+        text: For instance '7.8 arcsec/pulse'.
+        dimension: What is expected.
+        key: Where the text stands, for the error message.
+
+    Raises:
+        InputError: Not a number with a unit of that dimension.
+
+    Examples:
+        >>> parse('180 deg', Dimension.ANGLE, 'mount')
+        3.141592653589793
+
+    """
+    units: Mapping[str, float] = dimension.value
+    match = _QUANTITY.match(text) if isinstance(text, str) else None
+    if match is None or match[2] not in units:
+        raise InputError(
+            f'{key}: found {text!r}, expected a number with a unit, one of {", ".join(units)}.'
+        )
+    value = float(match[1]) * units[match[2]]
+    if not math.isfinite(value):
+        raise InputError(f'{key}: found {text!r}, expected a finite number.')
+    return value
