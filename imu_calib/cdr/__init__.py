@@ -1,0 +1,31 @@
+"""Serialised messages (CDR) to columns and back, in bulk; for recordings and live subscriptions."""
+
+from .decode import decode_imu, decode_joints, decode_setpoints, decode_temperatures, part
+from .encode import (
+    PULSES,
+    RATES,
+    encode_imu,
+    encode_joints,
+    encode_setpoints,
+    encode_temperatures,
+)
+from .kinds import Kind
+from .messages import CdrError, Malformed, Messages
+
+__all__ = [
+    'PULSES',
+    'RATES',
+    'CdrError',
+    'Kind',
+    'Malformed',
+    'Messages',
+    'decode_imu',
+    'decode_joints',
+    'decode_setpoints',
+    'decode_temperatures',
+    'encode_imu',
+    'encode_joints',
+    'encode_setpoints',
+    'encode_temperatures',
+    'part',
+]

@@ -1,0 +1,241 @@
+"""Serialised messages to columns, in bulk."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from imu_calib.stream import (
+    ImuBlock,
+    JointBlock,
+    Mode,
+    Setpoint,
+    SetpointBlock,
+    TemperatureBlock,
+)
+
+from .layout import ENCAPSULATION, Layout, LayoutReader
+from .messages import CdrError, Malformed, Messages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from imu_calib.stream import Floats
+
+    from .messages import Bytes, Indices
+
+Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)
+AnyBlock = TypeVar('AnyBlock', ImuBlock, JointBlock, SetpointBlock, TemperatureBlock)
+
+_AFTER_STAMP = ENCAPSULATION + 8
+_COMMON = frozenset({'names', 'frame_id'})
+
+
+def decode_imu(messages: Messages, malformed: Malformed | None = None) -> list[ImuBlock]:
+    """Decode sensor_msgs/Imu.
+
+    Args:
+        messages: Serialised messages.
+        malformed: Counts the messages that are left out because their bytes contradict the type.
+
+    Returns:
+        Blocks in the order of the messages; a new one starts where frame, size or byte order
+        change.
+
+    Raises:
+        CdrError: A message is malformed and nobody counts.
+
+    """
+    return _decode(messages, _imu_layout, _imu_block, malformed)
+
+
+def decode_joints(messages: Messages, malformed: Malformed | None = None) -> list[JointBlock]:
+    """Decode sensor_msgs/JointState; arguments, order and errors as `decode_imu`.
+
+    Positions or velocities that a message does not carry are NaN.
+    """
+    return _decode(messages, _joint_layout, _joint_block, malformed)
+
+
+def decode_temperatures(
+    messages: Messages, malformed: Malformed | None = None
+) -> list[TemperatureBlock]:
+    """Decode sensor_msgs/Temperature; arguments, order and errors as `decode_imu`."""
+    return _decode(messages, _temperature_layout, _temperature_block, malformed)
+
+
+def decode_setpoints(messages: Messages, malformed: Malformed | None = None) -> list[SetpointBlock]:
+    """Decode imu_calib_msgs/TurntableSetpoint; arguments, order and errors as `decode_imu`.
+
+    A setpoint is repeated ten times a second with a new stamp: each content is decoded once.
+    """
+    known: dict[tuple[bytes, bytes], Setpoint | str] = {}
+    setpoints: list[Setpoint] = []
+    for payload in messages.payloads():
+        # The stamp is the only field that a repetition changes.
+        content = payload[:2], payload[_AFTER_STAMP:]
+        first = known.get(content)
+        if first is None:
+            first = known[content] = _setpoint(payload)
+        if isinstance(first, str):
+            _leave_out(first, malformed)
+        else:
+            setpoints.append(replace(first, stamp=LayoutReader(payload).stamp()))
+    return [SetpointBlock(tuple(setpoints))] if setpoints else []
+
+
+def part(block: AnyBlock, start: int, stop: int) -> AnyBlock:
+    """Return the samples [start, stop) of a block; the memory is shared."""
+    if start == 0 and stop >= len(block):
+        return block
+    cut = slice(start, stop)
+    samples = {f.name: getattr(block, f.name)[cut] for f in fields(block) if f.name not in _COMMON}
+    return replace(block, **samples)
+
+
+def _leave_out(reason: str, malformed: Malformed | None) -> None:
+    if malformed is None:
+        raise CdrError(f'Malformed message: {reason}.')
+    malformed.add(reason)
+
+
+def _decode(
+    messages: Messages,
+    parse: Callable[[bytes], Layout],
+    build: Callable[[Layout, Bytes], Columns],
+    malformed: Malformed | None,
+) -> list[Columns]:
+    """Decode each layout's messages at once, then put them back into the order of the stream."""
+    label = np.full(len(messages), -1, np.int64)
+    blocks: list[Columns] = []
+    pending: Indices = np.arange(len(messages))
+    while len(pending):
+        try:
+            layout = parse(messages.payload(int(pending[0])))
+        except CdrError as error:
+            _leave_out(str(error), malformed)
+            pending = pending[1:]
+            continue
+        candidates = pending[messages.size[pending] == layout.size]
+        rows = messages.select(candidates).rows(layout.size)
+        same = layout.holds(rows)
+        if not same.all():
+            candidates, rows = candidates[same], rows[same]
+        label[candidates] = len(blocks)
+        blocks.append(build(layout, rows))
+        pending = pending[label[pending] < 0] if len(candidates) < len(pending) else pending[:0]
+    return _in_order(label[label >= 0], blocks)
+
+
+def _in_order(label: Indices, blocks: list[Columns]) -> list[Columns]:
+    """Cut blocks, one per label, into the runs of the label sequence."""
+    if len(blocks) < 2:
+        return blocks
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
+    used = [0] * len(blocks)
+    runs = []
+    for kind, length in zip(label[starts[:-1]].tolist(), np.diff(starts).tolist(), strict=True):
+        runs.append(part(blocks[kind], used[kind], used[kind] + length))
+        used[kind] += length
+    return runs
+
+
+def _header(payload: bytes) -> LayoutReader:
+    reader = LayoutReader(payload)
+    reader.stamp()
+    reader.string()
+    return reader
+
+
+def _imu_layout(payload: bytes) -> Layout:
+    reader = _header(payload)
+    reader.column('orientation', 4)
+    reader.column('orientation_covariance', 9)
+    reader.column('angular_velocity', 3)
+    reader.column('angular_velocity_covariance', 9)
+    reader.column('linear_acceleration', 3)
+    reader.column('linear_acceleration_covariance', 9)
+    return reader.finish()
+
+
+def _imu_block(layout: Layout, rows: Bytes) -> ImuBlock:
+    return ImuBlock(
+        stamp=layout.stamps(rows),
+        gyro=layout.column(rows, 'angular_velocity'),
+        accel=layout.column(rows, 'linear_acceleration'),
+        frame_id=layout.names[0],
+    )
+
+
+def _joint_layout(payload: bytes) -> Layout:
+    reader = _header(payload)
+    names = reader.strings()
+    for column in ('position', 'velocity'):
+        width = reader.sequence(column)
+        if width not in {0, len(names)}:
+            raise CdrError(f'{width} values of {column} for {len(names)} joint names')
+    reader.sequence('effort')
+    # No finish(): older middlewares pad empty sequences, and what follows them is not needed.
+    return reader.layout()
+
+
+def _joint_block(layout: Layout, rows: Bytes) -> JointBlock:
+    names = layout.names[1:]
+    return JointBlock(
+        stamp=layout.stamps(rows),
+        names=names,
+        position=_joint_column(layout, rows, 'position', len(names)),
+        velocity=_joint_column(layout, rows, 'velocity', len(names)),
+    )
+
+
+def _joint_column(layout: Layout, rows: Bytes, name: str, width: int) -> Floats:
+    if layout.columns[name][1] == 0:
+        return np.full((len(rows), width), np.nan)
+    return layout.column(rows, name)
+
+
+def _temperature_layout(payload: bytes) -> Layout:
+    reader = _header(payload)
+    reader.column('temperature', 1)
+    reader.column('variance', 1)
+    return reader.finish()
+
+
+def _temperature_block(layout: Layout, rows: Bytes) -> TemperatureBlock:
+    return TemperatureBlock(layout.stamps(rows), layout.column(rows, 'temperature')[:, 0])
+
+
+def _setpoint(payload: bytes) -> Setpoint | str:
+    """Decode one setpoint, or say what is wrong with it."""
+    try:
+        reader = LayoutReader(payload)
+        stamp = reader.stamp()
+        reader.string()
+        plan, step, position = reader.string(), int(reader.number('I')), reader.string()
+        setpoint = Setpoint(
+            stamp=stamp,
+            plan=plan,
+            step=step,
+            position=position,
+            mode=_mode(reader.number('B')),
+            joints=reader.strings(),
+            angles=reader.floats(),
+            rates=reader.floats(),
+            turns=float(reader.number('d')),
+            dwell=float(reader.number('d')),
+        )
+        reader.finish()
+    except CdrError as error:
+        return str(error)
+    return setpoint
+
+
+def _mode(value: int) -> Mode:
+    try:
+        return Mode(value)
+    except ValueError:
+        known = ', '.join(f'{mode.value} ({mode.name})' for mode in Mode)
+        raise CdrError(f'mode {value}, expected {known}') from None

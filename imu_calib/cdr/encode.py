@@ -1,0 +1,222 @@
+"""Columns to serialised messages, in bulk: the inverse of `decode`, little-endian."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .layout import ENCAPSULATION, NS
+from .messages import CdrError, Messages
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from imu_calib.stream import (
+        Floats,
+        ImuBlock,
+        JointBlock,
+        Setpoint,
+        SetpointBlock,
+        Stamps,
+        TemperatureBlock,
+    )
+
+    from .messages import Bytes
+
+PULSES = (-1.0, -1.0, -1.0)
+"""First elements of the three covariances of a message of pulse counts: no filter takes them."""
+RATES = (-1.0, 0.0, 0.0)
+"""First elements of the covariances of rates and accelerations without orientation (REP 145)."""
+
+
+class _Template:
+    """One message under construction: fixed bytes, and room for what changes."""
+
+    def __init__(self) -> None:
+        self.content = bytearray(b'\x00\x01\x00\x00')
+        self.time(0)
+
+    def align(self, size: int) -> None:
+        self.content += bytes((ENCAPSULATION - len(self.content)) % size)
+
+    def time(self, stamp: int) -> None:
+        self.content += struct.pack('<iI', *divmod(stamp, NS))
+
+    def number(self, code: str, value: float) -> None:
+        self.align(struct.calcsize(code))
+        self.content += struct.pack(f'<{code}', value)
+
+    def string(self, text: str) -> None:
+        encoded = text.encode()
+        self.number('I', len(encoded) + 1)
+        self.content += encoded + b'\x00'
+
+    def strings(self, texts: Iterable[str]) -> None:
+        listed = list(texts)
+        self.number('I', len(listed))
+        for text in listed:
+            self.string(text)
+
+    def doubles(self, values: Iterable[float]) -> int:
+        """Append float64 numbers; return where they start."""
+        listed = list(values)
+        if listed:
+            self.align(8)
+        start = len(self.content)
+        self.content += struct.pack(f'<{len(listed)}d', *listed)
+        return start
+
+    def sequence(self, values: Iterable[float]) -> int:
+        """Append a float64 sequence; return where its numbers start."""
+        listed = list(values)
+        self.number('I', len(listed))
+        return self.doubles(listed)
+
+    def repeat(self, stamp: Stamps) -> Bytes:
+        """Return (n, size) copies of the message, each with its stamp."""
+        rows = np.empty((len(stamp), len(self.content)), np.uint8)
+        rows[:] = np.frombuffer(self.content, np.uint8)
+        sec, nanosec = np.divmod(stamp, NS)
+        _column(rows, ENCAPSULATION, '<i4', 1)[:, 0] = _seconds(sec)
+        _column(rows, ENCAPSULATION + 4, '<u4', 1)[:, 0] = nanosec
+        return rows
+
+
+def _seconds(sec: Stamps) -> Stamps:
+    limit = np.iinfo(np.int32)
+    if len(sec) and (sec.min() < limit.min or sec.max() > limit.max):
+        raise CdrError(
+            f'Stamps from {sec.min()} s to {sec.max()} s do not fit a ROS header '
+            f'({limit.min} s to {limit.max} s).'
+        )
+    return sec
+
+
+def _column(rows: Bytes, offset: int, kind: str, width: int) -> np.ndarray[Any, Any]:
+    step = np.dtype(kind).itemsize
+    return np.ndarray((len(rows), width), kind, rows, offset, (rows.shape[1], step))
+
+
+def _messages(rows: Bytes) -> Messages:
+    count, size = rows.shape
+    return Messages(rows.reshape(-1), np.arange(count) * size, np.full(count, size, np.int64))
+
+
+def encode_imu(block: ImuBlock, first_covariances: tuple[float, float, float] = PULSES) -> Messages:
+    """Encode sensor_msgs/Imu without orientation.
+
+    Args:
+        block: Samples to encode.
+        first_covariances: Element 0 of the covariances of orientation, angular velocity and
+            linear acceleration: `PULSES`, `RATES` or own values; -1 says unknown.
+
+    Returns:
+        One message per sample.
+
+    Raises:
+        CdrError: A stamp does not fit the header.
+
+    """
+    template = _Template()
+    template.string(block.frame_id)
+    template.doubles([0.0, 0.0, 0.0, 1.0])
+    template.doubles([first_covariances[0], *[0.0] * 8])
+    gyro = template.doubles([0.0] * 3)
+    template.doubles([first_covariances[1], *[0.0] * 8])
+    accel = template.doubles([0.0] * 3)
+    template.doubles([first_covariances[2], *[0.0] * 8])
+    rows = template.repeat(block.stamp)
+    _column(rows, gyro, '<f8', 3)[:] = block.gyro
+    _column(rows, accel, '<f8', 3)[:] = block.accel
+    return _messages(rows)
+
+
+def encode_joints(block: JointBlock, frame_id: str = '') -> Messages:
+    """Encode sensor_msgs/JointState without effort.
+
+    Args:
+        block: Samples to encode; an array that is NaN throughout is left out of the messages.
+        frame_id: Frame of the header.
+
+    Returns:
+        One message per sample.
+
+    Raises:
+        CdrError: A stamp does not fit the header.
+
+    """
+    template = _Template()
+    template.string(frame_id)
+    template.strings(block.names)
+    starts = [(v, template.sequence(_carried(v))) for v in (block.position, block.velocity)]
+    template.sequence([])
+    rows = template.repeat(block.stamp)
+    for values, start in starts:
+        if _carried(values):
+            _column(rows, start, '<f8', values.shape[1])[:] = values
+    return _messages(rows)
+
+
+def _carried(values: Floats) -> list[float]:
+    """Return room for one row of an array, none where it holds nothing."""
+    return [] if np.isnan(values).all() else [0.0] * values.shape[1]
+
+
+def encode_temperatures(
+    block: TemperatureBlock, frame_id: str = '', variance: float = 0.0
+) -> Messages:
+    """Encode sensor_msgs/Temperature.
+
+    Args:
+        block: Samples to encode, degrees Celsius.
+        frame_id: Frame of the header.
+        variance: Variance of every sample; 0 says unknown.
+
+    Returns:
+        One message per sample.
+
+    Raises:
+        CdrError: A stamp does not fit the header.
+
+    """
+    template = _Template()
+    template.string(frame_id)
+    start = template.doubles([0.0, variance])
+    rows = template.repeat(block.stamp)
+    _column(rows, start, '<f8', 1)[:, 0] = block.celsius
+    return _messages(rows)
+
+
+def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
+    """Encode imu_calib_msgs/TurntableSetpoint.
+
+    Args:
+        block: Setpoints to encode.
+        frame_id: Frame of the header.
+
+    Returns:
+        One message per setpoint.
+
+    Raises:
+        CdrError: A stamp does not fit the header.
+
+    """
+    return Messages.join([_setpoint(setpoint, frame_id) for setpoint in block.setpoints])
+
+
+def _setpoint(setpoint: Setpoint, frame_id: str) -> bytes:
+    template = _Template()
+    template.string(frame_id)
+    template.string(setpoint.plan)
+    template.number('I', setpoint.step)
+    template.string(setpoint.position)
+    template.number('B', int(setpoint.mode))
+    template.strings(setpoint.joints)
+    template.sequence(setpoint.angles)
+    template.sequence(setpoint.rates)
+    template.doubles([setpoint.turns])
+    template.doubles([setpoint.dwell])
+    rows = template.repeat(np.array([setpoint.stamp], np.int64))
+    return rows.tobytes()

@@ -1,0 +1,194 @@
+"""Where the fields of one message lie: found by reading one message, then checked for all others.
+
+CDR (OMG formal/02-06-51) aligns a number to its own size, counted from the byte after the 4-byte
+encapsulation header. Two messages of a type whose strings and sequence lengths agree therefore
+have every field in the same place, and a run of them is a matrix of bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .messages import CdrError
+
+if TYPE_CHECKING:
+    from imu_calib.stream import Floats, Stamps
+
+    from .messages import Bytes
+
+ENCAPSULATION = 4
+_ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
+NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Places of the fields in messages of one shape.
+
+    Attributes:
+        order: '<' or '>', the byte order.
+        size: Bytes of the whole message.
+        fixed: Starts and contents of the bytes that make the shape what it is.
+        stamp: Offset of the header's stamp.
+        columns: Offset and number of the float64 of each column.
+        names: The strings of the message, in order.
+
+    """
+
+    order: str
+    size: int
+    fixed: tuple[tuple[int, bytes], ...]
+    stamp: int
+    columns: dict[str, tuple[int, int]]
+    names: tuple[str, ...]
+
+    def holds(self, rows: Bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Tell which messages have this layout.
+
+        Args:
+            rows: (n, size) bytes of messages of the right size.
+
+        Returns:
+            (n,) true where all fixed bytes agree.
+
+        """
+        same = np.ones(len(rows), np.bool_)
+        for start, content in self.fixed:
+            # Strings of equal width are equal exactly when their bytes are.
+            kind = f'S{len(content)}'
+            found = np.ndarray((len(rows),), kind, rows, start, (self.size,))
+            same &= found == np.frombuffer(content, kind)[0]
+        return same
+
+    def stamps(self, rows: Bytes) -> Stamps:
+        """Return the (n,) header stamps in ns."""
+        shape, strides = (len(rows),), (self.size,)
+        sec = np.ndarray(shape, f'{self.order}i4', rows, self.stamp, strides)
+        nanosec = np.ndarray(shape, f'{self.order}u4', rows, self.stamp + 4, strides)
+        stamp: Stamps = sec.astype(np.int64) * NS + nanosec
+        return stamp
+
+    def column(self, rows: Bytes, name: str) -> Floats:
+        """Return the (n, k) numbers of a column, in a memory of their own."""
+        offset, width = self.columns[name]
+        shape, strides = (len(rows), width), (self.size, 8)
+        stored = np.ndarray(shape, f'{self.order}f8', rows, offset, strides)
+        return stored.astype(np.float64)
+
+
+class LayoutReader:
+    """Reads one message from its first byte to its last, noting where things are.
+
+    Raises:
+        CdrError: From every method, where the message ends too early or contradicts its type.
+
+    """
+
+    def __init__(self, payload: bytes) -> None:
+        order = _ORDERS.get(payload[:2])
+        if len(payload) < ENCAPSULATION or order is None:
+            raise CdrError(
+                f'encapsulation header {payload[:ENCAPSULATION].hex(" ") or "missing"}, '
+                'expected 00 00 or 00 01 (plain CDR)'
+            )
+        self.order = order
+        self._payload = payload
+        self._position = ENCAPSULATION
+        self._fixed: list[tuple[int, int]] = [(0, 2)]
+        self._stamp = 0
+        self._columns: dict[str, tuple[int, int]] = {}
+        self._names: list[str] = []
+
+    def _take(self, alignment: int, size: int) -> int:
+        start = self._position + (ENCAPSULATION - self._position) % alignment
+        if start + size > len(self._payload):
+            raise CdrError(
+                f'{len(self._payload)} bytes, but a field of {size} bytes starts at {start}'
+            )
+        self._position = start + size
+        return start
+
+    def _keep(self, start: int, end: int) -> None:
+        if self._fixed and self._fixed[-1][1] == start:
+            start = self._fixed.pop()[0]
+        self._fixed.append((start, end))
+
+    def number(self, code: str) -> Any:
+        """Read one number that may differ from message to message."""
+        size = struct.calcsize(code)
+        return struct.unpack_from(self.order + code, self._payload, self._take(size, size))[0]
+
+    def stamp(self) -> int:
+        """Read a builtin_interfaces/Time, in ns."""
+        self._stamp = self._position
+        return int(self.number('i')) * NS + int(self.number('I'))
+
+    def count(self) -> int:
+        """Read the length of a sequence; it belongs to the layout."""
+        start = self._take(4, 4)
+        self._keep(start, self._position)
+        return int(struct.unpack_from(f'{self.order}I', self._payload, start)[0])
+
+    def string(self) -> str:
+        """Read a string; it belongs to the layout."""
+        length = self.count()
+        start = self._take(1, length)
+        self._keep(start, self._position)
+        content = self._payload[start : self._position]
+        if length and content[-1]:
+            raise CdrError('a string does not end with a zero byte')
+        try:
+            text = content[:-1].decode()
+        except UnicodeDecodeError:
+            raise CdrError(f'a string is not UTF-8: {content[:40]!r}') from None
+        self._names.append(text)
+        return text
+
+    def strings(self) -> tuple[str, ...]:
+        """Read a sequence of strings; it belongs to the layout."""
+        return tuple(self.string() for _ in range(self.count()))
+
+    def column(self, name: str, width: int) -> None:
+        """Pass over float64 numbers that form the columns `name`."""
+        start = self._take(8, 8 * width) if width else self._position
+        self._columns[name] = (start, width)
+
+    def sequence(self, name: str) -> int:
+        """Pass over a float64 sequence that forms the columns `name`; return its length."""
+        width = self.count()
+        self.column(name, width)
+        return width
+
+    def floats(self) -> tuple[float, ...]:
+        """Read a float64 sequence."""
+        width = self.count()
+        start = self._take(8, 8 * width) if width else self._position
+        values: tuple[float, ...] = struct.unpack_from(
+            f'{self.order}{width}d', self._payload, start
+        )
+        return values
+
+    def finish(self) -> Layout:
+        """Return the layout; the message must end here, but for padding.
+
+        Middlewares round a message up to 4 or 8 bytes; more than that is another type.
+        """
+        rest = len(self._payload) - self._position
+        if rest >= 8:
+            raise CdrError(f'{len(self._payload)} bytes, {rest} more than the fields take')
+        return self.layout()
+
+    def layout(self) -> Layout:
+        """Return the layout of what was read so far."""
+        return Layout(
+            order=self.order,
+            size=len(self._payload),
+            fixed=tuple((a, self._payload[a:b]) for a, b in self._fixed),
+            stamp=self._stamp,
+            columns=self._columns,
+            names=tuple(self._names),
+        )

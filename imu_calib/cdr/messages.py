@@ -1,0 +1,117 @@
+"""Serialised messages in one buffer, and what is said of those that do not hold together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imu_calib.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Bytes: TypeAlias = NDArray[np.uint8]
+Indices: TypeAlias = NDArray[np.int64]
+
+
+class CdrError(InputError):
+    """A serialised message contradicts its type."""
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """Serialised messages of one topic that lie anywhere in one buffer.
+
+    Attributes:
+        buffer: (bytes,) memory that holds the messages, and possibly much else.
+        offset: (n,) where each message starts, at its 4-byte encapsulation header.
+        size: (n,) bytes of each message, encapsulation header included.
+
+    """
+
+    buffer: Bytes
+    offset: Indices
+    size: Indices
+
+    def __post_init__(self) -> None:
+        """Refuse messages outside of the buffer: the decoders read without further checks."""
+        if len(self.offset) and (
+            self.offset.min() < 0
+            or self.size.min() < 0
+            or (self.offset + self.size).max() > len(self.buffer)
+        ):
+            raise ValueError(f'Messages reach beyond their buffer of {len(self.buffer)} bytes.')
+
+    @classmethod
+    def join(cls, payloads: Sequence[bytes]) -> Messages:
+        """Copy messages that lie scattered in memory into one buffer.
+
+        Args:
+            payloads: Serialised messages, each with its encapsulation header.
+
+        Returns:
+            The messages, in the same order.
+
+        """
+        size = np.fromiter(map(len, payloads), np.int64, len(payloads))
+        buffer = np.frombuffer(b''.join(payloads), np.uint8)
+        return cls(buffer, np.cumsum(size) - size, size)
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+    def select(self, index: slice | Indices | NDArray[np.bool_]) -> Messages:
+        """Return some of the messages; the buffer is shared."""
+        return Messages(self.buffer, self.offset[index], self.size[index])
+
+    def payload(self, index: int) -> bytes:
+        """Return a copy of one message's bytes."""
+        start = int(self.offset[index])
+        return self.buffer[start : start + int(self.size[index])].tobytes()
+
+    def payloads(self) -> list[bytes]:
+        """Return a copy of every message's bytes."""
+        whole = np.ascontiguousarray(self.buffer).data
+        ends = (self.offset + self.size).tolist()
+        return [bytes(whole[a:b]) for a, b in zip(self.offset.tolist(), ends, strict=True)]
+
+    def rows(self, size: int) -> Bytes:
+        """Gather the first bytes of every message.
+
+        Args:
+            size: Bytes to take; no message may be shorter.
+
+        Returns:
+            (n, size) bytes, contiguous.
+
+        """
+        if len(self) == 0:
+            return np.empty((0, size), np.uint8)
+        last = len(self.buffer) - size + 1
+        # Every possible position of a message is one element of this overlapping view, so that
+        # one indexed copy gathers them all, whatever lies between them.
+        anywhere = np.ndarray((last,), f'V{size}', buffer=self.buffer, strides=(1,))
+        gathered: Bytes = anywhere[self.offset].view(np.uint8).reshape(-1, size)
+        return gathered
+
+
+@dataclass
+class Malformed:
+    """Count of the messages that a decoder left out, and what was wrong with the first.
+
+    Attributes:
+        count: Messages left out so far.
+        reason: What was wrong with the first of them.
+
+    """
+
+    count: int = 0
+    reason: str = ''
+
+    def add(self, reason: str) -> None:
+        """Count one more message."""
+        self.count += 1
+        self.reason = self.reason or reason
