@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from imu_calib.stream import (
+    Block,
     ImuBlock,
     JointBlock,
     Mode,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from .messages import Bytes, Indices
 
 Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)
-AnyBlock = TypeVar('AnyBlock', ImuBlock, JointBlock, SetpointBlock, TemperatureBlock)
+AnyBlock = TypeVar('AnyBlock', bound=Block)
 
 _AFTER_STAMP = ENCAPSULATION + 8
 _COMMON = frozenset({'names', 'frame_id'})

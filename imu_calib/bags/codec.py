@@ -1,0 +1,175 @@
+"""The two compressions of recordings, imported when a recording needs them."""
+
+from __future__ import annotations
+
+import importlib
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from imu_calib.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+_ZSTD_MODULES = ('compression.zstd', 'backports.zstd', 'zstandard')
+_BLOCK = 1 << 20
+
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+
+
+class CodecError(Exception):
+    """Compressed data that does not unpack; the caller knows which."""
+
+
+def decompressor(compression: str) -> Callable[[bytes], bytes]:
+    """Return the function that unpacks one compressed block.
+
+    Args:
+        compression: '', 'lz4' or 'zstd', as mcap chunks name it.
+
+    Returns:
+        A function that raises CodecError for data that does not unpack.
+
+    Raises:
+        InputError: The compression is unknown, or its package is not installed.
+
+    """
+    if compression == '':
+        return bytes
+    if compression == 'lz4':
+        return _guarded(_lz4().decompress)
+    if compression == 'zstd':
+        module = _zstd()
+        if module.__name__ == 'zstandard':
+            return _guarded(_zstandard_decompress(module))
+        return _guarded(module.decompress)
+    raise InputError(f'Unknown compression {compression!r}: expected none, lz4 or zstd.')
+
+
+def compressor(compression: str) -> Callable[[bytes], bytes]:
+    """Return the function that packs one block; arguments and errors as `decompressor`."""
+    if compression == '':
+        return bytes
+    if compression == 'lz4':
+        pack_lz4: Callable[[bytes], bytes] = _lz4().compress
+        return pack_lz4
+    if compression == 'zstd':
+        module = _zstd()
+        own = module.__name__ == 'zstandard'
+        pack: Callable[[bytes], bytes] = (
+            module.ZstdCompressor().compress if own else module.compress
+        )
+        return pack
+    raise InputError(f'Unknown compression {compression!r}: expected none, lz4 or zstd.')
+
+
+def unpack_file(source: Path, target: Path) -> str:
+    """Unpack a zstd file block by block, as far as it goes.
+
+    Args:
+        source: Compressed file.
+        target: File to write.
+
+    Returns:
+        What stopped it before the end of the source; empty if nothing did.
+
+    Raises:
+        InputError: No package for zstd is installed.
+        OSError: A file cannot be read or written.
+
+    """
+    module = _zstd()
+    stream = _FrameStream(module)
+    with source.open('rb') as packed, target.open('wb') as unpacked:
+        try:
+            while block := packed.read(_BLOCK):
+                unpacked.writelines(stream.feed(block))
+        except _errors() as error:
+            return str(error)
+    return '' if stream.at_boundary else 'the compressed data ends in the middle of a frame'
+
+
+class _FrameStream:
+    """Decompresses a sequence of zstd frames with whichever package is there."""
+
+    def __init__(self, module: Any) -> None:
+        self._module = module
+        self._frame: Any = None
+        self.at_boundary = True
+
+    def _new_frame(self) -> Any:
+        if self._module.__name__ == 'zstandard':
+            return self._module.ZstdDecompressor().decompressobj()
+        return self._module.ZstdDecompressor()
+
+    def feed(self, block: bytes) -> list[bytes]:
+        """Return what the next bytes of the file unpack to."""
+        pieces = []
+        while block:
+            if self._frame is None:
+                self._frame = self._new_frame()
+            pieces.append(self._frame.decompress(block))
+            self.at_boundary = bool(self._frame.eof)
+            block = self._frame.unused_data if self.at_boundary else b''
+            if self.at_boundary:
+                self._frame = None
+        return pieces
+
+
+def _zstandard_decompress(module: Any) -> Callable[[bytes], bytes]:
+    def decompress(data: bytes) -> bytes:
+        # A frame need not state its size, which the one-shot call of this package insists on.
+        frame = module.ZstdDecompressor().decompressobj()
+        content: bytes = frame.decompress(data)
+        if not frame.eof:
+            raise CodecError('the zstd frame is cut off')
+        return content
+
+    return decompress
+
+
+def _guarded(function: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+    def decompress(data: bytes) -> bytes:
+        try:
+            return function(data)
+        except _errors() as error:
+            raise CodecError(str(error)) from None
+
+    return decompress
+
+
+@cache
+def _errors() -> tuple[type[Exception], ...]:
+    """Return what the packages raise for corrupt data."""
+    packages = [_optional(name) for name in _ZSTD_MODULES]
+    own = [package.ZstdError for package in packages if package is not None]
+    return (RuntimeError, ValueError, EOFError, MemoryError, *own)
+
+
+def _optional(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        return None
+
+
+def _zstd() -> Any:
+    for name in _ZSTD_MODULES:
+        module = _optional(name)
+        if module is not None:
+            return module
+    raise InputError(
+        'This recording is compressed with zstd, and no Python package for it is installed: '
+        'install python3-zstandard (apt) or backports.zstd (pip).'
+    )
+
+
+def _lz4() -> Any:
+    module = _optional('lz4.frame')
+    if module is None:
+        raise InputError(
+            'This recording is compressed with lz4, and no Python package for it is installed: '
+            'install python3-lz4 (apt) or lz4 (pip).'
+        )
+    return module

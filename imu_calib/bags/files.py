@@ -1,0 +1,157 @@
+"""Which storage files make up a recording, and how each is opened."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from .codec import ZSTD_MAGIC, unpack_file
+from .mcap import McapStorage
+from .metadata import NAME, read_metadata
+from .sqlite import SqliteStorage
+from .storage import Losses, RecordingError, Storage
+
+_STORAGE = ('.mcap', '.db3')
+_PACKED = ('.zstd', '.zst')
+
+
+@dataclass(frozen=True)
+class Found:
+    """The storage files of a recording, in order, and the entries of its metadata.yaml."""
+
+    paths: tuple[Path, ...]
+    custom_data: dict[str, str]
+
+
+class Scratch:
+    """A temporary folder that is made when it is needed, and removed afterwards."""
+
+    def __init__(self) -> None:
+        self._folder: Path | None = None
+
+    def folder(self) -> Path:
+        """Return the folder."""
+        if self._folder is None:
+            self._folder = Path(tempfile.mkdtemp(prefix='imu_calib_'))
+        return self._folder
+
+    def remove(self) -> None:
+        """Remove the folder with all that was unpacked into it."""
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+
+
+def find_files(path: Path, losses: Losses) -> Found:
+    """Find the storage files of a recording.
+
+    Args:
+        path: Folder of rosbag2, or one storage file.
+        losses: Takes sentences about files that are missing.
+
+    Returns:
+        The files.
+
+    Raises:
+        RecordingError: There is nothing to read.
+        OSError: The folder cannot be read.
+
+    """
+    if path.is_file():
+        return Found((path,), {})
+    if not path.is_dir():
+        raise RecordingError(f'{path}: no such recording; expected a rosbag2 folder or file.')
+    present = sorted((p for p in path.iterdir() if _is_storage(p)), key=_natural)
+    metadata = read_metadata(path)
+    if not present:
+        held = ', '.join(sorted(p.name for p in path.iterdir())[:8]) or 'nothing'
+        raise RecordingError(
+            f'{path} is no recording: expected *.mcap or *.db3 files, found {held}.'
+        )
+    if metadata.files is None:
+        names = ', '.join(p.name for p in present)
+        losses.add(f'{path.name}: {metadata.problem}; the storage files found are used: {names}.')
+        return Found(tuple(present), metadata.custom_data)
+    return Found(_listed(metadata.files, present, path.name, losses), metadata.custom_data)
+
+
+def _listed(
+    names: tuple[str, ...], present: list[Path], folder: str, losses: Losses
+) -> tuple[Path, ...]:
+    """Return the files that the metadata names, in its order."""
+    by_name = {p.name: p for p in present} | {_bare(p.name): p for p in present}
+    paths = []
+    for name in names:
+        path = by_name.get(name) or by_name.get(_bare(name))
+        if path is None:
+            losses.add(f'{folder}: {name}, which {NAME} names, is missing; its messages are lost.')
+        elif path not in paths:
+            paths.append(path)
+    extra = [p.name for p in present if p not in paths]
+    if not paths:
+        raise RecordingError(
+            f'{folder}: none of the files that {NAME} names is there ({", ".join(names) or "none"}'
+            f'); found {", ".join(extra)}.'
+        )
+    if extra:
+        losses.add(f'{folder}: {", ".join(extra)} not named by {NAME}, left out.')
+    return tuple(paths)
+
+
+def _is_storage(path: Path) -> bool:
+    return _bare(path.name).endswith(_STORAGE)
+
+
+def _bare(name: str) -> str:
+    """Return a file name without the suffix of file compression."""
+    for suffix in _PACKED:
+        name = name.removesuffix(suffix)
+    return name
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Sort key that puts name_2 before name_10."""
+    return [(int(t or 0), s) for t, s in re.findall(r'(\d*)(\D*)', path.name)]
+
+
+def open_storage(path: Path, scratch: Scratch, losses: Losses) -> Storage:
+    """Open one storage file, unpacking it first where the whole file is compressed.
+
+    Args:
+        path: The file.
+        scratch: Where to put what is unpacked.
+        losses: Takes sentences about what cannot be read.
+
+    Returns:
+        The storage.
+
+    Raises:
+        RecordingError: The file is neither mcap nor sqlite3, or not readable.
+
+    """
+    try:
+        with path.open('rb') as file:
+            magic = file.read(16)
+        if magic.startswith(ZSTD_MAGIC):
+            path = _unpack(path, scratch, losses)
+            with path.open('rb') as file:
+                magic = file.read(16)
+        if magic.startswith(b'SQLite format 3') or (not magic and path.suffix == '.db3'):
+            return SqliteStorage(path, losses)
+        return McapStorage(path, losses)
+    except OSError as error:
+        raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
+
+
+def _unpack(path: Path, scratch: Scratch, losses: Losses) -> Path:
+    target = scratch.folder() / _bare(path.name)
+    problem = unpack_file(path, target)
+    if problem:
+        losses.add(
+            f'{path.name} is damaged ({problem}); the {target.stat().st_size} bytes that unpack '
+            'are used.'
+        )
+    return target

@@ -1,0 +1,204 @@
+"""The records of the mcap format: reading and building them as bytes.
+
+Format: mcap.dev/spec, version 0. A record is an opcode byte, a length of 8 bytes, and content.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from imu_calib.cdr.messages import Bytes, Indices
+
+MAGIC = b'\x89MCAP0\r\n'
+RECORD_HEAD = 9
+MESSAGE_HEAD = 22
+FOOTER_SIZE = RECORD_HEAD + 20 + len(MAGIC)
+
+
+class Op(IntEnum):
+    """Opcodes."""
+
+    HEADER = 0x01
+    FOOTER = 0x02
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+    MESSAGE_INDEX = 0x07
+    CHUNK_INDEX = 0x08
+    STATISTICS = 0x0B
+    METADATA = 0x0C
+    METADATA_INDEX = 0x0D
+    SUMMARY_OFFSET = 0x0E
+    DATA_END = 0x0F
+
+
+class RecordError(Exception):
+    """A record contradicts the format."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel: one publisher's view of a topic."""
+
+    id: int
+    topic: str
+    type: str
+    encoding: str
+
+
+@dataclass
+class Catalogue:
+    """What records say of the file as a whole.
+
+    Attributes:
+        schemas: Message type by schema id.
+        channels: Channels by id.
+        metadata: Contents of the metadata records by their names.
+        counts: Messages by channel id, from the statistics; None without.
+        chunk_starts: Offsets of chunk records, from the chunk index.
+
+    """
+
+    schemas: dict[int, str] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    counts: dict[int, int] | None = None
+    chunk_starts: list[int] = field(default_factory=list)
+
+    def add(self, op: int, content: bytes) -> None:
+        """Take note of a record, if it is of a kind that matters.
+
+        Raises:
+            RecordError: It contradicts the format.
+
+        """
+        try:
+            self._add(op, Fields(content))
+        except (struct.error, UnicodeDecodeError) as error:
+            raise RecordError(f'record with opcode {op}: {error}') from None
+
+    def _add(self, op: int, fields: Fields) -> None:
+        if op == Op.SCHEMA:
+            key = fields.number('H')
+            self.schemas[key] = fields.string()
+        elif op == Op.CHANNEL:
+            key, schema = fields.number('H'), fields.number('H')
+            topic, encoding = fields.string(), fields.string()
+            self.channels[key] = Channel(key, topic, self.schemas.get(schema, ''), encoding)
+        elif op == Op.METADATA:
+            self.metadata.setdefault(fields.string(), {}).update(fields.strings())
+        elif op == Op.CHUNK_INDEX:
+            fields.number('Q')
+            fields.number('Q')
+            self.chunk_starts.append(fields.number('Q'))
+        elif op == Op.STATISTICS:
+            fields.skip(42)
+            pairs = np.frombuffer(fields.block(), [('id', '<u2'), ('count', '<u8')])
+            self.counts = dict(zip(pairs['id'].tolist(), pairs['count'].tolist(), strict=True))
+
+
+class Fields:
+    """Reads the fields of one record in turn."""
+
+    def __init__(self, content: bytes, position: int = 0) -> None:
+        self._content = content
+        self.position = position
+
+    def number(self, code: str) -> int:
+        """Read a little-endian number."""
+        value: int
+        (value,) = struct.unpack_from(f'<{code}', self._content, self.position)
+        self.position += struct.calcsize(code)
+        return value
+
+    def skip(self, size: int) -> None:
+        """Pass over bytes."""
+        self.position += size
+
+    def block(self) -> bytes:
+        """Read bytes after their 4-byte length."""
+        size = self.number('I')
+        if self.position + size > len(self._content):
+            raise struct.error(f'a field of {size} bytes reaches beyond the record')
+        self.position += size
+        return self._content[self.position - size : self.position]
+
+    def string(self) -> str:
+        """Read a string."""
+        return self.block().decode()
+
+    def strings(self) -> dict[str, str]:
+        """Read a map of strings."""
+        inner = Fields(self.block())
+        pairs = {}
+        while inner.position < len(inner._content):
+            key = inner.string()
+            pairs[key] = inner.string()
+        return pairs
+
+
+def record(op: Op, content: bytes) -> bytes:
+    """Build a record."""
+    return struct.pack('<BQ', op, len(content)) + content
+
+
+def string(text: str) -> bytes:
+    """Build a string field."""
+    encoded = text.encode()
+    return struct.pack('<I', len(encoded)) + encoded
+
+
+def strings(pairs: dict[str, str]) -> bytes:
+    """Build a map of strings."""
+    content = b''.join(string(key) + string(value) for key, value in pairs.items())
+    return struct.pack('<I', len(content)) + content
+
+
+def walk(buffer: Bytes, start: int = 0) -> tuple[Indices, int]:
+    """Find the records that lie one after another in a buffer.
+
+    Args:
+        buffer: (bytes,) records.
+        start: Offset of the first.
+
+    Returns:
+        (n,) offsets of the whole records, and the offset where the last of them ends.
+
+    """
+    whole = buffer.data
+    end = len(buffer)
+    parts: list[Indices] = []
+    single: list[int] = []
+    position, previous, streak = start, -1, 0
+    while position + RECORD_HEAD <= end:
+        op, length = struct.unpack_from('<BQ', whole, position)
+        if op == 0 or length > end - position - RECORD_HEAD:
+            break
+        streak = streak + 1 if length == previous else 0
+        previous = length
+        if streak < 8:
+            single.append(position)
+            position += RECORD_HEAD + length
+            continue
+        run = _run(buffer, position, length)
+        parts += [np.array(single, np.int64), run]
+        single, streak = [], 0
+        position = int(run[-1]) + RECORD_HEAD + length
+    parts.append(np.array(single, np.int64))
+    return np.concatenate(parts), position
+
+
+def _run(buffer: Bytes, position: int, length: int) -> Indices:
+    """Return the offsets of the records of equal length from a position on; at least one."""
+    stride = RECORD_HEAD + length
+    possible = (len(buffer) - position) // stride
+    lengths = np.ndarray((possible,), '<u8', buffer, position + 1, (stride,))
+    ops = np.ndarray((possible,), np.uint8, buffer, position, (stride,))
+    other = np.flatnonzero((lengths != length) | (ops == 0))
+    count = int(other[0]) if len(other) else possible
+    return position + stride * np.arange(count)

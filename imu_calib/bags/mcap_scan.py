@@ -1,0 +1,293 @@
+"""Finds the chunks of an mcap file by walking over its records, with or without a footer."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from .mcap_records import (
+    FOOTER_SIZE,
+    MAGIC,
+    RECORD_HEAD,
+    Catalogue,
+    Fields,
+    Op,
+    RecordError,
+    walk,
+)
+from .storage import Losses, RecordingError, seconds
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from imu_calib.cdr.messages import Bytes, Indices
+
+_WINDOW = 1 << 22
+_CHUNK_FIELDS = 40
+_SMALL = frozenset({Op.SCHEMA, Op.CHANNEL, Op.METADATA})
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Where messages lie in the file: a chunk record, or a stretch of a file without chunks.
+
+    Attributes:
+        start: Offset of the record.
+        data: Offset of the stored bytes.
+        stored: Number of stored bytes that the file holds.
+        size: Number of bytes that they unpack to; None where the file does not say.
+        compression: '', 'lz4' or 'zstd'.
+        crc: CRC-32 of the unpacked bytes; 0 where there is none.
+        start_ns: Earliest log time.
+        end_ns: Latest log time.
+        index: Offset in the file and number of the message index entries of each channel; None
+            without index.
+        counts: Messages of each channel; None where only unpacking would tell.
+        cut: The file ends within this chunk.
+
+    """
+
+    start: int
+    data: int
+    stored: int
+    size: int | None
+    compression: str
+    crc: int
+    start_ns: int
+    end_ns: int
+    index: dict[int, tuple[int, int]] | None = None
+    counts: dict[int, int] | None = None
+    cut: bool = False
+
+    @property
+    def end(self) -> int:
+        """Offset of the byte after the stored ones."""
+        return self.data + self.stored
+
+    def __str__(self) -> str:
+        return f'the chunk at byte {self.start} ({seconds(self.start_ns, self.end_ns)})'
+
+
+@dataclass
+class Scan:
+    """What walking over the records of a file brought to light."""
+
+    chunks: list[Chunk] = field(default_factory=list)
+    catalogue: Catalogue = field(default_factory=Catalogue)
+
+
+def scan(path: Path, losses: Losses) -> Scan:
+    """Find the chunks, channels and metadata of a file.
+
+    Args:
+        path: The file.
+        losses: Takes sentences about what is missing or broken.
+
+    Returns:
+        What was found.
+
+    Raises:
+        RecordingError: This is no mcap file.
+        OSError: The file cannot be read.
+
+    """
+    with path.open('rb') as file:
+        return _Scanner(path, file, losses).scan()
+
+
+class _Scanner:
+    """One walk over one open file."""
+
+    def __init__(self, path: Path, file: BinaryIO, losses: Losses) -> None:
+        self.name = path.name
+        self.file = file
+        self.losses = losses
+        self.size = self.end = path.stat().st_size
+        self.finished = False
+        self.cut_at = 0
+        self.found = Scan()
+
+    def scan(self) -> Scan:
+        self._check_magic()
+        self._read_summary()
+        position = len(MAGIC)
+        while position < self.end:
+            following = self._record(position)
+            position = self._resume(position) if following is None else following
+        if not self.finished:
+            self._state_unfinished(position)
+        return self.found
+
+    def _check_magic(self) -> None:
+        magic = self._read(0, len(MAGIC))
+        if magic != MAGIC:
+            what = f'starts with {magic!r}' if magic else 'is empty'
+            raise RecordingError(f'{self.name} {what}: expected an mcap file.')
+
+    def _read(self, position: int, size: int) -> bytes:
+        self.file.seek(position)
+        return self.file.read(size)
+
+    def _read_summary(self) -> None:
+        """Read the summary section, where the file has one."""
+        footer = self._read(max(self.size - FOOTER_SIZE, 0), FOOTER_SIZE)
+        if not footer.endswith(MAGIC) or footer[:RECORD_HEAD] != struct.pack('<BQ', Op.FOOTER, 20):
+            return
+        self.finished = True
+        self.end = self.size - FOOTER_SIZE
+        (start,) = struct.unpack_from('<Q', footer, RECORD_HEAD)
+        if not len(MAGIC) <= start <= self.end:
+            return
+        summary = self._read(start, self.end - start)
+        offsets, _ = walk(np.frombuffer(summary, np.uint8))
+        catalogue = Catalogue()
+        try:
+            for offset in offsets.tolist():
+                op, length = struct.unpack_from('<BQ', summary, offset)
+                content = offset + RECORD_HEAD
+                catalogue.add(op, summary[content : content + length])
+        except RecordError:
+            # The data section says the same again.
+            return
+        self.found.catalogue = catalogue
+        self.end = int(start)
+
+    def _record(self, position: int) -> int | None:
+        """Take in the record at a position; return the next, or None where there is no sense."""
+        head = self._read(position, RECORD_HEAD)
+        if len(head) < RECORD_HEAD:
+            return self._overrun(position)
+        op, length = struct.unpack('<BQ', head)
+        following: int = position + RECORD_HEAD + length
+        if op == Op.CHUNK:
+            return self._chunk(position, length, following)
+        if op == 0 or following > self.end:
+            return self._overrun(position) if op in set(Op) else None
+        return self._whole_record(op, position, length, following)
+
+    def _whole_record(self, op: int, position: int, length: int, following: int) -> int | None:
+        if op == Op.MESSAGE_INDEX:
+            return self._index(position, length, following)
+        if op == Op.MESSAGE:
+            return self._unchunked(position)
+        if op in _SMALL:
+            return self._small(op, position, length, following)
+        if op in {Op.DATA_END, Op.FOOTER}:
+            self.finished = True
+            return self.end
+        return following
+
+    def _overrun(self, position: int) -> int | None:
+        """Judge a record that reaches beyond the data: a cut file, or a wrong length."""
+        if self.finished:
+            return None
+        self.cut_at = position
+        return self.size
+
+    def _state_unfinished(self, position: int) -> None:
+        """State that the recorder did not come to its end."""
+        chunks = self.found.chunks
+        if chunks and not chunks[-1].cut:
+            # Its message index may be cut off as well, which would hide the topics without one.
+            chunks[-1] = replace(chunks[-1], index=None, counts=None)
+        until = max((chunk.end_ns for chunk in chunks if not chunk.cut), default=None)
+        known = f'; the data up to log time {until / 1e9:.3f} s is whole' if until else ''
+        where = (
+            f'is cut off at byte {self.cut_at} of {position}' if self.cut_at else 'has no footer'
+        )
+        self.losses.add(f'{self.name} {where}: its recorder did not finish{known}.')
+
+    def _small(self, op: int, position: int, length: int, following: int) -> int | None:
+        try:
+            self.found.catalogue.add(op, self._read(position + RECORD_HEAD, length))
+        except RecordError:
+            return None
+        return following
+
+    def _resume(self, position: int) -> int:
+        """State a broken stretch, and go on at the next chunk that the summary knows."""
+        starts = [s for s in self.found.catalogue.chunk_starts if position < s < self.end]
+        following = min(starts, default=self.end)
+        what = 'the rest' if following == self.end else f'{following - position} bytes'
+        self.losses.add(
+            f'{self.name} holds no valid record at byte {position}: {what} cannot be read.'
+        )
+        if self.found.chunks:
+            self.found.chunks[-1] = replace(self.found.chunks[-1], index=None, counts=None)
+        return following
+
+    def _chunk(self, position: int, length: int, following: int) -> int | None:
+        head = self._read(position + RECORD_HEAD, _CHUNK_FIELDS + 16)
+        try:
+            fields = Fields(head)
+            start_ns, end_ns, size = (fields.number('Q') for _ in range(3))
+            crc, compression, stored = fields.number('I'), fields.string(), fields.number('Q')
+        except (struct.error, UnicodeDecodeError):
+            return self._overrun(position) if following > self.end else None
+        if fields.position + stored > length:
+            return None
+        data = position + RECORD_HEAD + fields.position
+        chunk = Chunk(position, data, stored, size, compression, crc, start_ns, end_ns)
+        if following > self.end:
+            if self._overrun(position) is None:
+                return None
+            chunk = replace(chunk, stored=self.size - data, cut=True)
+            following = self.size
+        self.found.chunks.append(chunk)
+        return following
+
+    def _index(self, position: int, length: int, following: int) -> int:
+        """Note a message index record: it belongs to the chunk before it."""
+        head = self._read(position + RECORD_HEAD, 6)
+        channel, size = struct.unpack('<HI', head)
+        if self.found.chunks and size == length - 6 and size % 16 == 0:
+            chunk = self.found.chunks[-1]
+            index = {**(chunk.index or {}), channel: (position + RECORD_HEAD + 6, size // 16)}
+            counts = {key: count for key, (_, count) in index.items()}
+            self.found.chunks[-1] = replace(chunk, index=index, counts=counts)
+        return following
+
+    def _unchunked(self, position: int) -> int | None:
+        """Take in messages that lie in the file without a chunk around them."""
+        (length,) = struct.unpack('<Q', self._read(position + 1, 8))
+        window = max(_WINDOW, RECORD_HEAD + length)
+        buffer = np.frombuffer(self._read(position, min(window, self.end - position)), np.uint8)
+        offsets, _ = walk(buffer)
+        ops = buffer[offsets]
+        foreign = np.flatnonzero(
+            ~np.isin(ops, [Op.MESSAGE, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE_INDEX])
+        )
+        if len(foreign):
+            offsets, ops = offsets[: foreign[0]], ops[: foreign[0]]
+        for offset in offsets[(ops == Op.SCHEMA) | (ops == Op.CHANNEL)].tolist():
+            op, size = struct.unpack_from('<BQ', buffer.data, offset)
+            if self._small(op, position + offset, size, 0) is None:
+                return None
+        last = int(offsets[-1])
+        (length,) = struct.unpack_from('<Q', buffer.data, last + 1)
+        stop = last + RECORD_HEAD + length
+        self.found.chunks.append(_stretch(buffer, offsets[ops == Op.MESSAGE], position, stop))
+        return int(position + stop)
+
+
+def _stretch(buffer: Bytes, offsets: Indices, position: int, size: int) -> Chunk:
+    """Describe messages without a chunk as if they were one, not compressed."""
+    view = [('channel', '<u2'), ('sequence', '<u4'), ('log_time', '<u8')]
+    heads = np.ndarray((max(len(buffer) - 22, 0),), view, buffer, RECORD_HEAD, (1,))
+    heads = heads[offsets[offsets + 31 <= len(buffer)]]
+    channels, counts = np.unique(heads['channel'], return_counts=True)
+    times = heads['log_time']
+    return Chunk(
+        start=position,
+        data=position,
+        stored=size,
+        size=size,
+        compression='',
+        crc=0,
+        start_ns=int(times.min()),
+        end_ns=int(times.max()),
+        counts=dict(zip(channels.tolist(), counts.tolist(), strict=True)),
+    )

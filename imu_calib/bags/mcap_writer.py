@@ -1,0 +1,220 @@
+"""Writes one mcap file, chunk by chunk."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .codec import compressor
+from .mcap_records import MAGIC, MESSAGE_HEAD, RECORD_HEAD, Op, record, string, strings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from imu_calib.cdr import Messages
+    from imu_calib.cdr.messages import Indices
+
+_HEAD = RECORD_HEAD + MESSAGE_HEAD
+
+
+@dataclass
+class _Open:
+    """The chunk that is being filled."""
+
+    parts: list[bytes] = field(default_factory=list)
+    size: int = 0
+    index: dict[int, list[np.ndarray[tuple[int, int], np.dtype[np.uint64]]]] = field(
+        default_factory=dict
+    )
+    start_ns: int = 2**63 - 1
+    end_ns: int = 0
+
+    def append(self, content: bytes) -> None:
+        self.parts.append(content)
+        self.size += len(content)
+
+
+class McapWriter:
+    """One mcap file that is being written.
+
+    What is in closed chunks survives if the program is killed: the records are self-contained,
+    and summary and footer only make them quicker to find.
+
+    Args:
+        path: File to create.
+        compression: '', 'lz4' or 'zstd'.
+        chunk_bytes: Size at which a chunk is closed.
+        chunk_ns: Span of log time at which a chunk is closed.
+
+    Raises:
+        InputError: The compression is unknown or not installed.
+        OSError: The file cannot be created.
+
+    """
+
+    def __init__(self, path: Path, compression: str, chunk_bytes: int, chunk_ns: int) -> None:
+        self._pack = compressor(compression)
+        self._compression = compression
+        self._chunk_bytes = chunk_bytes
+        self._chunk_ns = chunk_ns
+        self._file = path.open('xb')
+        self._chunk = _Open()
+        self._schemas: dict[str, bytes] = {}
+        self._channels: list[bytes] = []
+        self._chunk_index: list[bytes] = []
+        self._metadata_index: list[bytes] = []
+        self._file.write(MAGIC + record(Op.HEADER, string('ros2') + string('imu_calib')))
+        self._file.flush()
+        self.counts: dict[int, int] = {}
+        self.start_ns = 2**63 - 1
+        self.end_ns = 0
+
+    def add_channel(self, topic: str, type_name: str, definition: str, qos: str) -> int:
+        """Describe a topic; return the id of its channel."""
+        if type_name not in self._schemas:
+            key = len(self._schemas) + 1
+            names = string(type_name) + string('ros2msg') + string(definition)
+            self._schemas[type_name] = record(Op.SCHEMA, struct.pack('<H', key) + names)
+            self._chunk.append(self._schemas[type_name])
+        channel = len(self._channels) + 1
+        schema = list(self._schemas).index(type_name) + 1
+        metadata = strings({'offered_qos_profiles': qos, 'topic_type_hash': ''})
+        content = struct.pack('<HH', channel, schema) + string(topic) + string('cdr') + metadata
+        self._channels.append(record(Op.CHANNEL, content))
+        self._chunk.append(self._channels[-1])
+        self.counts[channel] = 0
+        return channel
+
+    def add_metadata(self, name: str, pairs: dict[str, str]) -> None:
+        """Write a metadata record at once."""
+        content = record(Op.METADATA, string(name) + strings(pairs))
+        place = struct.pack('<QQ', self._file.tell(), len(content)) + string(name)
+        self._metadata_index.append(record(Op.METADATA_INDEX, place))
+        self._file.write(content)
+        self._file.flush()
+
+    def write(self, channel: int, messages: Messages, log_time: Indices) -> None:
+        """Append messages, closing chunks as they fill."""
+        start = 0
+        ends = np.cumsum(messages.size + _HEAD)
+        while start < len(messages):
+            done = int(ends[start - 1]) if start else 0
+            room = max(self._chunk_bytes - self._chunk.size, 1)
+            stop = max(int(np.searchsorted(ends, done + room, 'right')), start + 1)
+            some = slice(start, stop)
+            self._append(channel, messages.select(some), log_time[some])
+            if stop < len(messages) or self._is_full():
+                self.flush()
+            start = stop
+
+    def _is_full(self) -> bool:
+        span = self._chunk.end_ns - self._chunk.start_ns
+        return self._chunk.size >= self._chunk_bytes or span >= self._chunk_ns
+
+    def _append(self, channel: int, messages: Messages, log_time: Indices) -> None:
+        chunk = self._chunk
+        sequence = self.counts[channel] + 1
+        content = _records(channel, sequence, messages, log_time)
+        ends = np.cumsum(messages.size + _HEAD)
+        offsets = chunk.size + ends - messages.size - _HEAD
+        chunk.index.setdefault(channel, []).append(np.stack([log_time, offsets], 1).astype('<u8'))
+        chunk.append(content)
+        chunk.start_ns = min(chunk.start_ns, int(log_time.min()))
+        chunk.end_ns = max(chunk.end_ns, int(log_time.max()))
+        self.counts[channel] += len(messages)
+
+    def flush(self) -> None:
+        """Close the chunk, if it holds messages, and hand it to the operating system."""
+        chunk = self._chunk
+        if not chunk.index:
+            return
+        content = b''.join(chunk.parts)
+        packed = self._pack(content)
+        times = struct.pack('<QQ', chunk.start_ns, chunk.end_ns)
+        head = times + struct.pack('<QI', len(content), zlib.crc32(content))
+        body = head + string(self._compression) + struct.pack('<Q', len(packed)) + packed
+        start, chunk_record = self._file.tell(), record(Op.CHUNK, body)
+        position = start + len(chunk_record)
+        offsets, indexes = b'', b''
+        for channel, entries in chunk.index.items():
+            offsets += struct.pack('<HQ', channel, position + len(indexes))
+            table = np.concatenate(entries).tobytes()
+            indexes += record(Op.MESSAGE_INDEX, struct.pack('<HI', channel, len(table)) + table)
+        place = times + struct.pack('<QQI', start, len(chunk_record), len(offsets)) + offsets
+        place += struct.pack('<Q', len(indexes)) + string(self._compression)
+        place += struct.pack('<QQ', len(packed), len(content))
+        self._chunk_index.append(record(Op.CHUNK_INDEX, place))
+        self._file.write(chunk_record + indexes)
+        self._file.flush()
+        self.start_ns = min(self.start_ns, chunk.start_ns)
+        self.end_ns = max(self.end_ns, chunk.end_ns)
+        self._chunk = _Open()
+
+    def close(self) -> None:
+        """Write the summary and the footer, and close the file."""
+        self.flush()
+        self._file.write(b''.join(self._chunk.parts))
+        self._file.write(record(Op.DATA_END, struct.pack('<I', 0)))
+        summary = self._summary(self._file.tell())
+        crc = zlib.crc32(summary[:-12])
+        self._file.write(summary[:-12] + struct.pack('<I', crc) + MAGIC)
+        self._file.close()
+
+    def _summary(self, start: int) -> bytes:
+        """Build everything from the summary section to the end of the file, the CRC still zero."""
+        span = (self.start_ns, self.end_ns) if self._chunk_index else (0, 0)
+        counts = b''.join(struct.pack('<HQ', c, n) for c, n in self.counts.items())
+        numbers = (len(self._schemas), len(self._channels), 0, len(self._metadata_index))
+        statistics = struct.pack(
+            '<QHIIII', sum(self.counts.values()), *numbers, len(self._chunk_index)
+        )
+        statistics += struct.pack('<QQI', *span, len(counts)) + counts
+        groups = {
+            Op.SCHEMA: list(self._schemas.values()),
+            Op.CHANNEL: self._channels,
+            Op.CHUNK_INDEX: self._chunk_index,
+            Op.METADATA_INDEX: self._metadata_index,
+            Op.STATISTICS: [record(Op.STATISTICS, statistics)],
+        }
+        content, offsets = b'', b''
+        for op, records in groups.items():
+            group = b''.join(records)
+            if group:
+                place = struct.pack('<BQQ', op, start + len(content), len(group))
+                offsets += record(Op.SUMMARY_OFFSET, place)
+            content += group
+        footer = struct.pack('<QQI', start, start + len(content), 0)
+        return content + offsets + record(Op.FOOTER, footer) + MAGIC
+
+
+def _records(channel: int, sequence: int, messages: Messages, log_time: Indices) -> bytes:
+    """Build message records; those of equal size are filled in column by column."""
+    size = int(messages.size[0])
+    if not (messages.size == size).all():
+        return b''.join(
+            _records(channel, sequence + i, messages.select(slice(i, i + 1)), log_time[i : i + 1])
+            for i in range(len(messages))
+        )
+    kind = np.dtype(
+        [
+            ('op', 'u1'),
+            ('length', '<u8'),
+            ('channel', '<u2'),
+            ('sequence', '<u4'),
+            ('log_time', '<u8'),
+            ('publish_time', '<u8'),
+            ('data', f'V{size}'),
+        ]
+    )
+    table = np.empty(len(messages), kind)
+    table['op'] = Op.MESSAGE
+    table['length'] = MESSAGE_HEAD + size
+    table['channel'] = channel
+    table['sequence'] = np.arange(sequence, sequence + len(messages)) % 2**32
+    table['log_time'] = table['publish_time'] = log_time
+    table['data'] = messages.rows(size).view(f'V{size}')[:, 0]
+    return table.tobytes()

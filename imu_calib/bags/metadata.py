@@ -1,0 +1,169 @@
+"""The metadata.yaml of a rosbag2 folder, and the same text inside the storage files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from .storage import Topic
+
+NAME = 'metadata.yaml'
+VERSION = 9
+_KEY = 'rosbag2_bagfile_information'
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What metadata.yaml says that matters for reading.
+
+    Attributes:
+        files: Names of the storage files, in order; None where the file does not say.
+        custom_data: The user's own entries.
+        problem: Why there is no sound metadata; empty where there is.
+
+    """
+
+    files: tuple[str, ...] | None = None
+    custom_data: dict[str, str] = field(default_factory=dict)
+    problem: str = ''
+
+
+def read_metadata(folder: Path) -> Metadata:
+    """Read the metadata of a recording, as far as it is there.
+
+    Args:
+        folder: Folder of the recording.
+
+    Returns:
+        The metadata; a missing or broken file is told in `problem`.
+
+    Raises:
+        OSError: The file is there but cannot be read.
+
+    """
+    path = folder / NAME
+    if not path.is_file():
+        return Metadata(problem=f'{NAME} is missing')
+    try:
+        content = yaml.load(path.read_text(encoding='utf-8'), Loader=_LOADER)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        return Metadata(problem=f'{NAME} is not YAML ({" ".join(str(error).split())[:120]})')
+    information = content.get(_KEY) if isinstance(content, dict) else None
+    if not isinstance(information, dict):
+        information = {}
+    files = information.get('relative_file_paths')
+    if not isinstance(files, list):
+        return Metadata(problem=f'{NAME} has no {_KEY}: relative_file_paths')
+    # Before version 4 the paths start with the folder's own name.
+    names = tuple(PurePath(str(name)).name for name in files)
+    return Metadata(names, _strings(information.get('custom_data')))
+
+
+def custom_data_of(text: str) -> dict[str, str]:
+    """Return the custom data in the metadata that rosbag2 writes into its storage files."""
+    try:
+        content = yaml.load(text, Loader=_LOADER)
+    except yaml.YAMLError:
+        return {}
+    return _strings(content.get('custom_data')) if isinstance(content, dict) else {}
+
+
+def _strings(pairs: Any) -> dict[str, str]:
+    if not isinstance(pairs, dict):
+        return {}
+    return {str(key): str(value) for key, value in pairs.items()}
+
+
+_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+
+
+def qos_profile(*, transient_local: bool = False) -> dict[str, Any]:
+    """Return the QoS of the suite's topics as rosbag2 writes it from version 9 on."""
+    forever = {'sec': 9223372036, 'nsec': 854775807}
+    return {
+        'history': 'keep_last' if transient_local else 'keep_all',
+        'depth': 1 if transient_local else 0,
+        'reliability': 'reliable',
+        'durability': 'transient_local' if transient_local else 'volatile',
+        'deadline': dict(forever),
+        'lifespan': dict(forever),
+        'liveliness': 'automatic',
+        'liveliness_lease_duration': dict(forever),
+        'avoid_ros_namespace_conventions': False,
+    }
+
+
+def dump(value: Any) -> str:
+    """Write a value as YAML, in the order it has."""
+    return yaml.safe_dump(value, sort_keys=False, default_flow_style=False)
+
+
+def information(
+    file: str,
+    topics: Sequence[Topic],
+    profiles: Mapping[str, dict[str, Any]],
+    span: tuple[int, int],
+    custom_data: Mapping[str, str],
+) -> dict[str, Any]:
+    """Build the metadata of a recording in one mcap file, as ROS 2 Jazzy writes it.
+
+    Args:
+        file: Name of the storage file.
+        topics: Topics with their counts.
+        profiles: Offered QoS by topic name.
+        span: First and last log time, ns.
+        custom_data: The user's own entries.
+
+    Returns:
+        The content below `rosbag2_bagfile_information`.
+
+    """
+    start, duration = {'nanoseconds_since_epoch': span[0]}, {'nanoseconds': span[1] - span[0]}
+    count = sum(topic.count or 0 for topic in topics)
+    return {
+        'version': VERSION,
+        'storage_identifier': 'mcap',
+        'duration': duration,
+        'starting_time': start,
+        'message_count': count,
+        'topics_with_message_count': [
+            {
+                'topic_metadata': {
+                    'name': topic.name,
+                    'type': topic.type,
+                    'serialization_format': topic.encoding,
+                    'offered_qos_profiles': [profiles[topic.name]],
+                    'type_description_hash': '',
+                },
+                'message_count': topic.count or 0,
+            }
+            for topic in topics
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [file],
+        'files': [
+            {
+                'path': file,
+                'starting_time': dict(start),
+                'duration': dict(duration),
+                'message_count': count,
+            }
+        ],
+        'custom_data': dict(custom_data) or None,
+        'ros_distro': 'jazzy',
+    }
+
+
+def write_metadata(folder: Path, content: Mapping[str, Any]) -> None:
+    """Write metadata.yaml; it appears whole or not at all."""
+    partial = folder / f'{NAME}.part'
+    partial.write_text(dump({_KEY: dict(content)}), encoding='utf-8')
+    partial.replace(folder / NAME)

@@ -1,0 +1,277 @@
+"""Recordings of rosbag2: opening them and reading their topics as columns."""
+
+from __future__ import annotations
+
+import hashlib
+import weakref
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imu_calib.cdr import Malformed, Messages
+
+from .codec import ZSTD_MAGIC, CodecError, decompressor
+from .files import Scratch, find_files, open_storage
+from .merge import Piece, merge
+from .storage import Cache, Losses, RecordingError, Storage, Stretch, Topic, first_and_last
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from types import TracebackType
+
+    from imu_calib.cdr import Kind
+    from imu_calib.stream import Block
+
+CACHE_BYTES = 48 << 20
+_HASH_BLOCK = 1 << 20
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Open a recording.
+
+    Args:
+        path: Folder of rosbag2, with or without metadata.yaml, or one .mcap or .db3 file; a
+            storage file may be compressed with zstd as a whole.
+
+    Returns:
+        The recording. What is missing or broken in it is told in `losses`.
+
+    Raises:
+        InputError: Nothing of it can be read.
+
+    """
+    path = Path(path).expanduser()
+    losses = Losses()
+    try:
+        found = find_files(path, losses)
+    except OSError as error:
+        raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
+    scratch = Scratch()
+    try:
+        storages = _open_all(found.paths, scratch, losses)
+        return Recording(path, found.paths, storages, found.custom_data, losses, scratch)
+    except BaseException:
+        scratch.remove()
+        raise
+
+
+def _open_all(paths: Sequence[Path], scratch: Scratch, losses: Losses) -> list[Storage]:
+    """Open what can be opened; a file that cannot be is a loss as long as another one can."""
+    opened = [_open_or_tell(path, scratch, losses) for path in paths]
+    storages = [storage for storage in opened if not isinstance(storage, RecordingError)]
+    problems = [error for error in opened if isinstance(error, RecordingError)]
+    if not storages:
+        raise problems[0]
+    for problem in problems:
+        losses.add(f'{problem} The other files of the recording are used.')
+    return storages
+
+
+def _open_or_tell(path: Path, scratch: Scratch, losses: Losses) -> Storage | RecordingError:
+    try:
+        return open_storage(path, scratch, losses)
+    except RecordingError as error:
+        return error
+
+
+class Recording:
+    """A recording that is open for reading; made by `open_recording`.
+
+    Attributes:
+        path: What was opened.
+        files: The storage files, in order.
+        topics: Topics of all files together, by name.
+        custom_data: Entries that the recorder left in the metadata.
+        start_ns: Earliest log time, ns; None where unknown.
+        end_ns: Latest log time, ns; None where unknown.
+
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        files: Sequence[Path],
+        storages: Sequence[Storage],
+        custom_data: Mapping[str, str],
+        losses: Losses,
+        scratch: Scratch,
+    ) -> None:
+        self.path = path
+        self.files = tuple(files)
+        self.topics = _topics(storages)
+        self.custom_data: dict[str, str] = {}
+        for storage in storages:
+            self.custom_data.update(storage.custom_data)
+        self.custom_data.update(custom_data)
+        self._storages = storages
+        self._losses = losses
+        times = [(s.start_ns, s.end_ns) for s in storages]
+        self.start_ns, self.end_ns = first_and_last(
+            [(a, b) for a, b in times if a is not None and b is not None]
+        )
+        self.close = weakref.finalize(self, scratch.remove)
+        """Remove what was unpacked to temporary files; also done when the object goes."""
+
+    def __enter__(self) -> Recording:
+        """Return the recording; leaving the block closes it."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the recording."""
+        self.close()
+
+    @property
+    def losses(self) -> list[str]:
+        """Sentences about what could not be read so far: file, what, from when to when."""
+        return list(self._losses.sentences)
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the storage files' contents, in the order of their names.
+
+        Raises:
+            RecordingError: A file cannot be read any more.
+
+        """
+        digest = hashlib.sha256()
+        try:
+            for path in sorted(self.files, key=lambda p: p.name):
+                with path.open('rb') as file:
+                    while block := file.read(_HASH_BLOCK):
+                        digest.update(block)
+        except OSError as error:
+            raise RecordingError(f'{self.path} cannot be read: {error.strerror}.') from None
+        return digest.hexdigest()
+
+    def read(
+        self,
+        topics: Mapping[str, Kind],
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Iterator[tuple[str, Block]]:
+        """Read topics as columns, in memory that does not grow with the recording.
+
+        Args:
+            topics: What to read: topic names, and what each is to carry.
+            progress: Called now and then with the bytes that are done and their total.
+
+        Yields:
+            Topic and block. Within a topic the order is that of the files; the topics keep step
+            with each other, however they interleave in the files.
+
+        Raises:
+            InputError: A topic is missing or of another type, or none holds a message.
+
+        """
+        self._check(topics)
+        return self._read(topics, progress)
+
+    def _read(
+        self, topics: Mapping[str, Kind], progress: Callable[[int, int], None] | None
+    ) -> Iterator[tuple[str, Block]]:
+        total = sum(storage.size for storage in self._storages)
+        malformed = {topic: Malformed() for topic in topics}
+        pieces = self._pieces(topics, malformed)
+        empty = True
+        for topic, block, done in merge(pieces.items()):
+            empty = False
+            if progress:
+                progress(done, total)
+            yield topic, block
+        self._state_malformed(malformed)
+        if empty:
+            raise RecordingError(
+                f'{self.path}: no message on {", ".join(topics)}.{self._told_losses()}'
+            )
+        if progress:
+            progress(total, total)
+
+    def _told_losses(self) -> str:
+        return ''.join(f' {sentence}' for sentence in self.losses)
+
+    def _check(self, topics: Mapping[str, Kind]) -> None:
+        held = {topic.name: topic for topic in self.topics}
+        for name, kind in topics.items():
+            topic = held.get(name)
+            if topic is None:
+                listed = ', '.join(f'{t.name} ({t.type})' for t in self.topics) or 'none'
+                raise RecordingError(f'{self.path}: no topic {name}; there are: {listed}.')
+            if topic.type != kind.type_name:
+                raise RecordingError(
+                    f'{self.path}: topic {name} carries {topic.type or "an unknown type"}, '
+                    f'expected {kind.type_name}.'
+                )
+            if topic.encoding != 'cdr':
+                raise RecordingError(
+                    f'{self.path}: topic {name} is serialised as {topic.encoding!r}, expected cdr.'
+                )
+
+    def _pieces(
+        self, topics: Mapping[str, Kind], malformed: Mapping[str, Malformed]
+    ) -> dict[str, Iterator[Piece]]:
+        cache = Cache(CACHE_BYTES)
+        wanted = frozenset(topics)
+        cursors = [storage.cursors(wanted, cache) for storage in self._storages]
+        before, offsets = 0, []
+        for storage in self._storages:
+            offsets.append(before)
+            before += storage.size
+        return {
+            topic: _decoded(
+                kind,
+                [(base, cursor[topic]) for base, cursor in zip(offsets, cursors, strict=True)],
+                malformed[topic],
+            )
+            for topic, kind in topics.items()
+        }
+
+    def _state_malformed(self, malformed: Mapping[str, Malformed]) -> None:
+        for topic, found in malformed.items():
+            if found.count:
+                self._losses.add(
+                    f'{self.path.name}: {found.count} malformed messages of {topic} are left out; '
+                    f'the first: {found.reason}.'
+                )
+
+
+def _topics(storages: Sequence[Storage]) -> tuple[Topic, ...]:
+    topics: dict[str, Topic] = {}
+    for storage in storages:
+        for name, topic in storage.topics.items():
+            topics[name] = topics[name].merged(topic) if name in topics else topic
+    return tuple(topics[name] for name in sorted(topics))
+
+
+def _decoded(
+    kind: Kind, stretches: Sequence[tuple[int, Iterator[Stretch]]], malformed: Malformed
+) -> Iterator[Piece]:
+    """Decode one topic, file after file."""
+    for base, cursor in stretches:
+        for stretch in cursor:
+            messages = _unpacked(stretch.messages, malformed)
+            for block in kind.decode(messages, malformed):
+                yield Piece(block, int(stretch.log_time[0]), base + stretch.position)
+
+
+def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
+    """Unpack messages that are compressed one by one.
+
+    A CDR message starts with a zero byte and a zstd frame never does, so that the bytes tell,
+    with or without metadata.yaml.
+    """
+    first = messages.buffer[messages.offset[messages.size > 0]]
+    if not (first == ZSTD_MAGIC[0]).any():
+        return messages
+    unpack = decompressor('zstd')
+    plain = []
+    for payload in messages.payloads():
+        if not payload.startswith(ZSTD_MAGIC):
+            plain.append(payload)
+            continue
+        try:
+            plain.append(unpack(payload))
+        except CodecError as error:
+            malformed.add(f'a message does not unpack (zstd: {error})')
+    return Messages.join(plain)

@@ -1,0 +1,144 @@
+"""What the two storage formats have in common: topics, stretches of messages, losses."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from imu_calib.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Iterator, Mapping
+    from pathlib import Path
+
+    from imu_calib.cdr.messages import Indices, Messages
+
+
+class RecordingError(InputError):
+    """A recording, or a file of it, cannot be read."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a recording.
+
+    Attributes:
+        name: Full name.
+        type: Message type, for instance sensor_msgs/msg/Imu.
+        count: Messages in the recording; None where only reading it through would tell.
+        encoding: How messages are serialised.
+
+    """
+
+    name: str
+    type: str
+    count: int | None
+    encoding: str = 'cdr'
+
+    def merged(self, other: Topic) -> Topic:
+        """Return the union with the same topic of another file or publisher."""
+        unknown = self.count is None or other.count is None
+        return Topic(
+            name=self.name,
+            type=' and '.join(sorted({*self.type.split(' and '), other.type})),
+            count=None if unknown else (self.count or 0) + (other.count or 0),
+            encoding=' and '.join(sorted({*self.encoding.split(' and '), other.encoding})),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Messages of one topic that were loaded together.
+
+    Attributes:
+        messages: The serialised messages, in the order of the file.
+        log_time: (n,) when each was recorded, ns.
+        position: Bytes of the storage file that lie before the end of the stretch.
+
+    """
+
+    messages: Messages
+    log_time: Indices
+    position: int
+
+
+class Losses:
+    """Sentences about what could not be read, each said once."""
+
+    def __init__(self) -> None:
+        self.sentences: list[str] = []
+
+    def add(self, sentence: str) -> None:
+        """State a loss; a chunk that two topics run into is lost once."""
+        if sentence not in self.sentences:
+            self.sentences.append(sentence)
+
+
+class Sized(Protocol):
+    """Something that knows how much memory it takes."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory."""
+
+
+Content = TypeVar('Content', bound=Sized)
+
+
+class Cache:
+    """The chunks that were loaded last, within a limit of memory.
+
+    The cursors of all topics share it, so that an ordinarily interleaved file is read and
+    decompressed once.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._held: OrderedDict[Hashable, Sized] = OrderedDict()
+        self._bytes = 0
+
+    def get(self, key: Hashable, load: Callable[[], Content]) -> Content:
+        """Return the content of a key, loading it if it is not held."""
+        if key in self._held:
+            self._held.move_to_end(key)
+            return self._held[key]  # type: ignore[return-value]
+        content = load()
+        self._held[key] = content
+        self._bytes += content.nbytes
+        while self._bytes > self._limit and len(self._held) > 1:
+            _, old = self._held.popitem(last=False)
+            self._bytes -= old.nbytes
+        return content
+
+
+class Storage(Protocol):
+    """One storage file of a recording."""
+
+    path: Path
+    size: int
+    start_ns: int | None
+    end_ns: int | None
+
+    @property
+    def custom_data(self) -> dict[str, str]:
+        """Entries that the recorder left in the file."""
+
+    @property
+    def topics(self) -> Mapping[str, Topic]:
+        """Topics by name."""
+
+    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[Stretch]]:
+        """Start reading: one iterator per topic, all independent of each other."""
+
+
+def seconds(start_ns: int, end_ns: int) -> str:
+    """Format a range of log time for a person."""
+    return f'log time {start_ns / 1e9:.3f} s to {end_ns / 1e9:.3f} s'
+
+
+def first_and_last(times: list[tuple[int, int]]) -> tuple[int | None, int | None]:
+    """Return the earliest start and the latest end of time ranges."""
+    if not times:
+        return None, None
+    return min(t[0] for t in times), max(t[1] for t in times)

@@ -1,0 +1,158 @@
+"""Writes recordings that rosbag2, rosbags and this suite read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from . import metadata
+from .definitions import definition
+from .mcap_writer import McapWriter
+from .storage import RecordingError, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import TracebackType
+    from typing import Any
+
+    from imu_calib.cdr import Messages
+    from imu_calib.stream import Stamps
+
+CHUNK_BYTES = 1 << 20
+CHUNK_NS = 5_000_000_000
+_RECORD = 'imu_calib'
+
+
+class RecordingWriter:
+    """A recording that is being written: a folder with one mcap file and metadata.yaml.
+
+    Messages are held back until a chunk of them is full, until it spans five seconds of log time,
+    or until `flush`; from then on a killed program does not lose them.
+
+    Args:
+        path: Folder to create.
+        custom_data: Entries for the metadata, for instance plan and IMU.
+        compression: '', 'lz4' or 'zstd', applied chunk by chunk.
+        chunk_bytes: Size at which a chunk is closed.
+
+    Raises:
+        InputError: The folder exists already or cannot be made, or the compression is unknown.
+
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        custom_data: Mapping[str, str] | None = None,
+        compression: str = '',
+        chunk_bytes: int = CHUNK_BYTES,
+    ) -> None:
+        self.path = Path(path).expanduser()
+        self._custom_data = dict(custom_data or {})
+        self._topics: dict[str, tuple[int, str]] = {}
+        self._profiles: dict[str, dict[str, Any]] = {}
+        self._open = True
+        try:
+            self.path.mkdir(parents=True)
+            self._file = McapWriter(
+                self.path / f'{self.path.name}_0.mcap', compression, chunk_bytes, CHUNK_NS
+            )
+        except FileExistsError:
+            raise RecordingError(
+                f'{self.path} exists already; recordings are not overwritten.'
+            ) from None
+        except OSError as error:
+            raise RecordingError(f'{self.path} cannot be written: {error.strerror}.') from None
+        if self._custom_data:
+            # At the start, so that it is there even if the program is killed.
+            self._file.add_metadata(_RECORD, self._custom_data)
+
+    def __enter__(self) -> RecordingWriter:
+        """Return the writer; leaving the block closes it, after an error too."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the recording."""
+        self.close()
+
+    def add_topic(self, topic: str, type_name: str, *, transient_local: bool = False) -> None:
+        """Describe a topic before its first message; `write` does it where it was not done.
+
+        Args:
+            topic: Full name of the topic.
+            type_name: Message type, for instance sensor_msgs/msg/Imu.
+            transient_local: The topic is latched: late subscribers get its last message.
+
+        Raises:
+            InputError: The topic has another type already, or the type is not known.
+
+        """
+        if topic in self._topics:
+            if self._topics[topic][1] != type_name:
+                raise RecordingError(
+                    f'{self.path}: topic {topic} is recorded as {self._topics[topic][1]}, '
+                    f'not as {type_name}.'
+                )
+            return
+        profile = metadata.qos_profile(transient_local=transient_local)
+        text = definition(type_name)
+        channel = self._file.add_channel(topic, type_name, text, metadata.dump([profile]))
+        self._topics[topic] = channel, type_name
+        self._profiles[topic] = profile
+
+    def write(self, topic: str, type_name: str, messages: Messages, log_time: Stamps) -> None:
+        """Append messages of one topic.
+
+        Args:
+            topic: Full name of the topic.
+            type_name: Message type, for instance sensor_msgs/msg/Imu.
+            messages: Serialised messages.
+            log_time: (n,) when each was received, ns.
+
+        Raises:
+            InputError: The topic has another type already, or the type is not known.
+
+        """
+        self.add_topic(topic, type_name)
+        times = np.asarray(log_time, np.int64)
+        if times.shape != (len(messages),) or (times < 0).any():
+            raise ValueError(f'{len(messages)} messages need as many log times, none negative.')
+        self._file.write(self._topics[topic][0], messages, times)
+
+    def add_custom_data(self, pairs: Mapping[str, str]) -> None:
+        """Add entries to the metadata, for instance a result."""
+        self._custom_data.update(pairs)
+        self._file.add_metadata(_RECORD, dict(pairs))
+
+    def flush(self) -> None:
+        """Bring everything so far to where a killed program does not lose it."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Finish the file and write metadata.yaml."""
+        if not self._open:
+            return
+        self._open = False
+        self._file.flush()
+        topics = [
+            Topic(name, kind, self._file.counts[channel])
+            for name, (channel, kind) in self._topics.items()
+        ]
+        span = (self._file.start_ns, self._file.end_ns)
+        content = metadata.information(
+            f'{self.path.name}_0.mcap',
+            topics,
+            self._profiles,
+            span if span[0] <= span[1] else (0, 0),
+            self._custom_data,
+        )
+        self._file.add_metadata('rosbag2', {'serialized_metadata': metadata.dump(content)})
+        self._file.close()
+        metadata.write_metadata(self.path, content)
