@@ -58,7 +58,7 @@ class Section:
         self._known.append(name)
         return self._data.get(name) is not None
 
-    def raw(self, name: str) -> Any:  # noqa: ANN401 (YAML holds anything)
+    def raw(self, name: str) -> Any:
         """Return the value as YAML gives it."""
         self._known.append(name)
         if self._data.get(name) is None:

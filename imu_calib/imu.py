@@ -1,4 +1,4 @@
-"""An IMU as its YAML describes it: what its numbers mean, and the noise that its data sheet states."""
+"""An IMU as its YAML describes it: what its numbers mean, and its noise by the data sheet."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class Parameter:
 
     @property
     def name(self) -> str:
-        """Name after Cao 2022, subscripts by the matrix of eqs. (1)-(2): E_gxy is row x, column y."""
+        """Name after Cao 2022, subscripts as in eqs. (1)-(2): E_gxy is row x, column y."""
         axes = AXES[self.row]
         if self.kind is ParameterKind.MISALIGNMENT and self.column is not None:
             axes += AXES[self.column]
@@ -160,4 +160,4 @@ class SensorModel:
             rate = np.linalg.solve(self.gyro.response, free[..., None])[..., 0]
         except np.linalg.LinAlgError:
             raise NotObservable('The model cannot be inverted: I + M is singular.') from None
-        return rate, force
+        return np.asarray(rate), np.asarray(force)

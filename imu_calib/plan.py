@@ -1,4 +1,4 @@
-"""Plans: which positions, rates and dwells a session runs through, read from YAML and checked whole."""
+"""Plans: the positions, rates and dwells of a session, read from YAML and checked whole."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Position:
     Attributes:
         id: Name, unique within the plan.
         attitude: (3, 3) R_nb, columns are the body axes in east, north, up of the table's azimuth.
-        dwell: Time to stand still, s.
+        dwell: Time to stand still, s; 0 where only turns are made.
         rate_test: Turns made here before the dwell.
 
     """
@@ -239,9 +239,9 @@ def _read_rate_test(section: Section, *, by_hand: bool) -> RateTest | None:
 def _read_position(section: Section, dwell: float, rate_test: RateTest | None) -> Position:
     name = section.text('id')
     own_dwell = section.quantity('dwell', Dimension.TIME, dwell)
-    if not own_dwell > 0:
-        raise InputError(f'{section.where}: the dwell must be above zero.')
     turns = section.flag('rate_test', default=False)
+    if own_dwell < 0 or (own_dwell == 0 and not turns):
+        raise InputError(f'{section.where}: the dwell must be above zero.')
     if turns and rate_test is None:
         raise InputError(f'{section.where}: asks for a rate test, but the plan describes none.')
     attitude = _read_attitude(section)

@@ -1,4 +1,4 @@
-"""Where the files that ship beside the code are: config, plans, message definitions, launch files."""
+"""Where the files that ship beside the code are: config, plans, message definitions."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
-"""Kinematics of a turntable of any number of joints: angles to attitude and back, and its limits."""
+"""Kinematics of a turntable: joint angles to attitude and back, and its limits."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from itertools import product
 from pathlib import Path
 
 import numpy as np

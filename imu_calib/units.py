@@ -44,21 +44,21 @@ def _per(word: str, units: Mapping[str, float]) -> dict[str, float]:
 
 
 class Dimension(Enum):
-    """A kind of quantity, with the units in which a person may write it and their SI values."""
+    """A kind of quantity: the units in which a person may write it, and their SI values."""
 
     ANGLE = _ANGLES
     RATE = _RATES
-    ANGULAR_ACCELERATION: Mapping[str, float] = {f'{a}/s^2': v for a, v in _ANGLES.items()}
+    ANGULAR_ACCELERATION = {f'{a}/s^2': v for a, v in _ANGLES.items()}
     ACCELERATION = _ACCELERATIONS
-    TIME: Mapping[str, float] = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'min': 60.0, 'h': HOUR}
-    FREQUENCY: Mapping[str, float] = {'Hz': 1.0, 'kHz': 1e3}
-    LENGTH: Mapping[str, float] = {'m': 1.0, 'mm': 1e-3, 'km': 1e3}
-    RATIO: Mapping[str, float] = {'ppm': PPM, '%': 0.01}
+    TIME = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'min': 60.0, 'h': HOUR}
+    FREQUENCY = {'Hz': 1.0, 'kHz': 1e3}
+    LENGTH = {'m': 1.0, 'mm': 1e-3, 'km': 1e3}
+    RATIO = {'ppm': PPM, '%': 0.01}
     ANGLE_PER_PULSE = _per('pulse', _ANGLES)
     RATE_PER_COUNT = _per('count', _RATES)
     VELOCITY_PER_PULSE = _per('pulse', {'m/s': 1.0, 'mm/s': 1e-3})
     ACCELERATION_PER_COUNT = _per('count', _ACCELERATIONS)
-    ANGLE_RANDOM_WALK: Mapping[str, float] = {
+    ANGLE_RANDOM_WALK = {
         'rad/sqrt(s)': 1.0,
         'deg/sqrt(s)': DEG,
         'deg/sqrt(h)': DEG / _ROOT_HOUR,
@@ -67,7 +67,7 @@ class Dimension(Enum):
         'deg/s/sqrt(Hz)': DEG,
         '(deg/h)/sqrt(Hz)': DEG_H,
     }
-    VELOCITY_RANDOM_WALK: Mapping[str, float] = {
+    VELOCITY_RANDOM_WALK = {
         '(m/s)/sqrt(s)': 1.0,
         '(m/s)/sqrt(h)': 1 / _ROOT_HOUR,
         'm/s/sqrt(h)': 1 / _ROOT_HOUR,

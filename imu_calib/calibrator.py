@@ -1,0 +1,203 @@
+"""The calibrator: blocks of columns in, a calibration out. One object, live and offline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from . import __version__
+from .calibration import Calibration, ResidualRow
+from .earth import Site
+from .errors import NotObservable
+from .imu import ImuSpec
+from .methods import method
+from .methods.evidence import Evidence, noise
+from .methods.solution import Solution
+from .plan import Plan
+from .segmentation.labelling import Labelled, label
+from .segmentation.segmenter import Segmented, Segmenter
+from .stream import Block
+from .turntable import Table
+from .units import DEG
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What a calibrator must know beforehand.
+
+    Attributes:
+        imu: What the numbers of the Imu stream mean.
+        plan: What is run.
+        table: The table whose joint states come in; None when the IMU stands alone.
+        site: Gravity and Earth rate.
+        method: Name of the solver; None takes the plan's own.
+
+    """
+
+    imu: ImuSpec
+    plan: Plan
+    table: Table | None
+    site: Site
+    method: str | None = None
+
+    @property
+    def method_name(self) -> str:
+        """Name of the solver."""
+        return self.method or self.plan.method
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A calibration with all that led to it.
+
+    Attributes:
+        calibration: The result as a value.
+        solution: What the method returned.
+        session: What the streams contain.
+        labelled: Its segments by name.
+
+    """
+
+    calibration: Calibration
+    solution: Solution
+    session: Segmented
+    labelled: Labelled
+
+
+class Calibrator:
+    """Takes blocks in as they come and solves when asked.
+
+    The result depends on the sequence of each topic and its stamps: not on how topics interleave,
+    nor on how blocks were cut.
+
+    Raises:
+        InputError: The method does not exist.
+
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._solver = method(setup.method_name)
+        self._segmenter = Segmenter(setup.imu, setup.table)
+
+    def feed(self, block: Block) -> None:
+        """Take a block of any topic in.
+
+        Raises:
+            InputError: Joint states of another table.
+
+        """
+        self._segmenter.feed(block)
+
+    def finish(self) -> Result:
+        """End of the session: solve.
+
+        Raises:
+            InputError: The data is not what the set-up says it is.
+            NotObservable: The data cannot give all parameters; says which and why.
+
+        """
+        setup = self._setup
+        session = self._segmenter.finish()
+        labelled = label(session, setup.plan, setup.table)
+        if not labelled.segments:
+            raise NotObservable(_nothing_found(session, labelled, setup))
+        evidence = Evidence(
+            labelled.segments,
+            labelled.turns,
+            setup.plan,
+            setup.site,
+            session.clock,
+            setup.table.azimuth if setup.table is not None else None,
+            noise(labelled.segments, setup.imu),
+        )
+        try:
+            solution = self._solver(evidence)
+        except NotObservable as error:
+            why = _what_was_lost(evidence, labelled, session)
+            raise NotObservable(' '.join([str(error), *why])) from None
+        findings = (*solution.findings, *_what_was_lost(evidence, labelled, session))
+        calibration = Calibration(
+            setup.imu,
+            solution.model,
+            solution.covariance,
+            tuple(
+                ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:])
+                for r in solution.residuals
+            ),
+            findings,
+            _provenance(setup, evidence, session, solution),
+        )
+        return Result(calibration, solution, session, labelled)
+
+
+def _nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
+    if not session.samples:
+        return 'The IMU stream is empty: nothing can be determined.'
+    text = (
+        f'None of the positions of plan {setup.plan.name} was found in {session.samples} IMU samples '
+        f'({session.duration:.0f} s): nothing can be determined.'
+    )
+    reasons = sorted({r.reason for r in labelled.rejected})
+    loose = len(session.segments)
+    if loose:
+        text += f' {loose} stretches at rest fit no position of the plan.'
+    return ' '.join([text, *(f'Left out: {reason}.' for reason in reasons[:3]), *session.losses])
+
+
+def _what_was_lost(evidence: Evidence, labelled: Labelled, session: Segmented) -> list[str]:
+    """Say what of the session was not used, and what of the plan is missing."""
+    sentences = []
+    missing = evidence.missing()
+    if missing:
+        sentences.append(f'Missing from the recording: position {", ".join(missing)}.')
+    found = {segment.position for segment in labelled.segments}
+    for rejected in labelled.rejected:
+        name = rejected.position or '(unknown)'
+        again = '; it was measured again' if name in found else ''
+        sentences.append(f'Position {name}: left out, {rejected.reason}{again}.')
+    sentences += [
+        f'Position {segment.position}: {note}.'
+        for segment in labelled.segments
+        for note in segment.notes
+    ]
+    sentences += [f'{loss}.' for loss in session.losses]
+    return list(dict.fromkeys(sentences))
+
+
+def _provenance(
+    setup: Setup, evidence: Evidence, session: Segmented, solution: Solution
+) -> dict[str, object]:
+    clock = session.clock
+    residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
+    return {
+        'method': setup.method_name,
+        'plan': setup.plan.name,
+        'table': setup.table.name if setup.table is not None else None,
+        'latitude_deg': setup.site.latitude / DEG,
+        'gravity': setup.site.gravity,
+        'gravity_source': setup.site.gravity_source,
+        'azimuth_seen_deg': solution.azimuth / DEG,
+        'azimuth_seen_std_deg': solution.azimuth_std / DEG,
+        'segments': len(evidence.segments),
+        'turns': len(evidence.turns),
+        'samples': sum(s.statistics.samples for s in evidence.segments)
+        + sum(t.statistics.samples for t in evidence.turns),
+        'random_walk': [float(v) for v in evidence.walk],
+        'residual_rms': [float(v) for v in np.sqrt((residuals**2).mean(axis=0))],
+        'condition_number': solution.condition,
+        'clock': {
+            'offset_s': clock.offset,
+            'offset_std_s': clock.offset_std,
+            'rate_ppm': clock.rate * 1e6,
+            'rate_std_ppm': clock.rate_std * 1e6,
+            'motions': clock.motions,
+        },
+        'versions': {
+            'imu_calib': __version__,
+            'numpy': np.__version__,
+            'scipy': scipy.__version__,
+        },
+    }

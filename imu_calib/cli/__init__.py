@@ -1,0 +1,1 @@
+"""The command `imu-calib`: one module per subcommand, each a parser and a thin function."""

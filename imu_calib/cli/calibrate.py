@@ -1,0 +1,133 @@
+"""imu-calib calibrate: a recording in, calibration.yaml and a table of 24 parameters out."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from ..bags import Recording, open_recording
+from ..calibration import Calibration
+from ..calibrator import Calibrator, Result, Setup
+from ..errors import NotObservable
+from ..methods import METHODS
+from ..report.parameters import parameter_table
+from ..stream import Block
+from ..units import DEG
+from . import options
+from .terminal import OUTPUT, progress_bar, sentence_list
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        'calibrate', help='a recording to 24 parameters', description=__doc__
+    )
+    parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
+    options.add_session_options(parser)
+    parser.add_argument(
+        '-o', '--output', default='calibration.yaml', metavar='FILE', help='default: %(default)s'
+    )
+    parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
+    parser.set_defaults(run=run)
+
+
+@dataclass(frozen=True)
+class Offline:
+    """A recording with all that is needed to calibrate from it."""
+
+    recording: Recording
+    setup: Setup
+    streams: options.Streams
+
+    def blocks(self, text: str) -> Iterator[Block]:
+        """Read all topics, with a progress bar."""
+        with progress_bar(text) as show:
+            for _, block in self.recording.read(self.streams.kinds(), show):
+                yield block
+
+
+def open_offline(arguments: argparse.Namespace) -> Offline:
+    """Open the recording that a command line names, and find what goes with it.
+
+    Raises:
+        InputError: Something is missing, ambiguous or unreadable.
+
+    """
+    recording = open_recording(arguments.bag)
+    data, where = recording.custom_data, str(recording.path)
+    streams = options.find_streams(arguments, recording)
+    table = options.find_table(arguments, data, where)
+    setup = Setup(
+        options.find_imu(arguments, data, where),
+        options.find_plan(arguments, data, where),
+        table if streams.joints is not None else None,
+        options.find_site(arguments, data, where),
+        arguments.method,
+    )
+    return Offline(recording, setup, streams)
+
+
+def calibrate(offline: Offline) -> Result:
+    """Run a recording through the calibrator.
+
+    Raises:
+        InputError: Unreadable, or not what it is said to be.
+        NotObservable: The data cannot give all parameters.
+
+    """
+    calibrator = Calibrator(offline.setup)
+    for block in offline.blocks('reading'):
+        calibrator.feed(block)
+    lost = tuple(offline.recording.losses)
+    try:
+        result = calibrator.finish()
+    except NotObservable as error:
+        raise NotObservable(' '.join([str(error), *lost])) from None
+    calibration = result.calibration
+    provenance = {
+        'recording': offline.recording.path.name,
+        'sha256': offline.recording.sha256(),
+        'topics': sorted(offline.streams.kinds()),
+        **calibration.provenance,
+    }
+    findings = (*calibration.findings, *lost)
+    calibration = replace(calibration, provenance=provenance, findings=findings)
+    return replace(result, calibration=calibration)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Calibrate and print."""
+    path = options.output_path(arguments.output)
+    offline = open_offline(arguments)
+    with offline.recording:
+        result = calibrate(offline)
+    result.calibration.save(path)
+    show(result)
+    OUTPUT.print(f'\nwritten to {path}')
+
+
+def show(result: Result, truth: Calibration | None = None) -> None:
+    """Print the 24 parameters and what a person should know of how they came about."""
+    session, solution, setup = result.session, result.solution, result.calibration.provenance
+    clock = session.clock
+    OUTPUT.print(parameter_table(result.calibration, truth))
+    OUTPUT.print(
+        f'\n{setup["method"]}: {setup["segments"]} stretches at rest, {setup["turns"]} turns, '
+        f'{session.samples} samples in {session.duration:.0f} s'
+    )
+    OUTPUT.print(
+        f'gravity {setup["gravity"]:.6f} m/s^2 ({setup["gravity_source"]}), '
+        f'latitude {setup["latitude_deg"]:.3f} deg'
+    )
+    if solution.azimuth_std < 10 * DEG:
+        OUTPUT.print(
+            f"the table's zero points {solution.azimuth / DEG:.1f} +- "
+            f'{solution.azimuth_std / DEG:.1f} deg from north, counter-clockwise'
+        )
+    if clock.motions:
+        OUTPUT.print(
+            f'IMU clock against table: {clock.offset * 1e3:+.3f} +- {clock.offset_std * 1e3:.3f} ms, '
+            f'{clock.rate * 1e6:+.2f} +- {clock.rate_std * 1e6:.2f} ppm ({clock.motions} motions)'
+        )
+    sentence_list('Worth knowing', result.calibration.findings)

@@ -1,0 +1,34 @@
+"""imu-calib compare: two calibrations side by side, as Cao 2022's Table 1 prints them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..calibration import Calibration
+from ..report.parameters import comparison_table
+from .terminal import OUTPUT
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        'compare', help='two calibrations side by side', description=__doc__
+    )
+    parser.add_argument('first', help='calibration.yaml')
+    parser.add_argument('second', help='calibration.yaml')
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Print the table."""
+    paths = [Path(arguments.first), Path(arguments.second)]
+    calibrations = [Calibration.load(path) for path in paths]
+    names = [path.stem for path in paths]
+    if names[0] == names[1]:
+        names = [str(path) for path in paths]
+    OUTPUT.print(comparison_table(calibrations, names))
+    OUTPUT.print(
+        "\nTable 1: the paper's names, K = S - S0 (deviation of the scale factor). Its E names are the"
+        '\ntranspose of ours by its eq. (18) for the accelerometers, and by our reading for the gyros.'
+    )

@@ -1,0 +1,213 @@
+"""What a session is made of, from the command line, or from what the recording says of itself."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..bags import Recording, Topic
+from ..cdr import Kind
+from ..config import Section
+from ..earth import Site
+from ..errors import InputError
+from ..imu import ImuSpec, load_imu, read_imu
+from ..plan import Plan, load_plan, read_plan
+from ..share import named_file
+from ..turntable import Table, load_table, read_table
+from ..units import DEG
+
+_SKEW = 'imu/skew'
+
+
+def add_site_options(parser: argparse.ArgumentParser) -> None:
+    """Add --latitude, --height and --gravity."""
+    parser.add_argument(
+        '--latitude', type=float, metavar='DEG', help='degrees, negative in the south'
+    )
+    parser.add_argument('--height', type=float, metavar='M', help='metres above the ellipsoid')
+    parser.add_argument(
+        '--gravity', type=float, metavar='M/S2', help='local gravity as measured, m/s^2'
+    )
+
+
+def add_session_options(parser: argparse.ArgumentParser) -> None:
+    """Add what says how a recording is to be read."""
+    parser.add_argument('--plan', metavar='NAME|FILE', help='the plan that was run')
+    parser.add_argument('--imu', metavar='NAME|FILE', help="what the IMU's numbers mean")
+    parser.add_argument('--table', metavar='NAME|FILE', help='the turntable (default: three_axis)')
+    parser.add_argument(
+        '--azimuth', type=float, metavar='DEG', help="heading of the table's zero against north"
+    )
+    parser.add_argument('--method', metavar='NAME', help="the estimator (default: the plan's own)")
+    parser.add_argument('--imu-topic', metavar='TOPIC', help='sensor_msgs/Imu topic')
+    parser.add_argument('--joint-topic', metavar='TOPIC', help='sensor_msgs/JointState topic')
+    parser.add_argument('--setpoint-topic', metavar='TOPIC', help='TurntableSetpoint topic')
+    parser.add_argument(
+        '--imu-only', action='store_true', help='use the IMU and the order of the plan alone'
+    )
+    add_site_options(parser)
+
+
+def describe(plan: str, imu: str, table: str, site: Site) -> dict[str, str]:
+    """Return what a recording is to say of itself: full texts, so that it needs no other file."""
+    return {
+        'imu_calib.plan': named_file('plans', plan).read_text(encoding='utf-8'),
+        'imu_calib.imu': named_file('imus', imu).read_text(encoding='utf-8'),
+        'imu_calib.table': named_file('tables', table).read_text(encoding='utf-8'),
+        'imu_calib.latitude_deg': repr(site.latitude / DEG),
+        'imu_calib.gravity': repr(site.gravity),
+        'imu_calib.gravity_source': site.gravity_source,
+    }
+
+
+@dataclass(frozen=True)
+class Streams:
+    """Names of the topics to read; None where the recording has none."""
+
+    imu: str
+    joints: str | None
+    setpoints: str | None
+
+    def kinds(self) -> dict[str, Kind]:
+        """Return what each topic carries."""
+        named = {self.imu: Kind.IMU}
+        if self.joints is not None:
+            named[self.joints] = Kind.JOINTS
+        if self.setpoints is not None:
+            named[self.setpoints] = Kind.SETPOINTS
+        return named
+
+
+def find_plan(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> Plan:
+    """Return the plan of the command line, or the one that the recording carries."""
+    if arguments.plan is not None:
+        return load_plan(arguments.plan)
+    if 'imu_calib.plan' in data:
+        return read_plan(Section.parse(data['imu_calib.plan'], f'{where}: its plan'))
+    raise InputError(f'{where} does not say which plan was run: give --plan ({_shipped("plans")}).')
+
+
+def find_imu(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> ImuSpec:
+    """Return the IMU of the command line, or the one that the recording carries."""
+    if arguments.imu is not None:
+        return load_imu(arguments.imu)
+    if 'imu_calib.imu' in data:
+        return read_imu(Section.parse(data['imu_calib.imu'], f'{where}: its IMU'))
+    raise InputError(
+        f"{where} does not say what the IMU's numbers mean: give --imu ({_shipped('imus')}, or a file)."
+    )
+
+
+def find_table(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> Table:
+    """Return the table of the command line, of the recording, or the three-axis table."""
+    if arguments.table is not None:
+        table = load_table(arguments.table)
+    elif 'imu_calib.table' in data:
+        table = read_table(Section.parse(data['imu_calib.table'], f'{where}: its table'))
+    else:
+        table = load_table('three_axis')
+    if arguments.azimuth is not None:
+        if not math.isfinite(arguments.azimuth):
+            raise InputError(f'--azimuth: found {arguments.azimuth}, expected degrees.')
+        table = replace(table, azimuth=arguments.azimuth * DEG)
+    return table
+
+
+def find_site(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> Site:
+    """Return the site of the command line, or the one that the recording carries."""
+    height = 0.0 if arguments.height is None else arguments.height
+    if arguments.latitude is not None:
+        return Site.at(arguments.latitude * DEG, height, arguments.gravity)
+    if arguments.height is not None:
+        raise InputError('--height needs --latitude.')
+    if 'imu_calib.latitude_deg' not in data:
+        raise InputError(f'{where} does not say where it was taken: give --latitude.')
+    try:
+        latitude = float(data['imu_calib.latitude_deg']) * DEG
+        gravity = float(data['imu_calib.gravity'])
+    except (KeyError, ValueError):
+        raise InputError(f'{where}: what it says of its site is broken; give --latitude.') from None
+    if arguments.gravity is not None:
+        return Site.at(latitude, 0.0, arguments.gravity)
+    site = Site.at(latitude, 0.0, gravity)
+    return replace(site, gravity_source=data.get('imu_calib.gravity_source', 'measured'))
+
+
+def find_streams(arguments: argparse.Namespace, recording: Recording) -> Streams:
+    """Choose the topics: those that were named, or the only candidate of each type.
+
+    Raises:
+        InputError: No IMU topic, or several candidates; they are listed.
+
+    """
+    imu = _choose(recording, Kind.IMU, arguments.imu_topic, '--imu-topic')
+    if imu is None:
+        listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics) or 'none at all'
+        raise InputError(
+            f'{recording.path}: no topic of type {Kind.IMU.type_name}; its topics: {listed}.'
+        )
+    if arguments.imu_only:
+        return Streams(imu, None, None)
+    joints = _choose(recording, Kind.JOINTS, arguments.joint_topic, '--joint-topic')
+    setpoints = _choose(recording, Kind.SETPOINTS, arguments.setpoint_topic, '--setpoint-topic')
+    return Streams(imu, joints, setpoints)
+
+
+def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -> str | None:
+    candidates = [t for t in recording.topics if t.type == kind.type_name]
+    if wanted is not None:
+        return _named(recording, candidates, wanted, kind, option)
+    filled = [t for t in candidates if t.count != 0 and not t.name.endswith(_SKEW)]
+    filled = filled or candidates
+    if not filled:
+        return None
+    if len(filled) > 1:
+        listed = ', '.join(t.name for t in filled)
+        raise InputError(
+            f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
+            f'Choose with {option}.'
+        )
+    return filled[0].name
+
+
+def _named(
+    recording: Recording, candidates: list[Topic], wanted: str, kind: Kind, option: str
+) -> str:
+    name = wanted if wanted.startswith('/') else f'/{wanted}'
+    for topic in recording.topics:
+        if topic.name in {wanted, name}:
+            if topic.type != kind.type_name:
+                raise InputError(
+                    f'{option} {wanted}: found {topic.type}, expected {kind.type_name}.'
+                )
+            return topic.name
+    listed = ', '.join(t.name for t in candidates) or 'none'
+    raise InputError(
+        f'{option} {wanted}: {recording.path} has no such topic; of type {kind.type_name}: {listed}.'
+    )
+
+
+def _shipped(kind: str) -> str:
+    folder = named_file(kind, _ANY[kind]).parent
+    return ', '.join(sorted(path.stem for path in folder.glob('*.yaml')))
+
+
+_ANY = {'plans': 'twelve_position', 'imus': 'si'}
+
+
+def output_path(text: str) -> Path:
+    """Return the path of a file to be written.
+
+    Raises:
+        InputError: Its folder does not exist.
+
+    """
+    path = Path(text).expanduser()
+    if not path.parent.is_dir():
+        raise InputError(f'{path}: the folder {path.parent} does not exist.')
+    if path.is_dir():
+        raise InputError(f'{path}: is a folder, expected the name of a file.')
+    return path

@@ -1,0 +1,47 @@
+"""The terminal: consoles, progress bars, and the numbers on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+_WIDTH_OF_A_FILE = 160
+OUTPUT = Console(soft_wrap=True, highlight=False)
+if not OUTPUT.is_terminal:
+    OUTPUT.width = _WIDTH_OF_A_FILE
+ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+@contextmanager
+def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar on stderr, gone when done; nothing where stderr is no terminal.
+
+    Yields:
+        A function to call with what is done and the total.
+
+    """
+    columns = (
+        TextColumn('{task.description}'),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=ERRORS, transient=True, disable=not ERRORS.is_terminal) as bar:
+        task = bar.add_task(text, total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield show
+
+
+def sentence_list(title: str, sentences: tuple[str, ...] | list[str]) -> None:
+    """Print sentences below a title; nothing when there are none."""
+    if not sentences:
+        return
+    OUTPUT.print(f'\n{title}', style='bold')
+    for sentence in sentences:
+        OUTPUT.print(f'  - {sentence}', markup=False)

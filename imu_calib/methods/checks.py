@@ -1,0 +1,235 @@
+"""A solution against the data that it came from: residuals, contradictions, honest deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from ..errors import InputError, NotObservable
+from ..model import AXES, SensorModel
+from ..stream import Floats
+from ..units import DEG, DEG_H
+from .evidence import Evidence
+from .solution import Residual, Solution
+
+_SIGNIFICANT = 1e-3
+_CONTRADICTION = 5.0
+_SCALE_LIMIT = 2.0
+_AXIS_LIMIT = 0.5
+_OFF_POSITION = 0.02 * DEG
+_OUTSTANDING = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """What the stretches at rest say of the world, the sensors given.
+
+    Attributes:
+        vector: (3,) Earth rate or specific force in the frame of the attitudes.
+        covariance: (3, 3) its covariance.
+        residuals: (s, 3) what is left.
+        scatter: Chi-square per degree of freedom of what is left.
+        significant: Whether the scatter exceeds the noise.
+
+    """
+
+    vector: Floats
+    covariance: Floats
+    residuals: Floats
+    scatter: float
+    significant: bool
+
+
+def conclude(
+    evidence: Evidence,
+    model: SensorModel,
+    covariance: Floats,
+    condition: float,
+    *,
+    findings: Sequence[str],
+    north_known: bool,
+) -> Solution:
+    """Check a solution against its data and widen what the data does not bear out.
+
+    Args:
+        evidence: The session.
+        model: What a method found.
+        covariance: (24, 24) its covariance by the noise within the stretches.
+        condition: Condition number of its system.
+        findings: What the method has to say already.
+        north_known: Whether the attitudes are against north.
+
+    Raises:
+        InputError: The outputs are not in the units that the IMU's description states.
+        NotObservable: Axes are swapped or mirrored, or the data contradicts the latitude.
+
+    """
+    _check_axes(model.gyro.response, 'gyros', 'whole turns')
+    _check_axes(model.accel.response, 'accelerometers', 'gravity')
+    gyro = _fit(evidence, model, slice(0, 3), estimated=6)
+    accel = _fit(evidence, model, slice(3, 6), estimated=14)
+    widened = covariance.copy()
+    notes = list(findings)
+    for fit, block, name in (
+        (gyro, slice(0, 12), 'gyros'),
+        (accel, slice(12, 24), 'accelerometers'),
+    ):
+        if fit.significant:
+            widened[block, block] *= fit.scatter
+            notes.append(
+                f'Between positions the {name} scatter {np.sqrt(fit.scatter):.1f} times more than '
+                'within them (positioning errors, drift): their standard deviations are widened.'
+            )
+    residuals = _residuals(evidence, gyro, accel)
+    notes += _outstanding(residuals)
+    notes += _off_positions(evidence)
+    earth = gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
+    if not evidence.plan.by_hand:
+        _check_latitude(evidence, gyro.vector, earth)
+    azimuth = float(np.arctan2(gyro.vector[0], gyro.vector[1]))
+    azimuth_std = _azimuth_std(gyro.vector, earth)
+    if north_known and abs(azimuth) > _CONTRADICTION * azimuth_std:
+        notes.append(
+            f'The gyros see north {azimuth / DEG:.1f} +- {azimuth_std / DEG:.1f} deg off the '
+            'azimuth given: the gyro biases are wrong by up to '
+            f'{evidence.site.north_rate * abs(np.sin(azimuth)) / DEG_H:.2f} deg/h.'
+        )
+    return Solution(
+        model,
+        widened,
+        residuals,
+        azimuth + (evidence.azimuth or 0.0),
+        azimuth_std,
+        float(gyro.vector[2]),
+        float(np.sqrt(earth[2, 2])),
+        condition,
+        tuple(notes),
+    )
+
+
+def _check_axes(response: Floats, name: str, what: str) -> None:
+    """Refuse a response that no orientation of three real axes explains."""
+    scale = abs(float(np.linalg.det(response))) ** (1 / 3)
+    if not 1 / _SCALE_LIMIT < scale < _SCALE_LIMIT:
+        raise InputError(
+            f'The {name} answer {scale:.4g} times what {what} ask(s): units or scale factor of the '
+            "IMU's description are not those of the recording."
+        )
+    near = np.rint(response)
+    if np.array_equal(near, np.eye(3)) and np.abs(response - np.eye(3)).max() < _AXIS_LIMIT:
+        return
+    words = []
+    for i in range(3):
+        j = int(np.argmax(np.abs(response[i])))
+        sign = '-' if response[i, j] < 0 else ''
+        if j != i or sign:
+            words.append(f'{AXES[i]} answers to {sign}{AXES[j].upper()}')
+    kind = 'mirrored' if np.linalg.det(response) < 0 else 'swapped'
+    raise NotObservable(
+        f'The axes of the {name} are {kind} against the plan: {", ".join(words)}. Give the mounting '
+        "in the table's YAML, or correct the driver."
+    )
+
+
+def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int) -> _Fit:
+    """Fit the vector that all stretches see, and a common offset, by weighted least squares.
+
+    Source: methods.md, section 11 (azimuth and latitude from the twelve positions themselves).
+    """
+    triad = model.gyro if channels.start == 0 else model.accel
+    outputs = evidence.outputs()[:, channels] - triad.bias
+    variances = np.maximum(evidence.variances()[:, channels], np.finfo(float).tiny)
+    inputs = np.einsum('ij,skj->sik', triad.response, evidence.attitudes())
+    s = len(outputs)
+    design = np.concatenate([inputs, np.broadcast_to(np.eye(3), (s, 3, 3))], axis=2)
+    weights = 1 / np.sqrt(variances)
+    matrix = (design * weights[:, :, None]).reshape(3 * s, 6)
+    scale = np.linalg.norm(matrix, axis=0)
+    wanted = (outputs * weights).reshape(3 * s)
+    inverse = np.linalg.pinv(matrix / scale)
+    solution = inverse @ wanted / scale
+    covariance = (inverse @ inverse.T) / np.outer(scale, scale)
+    left = wanted - matrix @ solution
+    freedom = max(1, 3 * s - estimated)
+    square = float(left @ left)
+    return _Fit(
+        solution[:3],
+        covariance[:3, :3],
+        (left / weights.reshape(-1)).reshape(s, 3),
+        max(1.0, square / freedom),
+        bool(3 * s > estimated and chi2.sf(square, freedom) < _SIGNIFICANT),
+    )
+
+
+def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit) -> tuple[Residual, ...]:
+    std = np.sqrt(evidence.variances())
+    values = np.hstack([gyro.residuals, accel.residuals])
+    return tuple(
+        Residual(str(segment.position), segment.start, value, deviation)
+        for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
+    )
+
+
+def _outstanding(residuals: Sequence[Residual]) -> list[str]:
+    """Name positions whose residuals stand far out of the others'."""
+    if not residuals:
+        return []
+    normalised = np.array([np.abs(r.value / np.maximum(r.std, 1e-300)) for r in residuals])
+    worst = normalised.max(axis=1)
+    limit = _OUTSTANDING * max(1.0, 1.4826 * float(np.median(worst)))
+    names = [
+        f'{r.position} ({w:.0f} sigma)' for r, w in zip(residuals, worst, strict=True) if w > limit
+    ]
+    return [f'Stands out from the rest: position {", ".join(names)}.'] if names else []
+
+
+def _off_positions(evidence: Evidence) -> list[str]:
+    known = {p.id: p for p in evidence.plan.positions}
+    words = []
+    for segment in evidence.segments:
+        if segment.angles is None or segment.attitude is None or evidence.azimuth is not None:
+            continue
+        position = known.get(str(segment.position))
+        if position is None:
+            continue
+        cosine = (np.trace(segment.attitude.T @ position.attitude) - 1) / 2
+        angle = float(np.arccos(np.clip(cosine, -1, 1)))
+        if angle > _OFF_POSITION:
+            words.append(f'{position.id} ({angle / DEG:.2f} deg)')
+    if not words:
+        return []
+    return [
+        f'The encoders stand off the plan: position {", ".join(words)}; the closed form feels it.'
+    ]
+
+
+def _check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> None:
+    """Refuse a latitude that the gyros contradict: gravity and the biases would rest on it."""
+    site = evidence.site
+    up_std = float(np.sqrt(covariance[2, 2]))
+    level = float(np.hypot(earth[0], earth[1]))
+    level_std = float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
+    far_up = abs(earth[2] - site.up_rate) > _CONTRADICTION * up_std
+    far_level = abs(level - site.north_rate) > _CONTRADICTION * level_std
+    if not (far_up or far_level):
+        return
+    seen = float(np.arctan2(earth[2], level))
+    total = float(np.hypot(earth[2], level))
+    raise NotObservable(
+        f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: the gyros see an Earth '
+        f'rate of {earth[2] / DEG_H:.2f} +- {up_std / DEG_H:.2f} deg/h up (expected '
+        f'{site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- {level_std / DEG_H:.2f} deg/h level '
+        f'(expected {site.north_rate / DEG_H:.2f}). It fits a latitude of {seen / DEG:.1f} +- '
+        f'{max(up_std, level_std) / total / DEG:.1f} deg.'
+    )
+
+
+def _azimuth_std(earth: Floats, covariance: Floats) -> float:
+    level = float(np.hypot(earth[0], earth[1]))
+    if level == 0.0:
+        return float('inf')
+    across = np.array([earth[1], -earth[0]]) / level
+    return float(np.sqrt(across @ covariance[:2, :2] @ across)) / level

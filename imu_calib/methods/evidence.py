@@ -1,0 +1,122 @@
+"""What a method works on: the labelled segments of a session, and how well each is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..earth import Site
+from ..errors import NotObservable
+from ..imu import ImuSpec
+from ..plan import Plan
+from ..segmentation.clock import ClockFit
+from ..segmentation.segment import Segment, Turn
+from ..segmentation.statistics import pooled_walk
+from ..stream import Floats
+
+UP = np.array([0.0, 0.0, 1.0])
+_AXIS_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A labelled session, ready to be solved.
+
+    Attributes:
+        segments: Stretches at rest with position and attitude.
+        turns: Whole turns about the vertical.
+        plan: What was run.
+        site: Gravity and Earth rate.
+        clock: Table against IMU.
+        azimuth: Heading of the table's zero against north, rad; None when unknown.
+        walk: (6,) random-walk coefficients, rad/sqrt(s) and (m/s)/sqrt(s).
+
+    """
+
+    segments: tuple[Segment, ...]
+    turns: tuple[Turn, ...]
+    plan: Plan
+    site: Site
+    clock: ClockFit
+    azimuth: float | None
+    walk: Floats
+
+    def outputs(self) -> Floats:
+        """Return the mean outputs at rest, (s, 6)."""
+        return np.array([s.statistics.mean for s in self.segments]).reshape(-1, 6)
+
+    def variances(self) -> Floats:
+        """Return the variances of the mean outputs at rest, (s, 6)."""
+        rows = [s.statistics.variance(self.walk) for s in self.segments]
+        return np.array(rows).reshape(-1, 6)
+
+    def attitudes(self) -> Floats:
+        """Return R_nb of the stretches at rest, (s, 3, 3), in the frame of the table's azimuth."""
+        return np.array([s.attitude for s in self.segments]).reshape(-1, 3, 3)
+
+    def shares(self) -> Floats:
+        """Return the weight of every stretch in the mean of its position, (s, 6).
+
+        A position measured several times is averaged first, each time by its variance.
+        """
+        variances = np.maximum(self.variances(), np.finfo(float).tiny)
+        precision = 1 / variances
+        names = [s.position for s in self.segments]
+        total = np.array(
+            [precision[[other == name for other in names]].sum(axis=0) for name in names]
+        ).reshape(-1, 6)
+        return np.asarray(precision / total)
+
+    def vertical_axes(self) -> list[tuple[int, int]]:
+        """Return for every stretch which body axis is vertical, and +1 up or -1 down.
+
+        Raises:
+            NotObservable: An attitude with no body axis vertical.
+
+        """
+        return [vertical_axis(a[2], s.position) for a, s in zip(self.attitudes(), self.segments)]  # noqa: B905
+
+    def missing(self) -> list[str]:
+        """Name the positions of the plan that no sound segment stands for."""
+        found = {s.position for s in self.segments}
+        return [p.id for p in self.plan.positions if p.dwell > 0 and p.id not in found]
+
+
+def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
+    """Return which body axis is vertical, and +1 up or -1 down.
+
+    Args:
+        up: (3,) up in body axes.
+        position: Whose, for the message.
+
+    Raises:
+        NotObservable: None of the three is.
+
+    """
+    axis = int(np.argmax(np.abs(up)))
+    if abs(up[axis]) < 1 - _AXIS_TOLERANCE:
+        raise NotObservable(
+            f'Position {position}: no axis is vertical (up is {np.round(up, 2)} in X, Y, Z); '
+            'this method needs one of X, Y, Z up or down.'
+        )
+    return axis, int(np.sign(up[axis]))
+
+
+def noise(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
+    """Return the random-walk coefficients that the data shows, (6,).
+
+    Falls back on the data sheet where no segment is long enough to tell.
+
+    Raises:
+        NotObservable: Neither the data nor the IMU's description tells.
+
+    """
+    found = pooled_walk([s.statistics for s in segments])
+    stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+    walk = np.where(np.isnan(found), stated, found)
+    if not np.isfinite(walk).all():
+        raise NotObservable(
+            'The noise of the sensors is unknown: no stretch at rest is long enough.'
+        )
+    return walk

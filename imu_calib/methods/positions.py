@@ -1,0 +1,124 @@
+"""Positions with one axis vertical: the equations that twelve and six positions share.
+
+Sources: Cao 2022, sections 3.2 and 4, with the corrections of methods.md, sections 3 and 4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import NotObservable
+from ..model import AXES, SensorModel, Triad
+from ..stream import Floats
+from .evidence import Evidence
+from .linear import BIAS, UNKNOWNS, ChannelSystem, parameters_of, triad_covariance
+from .rate_test import RateTest
+
+
+def solve_gyros(evidence: Evidence, bias: tuple[Floats, Floats]) -> tuple[Triad, Floats, float]:
+    """Solve the gyros from the rate test and one equation for the bias.
+
+    Args:
+        evidence: The session.
+        bias: (s, 3) weights of the stretches at rest per channel, and the (3,) mean input
+            (rad/s) that these weights leave.
+
+    Returns:
+        Triad, its (12, 12) covariance, condition number.
+
+    Raises:
+        NotObservable: An axis about which nothing turned.
+
+    """
+    test = RateTest.of(evidence)
+    weights, mean_input = bias
+    at_rest = len(evidence.segments)
+    outputs = np.vstack([evidence.outputs()[:, :3], test.outputs])
+    variances = np.vstack([evidence.variances()[:, :3], test.variances])
+    unknowns, covariances, conditions = [], [], []
+    for channel in range(3):
+        system = ChannelSystem(len(outputs))
+        for axis in range(3):
+            test.add_to(system, axis, at_rest)
+        row = np.zeros(len(outputs))
+        row[:at_rest] = weights[:, channel]
+        system.add(np.append(mean_input, 1.0), row)
+        solved = system.solve(outputs[:, channel], variances[:, channel])
+        unknowns.append(solved[0])
+        covariances.append(solved[1])
+        conditions.append(solved[2])
+    covariance = triad_covariance(covariances)
+    # All three scale factors share the error of the clocks' rate.
+    if np.isfinite(evidence.clock.rate_std):
+        covariance[:3, :3] += evidence.clock.rate_std**2
+    return Triad(*parameters_of(np.array(unknowns))), covariance, max(conditions)
+
+
+def solve_accelerometers(evidence: Evidence) -> tuple[Triad, Floats, float]:
+    """Solve the accelerometers: half the difference of up and down is the response, the mean bias.
+
+    delta_ij + M_ij = (n_i(u) - n_i(d)) / (2 g); d_i = mean over the axes of (n_i(u) + n_i(d)) / 2:
+    Cao 2022, eqs. (15) to (18).
+
+    Returns:
+        Triad, its (12, 12) covariance, condition number.
+
+    Raises:
+        NotObservable: An axis that was never up, or never down.
+
+    """
+    up_weights, down_weights = _up_and_down(evidence)
+    outputs, variances = evidence.outputs()[:, 3:], evidence.variances()[:, 3:]
+    unknowns, covariances, conditions = [], [], []
+    for channel in range(3):
+        system = ChannelSystem(len(outputs))
+        up, down = up_weights[:, :, channel], down_weights[:, :, channel]
+        for axis in range(3):
+            coefficients = np.zeros(UNKNOWNS)
+            coefficients[axis] = 2 * evidence.site.gravity
+            system.add(coefficients, up[axis] - down[axis])
+        coefficients = np.zeros(UNKNOWNS)
+        coefficients[BIAS] = 1.0
+        system.add(coefficients, (up + down).sum(axis=0) / 6)
+        solved = system.solve(outputs[:, channel], variances[:, channel])
+        unknowns.append(solved[0])
+        covariances.append(solved[1])
+        conditions.append(solved[2])
+    triad = Triad(*parameters_of(np.array(unknowns)))
+    return triad, triad_covariance(covariances), max(conditions)
+
+
+def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
+    """Weights that average an axis's up and down positions, each (3, s, 6 - 3)."""
+    axes = evidence.vertical_axes()
+    shares = evidence.shares()[:, 3:]
+    names = [s.position for s in evidence.segments]
+    result = []
+    for sign, word in ((1, 'up'), (-1, 'down')):
+        weights = np.zeros((3, len(names), 3))
+        for axis in range(3):
+            mine = [k for k, found in enumerate(axes) if found == (axis, sign)]
+            positions = {names[k] for k in mine}
+            if not positions:
+                raise NotObservable(
+                    f'No position with {AXES[axis].upper()} {word} was found'
+                    f'{_missing_words(evidence)}: K_a{AXES[axis]} and the responses of the '
+                    f'accelerometers to {AXES[axis].upper()} cannot be determined.'
+                )
+            weights[axis, mine] = shares[mine] / len(positions)
+        result.append(weights)
+    return result[0], result[1]
+
+
+def _missing_words(evidence: Evidence) -> str:
+    missing = evidence.missing()
+    return f' (missing: {", ".join(missing)})' if missing else ''
+
+
+def assemble(
+    gyros: tuple[Triad, Floats, float], accels: tuple[Triad, Floats, float]
+) -> tuple[SensorModel, Floats, float]:
+    """Join the two triads: model, (24, 24) covariance, condition number."""
+    covariance = np.zeros((24, 24))
+    covariance[:12, :12], covariance[12:, 12:] = gyros[1], accels[1]
+    return SensorModel(gyros[0], accels[0]), covariance, max(gyros[2], accels[2])

@@ -1,0 +1,92 @@
+"""Scale factors and misalignments of the gyros from whole turns about each axis.
+
+Sources: Cao 2022, section 3.1; Luo 2018, eqs. (2-175) to (2-183); off-axis 2019, section 1.1.1; with
+the corrections of methods.md, section 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import NotObservable
+from ..model import AXES
+from ..stream import Floats
+from .evidence import Evidence, vertical_axis
+from .linear import BIAS, UNKNOWNS, ChannelSystem
+
+_ONE_RATE = 0.2
+_LEAST_SLOPE_SPREAD = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class RateTest:
+    """The turns of a session as equations for the gyros' responses.
+
+    Attributes:
+        outputs: (t, 3) mean gyro outputs, rad/s.
+        variances: (t, 3) theirs, (rad/s)^2.
+        inputs: (t,) rate about the vertical body axis, Earth included, rad/s.
+        axes: (t,) which body axis was vertical.
+
+    """
+
+    outputs: Floats
+    variances: Floats
+    inputs: Floats
+    axes: Floats
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> RateTest:
+        """Collect the turns of a session.
+
+        Raises:
+            NotObservable: An axis about which nothing turned.
+
+        """
+        axes, inputs, variances = [], [], []
+        for turn in evidence.turns:
+            axis, sign = vertical_axis(turn.up, turn.position)
+            rate = turn.rate(evidence.clock.rate)
+            axes.append(axis)
+            inputs.append(sign * (rate + evidence.site.up_rate))
+            variance = turn.statistics.variance(evidence.walk)[:3]
+            # An error of the encoder's rate shows in the channel that turns, and there alone.
+            variance[axis] += (turn.rate_error * rate) ** 2
+            variances.append(variance)
+        for axis, name in enumerate(AXES):
+            if axis not in axes:
+                raise NotObservable(
+                    f'No whole turn about {name.upper()} was found: K_g{name} and the responses of '
+                    f'the gyros to {name.upper()} cannot be determined.'
+                )
+        outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
+        return cls(outputs, np.array(variances), np.array(inputs), np.array(axes))
+
+    def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
+        """Add the equation for the response to one axis.
+
+        Turns at several rates or in both senses: the slope of the output on the input, which
+        bias and vertical Earth rate leave alone. One sense at one rate (a turn by hand): output
+        less bias over input, the bias from elsewhere.
+
+        Args:
+            system: Equations of one channel.
+            axis: Body axis.
+            first: Index of the first turn among the system's outputs.
+
+        """
+        mine = np.flatnonzero(self.axes == axis)
+        inputs = self.inputs[mine]
+        centred = inputs - inputs.mean()
+        coefficients = np.zeros(UNKNOWNS)
+        weights = np.zeros(system.size)
+        spread = float(centred @ centred)
+        if np.sqrt(spread / len(mine)) > _ONE_RATE * np.abs(inputs).max():
+            coefficients[axis] = 1.0
+            weights[first + mine] = centred / spread
+        else:
+            coefficients[axis], coefficients[BIAS] = inputs.mean(), 1.0
+            weights[first + mine] = 1 / len(mine)
+        system.add(coefficients, weights)

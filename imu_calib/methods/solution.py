@@ -1,0 +1,61 @@
+"""What a method returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..model import SensorModel
+from ..stream import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """What a stretch at rest shows beyond the solution.
+
+    Attributes:
+        position: Id of the plan's position.
+        start: ns, IMU clock.
+        value: (6,) rad/s and m/s^2.
+        std: (6,) standard deviation of the stretch's mean.
+
+    """
+
+    position: str
+    start: int
+    value: Floats
+    std: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """An estimate of the 24 parameters.
+
+    Attributes:
+        model: The sensor model.
+        covariance: (24, 24) in the order of `model.PARAMETERS`, SI units.
+        residuals: One per stretch at rest.
+        azimuth: Heading of the table's zero that the gyros show, rad; NaN where they cannot.
+        azimuth_std: Its standard deviation, rad.
+        earth_up: Vertical Earth rate that the gyros show, rad/s.
+        earth_up_std: Its standard deviation, rad/s.
+        condition: Condition number of the system solved, columns scaled to unit length.
+        findings: What a person should know, in sentences.
+
+    """
+
+    model: SensorModel
+    covariance: Floats
+    residuals: tuple[Residual, ...]
+    azimuth: float
+    azimuth_std: float
+    earth_up: float
+    earth_up_std: float
+    condition: float
+    findings: tuple[str, ...]
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations of the 24 parameters, SI units."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))

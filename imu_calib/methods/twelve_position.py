@@ -1,0 +1,72 @@
+"""Twelve positions without a north reference (Cao 2022, sections 2 to 4; methods.md, section 3).
+
+Each axis in turn is vertical, up twice and down twice. Within such a group the horizontal Earth
+rate cancels on every gyro for any azimuth, and so does the vertical one: the mean is the bias.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import NotObservable
+from ..model import AXES
+from ..stream import Floats
+from .checks import conclude
+from .evidence import Evidence
+from .positions import assemble, solve_accelerometers, solve_gyros
+from .solution import Solution
+
+_LEFT_OVER = 3e-3
+
+
+def solve(evidence: Evidence) -> Solution:
+    """Estimate the 24 parameters.
+
+    Args:
+        evidence: A session; its azimuth is not used.
+
+    Raises:
+        NotObservable: Names what is missing and what cannot be determined for it.
+
+    """
+    weights, findings = _bias_weights(evidence)
+    gyros = solve_gyros(evidence, (weights, np.zeros(3)))
+    solved = assemble(gyros, solve_accelerometers(evidence))
+    return conclude(evidence, *solved, findings=findings, north_known=False)
+
+
+def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
+    """Average the groups in which the Earth rate cancels (eqs. 13 and 14)."""
+    axes = [axis for axis, _ in evidence.vertical_axes()]
+    names = [s.position for s in evidence.segments]
+    shares = evidence.shares()[:, :3]
+    inputs = np.transpose(evidence.attitudes(), (0, 2, 1))
+    rows, incomplete = [], []
+    for axis in range(3):
+        mine = np.array([k for k, found in enumerate(axes) if found == axis], dtype=int)
+        count = len({names[k] for k in mine})
+        if not count:
+            incomplete.append(axis)
+            continue
+        weights = np.zeros((len(names), 3))
+        weights[mine] = shares[mine] / count
+        left = np.einsum('s,sij->ij', weights.mean(axis=1), inputs)
+        if np.linalg.norm(left) > _LEFT_OVER:
+            incomplete.append(axis)
+        else:
+            rows.append(weights)
+    missing = evidence.missing()
+    named = f' (missing: {", ".join(missing)})' if missing else ''
+    groups = ', '.join(AXES[axis].upper() for axis in incomplete)
+    if not rows:
+        raise NotObservable(
+            'In no group of four positions does the Earth rate cancel'
+            f'{named}: D_gx, D_gy, D_gz cannot be determined without north.'
+        )
+    findings = []
+    if incomplete:
+        findings.append(
+            f'The gyro biases rest on {len(rows)} of 3 groups: in the group of {groups} vertical '
+            f'the Earth rate does not cancel{named}.'
+        )
+    return np.mean(rows, axis=0), findings

@@ -1,0 +1,1 @@
+"""Columns to segments: where the unit stood still, where it turned, and how well that is known."""

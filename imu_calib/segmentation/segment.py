@@ -1,0 +1,113 @@
+"""A segment: a stretch of a session in which the unit stood still, or turned whole turns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..stream import Floats
+
+CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
+"""Order of every array over channels: three gyros, then three accelerometers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """What the samples of one segment say, in SI after the nominal scale factor.
+
+    The variance of `mean` is walk_gain * N^2 + quantum, with N the channel's random-walk
+    coefficient; N is estimated from the blocks of all segments together.
+
+    Attributes:
+        samples: Number of samples used.
+        missing: Number of samples that gaps within the segment have swallowed.
+        duration: Time that the samples cover, s, by the device's clock.
+        mean: (6,) best estimate of the mean output, rad/s and m/s^2.
+        walk_gain: (6,) 1/s.
+        quantum: (6,) variance left by quantisation, (rad/s)^2 and (m/s^2)^2.
+        end_points: (6,) plain sum over duration, what the documents' formulae call the mean.
+        blocks: Per channel (b, 3): mean, walk gain and quantum of blocks of 10 s or more.
+        drift: (6,) slope of the block means, rad/s^2 and m/s^3.
+        drift_std: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
+
+    """
+
+    samples: int
+    missing: int
+    duration: float
+    mean: Floats
+    walk_gain: Floats
+    quantum: Floats
+    end_points: Floats
+    blocks: tuple[Floats, ...]
+    drift: Floats
+    drift_std: Floats
+
+    def variance(self, walk: Floats) -> Floats:
+        """Return the variance of `mean` for (6,) random-walk coefficients."""
+        return np.asarray(walk**2 * self.walk_gain + self.quantum)
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A stretch at rest.
+
+    Attributes:
+        start: First instant used, ns, IMU clock.
+        end: Last instant used, ns, IMU clock.
+        statistics: What its samples say.
+        attitude: (3, 3) R_nb in east, north, up of the table's azimuth; None where neither joint
+            angles nor a plan tell it.
+        position: Id of the plan's position; None where unknown.
+        angles: (k,) mean joint angles, rad; None without joint states.
+        notes: What was cut away and why, for a person.
+
+    """
+
+    start: int
+    end: int
+    statistics: Statistics
+    attitude: Floats | None = None
+    position: str | None = None
+    angles: Floats | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """Whole turns about the vertical.
+
+    Attributes:
+        start: First instant used, ns, IMU clock.
+        end: Last instant used, ns, IMU clock.
+        statistics: What its samples say; `blocks` are empty.
+        angle: Angle turned about up, rad, signed.
+        seconds: Time that the table's clock counts for it; None where no table has a say.
+        up: (3,) up in body axes.
+        position: Id of the plan's position at which it was made; None where unknown.
+        rate_error: Standard deviation of the encoder's rate, relative; 0 without an encoder.
+        notes: What was cut away and why, for a person.
+
+    """
+
+    start: int
+    end: int
+    statistics: Statistics
+    angle: float
+    seconds: float | None
+    up: Floats
+    position: str | None = None
+    rate_error: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    def rate(self, clock_rate: float = 0.0) -> float:
+        """Return the rate about up, rad/s, per second of the IMU's clock.
+
+        Args:
+            clock_rate: By how much the IMU's clock runs faster than the table's (dimensionless).
+
+        """
+        if self.seconds is None:
+            return self.angle / self.statistics.duration
+        return self.angle / (self.seconds * (1 + clock_rate))

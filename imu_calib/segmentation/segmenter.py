@@ -1,0 +1,490 @@
+"""Columns in, segments out: one pass over the streams, in bounded memory."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..imu import ImuSpec
+from ..stream import Block, Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, Stamps, Units
+from ..turntable import TURN, Table
+from .buffer import RowBuffer
+from .cleaning import find_step, sound_part
+from .clock import ClockFit, ClockSample, clock_sample, fit_clock
+from .motion import JointTracker, Motion, Rest, WholeTurns, find_turns
+from .segment import Segment, Statistics, Turn
+from .statistics import (
+    Samples,
+    gap_free,
+    sample_period,
+    statistics_at_rest,
+    statistics_between,
+    to_samples,
+)
+from .stillness import StillnessTracker
+
+_MARGIN_NS = 1_000_000_000
+_LONGEST_REST = 1 << 20
+_SHORTEST_REST = 1.0
+_VERTICAL = 1e-4
+_SAMPLES_FOR_PERIOD = 256
+_FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
+_WALK_GUESS = 0.05
+_LEAST_TURNED = TURN / 72
+
+
+@dataclass(frozen=True, eq=False)
+class Rejected:
+    """A stretch that was looked at and not used: when (ns, IMU clock), where, and why."""
+
+    start: int
+    end: int
+    reason: str
+    position: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMotion:
+    """A motion between two rests as the gyros alone saw it; `turned` is (3,) rad."""
+
+    start: int
+    end: int
+    statistics: Statistics
+    turned: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Segmented:
+    """All that a session's streams contain.
+
+    Attributes:
+        segments: Stretches at rest, in order.
+        turns: Whole turns measured by an encoder, in order.
+        motions: Larger motions that no encoder saw, in order.
+        rejected: Stretches that were not used.
+        losses: What was lost on the way in, in sentences.
+        setpoints: The first of every run of equal setpoints, in order.
+        clock: Table against IMU.
+        samples: IMU samples taken in.
+        duration: From the first to the last IMU stamp, s.
+
+    """
+
+    segments: tuple[Segment, ...]
+    turns: tuple[Turn, ...]
+    motions: tuple[FreeMotion, ...]
+    rejected: tuple[Rejected, ...]
+    losses: tuple[str, ...]
+    setpoints: tuple[Setpoint, ...]
+    clock: ClockFit
+    samples: int
+    duration: float
+
+
+class Segmenter:
+    """Cuts the streams of a session into segments.
+
+    Feed blocks of any length in the order of each topic. The outcome depends on the sequence of
+    each topic and its stamps, not on how topics interleave or how blocks were cut.
+
+    Args:
+        spec: What the numbers of the Imu stream mean.
+        table: The table whose joint states come in; None when the IMU stands alone.
+
+    """
+
+    def __init__(self, spec: ImuSpec, table: Table | None) -> None:
+        self._spec = spec
+        self._table = table
+        self._walk = _expected_walk(spec)
+        self._imu = RowBuffer(6)
+        self._joints = JointTracker() if table is not None else None
+        self._stillness: StillnessTracker | None = None
+        self._period = 0.0
+        self._seen = 0
+        self._pending: deque[Rest | Motion] = deque()
+        self._setpoints: list[Setpoint] = []
+        self._last_stamp: int | None = None
+        self._last_joint: int | None = None
+        self._first_stamp: int | None = None
+        self._samples = 0
+        self._offset_ns = 0
+        self._clock: list[ClockSample] = []
+        self._segments: list[Segment] = []
+        self._turns: list[Turn] = []
+        self._motions: list[FreeMotion] = []
+        self._rejected: list[Rejected] = []
+        self._dropped: dict[str, tuple[int, int]] = {}
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """Stretches at rest found so far."""
+        return tuple(self._segments)
+
+    def feed(self, block: Block) -> None:
+        """Take a block in.
+
+        Raises:
+            InputError: Joint states of another table.
+
+        """
+        if isinstance(block, ImuBlock):
+            self._take_imu(block)
+        elif isinstance(block, JointBlock):
+            self._take_joints(block)
+        elif isinstance(block, SetpointBlock):
+            self._take_setpoints(block)
+        self._work()
+
+    def finish(self) -> Segmented:
+        """End of all streams."""
+        tracker = self._tracker
+        if tracker is not None:
+            self._pending.extend(tracker.finish())
+        self._work(last=True)
+        duration = 0.0
+        if self._first_stamp is not None and self._last_stamp is not None:
+            duration = (self._last_stamp - self._first_stamp) * 1e-9
+        return Segmented(
+            tuple(self._segments),
+            tuple(self._turns),
+            tuple(self._motions),
+            tuple(self._rejected),
+            self._losses(),
+            tuple(self._setpoints),
+            fit_clock(self._clock),
+            self._samples,
+            duration,
+        )
+
+    @property
+    def _tracker(self) -> JointTracker | StillnessTracker | None:
+        return self._joints if self._joints is not None else self._stillness
+
+    def _take_imu(self, block: ImuBlock) -> None:
+        stamp = block.stamp
+        values = np.hstack([block.gyro, block.accel])
+        self._samples += len(stamp)
+        finite = np.asarray(np.isfinite(values).all(axis=1))
+        stamp, values = self._keep(
+            'values that are no numbers (NaN or infinite)', finite, stamp, values
+        )
+        newer = _increasing(stamp, self._last_stamp)
+        stamp, values = self._keep('stamps that jump back or stand still', newer, stamp, values)
+        if not len(stamp):
+            return
+        if self._first_stamp is None:
+            self._first_stamp = int(stamp[0])
+        self._last_stamp = int(stamp[-1])
+        self._imu.append(stamp, values)
+
+    def _keep(
+        self, what: str, mask: NDArray[np.bool_], stamp: Stamps, values: Floats
+    ) -> tuple[Stamps, Floats]:
+        """Drop the rows that the mask does not name, and remember how many and from when."""
+        if mask.all():
+            return stamp, values
+        lost = int((~mask).sum())
+        count, first = self._dropped.get(what, (0, int(stamp[~mask][0])))
+        self._dropped[what] = (count + lost, first)
+        return stamp[mask], values[mask]
+
+    def _take_joints(self, block: JointBlock) -> None:
+        if self._table is None or self._joints is None:
+            return
+        missing = [name for name in self._table.names if name not in block.names]
+        if missing:
+            raise InputError(
+                f'The joint states name {", ".join(block.names) or "no joint"}; table '
+                f'{self._table.name} has {", ".join(self._table.names)}.'
+            )
+        columns = [block.names.index(name) for name in self._table.names]
+        stamp, position = block.stamp, block.position[:, columns]
+        finite = np.asarray(np.isfinite(position).all(axis=1))
+        stamp, position = self._keep('joint positions that are no numbers', finite, stamp, position)
+        newer = _increasing(stamp, self._last_joint)
+        stamp, position = self._keep(
+            'joint stamps that jump back or stand still', newer, stamp, position
+        )
+        if not len(stamp):
+            return
+        self._last_joint = int(stamp[-1])
+        ordered = JointBlock(stamp, self._table.names, position, np.full_like(position, np.nan))
+        self._pending.extend(self._joints.feed(ordered))
+
+    def _take_setpoints(self, block: SetpointBlock) -> None:
+        for setpoint in block.setpoints:
+            last = self._setpoints[-1] if self._setpoints else None
+            if last is None or (last.step, last.mode, last.position, last.plan) != (
+                setpoint.step,
+                setpoint.mode,
+                setpoint.position,
+                setpoint.plan,
+            ):
+                self._setpoints.append(setpoint)
+
+    def _work(self, *, last: bool = False) -> None:
+        """Handle every interval whose samples are all here."""
+        if self._joints is None:
+            self._watch_stillness(last=last)
+        self._split_long_rest()
+        while self._pending and self._last_stamp is not None:
+            interval = self._pending[0]
+            if not last and self._last_stamp < interval.end + self._offset_ns + 2 * _MARGIN_NS:
+                break
+            self._pending.popleft()
+            if isinstance(interval, Rest):
+                self._rest(interval)
+            else:
+                self._motion(interval)
+            self._imu.drop_until(interval.end + self._offset_ns - 2 * _MARGIN_NS)
+
+    def _watch_stillness(self, *, last: bool) -> None:
+        """Let the IMU's own samples tell rests from motions."""
+        if self._stillness is None:
+            enough = _SAMPLES_FOR_PERIOD if not last else 2
+            if len(self._imu) < enough:
+                return
+            period = sample_period(self._imu.stamp[:_SAMPLES_FOR_PERIOD])
+            self._stillness = StillnessTracker(period)
+            self._period = period
+            self._seen = int(self._imu.stamp[0]) - 1
+        fresh = int(np.searchsorted(self._imu.stamp, self._seen, side='right'))
+        stamp, values = self._imu.stamp[fresh:], self._imu.values[fresh:]
+        if not len(stamp):
+            return
+        self._seen = int(stamp[-1])
+        rates = to_samples(stamp, values, self._spec, self._period).increments / self._period
+        self._pending.extend(self._stillness.feed(stamp, rates))
+
+    def _split_long_rest(self) -> None:
+        """Close a rest after so many samples, that memory stays bounded however long it lasts."""
+        tracker = self._tracker
+        if tracker is None or self._pending:
+            return
+        while (since := tracker.rest_since) is not None:
+            stamp = self._imu.stamp
+            first = int(np.searchsorted(stamp, since + self._offset_ns, side='right'))
+            if len(stamp) - first <= _LONGEST_REST:
+                return
+            end = int(stamp[first + _LONGEST_REST - 1]) - self._offset_ns
+            if (tracker.known_until or 0) < end + _MARGIN_NS:
+                return
+            rest = tracker.split_rest(end)
+            if rest is not None:
+                self._rest(rest)
+                self._imu.drop_until(end + self._offset_ns - 2 * _MARGIN_NS)
+
+    def _rest(self, rest: Rest) -> None:
+        start, end = rest.start + self._offset_ns, rest.end + self._offset_ns
+        stamp, values = self._imu.between(start, end)
+        for first in range(0, len(stamp), _LONGEST_REST):
+            piece = slice(first, first + _LONGEST_REST)
+            self._stretch(rest, stamp[piece], values[piece])
+
+    def _stretch(self, rest: Rest, stamp: Stamps, values: Floats) -> None:
+        """Turn samples at rest into a segment, or say why not."""
+        if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_REST:
+            return
+        reject = self._rejector(int(stamp[0]), int(stamp[-1]))
+        samples = to_samples(stamp, values, self._spec, sample_period(stamp))
+        if self._saturated(values, samples).any():
+            reject('the sensor is saturated')
+            return
+        found = self._sound_statistics(samples)
+        if isinstance(found, str):
+            reject(found)
+            return
+        statistics, used, notes = found
+        attitude = None
+        if self._table is not None and rest.angles is not None:
+            attitude = self._table.attitude(rest.angles)
+        self._segments.append(
+            Segment(
+                int(used[0]),
+                int(used[-1]),
+                statistics,
+                attitude,
+                angles=rest.angles,
+                notes=notes,
+            )
+        )
+
+    def _sound_statistics(
+        self, samples: Samples
+    ) -> tuple[Statistics, Stamps, tuple[str, ...]] | str:
+        """Estimate over the sound part of a stretch; a text says why there is none."""
+        sound = sound_part(samples, self._walk)
+        notes = list(sound.notes)
+        kept = _masked(samples, sound.mask)
+        if len(kept.stamp) * samples.period < _SHORTEST_REST:
+            return '; '.join(notes) or 'too little of it was quiet'
+        gaps = gap_free(samples.stamp, samples.period)
+        missing = _missing(samples, gaps)
+        if missing:
+            notes.append(f'{missing} samples missing in {len(gaps) - 1} gap(s)')
+        statistics = statistics_at_rest(kept, self._walk)
+        step = find_step(statistics)
+        if step is not None:
+            before, what = step
+            kept = _longer_part(kept, before, len(statistics.blocks[0]))
+            if len(kept.stamp) * samples.period < _SHORTEST_REST:
+                return f'the unit was moved: {what}'
+            statistics = statistics_at_rest(kept, self._walk)
+            notes.append(f'{what}: the unit was moved; only the longer part is used')
+        return statistics, kept.stamp, tuple(notes)
+
+    def _motion(self, motion: Motion) -> None:
+        start = motion.start + self._offset_ns - _MARGIN_NS
+        stamp, values = self._imu.between(start, motion.end + self._offset_ns + _MARGIN_NS)
+        if len(stamp) < 2:
+            return
+        samples = to_samples(stamp, values, self._spec, sample_period(stamp))
+        if self._table is None or not len(motion.stamp):
+            self._free_motion(motion, samples, values)
+            return
+        self._compare_clocks(motion, samples)
+        for turns in find_turns(motion):
+            self._turn(turns, motion, samples, values)
+
+    def _compare_clocks(self, motion: Motion, samples: Samples) -> None:
+        table = self._table
+        assert table is not None
+        travel = np.ptp(motion.position, axis=0)
+        joint = int(np.argmax(travel))
+        if np.any(np.delete(travel, joint) > 0.01 * travel[joint]):
+            return
+        axis = table.joint_axis(joint, motion.position[0])
+        turned = np.cumsum(samples.increments[:, :3] @ axis)
+        compared = clock_sample(samples.stamp, turned, motion.stamp, motion.position[:, joint])
+        if compared is not None:
+            self._clock.append(compared)
+            self._offset_ns = round(compared.offset * 1e9)
+
+    def _turn(self, turns: WholeTurns, motion: Motion, samples: Samples, values: Floats) -> None:
+        table = self._table
+        assert table is not None
+        middle = turns.start + turns.seconds * 5e8
+        angles = motion.position[np.searchsorted(motion.stamp, middle) - 1]
+        up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
+        sense = float(table.joint_axis(turns.joint, angles) @ up)
+        if abs(sense) < 1 - _VERTICAL:
+            return
+        start = turns.start + self._offset_ns
+        end = start + turns.seconds * 1e9
+        reject = self._rejector(int(start), int(end))
+        period_ns = samples.period * 1e9
+        inside = slice(
+            int(np.searchsorted(samples.stamp, start - period_ns)),
+            int(np.searchsorted(samples.stamp, end + 2 * period_ns)),
+        )
+        part = samples.part(inside.start, inside.stop)
+        if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
+            reject('the IMU stream does not span the turn')
+            return
+        if len(gap_free(part.stamp, part.period)) > 1:
+            reject('IMU samples are missing within the turn')
+            return
+        if self._saturated(values[inside], part).any():
+            reject('the sensor is saturated during the turn')
+            return
+        origin = _line_origin(part) - part.period * 1e9
+        first = (start - origin) / period_ns
+        statistics = statistics_between(part, first, first + turns.seconds / part.period)
+        self._turns.append(
+            Turn(
+                int(start),
+                int(end),
+                statistics,
+                turns.angle * float(np.sign(sense)),
+                turns.seconds,
+                up,
+                rate_error=turns.rate_error,
+            )
+        )
+
+    def _free_motion(self, motion: Motion, samples: Samples, values: Floats) -> None:
+        first = int(np.searchsorted(samples.stamp, motion.start, side='right'))
+        last = int(np.searchsorted(samples.stamp, motion.end, side='right'))
+        part = samples.part(first, last)
+        if len(part.stamp) < 2:
+            return
+        turned = part.increments[:, :3].sum(axis=0)
+        if float(np.linalg.norm(turned)) < _LEAST_TURNED:
+            return
+        reject = self._rejector(motion.start, motion.end)
+        if len(gap_free(part.stamp, part.period)) > 1:
+            reject('IMU samples are missing within the turn')
+        elif self._saturated(values[first:last], part).any():
+            reject('the sensor is saturated during the turn')
+        else:
+            statistics = statistics_between(part, 0.0, float(len(part.stamp)))
+            self._motions.append(FreeMotion(motion.start, motion.end, statistics, turned))
+
+    def _rejector(self, start: int, end: int) -> Callable[[str], None]:
+        def reject(reason: str) -> None:
+            self._rejected.append(Rejected(start, end, reason))
+
+        return reject
+
+    def _saturated(self, values: Floats, samples: Samples) -> NDArray[np.bool_]:
+        """Say of every sample whether a channel stands at the end of its range."""
+        limits = np.repeat([self._spec.gyro.range, self._spec.accel.range], 3) * samples.period
+        clipped = np.abs(samples.increments) >= 0.999 * limits
+        if self._spec.units is not Units.SI:
+            clipped |= np.isin(np.abs(values), _FULL_SCALES)
+        return np.asarray(clipped.any(axis=1))
+
+    def _losses(self) -> tuple[str, ...]:
+        return tuple(
+            f'{count} samples left out for {what}, the first at {first * 1e-9:.3f} s'
+            for what, (count, first) in self._dropped.items()
+        )
+
+
+def _expected_walk(spec: ImuSpec) -> Floats:
+    """Return the random walk to choose weights by: the data sheet's, or a fraction of a pulse."""
+    walks = [
+        t.random_walk if t.random_walk > 0 else _WALK_GUESS * t.scale_factor
+        for t in (spec.gyro, spec.accel)
+    ]
+    return np.repeat(walks, 3)
+
+
+def _increasing(stamp: Stamps, last: int | None) -> NDArray[np.bool_]:
+    """Say which stamps exceed all before them."""
+    if not len(stamp):
+        return np.ones(0, dtype=bool)
+    before = np.maximum.accumulate(stamp)[:-1]
+    lowest = np.iinfo(np.int64).min if last is None else last
+    return np.asarray(stamp > np.maximum(np.concatenate([[lowest], before]), lowest))
+
+
+def _masked(samples: Samples, mask: NDArray[np.bool_]) -> Samples:
+    return Samples(samples.stamp[mask], samples.increments[mask], samples.quantum, samples.period)
+
+
+def _missing(samples: Samples, gaps: list[tuple[int, int]]) -> int:
+    starts = np.array([a for a, _ in gaps[1:]], dtype=int)
+    holes = (samples.stamp[starts] - samples.stamp[starts - 1]) * 1e-9 / samples.period
+    return int(np.sum(np.rint(holes) - 1))
+
+
+def _longer_part(samples: Samples, before: int, blocks: int) -> Samples:
+    """Return the part before or after a step, without the block next to it."""
+    n = len(samples.stamp)
+    if before >= blocks - before:
+        return samples.part(0, n * max(before - 1, 0) // blocks)
+    return samples.part(n * (before + 1) // blocks, n)
+
+
+def _line_origin(samples: Samples) -> float:
+    """Return the first stamp on the line through all stamps, ns."""
+    n = len(samples.stamp)
+    left = samples.stamp - samples.stamp[0] - np.arange(n) * samples.period * 1e9
+    return float(samples.stamp[0]) + float(left.mean())
