@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .codec import ZSTD_MAGIC, unpack_file
 from .mcap import McapStorage
-from .metadata import NAME, read_metadata
+from .metadata import NAME, Metadata, read_metadata
 from .sqlite import SqliteStorage
 from .storage import Losses, RecordingError, Storage
 
@@ -20,10 +20,10 @@ _PACKED = ('.zstd', '.zst')
 
 @dataclass(frozen=True)
 class Found:
-    """The storage files of a recording, in order, and the entries of its metadata.yaml."""
+    """The storage files of a recording, in order, and its metadata."""
 
     paths: tuple[Path, ...]
-    custom_data: dict[str, str]
+    metadata: Metadata
 
 
 class Scratch:
@@ -61,7 +61,7 @@ def find_files(path: Path, losses: Losses) -> Found:
 
     """
     if path.is_file():
-        return Found((path,), {})
+        return Found((path,), Metadata())
     if not path.is_dir():
         raise RecordingError(f'{path}: no such recording; expected a rosbag2 folder or file.')
     present = sorted((p for p in path.iterdir() if _is_storage(p)), key=_natural)
@@ -74,8 +74,8 @@ def find_files(path: Path, losses: Losses) -> Found:
     if metadata.files is None:
         names = ', '.join(p.name for p in present)
         losses.add(f'{path.name}: {metadata.problem}; the storage files found are used: {names}.')
-        return Found(tuple(present), metadata.custom_data)
-    return Found(_listed(metadata.files, present, path.name, losses), metadata.custom_data)
+        return Found(tuple(present), metadata)
+    return Found(_listed(metadata.files, present, path.name, losses), metadata)
 
 
 def _listed(

@@ -6,7 +6,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,42 +32,50 @@ if TYPE_CHECKING:
     from imu_calib.cdr.messages import Bytes, Indices
 
 _HEAD = RECORD_HEAD + MESSAGE_HEAD
+_HEAD_KIND = np.dtype([('op', 'u1'), ('length', '<u8'), ('channel', '<u2')])
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Messages of one channel within a chunk.
+
+    Attributes:
+        offset: (n,) where each serialised message starts in the unpacked chunk.
+        size: (n,) bytes of each.
+        log_ns: Log time of the first.
+
+    """
+
+    offset: Indices
+    size: Indices
+    log_ns: int
 
 
 @dataclass(frozen=True, eq=False)
 class Unpacked:
-    """A chunk in memory, with its messages in the order of the file.
-
-    Attributes:
-        buffer: Unpacked bytes.
-        channel: (n,) channel id of each message.
-        offset: (n,) where each serialised message starts in the buffer.
-        size: (n,) bytes of each.
-        log_time: (n,) when each was recorded, ns.
-
-    """
+    """A chunk in memory: its bytes, and where the messages of each channel lie."""
 
     buffer: Bytes
-    channel: Indices
-    offset: Indices
-    size: Indices
-    log_time: Indices
+    channels: dict[int, Placed]
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory."""
-        return int(self.buffer.nbytes + 4 * self.offset.nbytes)
+        return int(self.buffer.nbytes + sum(2 * p.size.nbytes for p in self.channels.values()))
 
-    def messages(self, channels: frozenset[int]) -> tuple[Messages, Indices]:
-        """Return the messages of some channels, and their log times."""
-        mine = (
-            np.isin(self.channel, list(channels))
-            if len(channels) != 1
-            else (self.channel == next(iter(channels)))
-        )
-        if mine.all():
-            return Messages(self.buffer, self.offset, self.size), self.log_time
-        return Messages(self.buffer, self.offset[mine], self.size[mine]), self.log_time[mine]
+    def stretch(self, channels: frozenset[int], position: int) -> Stretch | None:
+        """Return the messages of some channels, in the order of the file; None without any."""
+        placed = [p for i, p in self.channels.items() if i in channels]
+        if not placed:
+            return None
+        offset, size = placed[0].offset, placed[0].size
+        if len(placed) > 1:
+            offset = np.concatenate([p.offset for p in placed])
+            size = np.concatenate([p.size for p in placed])
+            order = np.argsort(offset)
+            offset, size = offset[order], size[order]
+        log_ns = min(p.log_ns for p in placed)
+        return Stretch(Messages(self.buffer, offset, size), log_ns, position)
 
 
 class McapStorage:
@@ -118,19 +126,24 @@ class McapStorage:
 
     def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[Stretch]]:
         """Start reading: one iterator per topic, all independent of each other."""
-        return {topic: self._read(topic, cache) for topic in topics}
+        channels = {
+            topic: frozenset(c.id for c in self._catalogue.channels.values() if c.topic == topic)
+            for topic in topics
+        }
+        wanted = [ids for ids in channels.values() if ids]
+        return {topic: self._read(ids, wanted, cache) for topic, ids in channels.items()}
 
-    def _read(self, topic: str, cache: Cache) -> Iterator[Stretch]:
-        channels = frozenset(c.id for c in self._catalogue.channels.values() if c.topic == topic)
-        if not channels:
-            return
-        for chunk in self._chunks:
-            if chunk.counts is not None and channels.isdisjoint(chunk.counts):
+    def _read(
+        self, channels: frozenset[int], wanted: list[frozenset[int]], cache: Cache
+    ) -> Iterator[Stretch]:
+        for chunk in self._chunks if channels else ():
+            if not _may_hold(chunk, channels):
                 continue
-            unpacked = cache.get((self.path, chunk.start), partial(self._load, chunk))
-            messages, log_time = unpacked.messages(channels)
-            if len(messages):
-                yield Stretch(messages, log_time, chunk.end)
+            users = sum(_may_hold(chunk, others) for others in wanted)
+            unpacked = cache.get((self.path, chunk.start), partial(self._load, chunk), users)
+            stretch = unpacked.stretch(channels, chunk.end)
+            if stretch is not None:
+                yield stretch
 
     def _counts(self) -> dict[int, int] | None:
         if self._catalogue.counts is not None:
@@ -174,22 +187,31 @@ class McapStorage:
         with self.path.open('rb') as file:
             buffer = self._unpack(chunk, file)
             if buffer is None:
-                return _messages(np.empty(0, np.uint8), np.empty(0, np.int64))
-            unpacked = self._indexed(chunk, buffer, file)
-        if unpacked is not None:
-            return unpacked
+                return Unpacked(np.empty(0, np.uint8), {})
+            placed = _indexed(_read_index(chunk, file), buffer)
+        return Unpacked(buffer, self._walked(chunk, buffer) if placed is None else placed)
+
+    def _walked(self, chunk: Chunk, buffer: Bytes) -> dict[int, Placed]:
+        """Find the messages by walking over the records."""
         offsets, end = walk(buffer)
-        if end < len(buffer) and not chunk.cut:
+        if end < len(buffer):
             self._losses.add(
                 f'{self.path.name}: {chunk} holds no valid record at its byte {end}; '
                 f'its other {len(buffer) - end} bytes are left out.'
             )
         offsets = offsets[buffer[offsets] == Op.MESSAGE]
-        unpacked = _messages(buffer, offsets)
-        if len(unpacked.offset) < len(offsets):
-            bad = len(offsets) - len(unpacked.offset)
+        heads = _heads(buffer, offsets)
+        sound = heads['length'] >= MESSAGE_HEAD
+        if not sound.all():
+            bad = int((~sound).sum())
             self._losses.add(f'{self.path.name}: {chunk} holds {bad} messages too short to be any.')
-        return unpacked
+            offsets, heads = offsets[sound], heads[sound]
+        placed = {}
+        for channel in np.unique(heads['channel']).tolist():
+            mine = heads['channel'] == channel
+            first = _log_time(buffer, int(offsets[mine.argmax()]))
+            placed[channel] = _placed(offsets[mine], heads[mine], first)
+        return placed
 
     def _unpack(self, chunk: Chunk, file: BinaryIO) -> Bytes | None:
         """Return the bytes of a chunk; None, and a stated loss, where they are not sound."""
@@ -229,68 +251,68 @@ class McapStorage:
         what = f'its messages ({held})' if held else 'its messages'
         self._losses.add(f'{self.path.name}: {chunk} {why}; {what} are left out.')
 
-    def _indexed(self, chunk: Chunk, buffer: Bytes, file: BinaryIO) -> Unpacked | None:
-        """Find the messages by the message index; None where it is missing or wrong."""
-        if not chunk.index:
-            return None
-        entries = []
-        for position, count in chunk.index.values():
-            file.seek(position)
-            entries.append(np.frombuffer(file.read(16 * count), '<u8').reshape(-1, 2))
-        channels = np.repeat(list(chunk.index), [len(e) for e in entries])
-        table = np.concatenate(entries).astype(np.int64)
-        offsets = table[:, 1]
-        if len(entries) > 1 or (np.diff(offsets) <= 0).any():
-            order = np.argsort(offsets, kind='stable')
-            offsets, channels = offsets[order], channels[order]
-        if len(offsets) == 0 or offsets[0] < 0 or offsets[-1] + _HEAD > len(buffer):
-            return None
-        unpacked = _messages(buffer, offsets)
-        sound = (
-            (buffer[offsets] == Op.MESSAGE).all()
-            and (unpacked.channel == channels).all()
-            and self._complete(buffer, offsets, unpacked)
-        )
-        return unpacked if sound else None
 
-    def _complete(self, buffer: Bytes, offsets: Indices, unpacked: Unpacked) -> bool:
-        """Tell whether only records that are no messages lie between the indexed ones."""
-        starts = np.append(offsets, len(buffer))
-        ends = np.concatenate([[0], unpacked.offset + unpacked.size])
-        if len(offsets) != len(unpacked.offset):
-            return False
-        for gap in np.flatnonzero(starts != ends).tolist():
-            between = buffer[int(ends[gap]) : int(starts[gap])]
-            records, end = walk(between)
-            if end != len(between) or (between[records] == Op.MESSAGE).any():
-                return False
+def _may_hold(chunk: Chunk, channels: frozenset[int]) -> bool:
+    return chunk.counts is None or not channels.isdisjoint(chunk.counts)
+
+
+def _read_index(chunk: Chunk, file: BinaryIO) -> dict[int, Indices]:
+    """Read the message index: (n, 2) log times and offsets by channel."""
+    tables = {}
+    for channel, (position, count) in (chunk.index or {}).items():
+        file.seek(position)
+        table = np.frombuffer(file.read(16 * count), '<i8').reshape(-1, 2)
+        if len(table):
+            tables[channel] = table
+    return tables
+
+
+def _indexed(tables: dict[int, Indices], buffer: Bytes) -> dict[int, Placed] | None:
+    """Find messages by the index; None where it contradicts the chunk or leaves messages out."""
+    placed = {}
+    for channel, table in tables.items():
+        offsets = np.ascontiguousarray(table[:, 1])
+        if (offsets[1:] <= offsets[:-1]).any():
+            offsets = np.sort(offsets)
+        if offsets[0] < 0 or offsets[-1] + _HEAD > len(buffer):
+            return None
+        heads = _heads(buffer, offsets)
+        if (heads['op'] != Op.MESSAGE).any() or (heads['channel'] != channel).any():
+            return None
+        placed[channel] = _placed(offsets, heads, int(table[0, 0]))
+    return placed if placed and _is_complete(placed, buffer) else None
+
+
+def _is_complete(placed: dict[int, Placed], buffer: Bytes) -> bool:
+    """Tell whether messages and records of other kinds fill the chunk, without overlap."""
+    if any((p.size < 0).any() for p in placed.values()):
+        return False
+    if sum(int(p.size.sum()) + _HEAD * len(p.size) for p in placed.values()) == len(buffer):
         return True
+    starts = np.sort(np.concatenate([p.offset for p in placed.values()])) - _HEAD
+    ends = np.sort(np.concatenate([p.offset + p.size for p in placed.values()]))
+    starts, ends = np.append(starts, len(buffer)), np.concatenate([[0], ends])
+    for gap in np.flatnonzero(starts != ends).tolist():
+        between = buffer[int(ends[gap]) : int(starts[gap])]
+        records, end = walk(between)
+        if end != len(between) or len(records) == 0 or (between[records] == Op.MESSAGE).any():
+            return False
+    return True
 
 
-def _messages(buffer: Bytes, offsets: Indices) -> Unpacked:
-    """Read the heads of message records; those that contradict the format are left out."""
-    head = np.dtype(
-        {
-            'names': ['length', 'channel', 'log_time'],
-            'formats': ['<u8', '<u2', '<u8'],
-            'offsets': [1, RECORD_HEAD, RECORD_HEAD + 6],
-            'itemsize': _HEAD,
-        }
-    )
-    if len(offsets) == 0:
-        none = np.empty(0, np.int64)
-        return Unpacked(buffer, none, none, none, none)
-    offsets = offsets[offsets + _HEAD <= len(buffer)]
-    anywhere = np.ndarray((len(buffer) - _HEAD + 1,), f'V{_HEAD}', buffer, 0, (1,))
-    heads = anywhere[offsets].view(head)
+def _heads(buffer: Bytes, offsets: Indices) -> np.ndarray[Any, Any]:
+    """Gather opcode, length and channel of records."""
+    if len(buffer) < _HEAD_KIND.itemsize:
+        return np.empty(0, _HEAD_KIND)
+    last = len(buffer) - _HEAD_KIND.itemsize + 1
+    anywhere = np.ndarray((last,), f'V{_HEAD_KIND.itemsize}', buffer, 0, (1,))
+    return anywhere[offsets].view(_HEAD_KIND)
+
+
+def _placed(offsets: Indices, heads: np.ndarray[Any, Any], log_ns: int) -> Placed:
     size = heads['length'].astype(np.int64) - MESSAGE_HEAD
-    sound = (size >= 0) & (size <= len(buffer) - _HEAD - offsets)
-    if not sound.all():
-        offsets, size, heads = offsets[sound], size[sound], heads[sound]
-    return Unpacked(
-        buffer=buffer,
-        channel=heads['channel'].astype(np.int64),
-        offset=offsets + _HEAD,
-        size=size,
-        log_time=heads['log_time'].astype(np.int64),
-    )
+    return Placed(offsets + _HEAD, size, log_ns)
+
+
+def _log_time(buffer: Bytes, offset: int) -> int:
+    return int(struct.unpack_from('<Q', buffer.data, offset + RECORD_HEAD + 6)[0])

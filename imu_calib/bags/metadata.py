@@ -26,12 +26,14 @@ class Metadata:
     Attributes:
         files: Names of the storage files, in order; None where the file does not say.
         custom_data: The user's own entries.
+        counts: Messages by topic name.
         problem: Why there is no sound metadata; empty where there is.
 
     """
 
     files: tuple[str, ...] | None = None
     custom_data: dict[str, str] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
     problem: str = ''
 
 
@@ -63,7 +65,8 @@ def read_metadata(folder: Path) -> Metadata:
         return Metadata(problem=f'{NAME} has no {_KEY}: relative_file_paths')
     # Before version 4 the paths start with the folder's own name.
     names = tuple(PurePath(str(name)).name for name in files)
-    return Metadata(names, _strings(information.get('custom_data')))
+    counts = _counts(information.get('topics_with_message_count'))
+    return Metadata(names, _strings(information.get('custom_data')), counts)
 
 
 def custom_data_of(text: str) -> dict[str, str]:
@@ -73,6 +76,13 @@ def custom_data_of(text: str) -> dict[str, str]:
     except yaml.YAMLError:
         return {}
     return _strings(content.get('custom_data')) if isinstance(content, dict) else {}
+
+
+def _counts(entries: Any) -> dict[str, int]:
+    try:
+        return {str(e['topic_metadata']['name']): int(e['message_count']) for e in entries}
+    except (TypeError, KeyError, ValueError):
+        return {}
 
 
 def _strings(pairs: Any) -> dict[str, str]:

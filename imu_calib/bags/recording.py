@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import weakref
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imu_calib.cdr import Malformed, Messages
 
 from .codec import ZSTD_MAGIC, CodecError, decompressor
-from .files import Scratch, find_files, open_storage
+from .files import Found, Scratch, find_files, open_storage
 from .merge import Piece, merge
 from .storage import Cache, Losses, RecordingError, Storage, Stretch, Topic, first_and_last
 
@@ -48,7 +49,7 @@ def open_recording(path: str | Path) -> Recording:
     scratch = Scratch()
     try:
         storages = _open_all(found.paths, scratch, losses)
-        return Recording(path, found.paths, storages, found.custom_data, losses, scratch)
+        return Recording(path, found, storages, losses, scratch)
     except BaseException:
         scratch.remove()
         raise
@@ -89,19 +90,18 @@ class Recording:
     def __init__(
         self,
         path: Path,
-        files: Sequence[Path],
+        found: Found,
         storages: Sequence[Storage],
-        custom_data: Mapping[str, str],
         losses: Losses,
         scratch: Scratch,
     ) -> None:
         self.path = path
-        self.files = tuple(files)
-        self.topics = _topics(storages)
+        self.files = found.paths
+        self.topics = _topics(storages, found.metadata.counts)
         self.custom_data: dict[str, str] = {}
         for storage in storages:
             self.custom_data.update(storage.custom_data)
-        self.custom_data.update(custom_data)
+        self.custom_data.update(found.metadata.custom_data)
         self._storages = storages
         self._losses = losses
         times = [(s.start_ns, s.end_ns) for s in storages]
@@ -236,12 +236,14 @@ class Recording:
                 )
 
 
-def _topics(storages: Sequence[Storage]) -> tuple[Topic, ...]:
+def _topics(storages: Sequence[Storage], counts: Mapping[str, int]) -> tuple[Topic, ...]:
+    """Unite the topics of all files; counts that the files lack come from metadata.yaml."""
     topics: dict[str, Topic] = {}
     for storage in storages:
         for name, topic in storage.topics.items():
             topics[name] = topics[name].merged(topic) if name in topics else topic
-    return tuple(topics[name] for name in sorted(topics))
+    listed = [topics[name] for name in sorted(topics)]
+    return tuple(replace(t, count=counts.get(t.name)) if t.count is None else t for t in listed)
 
 
 def _decoded(
@@ -252,7 +254,7 @@ def _decoded(
         for stretch in cursor:
             messages = _unpacked(stretch.messages, malformed)
             for block in kind.decode(messages, malformed):
-                yield Piece(block, int(stretch.log_time[0]), base + stretch.position)
+                yield Piece(block, stretch.log_ns, base + stretch.position)
 
 
 def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
@@ -261,8 +263,7 @@ def _unpacked(messages: Messages, malformed: Malformed) -> Messages:
     A CDR message starts with a zero byte and a zstd frame never does, so that the bytes tell,
     with or without metadata.yaml.
     """
-    first = messages.buffer[messages.offset[messages.size > 0]]
-    if not (first == ZSTD_MAGIC[0]).any():
+    if not messages.payload(0).startswith(ZSTD_MAGIC):
         return messages
     unpack = decompressor('zstd')
     plain = []

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
-from contextlib import closing
-from dataclasses import dataclass
-from functools import partial
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
-
-import numpy as np
 
 from imu_calib.cdr import Messages
 
@@ -20,39 +16,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from imu_calib.cdr.messages import Indices
 
 _MAGIC = b'SQLite format 3\x00'
-_ROWS = 512
-_WINDOW_BYTES = 1 << 21
+_MIN_ROWS, _MAX_ROWS = 2048, 65536
 # All versions of the schema have these; later ones add columns and tables.
 _EXPECTED = {
     'topics': {'id', 'name', 'type', 'serialization_format'},
     'messages': {'id', 'topic_id', 'timestamp', 'data'},
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """Consecutive rows in memory.
-
-    Attributes:
-        messages: The serialised messages.
-        topic: (n,) topic id of each.
-        log_time: (n,) when each was recorded, ns.
-        last: Row id of the last one; None where no rows are left.
-
-    """
-
-    messages: Messages
-    topic: Indices
-    log_time: Indices
-    last: int | None
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of memory."""
-        return int(self.messages.buffer.nbytes + 4 * self.topic.nbytes)
 
 
 class SqliteStorage:
@@ -75,6 +46,8 @@ class SqliteStorage:
         self._check_magic()
         self._options = 'mode=ro&immutable=1'
         self._tolerant = False
+        self._first: int | None = None
+        self._last: int | None = None
         self.start_ns: int | None = None
         self.end_ns: int | None = None
         try:
@@ -84,24 +57,27 @@ class SqliteStorage:
 
     def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[Stretch]]:
         """Start reading: one iterator per topic, all independent of each other."""
-        ids = sorted(i for name in topics for i in self._ids.get(name, ()))
-        return {topic: self._read(topic, tuple(ids), cache) for topic in topics}
+        del cache  # The operating system holds what several topics read.
+        return {topic: self._read(tuple(self._ids.get(topic, ()))) for topic in topics}
 
-    def _read(self, topic: str, ids: tuple[int, ...], cache: Cache) -> Iterator[Stretch]:
-        mine = self._ids.get(topic)
-        after: int | None = self._first - 1
-        while mine and after is not None:
-            window = cache.get((self.path, ids, after), partial(self._load, ids, after))
-            index = np.flatnonzero(np.isin(window.topic, mine))
-            after = window.last
-            if len(index):
-                span = max(self._last - self._first, 1)
-                done = 1.0 if after is None else (after - self._first) / span
-                yield Stretch(
-                    messages=window.messages.select(index),
-                    log_time=window.log_time[index],
-                    position=int(done * self.size),
-                )
+    def _read(self, topics: tuple[int, ...]) -> Iterator[Stretch]:
+        """Read windows of row ids, wider ones where the topic is rare."""
+        start, width = self._first, _MIN_ROWS
+        with closing(self._connect()) as database:
+            while topics and start is not None:
+                rows, following = self._load(database, topics, start, width)
+                if rows:
+                    log_ns = _log_time(database, start)
+                    yield Stretch(_messages(rows), log_ns, self._position(following))
+                wider = len(rows) < width // 8
+                width = min(2 * width, _MAX_ROWS) if wider else max(width // 2, _MIN_ROWS)
+                start = following
+
+    def _position(self, row: int | None) -> int:
+        """Estimate how many bytes of the file lie before a row."""
+        if row is None or self._first is None or self._last is None:
+            return self.size
+        return self.size * (row - self._first) // max(self._last - self._first, 1)
 
     def _check_magic(self) -> None:
         with self.path.open('rb') as file:
@@ -146,13 +122,13 @@ class SqliteStorage:
             self._ids: dict[str, list[int]] = {}
             for key, name, _, _ in topics:
                 self._ids.setdefault(str(name), []).append(int(key))
-            counts = self._count(database)
             self.topics: dict[str, Topic] = {}
-            for key, name, kind, encoding in topics:
-                count = None if counts is None else counts.get(key, 0)
-                topic = Topic(str(name), str(kind), count, str(encoding))
+            for _, name, kind, encoding in topics:
+                # Counting would take a pass over the whole file; metadata.yaml mostly knows.
+                topic = Topic(str(name), str(kind), None, str(encoding))
                 before = self.topics.get(topic.name)
                 self.topics[topic.name] = before.merged(topic) if before else topic
+            self._find_ranges(database)
             self.custom_data = _custom_data(database)
 
     def _check_schema(self, database: sqlite3.Connection) -> None:
@@ -168,85 +144,98 @@ class SqliteStorage:
                     f'(tables in the file: {held}).'
                 )
 
-    def _count(self, database: sqlite3.Connection) -> dict[int, int] | None:
-        """Count messages by topic and find the ranges of row ids and log times."""
-        query = (
-            'SELECT topic_id, count(*), min(id), max(id), min(timestamp), max(timestamp) '
-            'FROM messages GROUP BY topic_id'
-        )
+    def _find_ranges(self, database: sqlite3.Connection) -> None:
+        """Find the first and last row ids and log times."""
         try:
-            rows = [row for row in database.execute(query) if None not in row]
+            self._first = _extreme(database, 'min(id)')
+            self._last = _extreme(database, 'max(id)')
+            self.start_ns = _extreme(database, 'min(timestamp)')
+            self.end_ns = _extreme(database, 'max(timestamp)')
         except sqlite3.DatabaseError:
             if not self._tolerant:
                 raise
-            self._first, self._last = -(2**63) + 1, 2**63 - 1
-            return None
-        self._first = min((row[2] for row in rows), default=0)
-        self._last = max((row[3] for row in rows), default=0)
-        self.start_ns = min((row[4] for row in rows), default=None)
-        self.end_ns = max((row[5] for row in rows), default=None)
-        return {row[0]: row[1] for row in rows}
+            self._first = 0 if self._first is None else self._first
 
-    def _load(self, ids: tuple[int, ...], after: int) -> Window:
-        """Read the rows of some topics that follow a row, up to a limit of memory."""
-        marks = ', '.join('?' * len(ids))
+    def _load(
+        self, database: sqlite3.Connection, topics: tuple[int, ...], start: int, width: int
+    ) -> tuple[list[tuple[Any]], int | None]:
+        """Return the messages of a window of row ids, and where the next window starts."""
+        end = start + width
         query = (
-            'SELECT id, topic_id, timestamp, data FROM messages '
-            f'WHERE id > ? AND topic_id IN ({marks}) ORDER BY id'
+            'SELECT data FROM messages '
+            f'WHERE id >= ? AND id < ? AND topic_id {_among(topics)} ORDER BY id'
         )
-        rows: list[tuple[Any, ...]] = []
-        size, last = 0, None
         try:
-            with closing(self._connect()) as database:
-                cursor = database.execute(query, (after, *ids))
-                while size < _WINDOW_BYTES and (some := cursor.fetchmany(_ROWS)):
-                    rows += some
-                    size += sum(len(row[3]) for row in some)
-                    last = some[-1][0]
-                if size < _WINDOW_BYTES:
-                    last = None
+            rows = database.execute(query, (start, end, *topics)).fetchall()
+            return rows, end if rows else _first_row(database, end)
         except sqlite3.DatabaseError as error:
-            last = self._after_damage(rows[-1][0] if rows else after, error)
-        return _window(rows, last)
+            return self._load_damaged(database, topics, start, error)
 
-    def _after_damage(self, last: int, error: sqlite3.Error) -> int | None:
-        """State what is damaged after a row; return the row before the next readable one."""
-        following = self._next_readable(last)
+    def _load_damaged(
+        self,
+        database: sqlite3.Connection,
+        topics: tuple[int, ...],
+        start: int,
+        error: sqlite3.Error,
+    ) -> tuple[list[tuple[Any]], int | None]:
+        """Read row by row up to the damage, and state where it is."""
+        rows: list[tuple[Any]] = []
+        last = start - 1
+        with suppress(sqlite3.DatabaseError):
+            query = 'SELECT id, topic_id, data FROM messages WHERE id >= ? ORDER BY id'
+            for key, topic, data in database.execute(query, (start,)):
+                last = key
+                if topic in topics:
+                    rows.append((data,))
+                if len(rows) == _MIN_ROWS:
+                    return rows, last + 1
+        following = self._next_readable(database, last)
         where = f'rows {last + 1} to {following - 1}' if following else f'the rows after {last}'
         self._losses.add(f'{self.path.name}: {where} cannot be read ({error}).')
-        return following - 1 if following else None
+        return rows, following
 
-    def _next_readable(self, last: int) -> int | None:
+    def _next_readable(self, database: sqlite3.Connection, last: int) -> int | None:
         step = 1
-        with closing(self._connect()) as database:
-            while last + step <= self._last:
+        while self._last is not None and last + step <= self._last:
+            try:
                 found = _first_row(database, last + step)
-                if found is not None:
-                    return found
+            except sqlite3.DatabaseError:
                 step *= 2
+                continue
+            return found
         return None
+
+
+def _extreme(database: sqlite3.Connection, what: str) -> int | None:
+    """Ask for one extreme value: SQLite answers that from an index, and two by a scan."""
+    found: int | None = database.execute(f'SELECT {what} FROM messages').fetchone()[0]
+    return found
+
+
+def _among(topics: tuple[int, ...]) -> str:
+    return f'IN ({", ".join("?" * len(topics))})'
 
 
 def _first_row(database: sqlite3.Connection, start: int) -> int | None:
+    """Return the id of the first row from an id on, having looked at the whole row."""
     query = 'SELECT id, data FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
-    try:
-        row = database.execute(query, (start,)).fetchone()
-    except sqlite3.DatabaseError:
-        return None
+    row = database.execute(query, (start,)).fetchone()
     return int(row[0]) if row else None
 
 
-def _window(rows: list[tuple[Any, ...]], last: int | None) -> Window:
-    if not rows:
-        none = np.empty(0, np.int64)
-        return Window(Messages(np.empty(0, np.uint8), none, none), none, none, last)
-    _, topics, times, blobs = zip(*rows, strict=True)
-    return Window(
-        messages=Messages.join(blobs),
-        topic=np.fromiter(topics, np.int64, len(rows)),
-        log_time=np.fromiter(times, np.int64, len(rows)),
-        last=last,
-    )
+def _log_time(database: sqlite3.Connection, start: int) -> int:
+    query = 'SELECT timestamp FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
+    row = database.execute(query, (start,)).fetchone()
+    return int(row[0]) if row else 0
+
+
+def _messages(rows: list[tuple[Any]]) -> Messages:
+    blobs = [row[0] for row in rows]
+    try:
+        return Messages.join(blobs)
+    except TypeError:
+        # A foreign value instead of bytes becomes an empty message, which the decoder counts.
+        return Messages.join([blob if isinstance(blob, bytes) else b'' for blob in blobs])
 
 
 def _custom_data(database: sqlite3.Connection) -> dict[str, str]:

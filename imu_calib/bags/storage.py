@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Mapping
     from pathlib import Path
 
-    from imu_calib.cdr.messages import Indices, Messages
+    from imu_calib.cdr.messages import Messages
 
 
 class RecordingError(InputError):
@@ -53,13 +53,13 @@ class Stretch:
 
     Attributes:
         messages: The serialised messages, in the order of the file.
-        log_time: (n,) when each was recorded, ns.
+        log_ns: Log time of the first message, or of one shortly before.
         position: Bytes of the storage file that lie before the end of the stretch.
 
     """
 
     messages: Messages
-    log_time: Indices
+    log_ns: int
     position: int
 
 
@@ -87,29 +87,38 @@ Content = TypeVar('Content', bound=Sized)
 
 
 class Cache:
-    """The chunks that were loaded last, within a limit of memory.
+    """The chunks that some topics have still to read, within a limit of memory.
 
     The cursors of all topics share it, so that an ordinarily interleaved file is read and
-    decompressed once.
+    decompressed once. Chunks go when all have read them: the next one takes the same memory.
     """
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._held: OrderedDict[Hashable, Sized] = OrderedDict()
+        self._held: OrderedDict[Hashable, tuple[Sized, int]] = OrderedDict()
         self._bytes = 0
 
-    def get(self, key: Hashable, load: Callable[[], Content]) -> Content:
-        """Return the content of a key, loading it if it is not held."""
+    def get(self, key: Hashable, load: Callable[[], Content], users: int) -> Content:
+        """Return the content of a key, loading it if it is not held.
+
+        Args:
+            key: Name of the content.
+            load: Makes it.
+            users: How often the content is asked for in all, as far as that is known.
+
+        """
         if key in self._held:
-            self._held.move_to_end(key)
-            return self._held[key]  # type: ignore[return-value]
-        content = load()
-        self._held[key] = content
-        self._bytes += content.nbytes
+            content, left = self._held.pop(key)
+            self._bytes -= content.nbytes
+        else:
+            content, left = load(), users
+        if left > 1:
+            self._held[key] = content, left - 1
+            self._bytes += content.nbytes
         while self._bytes > self._limit and len(self._held) > 1:
-            _, old = self._held.popitem(last=False)
+            _, (old, _) = self._held.popitem(last=False)
             self._bytes -= old.nbytes
-        return content
+        return content  # type: ignore[return-value]
 
 
 class Storage(Protocol):

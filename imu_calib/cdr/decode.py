@@ -109,6 +109,9 @@ def _decode(
     malformed: Malformed | None,
 ) -> list[Columns]:
     """Decode each layout's messages at once, then put them back into the order of the stream."""
+    alike = _decode_alike(messages, parse, build)
+    if alike is not None:
+        return [alike]
     label = np.full(len(messages), -1, np.int64)
     blocks: list[Columns] = []
     pending: Indices = np.arange(len(messages))
@@ -128,6 +131,22 @@ def _decode(
         blocks.append(build(layout, rows))
         pending = pending[label[pending] < 0] if len(candidates) < len(pending) else pending[:0]
     return _in_order(label[label >= 0], blocks)
+
+
+def _decode_alike(
+    messages: Messages,
+    parse: Callable[[bytes], Layout],
+    build: Callable[[Layout, Bytes], Columns],
+) -> Columns | None:
+    """Decode messages that all have the layout of the first; None where they do not."""
+    if len(messages) == 0 or (messages.size != messages.size[0]).any():
+        return None
+    try:
+        layout = parse(messages.payload(0))
+    except CdrError:
+        return None
+    rows = messages.rows(layout.size)
+    return build(layout, rows) if layout.holds(rows).all() else None
 
 
 def _in_order(label: Indices, blocks: list[Columns]) -> list[Columns]:

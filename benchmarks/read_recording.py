@@ -1,0 +1,166 @@
+"""Reads the same recording twice, in columns and message by message, and compares the times.
+
+The second way is the loop that everybody writes with rosbags. Both run here, on this machine, in
+this process, over the same files, and have to give the same numbers.
+
+    python benchmarks/read_recording.py [--messages 300000]
+
+Exit code 1: a ratio is below what the package promises, or the numbers differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from imu_calib.bags import open_recording
+from imu_calib.cdr import Kind, encode_imu, encode_joints
+from imu_calib.stream import ImuBlock, JointBlock
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+IMU, JOINTS = '/imu/pulses', '/turntable/joint_states'
+JOINT_EVERY = 10
+PERIOD_NS = 1_000_000
+REPEATS = 3
+
+
+@dataclass(frozen=True)
+class Case:
+    """One form of storage, and the ratio that is promised for it."""
+
+    name: str
+    plugin: StoragePlugin
+    compression: CompressionMode
+    promised: float
+
+
+CASES = (
+    Case('mcap', StoragePlugin.MCAP, CompressionMode.NONE, 50.0),
+    Case('mcap, zstd chunks', StoragePlugin.MCAP, CompressionMode.STORAGE, 0.0),
+    Case('sqlite3', StoragePlugin.SQLITE3, CompressionMode.NONE, 8.0),
+)
+
+Columns = dict[str, np.ndarray]
+
+
+def samples(count: int) -> tuple[ImuBlock, JointBlock]:
+    """Make an hour's kind of data: whole pulse counts, and slowly turning joints."""
+    rng = np.random.default_rng(24)
+    stamp = 1_700_000_000_000_000_000 + PERIOD_NS * np.arange(count)
+    pulses = np.rint(rng.normal(0.0, 300.0, (count, 6)))
+    angles = np.cumsum(rng.normal(0.0, 1e-3, (len(stamp[::JOINT_EVERY]), 3)), axis=0)
+    imu = ImuBlock(stamp, pulses[:, :3], pulses[:, 3:], 'imu_link')
+    names = ('outer', 'middle', 'inner')
+    return imu, JointBlock(stamp[::JOINT_EVERY], names, angles, np.gradient(angles, axis=0))
+
+
+def write(path: Path, case: Case, imu: ImuBlock, joints: JointBlock) -> None:
+    """Write a recording with rosbags' own writer, the topics interleaved as they arrive."""
+    typestore = get_typestore(Stores.ROS2_JAZZY)
+    pulses, states = encode_imu(imu).payloads(), encode_joints(joints).payloads()
+    writer = Writer(path, version=9, storage_plugin=case.plugin)
+    writer.set_compression(case.compression, CompressionFormat.ZSTD)
+    with writer:
+        first = writer.add_connection(IMU, Kind.IMU.type_name, typestore=typestore)
+        second = writer.add_connection(JOINTS, Kind.JOINTS.type_name, typestore=typestore)
+        for i, (stamp, payload) in enumerate(zip(imu.stamp.tolist(), pulses, strict=True)):
+            writer.write(first, stamp, payload)
+            if i % JOINT_EVERY == 0:
+                writer.write(second, stamp, states[i // JOINT_EVERY])
+
+
+def read_message_by_message(path: Path) -> Columns:
+    """Read the way of the tutorials: rosbags' reader, one object per message."""
+    typestore = get_typestore(Stores.ROS2_JAZZY)
+    stamps: dict[str, list[int]] = {IMU: [], JOINTS: []}
+    gyro, accel, position = [], [], []
+    with Reader(path) as reader:
+        for connection, _, raw in reader.messages():
+            message = typestore.deserialize_cdr(raw, connection.msgtype)
+            stamp = message.header.stamp
+            stamps[connection.topic].append(stamp.sec * 1_000_000_000 + stamp.nanosec)
+            if connection.topic == IMU:
+                rate, force = message.angular_velocity, message.linear_acceleration
+                gyro.append((rate.x, rate.y, rate.z))
+                accel.append((force.x, force.y, force.z))
+            else:
+                position.append(message.position)
+    return {
+        'imu stamp': np.array(stamps[IMU]),
+        'gyro': np.array(gyro),
+        'accel': np.array(accel),
+        'joint stamp': np.array(stamps[JOINTS]),
+        'position': np.array(position),
+    }
+
+
+def read_in_columns(path: Path) -> Columns:
+    """Read the way of this package."""
+    blocks: dict[str, list] = {IMU: [], JOINTS: []}
+    with open_recording(path) as recording:
+        for topic, block in recording.read({IMU: Kind.IMU, JOINTS: Kind.JOINTS}):
+            blocks[topic].append(block)
+    return {
+        'imu stamp': np.concatenate([b.stamp for b in blocks[IMU]]),
+        'gyro': np.concatenate([b.gyro for b in blocks[IMU]]),
+        'accel': np.concatenate([b.accel for b in blocks[IMU]]),
+        'joint stamp': np.concatenate([b.stamp for b in blocks[JOINTS]]),
+        'position': np.concatenate([b.position for b in blocks[JOINTS]]),
+    }
+
+
+def timed(read: Callable[[Path], Columns], path: Path, repeats: int) -> tuple[float, Columns]:
+    """Return the shortest time of some runs, s, and what was read."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        columns = read(path)
+        times.append(time.perf_counter() - start)
+    return min(times), columns
+
+
+def compare(case: Case, path: Path) -> bool:
+    """Time both ways on one recording, print a line, and tell whether the promise is kept."""
+    columns_s, columns = timed(read_in_columns, path, REPEATS)
+    loop_s, loop = timed(read_message_by_message, path, 1)
+    same = all(np.array_equal(columns[key], loop[key]) for key in loop)
+    count = len(loop['imu stamp']) + len(loop['joint stamp'])
+    ratio = loop_s / columns_s
+    promised = f'{case.promised:8.0f}' if case.promised else '       -'
+    print(
+        f'{case.name:18} {count / loop_s:14,.0f} {count / columns_s:14,.0f} {ratio:8.1f} '
+        f'{promised}  {"same" if same else "DIFFERENT"}'
+    )
+    return same and ratio >= case.promised
+
+
+def main() -> int:
+    """Run all cases."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--messages', type=int, default=300_000, help='Imu messages to read')
+    count = parser.parse_args().messages
+    imu, joints = samples(count)
+    print(f'{count} Imu and {len(joints)} JointState messages; messages per second:')
+    print(f'{"storage":18} {"loop":>14} {"columns":>14} {"ratio":>8} {"promised":>8}  numbers')
+    kept = []
+    for case in CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / 'recording'
+            write(path, case, imu, joints)
+            kept.append(compare(case, path))
+    return 0 if all(kept) else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
