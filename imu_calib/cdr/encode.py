@@ -95,6 +95,8 @@ def _seconds(sec: Stamps) -> Stamps:
 
 
 def _column(rows: Bytes, offset: int, kind: str, width: int) -> np.ndarray[Any, Any]:
+    if len(rows) == 0:
+        return np.empty((0, width), kind)
     step = np.dtype(kind).itemsize
     return np.ndarray((len(rows), width), kind, rows, offset, (rows.shape[1], step))
 

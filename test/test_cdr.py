@@ -1,0 +1,343 @@
+"""The bulk decoder and encoder hold to what rosbags does message by message."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from imu_calib.bags import definition
+from imu_calib.cdr import (
+    PULSES,
+    RATES,
+    CdrError,
+    Kind,
+    Malformed,
+    Messages,
+    decode_imu,
+    decode_joints,
+    decode_setpoints,
+    decode_temperatures,
+    encode_imu,
+    encode_joints,
+    encode_setpoints,
+    encode_temperatures,
+    part,
+)
+from imu_calib.stream import (
+    ImuBlock,
+    JointBlock,
+    Mode,
+    Setpoint,
+    SetpointBlock,
+    TemperatureBlock,
+)
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STORE.register(get_types_from_msg(definition(Kind.SETPOINTS.type_name), Kind.SETPOINTS.type_name))
+NS = 1_000_000_000
+
+stamps = st.integers(-(2**31) * NS, 2**31 * NS - 1)
+numbers = st.floats(width=64, allow_nan=False)
+texts = st.text(st.characters(exclude_categories=['Cs'], exclude_characters='\0'), max_size=9)
+
+
+def build(name, *fields):
+    return STORE.types[name](*fields)
+
+
+def header(stamp, frame):
+    time = build('builtin_interfaces/msg/Time', *divmod(stamp, NS))
+    return build('std_msgs/msg/Header', time, frame)
+
+
+def serialise(message, little_endian=True):
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__, little_endian=little_endian))
+
+
+def imu_message(stamp, frame, gyro, accel, first=PULSES):
+    covariances = [np.array([value, *[0.0] * 8]) for value in first]
+    vector = 'geometry_msgs/msg/Vector3'
+    return build(
+        Kind.IMU.type_name,
+        header(stamp, frame),
+        build('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, 1.0),
+        covariances[0],
+        build(vector, *gyro),
+        covariances[1],
+        build(vector, *accel),
+        covariances[2],
+    )
+
+
+def joint_message(stamp, frame, names, position, velocity, effort=()):
+    arrays = [np.array(a, np.float64) for a in (position, velocity, effort)]
+    return build(Kind.JOINTS.type_name, header(stamp, frame), list(names), *arrays)
+
+
+def setpoint_message(s, frame=''):
+    return build(
+        Kind.SETPOINTS.type_name,
+        header(s.stamp, frame),
+        s.plan,
+        s.step,
+        s.position,
+        int(s.mode),
+        list(s.joints),
+        np.array(s.angles, np.float64),
+        np.array(s.rates, np.float64),
+        s.turns,
+        s.dwell,
+    )
+
+
+def setpoint(stamp=0, step=3, mode=Mode.RATE):
+    joints, angles = ('outer', 'inner'), (0.5, math.pi)
+    return Setpoint(stamp, 'twelve', step, 'x_up', mode, joints, angles, (0.0, 1.0), 2.0, 60.0)
+
+
+def imu_block(count=5, frame='imu_link'):
+    rng = np.random.default_rng(1)
+    gyro, accel = rng.normal(size=(2, count, 3))
+    return ImuBlock(1_700_000_000 * NS + np.arange(count) * 7, gyro, accel, frame)
+
+
+triples = st.tuples(numbers, numbers, numbers)
+imu_samples = st.tuples(stamps, st.sampled_from(['', 'imu', 'imu_link']) | texts, triples, triples)
+
+
+@given(st.lists(st.tuples(imu_samples, st.booleans()), max_size=12))
+def test_imu_of_any_frame_and_byte_order_equals_rosbags_in_order(samples):
+    payloads = [serialise(imu_message(*sample), little) for sample, little in samples]
+    blocks = decode_imu(Messages.join(payloads))
+    decoded = [
+        (int(b.stamp[i]), b.frame_id, tuple(b.gyro[i]), tuple(b.accel[i]))
+        for b in blocks
+        for i in range(len(b))
+    ]
+    assert decoded == [sample for sample, _ in samples]
+
+
+@st.composite
+def joint_samples(draw):
+    names = draw(st.lists(texts, max_size=3))
+    values = st.lists(numbers, min_size=len(names), max_size=len(names))
+    empty = st.just([])
+    return (
+        draw(stamps),
+        draw(texts),
+        tuple(names),
+        draw(values | empty),
+        draw(values | empty),
+        draw(st.lists(numbers, max_size=3)),
+    )
+
+
+@given(st.lists(st.tuples(joint_samples(), st.booleans()), max_size=8))
+def test_joint_states_of_any_shape_equal_rosbags_and_missing_arrays_are_nan(samples):
+    payloads = [serialise(joint_message(*sample), little) for sample, little in samples]
+    blocks = decode_joints(Messages.join(payloads))
+    decoded = [
+        (int(b.stamp[i]), b.names, b.position[i].tolist(), b.velocity[i].tolist())
+        for b in blocks
+        for i in range(len(b))
+    ]
+    expected = [
+        (stamp, names, position or [math.nan] * len(names), velocity or [math.nan] * len(names))
+        for (stamp, _, names, position, velocity, _), _ in samples
+    ]
+    np.testing.assert_equal(decoded, expected)
+
+
+setpoints = st.builds(
+    Setpoint,
+    stamp=stamps,
+    plan=texts,
+    step=st.integers(0, 2**32 - 1),
+    position=texts,
+    mode=st.sampled_from(Mode),
+    joints=st.lists(texts, max_size=3).map(tuple),
+    angles=st.lists(numbers, max_size=3).map(tuple),
+    rates=st.lists(numbers, max_size=3).map(tuple),
+    turns=numbers,
+    dwell=numbers,
+)
+
+
+@given(st.lists(st.tuples(setpoints, texts, st.booleans()), max_size=5))
+def test_setpoints_equal_rosbags(samples):
+    payloads = [serialise(setpoint_message(s, frame), little) for s, frame, little in samples]
+    blocks = decode_setpoints(Messages.join(payloads))
+    assert [s for block in blocks for s in block.setpoints] == [s for s, _, _ in samples]
+
+
+@given(st.lists(st.tuples(stamps, texts, numbers, st.booleans()), max_size=8))
+def test_temperatures_equal_rosbags(samples):
+    payloads = [
+        serialise(build(Kind.TEMPERATURES.type_name, header(t, frame), value, 0.5), little)
+        for t, frame, value, little in samples
+    ]
+    blocks = decode_temperatures(Messages.join(payloads))
+    decoded = [pair for b in blocks for pair in zip(b.stamp, b.celsius, strict=True)]
+    assert decoded == [(t, value) for t, _, value, _ in samples]
+
+
+@given(texts, st.lists(st.tuples(stamps, triples, triples), max_size=4), st.booleans())
+def test_encoded_imu_is_the_bytes_that_rosbags_writes(frame, samples, pulses):
+    first = PULSES if pulses else RATES
+    block = ImuBlock(
+        np.array([s[0] for s in samples], np.int64),
+        np.array([s[1] for s in samples]).reshape(-1, 3),
+        np.array([s[2] for s in samples]).reshape(-1, 3),
+        frame,
+    )
+    expected = [serialise(imu_message(s[0], frame, s[1], s[2], first)) for s in samples]
+    assert encode_imu(block, first).payloads() == expected
+
+
+@given(texts, st.lists(texts, max_size=3), st.booleans(), st.booleans())
+def test_encoded_joints_are_the_bytes_that_rosbags_writes(frame, names, with_position, with_rate):
+    values = np.arange(2.0 * len(names)).reshape(2, -1)
+    missing = np.full_like(values, np.nan)
+    block = JointBlock(
+        np.array([5, NS + 6]),
+        tuple(names),
+        values if with_position else missing,
+        values if with_rate else missing,
+    )
+    expected = [
+        serialise(
+            joint_message(
+                stamp, frame, names, row if with_position else (), row if with_rate else ()
+            )
+        )
+        for stamp, row in zip(block.stamp.tolist(), values, strict=True)
+    ]
+    assert encode_joints(block, frame).payloads() == expected
+
+
+@given(texts, setpoints)
+def test_encoded_setpoints_are_the_bytes_that_rosbags_writes(frame, one):
+    payloads = encode_setpoints(SetpointBlock((one,)), frame).payloads()
+    assert payloads == [serialise(setpoint_message(one, frame))]
+
+
+def test_encoded_temperatures_are_the_bytes_that_rosbags_writes():
+    block = TemperatureBlock(np.array([1, NS]), np.array([21.5, -3.0]))
+    expected = [
+        serialise(build(Kind.TEMPERATURES.type_name, header(t, 'imu'), value, 0.25))
+        for t, value in ((1, 21.5), (NS, -3.0))
+    ]
+    assert encode_temperatures(block, 'imu', 0.25).payloads() == expected
+
+
+def test_a_change_of_frame_starts_a_new_block_and_the_order_stays():
+    first, second = imu_block(4, 'left'), imu_block(4, 'rght')
+    pieces = [part(first, 0, 2), part(second, 0, 3), part(first, 2, 4), part(second, 3, 4)]
+    payloads = [p for piece in pieces for p in encode_imu(piece).payloads()]
+    blocks = decode_imu(Messages.join(payloads))
+    assert [(b.frame_id, len(b)) for b in blocks] == [
+        ('left', 2), ('rght', 3), ('left', 2), ('rght', 1),
+    ]  # fmt: skip
+    np.testing.assert_array_equal(blocks[2].gyro, first.gyro[2:])
+
+
+def test_messages_are_found_wherever_they_lie_in_the_buffer():
+    block = imu_block(3)
+    payloads = encode_imu(block).payloads()
+    buffer = np.frombuffer(b'xyz' + payloads[2] + b'?' + payloads[0] + payloads[1], np.uint8)
+    size = len(payloads[0])
+    offset = np.array([4 + size, 4 + 2 * size, 3])
+    (decoded,) = decode_imu(Messages(buffer, offset, np.full(3, size)))
+    np.testing.assert_array_equal(decoded.accel, block.accel)
+
+
+def test_padding_of_a_middleware_is_accepted_but_not_another_type():
+    (block,) = decode_imu(Messages.join([encode_imu(imu_block(1)).payload(0) + bytes(4)]))
+    assert len(block) == 1
+    with pytest.raises(CdrError, match='more than the fields take'):
+        decode_imu(Messages.join([encode_imu(imu_block(1)).payload(0) + bytes(16)]))
+
+
+def test_options_in_the_encapsulation_header_do_not_matter():
+    payload = bytearray(encode_imu(imu_block(1)).payload(0))
+    payload[2:4] = b'\x00\x03'
+    (block,) = decode_imu(Messages.join([encode_imu(imu_block(1)).payload(0), bytes(payload)]))
+    assert len(block) == 2
+
+
+@pytest.mark.parametrize(
+    'broken',
+    [
+        b'',
+        b'\x00\x01',
+        b'\x00\x07\x00\x00' + bytes(400),
+        encode_imu(imu_block(1)).payload(0)[:-1],
+        encode_imu(imu_block(1)).payload(0)[:12] + b'\xff\xff\xff\xff' + bytes(400),
+        encode_imu(imu_block(1, 'frame')).payload(0).replace(b'frame\0', b'frame!'),
+        encode_imu(imu_block(1, 'frame')).payload(0).replace(b'frame\0', b'\xff\xfeame\0'),
+    ],
+)
+def test_a_malformed_message_is_counted_and_the_others_are_decoded(broken):
+    sound = encode_imu(imu_block(4)).payloads()
+    messages = Messages.join([sound[0], broken, *sound[1:], broken])
+    malformed = Malformed()
+    (block,) = decode_imu(messages, malformed)
+    np.testing.assert_array_equal(block.gyro, imu_block(4).gyro)
+    assert malformed.count == 2
+    assert malformed.reason
+    with pytest.raises(CdrError, match='Malformed message'):
+        decode_imu(messages)
+
+
+def test_joint_arrays_that_do_not_fit_the_names_are_malformed():
+    malformed = Malformed()
+    message = joint_message(1, '', ['a', 'b'], [1.0], [])
+    assert decode_joints(Messages.join([serialise(message)]), malformed) == []
+    assert malformed.reason == '1 values of position for 2 joint names'
+
+
+def test_an_unknown_mode_of_a_setpoint_is_malformed_once_per_message():
+    payload = serialise(setpoint_message(setpoint())).replace(b'x_up\0\x01', b'x_up\0\x09')
+    malformed = Malformed()
+    assert decode_setpoints(Messages.join([payload] * 3), malformed) == []
+    assert malformed.count == 3
+    assert 'mode 9' in malformed.reason
+
+
+def test_repeated_setpoints_differ_in_their_stamp():
+    repeated = SetpointBlock(tuple(setpoint(stamp, step=1 + stamp // 4) for stamp in range(8)))
+    assert decode_setpoints(encode_setpoints(repeated)) == [repeated]
+
+
+def test_stamps_that_do_not_fit_a_header_are_refused():
+    block = TemperatureBlock(np.array([2**31 * NS]), np.zeros(1))
+    with pytest.raises(CdrError, match='do not fit a ROS header'):
+        encode_temperatures(block)
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_damaged_bytes_never_do_worse_than_being_counted(data):
+    payload = bytearray(encode_joints(joint_block()).payload(0))
+    for _ in range(data.draw(st.integers(1, 4))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    messages = Messages.join([bytes(payload[: data.draw(st.integers(0, len(payload)))])])
+    for kind in Kind:
+        malformed = Malformed()
+        blocks = kind.decode(messages, malformed)
+        assert sum(len(block) for block in blocks) + malformed.count == 1
+
+
+def joint_block():
+    angles = np.arange(6.0).reshape(2, 3)
+    return JointBlock(np.array([1, 2]), ('outer', 'middle', 'inner'), angles, -angles)
+
+
+def test_no_messages_give_no_blocks():
+    for kind in Kind:
+        assert list(kind.decode(Messages.join([]))) == []
