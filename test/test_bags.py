@@ -1,0 +1,319 @@
+"""Recordings in all their forms give the same columns."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+import tracemalloc
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from bag_files import (
+    ENCODERS,
+    IMU,
+    JOINTS,
+    KINDS,
+    NS,
+    SETPOINTS,
+    START,
+    TEMPERATURES,
+    assert_same,
+    read,
+    session,
+    stamps,
+    storage_file,
+    timeline,
+    write_with_rosbags,
+)
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from imu_calib.bags import RecordingError, RecordingWriter, Topic, open_recording
+from imu_calib.bags.merge import STRETCH_NS
+from imu_calib.cdr import Messages, encode_imu, part
+from imu_calib.errors import InputError
+from imu_calib.stream import ImuBlock
+
+SESSION = session()
+ROWS = timeline(SESSION)
+MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
+
+
+def write_own(path, blocks=SESSION, step=2 * NS, **options):
+    """Write a session with our own writer, topic by topic in steps of time."""
+    with RecordingWriter(path, **options) as writer:
+        for start in range(START, START + 60 * NS, step):
+            for topic, block in blocks.items():
+                a, b = np.searchsorted(stamps(block), [start, start + step])
+                if a < b:
+                    some = part(block, int(a), int(b))
+                    messages = ENCODERS[topic](some)
+                    writer.write(topic, KINDS[topic].type_name, messages, stamps(some))
+    return path
+
+
+@pytest.mark.parametrize(
+    ('plugin', 'compression'),
+    [
+        (MCAP, CompressionMode.NONE),
+        (MCAP, CompressionMode.STORAGE),
+        (MCAP, CompressionMode.FILE),
+        (MCAP, CompressionMode.MESSAGE),
+        (SQLITE, CompressionMode.NONE),
+        (SQLITE, CompressionMode.FILE),
+        (SQLITE, CompressionMode.MESSAGE),
+    ],
+)
+def test_every_storage_and_compression_of_rosbag2_reads_alike(tmp_path, plugin, compression):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, plugin, compression, {'plan': 'twelve'})
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert losses == []
+    with open_recording(path) as recording:
+        assert recording.topics[0] == Topic(IMU, 'sensor_msgs/msg/Imu', len(SESSION[IMU]))
+        assert recording.custom_data['plan'] == 'twelve'
+        assert (recording.start_ns, recording.end_ns) == (START, ROWS[-1][0])
+    single, losses = read(storage_file(path))
+    assert_same(single, SESSION)
+    assert losses == []
+
+
+@pytest.mark.parametrize('plugin', [MCAP, SQLITE])
+@pytest.mark.parametrize('order', ['shuffled', 'topic after topic', 'backwards by topic'])
+def test_the_columns_do_not_depend_on_how_topics_interleave(tmp_path, plugin, order):
+    queues = {t: [row for row in ROWS if row[1] == t] for t in SESSION}
+    names = [t for t, queue in queues.items() for _ in queue]
+    if order == 'shuffled':
+        random.Random(3).shuffle(names)
+    if order == 'backwards by topic':
+        names.reverse()
+    iterators = {t: iter(queue) for t, queue in queues.items()}
+    rows = [next(iterators[name]) for name in names]
+    blocks, losses = read(write_with_rosbags(tmp_path / 'bag', rows, plugin))
+    assert_same(blocks, SESSION)
+    assert losses == []
+
+
+@pytest.mark.parametrize('plugin', [MCAP, SQLITE])
+def test_no_topic_runs_ahead_even_if_the_file_holds_one_after_the_other(tmp_path, plugin):
+    long = session(seconds=60, rate=50)
+    rows = sorted(timeline(long), key=lambda row: row[1])
+    path = write_with_rosbags(tmp_path / 'bag', rows, plugin)
+    seen = dict.fromkeys(long, START)
+    with open_recording(path) as recording:
+        for topic, block in recording.read(KINDS):
+            seen[topic] = int(stamps(block)[-1])
+            behind = [t for t in seen.values() if t < START + 59 * NS]
+            assert seen[topic] - min(behind, default=seen[topic]) <= STRETCH_NS + NS
+
+
+def test_split_files_are_read_in_the_order_of_the_metadata(tmp_path):
+    folder = tmp_path / 'bag'
+    folder.mkdir()
+    names = []
+    for i, rows in enumerate((ROWS[:1500], ROWS[1500:4000], ROWS[4000:])):
+        part_of = write_with_rosbags(tmp_path / f'part{9 - i}', rows)
+        names.append(storage_file(part_of).rename(folder / f'part{9 - i}.mcap').name)
+    listed = ''.join(f'  - {name}\n' for name in names)
+    text = f'rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}'
+    (folder / 'metadata.yaml').write_text(text)
+    blocks, losses = read(folder)
+    assert_same(blocks, SESSION)
+    assert losses == []
+    with open_recording(folder) as recording:
+        assert {t.name: t.count for t in recording.topics}[IMU] == len(SESSION[IMU])
+
+
+@pytest.mark.parametrize('compression', ['', 'lz4', 'zstd'])
+def test_what_we_write_rosbags_and_we_read(tmp_path, compression):
+    custom = {'plan': 'steps:\n  - 1\n', 'imu': 'fog'}
+    path = write_own(tmp_path / 'own', custom_data=custom, compression=compression)
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert losses == []
+    with open_recording(path) as recording:
+        assert recording.custom_data == custom
+    with AnyReader([path]) as reader:
+        payloads = {topic: [] for topic in SESSION}
+        for connection, time, raw in reader.messages():
+            payloads[connection.topic].append((time, bytes(raw)))
+            reader.deserialize(raw, connection.msgtype)
+        assert reader.duration == SESSION[IMU].stamp[-1] - START + 1
+    for topic in SESSION:
+        assert payloads[topic] == [(t, data) for t, name, data in ROWS if name == topic]
+
+
+def test_a_writer_that_was_killed_leaves_its_flushed_chunks(tmp_path):
+    writer = RecordingWriter(tmp_path / 'own', {'plan': 'p'})
+    imu = part(SESSION[IMU], 0, 300)
+    writer.write(IMU, KINDS[IMU].type_name, encode_imu(imu), imu.stamp)
+    writer.flush()
+    writer.write(IMU, KINDS[IMU].type_name, encode_imu(imu), imu.stamp)
+    copy = tmp_path / 'killed'
+    copy.mkdir()
+    (copy / 'own_0.mcap').write_bytes((tmp_path / 'own' / 'own_0.mcap').read_bytes())
+    writer.close()
+    blocks, losses = read(copy, [IMU])
+    assert_same(blocks, {IMU: imu})
+    assert 'metadata.yaml is missing' in losses[0]
+    assert 'has no footer: its recorder did not finish' in losses[1]
+    with open_recording(copy) as recording:
+        assert recording.custom_data == {'plan': 'p'}
+
+
+def test_an_existing_folder_is_not_overwritten(tmp_path):
+    with pytest.raises(InputError, match='exists already'):
+        RecordingWriter(tmp_path)
+
+
+def test_a_topic_keeps_its_type_and_an_unknown_type_is_refused(tmp_path):
+    with RecordingWriter(tmp_path / 'own') as writer:
+        writer.add_topic('/a', 'sensor_msgs/msg/Imu')
+        with pytest.raises(InputError, match='recorded as sensor_msgs/msg/Imu'):
+            writer.add_topic('/a', 'sensor_msgs/msg/Temperature')
+        with pytest.raises(InputError, match='No definition of the message type'):
+            writer.add_topic('/b', 'other_msgs/msg/Unheard')
+
+
+def test_a_recording_without_messages_is_written_and_refused_in_words(tmp_path):
+    with RecordingWriter(tmp_path / 'own') as writer:
+        writer.add_topic(IMU, KINDS[IMU].type_name)
+    with open_recording(tmp_path / 'own') as recording:
+        assert [t.count for t in recording.topics] == [0]
+        with pytest.raises(RecordingError, match=f'no message on {IMU}'):
+            list(recording.read({IMU: KINDS[IMU]}))
+
+
+def test_a_missing_topic_and_a_wrong_type_are_named(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS[:200])
+    with open_recording(path) as recording:
+        with pytest.raises(RecordingError, match=r'no topic /imu; there are: /stand/imu/pulses'):
+            recording.read({'/imu': KINDS[IMU]})
+        wrong = 'carries sensor_msgs/msg/JointState, expected sensor_msgs/msg/Imu'
+        with pytest.raises(RecordingError, match=wrong):
+            recording.read({JOINTS: KINDS[IMU]})
+
+
+def test_a_change_of_frame_within_a_recording_starts_a_block(tmp_path):
+    left = ImuBlock(np.array([1, 2]), np.ones((2, 3)), np.ones((2, 3)), 'left')
+    rows = timeline({IMU: left}) + timeline({IMU: SESSION[IMU]})
+    blocks, _ = read(write_with_rosbags(tmp_path / 'bag', rows), [IMU])
+    assert [a.frame_id != b.frame_id for a, b in pairwise(blocks[IMU])].count(True) == 1
+
+
+def test_malformed_messages_are_counted_in_the_losses(tmp_path):
+    rows = [*ROWS[:100], (ROWS[100][0], IMU, b'\x00\x01\x00\x00abc'), *ROWS[100:]]
+    blocks, losses = read(write_with_rosbags(tmp_path / 'bag', rows))
+    assert_same(blocks, SESSION)
+    assert losses[0].startswith(f'bag: 1 malformed messages of {IMU} are left out')
+
+
+def test_zero_stamps_do_not_hold_up_the_other_topics(tmp_path):
+    silent = {**SESSION, TEMPERATURES: part(SESSION[TEMPERATURES], 0, 5)}
+    vars(silent[TEMPERATURES])['stamp'] = np.zeros(5, np.int64)
+    rows = [(START + i, *row[1:]) for i, row in enumerate(timeline(silent))]
+    blocks, _ = read(write_with_rosbags(tmp_path / 'bag', rows))
+    assert_same(blocks, silent)
+
+
+def test_progress_runs_up_to_the_total(tmp_path):
+    calls = []
+    path = write_own(tmp_path / 'own')
+    read(path, progress=lambda done, total: calls.append((done, total)))
+    assert calls == sorted(calls)
+    assert calls[-1][0] == calls[-1][1] == storage_file(path).stat().st_size
+
+
+def test_the_hash_is_that_of_the_storage_files(tmp_path):
+    path = write_own(tmp_path / 'own')
+    with open_recording(path) as recording:
+        whole = recording.sha256()
+    with open_recording(storage_file(path)) as recording:
+        assert recording.sha256() == whole
+    with storage_file(path).open('ab') as file:
+        file.write(b'x')
+    with open_recording(path) as recording:
+        assert recording.sha256() != whole
+
+
+def test_temporary_files_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr('tempfile.tempdir', str(tmp_path / 'scratch'))
+    (tmp_path / 'scratch').mkdir()
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE, CompressionMode.FILE)
+    with open_recording(path):
+        assert list((tmp_path / 'scratch').iterdir())
+    assert not list((tmp_path / 'scratch').iterdir())
+
+
+def test_memory_does_not_grow_with_the_length(tmp_path):
+    def peak(seconds):
+        path = write_own(tmp_path / str(seconds), {IMU: session(seconds, 400)[IMU]})
+        tracemalloc.start()
+        with open_recording(path) as recording:
+            for _ in recording.read({IMU: KINDS[IMU]}):
+                pass
+        size = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return size
+
+    assert peak(50) < 1.5 * peak(12)
+
+
+def write_sqlite(path, version, rows=ROWS):
+    """A file as the rosbag2 of an older distribution wrote it."""
+    extra = ', offered_qos_profiles TEXT NOT NULL' if version >= 2 else ''
+    database = sqlite3.connect(path)
+    database.execute(
+        'CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, '
+        f'serialization_format TEXT NOT NULL{extra})'
+    )
+    database.execute(
+        'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, '
+        'timestamp INTEGER NOT NULL, data BLOB NOT NULL)'
+    )
+    if version >= 3:
+        database.execute('CREATE TABLE schema(schema_version INTEGER, ros_distro TEXT)')
+        database.execute('CREATE TABLE metadata(id INTEGER, metadata_version INTEGER, metadata)')
+    ids = {topic: i for i, topic in enumerate(KINDS, 1)}
+    for topic, i in ids.items():
+        values = (i, topic, KINDS[topic].type_name, 'cdr', *[''] * (version >= 2))
+        database.execute(f'INSERT INTO topics VALUES ({", ".join("?" * len(values))})', values)
+    database.executemany(
+        'INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)',
+        [(ids[topic], stamp, data) for stamp, topic, data in rows],
+    )
+    database.commit()
+    database.close()
+    return path
+
+
+@pytest.mark.parametrize('version', [1, 2, 3])
+def test_older_sqlite_schemas_are_read(tmp_path, version):
+    blocks, losses = read(write_sqlite(tmp_path / 'old.db3', version))
+    assert_same(blocks, SESSION)
+    assert losses == []
+
+
+def test_gaps_in_the_row_ids_are_jumped_over(tmp_path):
+    path = write_sqlite(tmp_path / 'gaps.db3', 2)
+    database = sqlite3.connect(path)
+    database.execute('UPDATE messages SET id = id + 1000000000000 WHERE id > 500')
+    database.commit()
+    database.close()
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert losses == []
+
+
+def test_setpoints_alone_can_be_read(tmp_path):
+    blocks, _ = read(write_own(tmp_path / 'own'), [SETPOINTS])
+    assert_same(blocks, {SETPOINTS: SESSION[SETPOINTS]})
+
+
+def test_messages_may_be_of_different_sizes_within_one_write(tmp_path):
+    imu = part(SESSION[IMU], 0, 4)
+    odd = Messages.join([p + bytes(4 * (i % 2)) for i, p in enumerate(encode_imu(imu).payloads())])
+    with RecordingWriter(tmp_path / 'own') as writer:
+        writer.write(IMU, KINDS[IMU].type_name, odd, imu.stamp)
+    assert_same(read(tmp_path / 'own', [IMU])[0], {IMU: imu})
