@@ -12,10 +12,10 @@ from ..errors import InputError, NotObservable
 from ..model import AXES, SensorModel
 from ..stream import Floats
 from ..units import DEG, DEG_H
-from .evidence import Evidence
+from .evidence import SMALLEST_VARIANCE, Evidence
 from .solution import Residual, Solution
 
-_SIGNIFICANT = 1e-3
+_SIGNIFICANT = 1e-6
 _CONTRADICTION = 5.0
 _SCALE_LIMIT = 2.0
 _AXIS_LIMIT = 0.5
@@ -141,8 +141,9 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     """
     triad = model.gyro if channels.start == 0 else model.accel
     outputs = evidence.outputs()[:, channels] - triad.bias
-    variances = np.maximum(evidence.variances()[:, channels], np.finfo(float).tiny)
+    variances = np.maximum(evidence.variances()[:, channels], SMALLEST_VARIANCE)
     inputs = np.einsum('ij,skj->sik', triad.response, evidence.attitudes())
+    noisy = bool(variances.max() > SMALLEST_VARIANCE)
     s = len(outputs)
     design = np.concatenate([inputs, np.broadcast_to(np.eye(3), (s, 3, 3))], axis=2)
     weights = 1 / np.sqrt(variances)
@@ -160,7 +161,7 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
         covariance[:3, :3],
         (left / weights.reshape(-1)).reshape(s, 3),
         max(1.0, square / freedom),
-        bool(3 * s > estimated and chi2.sf(square, freedom) < _SIGNIFICANT),
+        bool(noisy and 3 * s > estimated and chi2.sf(square, freedom) < _SIGNIFICANT),
     )
 
 
@@ -177,7 +178,9 @@ def _outstanding(residuals: Sequence[Residual]) -> list[str]:
     """Name positions whose residuals stand far out of the others'."""
     if not residuals:
         return []
-    normalised = np.array([np.abs(r.value / np.maximum(r.std, 1e-300)) for r in residuals])
+    normalised = np.array(
+        [np.abs(r.value) / np.maximum(r.std, np.sqrt(SMALLEST_VARIANCE)) for r in residuals]
+    )
     worst = normalised.max(axis=1)
     limit = _OUTSTANDING * max(1.0, 1.4826 * float(np.median(worst)))
     names = [

@@ -18,6 +18,9 @@ from ..stream import Floats
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 
+SMALLEST_VARIANCE = 1e-32
+"""Stands for zero where a noise-free session is divided by its variance, SI units squared."""
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -60,8 +63,7 @@ class Evidence:
 
         A position measured several times is averaged first, each time by its variance.
         """
-        variances = np.maximum(self.variances(), np.finfo(float).tiny)
-        precision = 1 / variances
+        precision = 1 / np.maximum(self.variances(), SMALLEST_VARIANCE)
         names = [s.position for s in self.segments]
         total = np.array(
             [precision[[other == name for other in names]].sum(axis=0) for name in names]

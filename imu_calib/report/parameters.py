@@ -13,8 +13,6 @@ from ..model import PARAMETERS, Parameter, ParameterKind
 from ..stream import Units
 from ..units import ARCMIN, ARCSEC, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
 
-_TRIADS = {'g': 'gyro', 'a': 'accelerometer'}
-
 
 @dataclass(frozen=True)
 class Shown:
@@ -57,7 +55,7 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
     values, deviations = calibration.model.vector(), calibration.std
     true_values = truth.model.vector() if truth is not None else values
     for k, parameter in enumerate(PARAMETERS):
-        if k in (12,):
+        if k and parameter.triad != PARAMETERS[k - 1].triad:
             table.add_section()
         shown = engineering(parameter)
         value, deviation = values[k] / shown.scale, deviations[k] / shown.scale
@@ -65,7 +63,8 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
         row = [parameter.name, f'{value:.{places}f}', f'{deviation:.{places}f}', shown.unit]
         if truth is not None:
             true = true_values[k] / shown.scale
-            row += [f'{true:.{places}f}', f'{(value - true) / deviation:+.2f}']
+            ratio = f'{(value - true) / deviation:+.2f}' if deviation > 0 else '-'
+            row += [f'{true:.{places}f}', ratio]
         table.add_row(*row)
     return table
 
@@ -92,7 +91,7 @@ def comparison_table(calibrations: Sequence[Calibration], names: Sequence[str]) 
         shown, values = _as_table_1(parameter, k, calibrations)
         difference = first.model.vector()[k] - second.model.vector()[k]
         ratio = difference / deviations[k] if deviations[k] > 0 else np.nan
-        places = _table_decimals(parameter, shown)
+        places = _table_decimals(shown)
         table.add_row(
             _table_name(parameter),
             parameter.name,
@@ -141,12 +140,7 @@ def _as_table_1(
     return shown, [v / shown.scale for v in values]
 
 
-def _table_decimals(parameter: Parameter, shown: Shown) -> int:
+def _table_decimals(shown: Shown) -> int:
     """Two digits more than the paper prints."""
     printed = {'arcsec/p': 3, '(m/s)/p': 4, 'ppm': 0, 'arcmin': 2, 'deg/h': 2, 'g': 4}
     return printed[shown.unit] + 2
-
-
-def triad_name(parameter: Parameter) -> str:
-    """Return 'gyro' or 'accelerometer'."""
-    return _TRIADS[parameter.triad]

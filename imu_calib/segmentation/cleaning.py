@@ -15,8 +15,12 @@ _WINDOW_SECONDS = 0.5
 _OUTLIER = 7.0
 _PULSES = 2.5
 _SPREAD_RATIO = 3.0
+_FLIPPING = 0.5
 _STEP_SIGNIFICANCE = 8.0
 _FEWEST_WINDOWS = 4
+_FEWEST_BLOCKS = 5
+_WITHOUT_LARGEST = 0.7
+_TINY = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +49,7 @@ def sound_part(samples: Samples, walk: Floats) -> Sound:
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
     bad = _outlying_means(used.sum(axis=1), samples, walk, length * samples.period)
-    bad |= _outlying_spreads(used)
+    bad |= _outlying_spreads(used, samples.quantum)
     if not bad.any():
         return Sound(everything, ())
     good = np.flatnonzero(~bad)
@@ -85,19 +89,20 @@ def _robust_line(sums: Floats) -> Floats:
     return np.asarray(start + slope * (np.arange(n)[:, None] - centre_start))
 
 
-def _outlying_spreads(windows: Floats) -> NDArray[np.bool_]:
+def _outlying_spreads(windows: Floats, quantum: Floats) -> NDArray[np.bool_]:
     spread = windows.std(axis=1)
     typical = np.median(spread, axis=0)
-    # A window that holds one pulse where the others hold none is no disturbance.
-    one = np.abs(windows).max(axis=(0, 1)) / np.sqrt(windows.shape[1])
-    return np.asarray((spread > _SPREAD_RATIO * np.maximum(typical, one)).any(axis=1))
+    # A counter that rests on the edge between two values flips by one pulse at every sample.
+    limit = _SPREAD_RATIO * np.maximum(typical, _FLIPPING * quantum)
+    return np.asarray((spread > limit + 1e-15).any(axis=1))
 
 
-def find_step(statistics: Statistics) -> tuple[int, str] | None:
+def find_step(statistics: Statistics, walk: Floats) -> tuple[int, str] | None:
     """Find a step of the mean within a stretch: somebody moved the unit and left it so.
 
     Args:
         statistics: Of the whole stretch.
+        walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
 
     Returns:
         How many of its blocks lie before the step, and the step in words; None without a step. A
@@ -107,11 +112,16 @@ def find_step(statistics: Statistics) -> tuple[int, str] | None:
     """
     rates = np.array([b[:, 0] for b in statistics.blocks])
     count = rates.shape[1]
-    if count < _FEWEST_WINDOWS:
+    if count < _FEWEST_BLOCKS:
         return None
-    noise = np.sqrt(np.maximum(np.median(np.diff(rates, axis=1) ** 2, axis=1) / 2 / 0.455, 0))
-    expected = np.sqrt([np.median(b[:, 2]) for b in statistics.blocks])
-    noise = np.maximum(noise, expected) + 1e-15
+    # The largest difference is left out, since it may be the step itself.
+    squares = np.sort(np.diff(rates, axis=1) ** 2, axis=1)[:, :-1]
+    noise = np.sqrt(squares.mean(axis=1) / (2 * _WITHOUT_LARGEST))
+    expected = [
+        np.median(b[:, 1]) * w**2 + np.median(b[:, 2])
+        for b, w in zip(statistics.blocks, walk, strict=True)
+    ]
+    noise = np.maximum(noise, np.sqrt(expected)) + _TINY
     best: tuple[float, int, int] | None = None
     for cut in range(1, count):
         difference = rates[:, cut:].mean(axis=1) - rates[:, :cut].mean(axis=1)

@@ -64,7 +64,9 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     whole = _join(session.motions, session.segments)
     turns += [t for m in whole if (t := _turn_without_encoder(m, plan)) is not None]
     named = [
-        replace(r, position=setpoints.position((r.start + r.end) / 2)) for r in session.rejected
+        replace(r, position=setpoints.position((r.start + r.end) / 2))
+        for r in session.rejected
+        if setpoints.counts((r.start + r.end) / 2)
     ]
     return Labelled(tuple(segments), tuple(turns), (*named, *rejected))
 
@@ -79,6 +81,11 @@ class _Setpoints:
     def at(self, instant: float) -> Setpoint | None:
         index = int(np.searchsorted(self._stamp, instant, side='right')) - 1
         return self._setpoints[index] if index >= 0 else None
+
+    def counts(self, instant: float) -> bool:
+        """Say whether what was measured then matters: not while the table only passes through."""
+        setpoint = self.at(instant)
+        return setpoint is None or setpoint.mode is not Mode.POSITION or setpoint.dwell > 0
 
     def position(self, instant: float) -> str | None:
         setpoint = self.at(instant)
@@ -228,7 +235,8 @@ def _join(motions: Sequence[FreeMotion], segments: Sequence[Segment]) -> list[Fr
         if (
             last is not None
             and not np.any((starts >= last.end) & (starts <= motion.start))
-            and last.turned @ motion.turned > _ALONG_UP * np.prod([np.linalg.norm(m.turned) for m in (last, motion)])
+            and last.turned @ motion.turned
+            > _ALONG_UP * np.prod([np.linalg.norm(m.turned) for m in (last, motion)])
         ):
             joined[-1] = _sum(last, motion)
         else:

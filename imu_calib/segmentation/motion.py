@@ -109,14 +109,16 @@ class JointTracker:
         new = np.arange(self._judged, len(moving))
         changes = new[np.diff(moving[new].astype(np.int8), prepend=np.int8(self._moving)) != 0]
         for k in changes:
+            # A window that counts as still may hold the last of a move, or the first of the next:
+            # rest begins at the end of its first still window and ends where its last one began.
             if moving[k]:
-                last = int(self._stamp[k - 1])
+                last = max(int(self._stamp[before[k - 1]]), self._start)
                 done.append(self._rest(self._start, last))
                 self._start, self._moving, self._angles = last, True, None
             else:
-                first = int(self._stamp[before[k]])
-                done.append(self._motion(max(first, self._start)))
-                self._start, self._moving = max(first, self._start), False
+                first = int(self._stamp[k])
+                done.append(self._motion(first))
+                self._start, self._moving = first, False
         self._judged = len(moving)
         self._forget()
         return done

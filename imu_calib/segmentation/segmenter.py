@@ -329,7 +329,7 @@ class Segmenter:
         if missing:
             notes.append(f'{missing} samples missing in {len(gaps) - 1} gap(s)')
         statistics = statistics_at_rest(kept, self._walk)
-        step = find_step(statistics)
+        step = find_step(statistics, self._walk)
         if step is not None:
             before, what = step
             kept = _longer_part(kept, before, len(statistics.blocks[0]))

@@ -84,7 +84,8 @@ class StillnessTracker:
         if self._reference is not None:
             if _near(mean, self._reference):
                 return []
-            last = self._windows[-2][1] if len(self._windows) > 1 else start
+            # The last window that was near may hold the first of the motion.
+            last = max(self._start, self._windows[-2][0] if len(self._windows) > 1 else start)
             rest = Rest(self._start, last)
             self._start, self._reference = last, None
             return [rest]
@@ -93,8 +94,9 @@ class StillnessTracker:
         fresh = [w for w in self._windows if w[0] >= self._start]
         if len(fresh) < _WINDOWS_TO_SETTLE or not all(_near(m, centre) for m in recent):
             return []
-        motion = self._motion(self._windows[0][0])
-        self._start, self._reference = self._windows[0][0], centre
+        # The first window may hold the last of the motion: rest begins with the second.
+        motion = self._motion(self._windows[1][0])
+        self._start, self._reference = self._windows[1][0], centre
         return [motion] if motion.end > motion.start else []
 
     def _motion(self, end: int) -> Motion:

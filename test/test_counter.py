@@ -1,0 +1,105 @@
+"""The estimators of a counter's mean rate against counters drawn from their definition."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imu_calib.segmentation.counter import end_points, first_passages, mean_rate, smoothed_ends
+from imu_calib.stream import Floats
+
+PERIOD = 0.01
+SAMPLES = 12000
+
+
+def counter(rng: np.random.Generator, rate: float, walk: float, samples: int = SAMPLES) -> Floats:
+    """Increments of floor(phase + rate t + walk W(t)), the definition of an ideal counter."""
+    steps = rate * PERIOD + walk * np.sqrt(PERIOD) * rng.standard_normal(samples)
+    true = rng.uniform() + np.concatenate([[0.0], np.cumsum(steps)])
+    return np.diff(np.floor(true))
+
+
+# Pulses per second: horizontal and vertical accelerometers of Cao 2022's unit, its gyros at rest,
+# and a gyro that turns; walk in pulses per root second from 0.012 (m/s)/sqrt(h), 0.05 deg/sqrt(h).
+CASES = [
+    (0.1, 0.02),
+    (0.3, 0.02),
+    (2.0, 0.02),
+    (45.0, 0.02),
+    (890.6, 0.02),
+    (899.9, 0.02),
+    (0.0, 0.386),
+    (2.0, 0.386),
+    (-7.0, 0.386),
+    (4601.0, 0.386),
+]
+
+
+@pytest.mark.parametrize(('rate', 'walk'), CASES)
+def test_the_stated_variance_is_the_true_one(rate: float, walk: float) -> None:
+    rng = np.random.default_rng(7)
+    runs = 300
+    estimates = [mean_rate(counter(rng, rate, walk), PERIOD, walk) for _ in range(runs)]
+    normalised = [(m.rate - rate) / np.sqrt(m.variance(walk)) for m in estimates]
+    # The spread of `runs` normal values is known to 1 / sqrt(2 runs) = 4 %; 3.5 of those.
+    assert np.sqrt(np.mean(np.square(normalised))) == pytest.approx(
+        1.0, abs=3.5 / np.sqrt(2 * runs)
+    )
+
+
+def test_the_end_points_of_a_noise_free_counter_err_by_a_sixth_of_a_pulse_squared() -> None:
+    # c (1 - c) averaged over the fraction c is 1/6 (methods.md, section 11).
+    rng = np.random.default_rng(3)
+    rates = rng.uniform(0, 1000, 4000)
+    errors = [end_points(counter(rng, r, 0.0, 100), PERIOD).rate - r for r in rates]
+    # A fourth of the errors' kurtosis bounds the spread of a mean square: 2 % here, 4 of those.
+    assert np.var(errors) == pytest.approx(1 / 6, rel=0.08)
+
+
+def test_the_accelerometer_of_table_1_reaches_the_walk() -> None:
+    # methods.md, section 11: 120 s, end points 3.9 micro-g, optimum 1.9 with 1.86 of it walk.
+    rng = np.random.default_rng(5)
+    best = mean_rate(counter(rng, 890.6, 0.02), PERIOD, 0.02)
+    plain = end_points(counter(rng, 890.6, 0.02), PERIOD)
+    micro_g = 0.01 / 9.80665e-6
+    assert np.sqrt(plain.variance(0.02)) * micro_g == pytest.approx(3.9, abs=0.1)
+    assert np.sqrt(best.variance(0.02)) * micro_g == pytest.approx(1.9, abs=0.05)
+
+
+def test_passages_by_hand() -> None:
+    # New values after samples 2, 4, ..., 16: from the first to the last 7 pulses in 14 samples.
+    pulses = np.array([0, 1] * 8, dtype=float)
+    found = first_passages(pulses, 0.5, 0.0)
+    assert found is not None
+    assert found.rate == pytest.approx(7 / (14 * 0.5))
+    assert found.walk_gain == pytest.approx(1 / 7)
+
+
+def test_passages_need_a_drift_that_leads_the_walk() -> None:
+    rng = np.random.default_rng(1)
+    assert first_passages(counter(rng, 0.1, 2.0), PERIOD, 2.0) is None
+    assert first_passages(np.zeros(100), PERIOD, 0.1) is None
+
+
+def test_white_weights_are_those_of_generalised_least_squares() -> None:
+    # The tridiagonal covariance written out and inverted is the independent truth.
+    rng = np.random.default_rng(2)
+    walk, n = 3.0, 40
+    pulses = counter(rng, 2345.6, walk, n)
+    covariance = (
+        walk**2 * PERIOD * np.eye(n) + (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)) / 12
+    )
+    weights = np.linalg.solve(covariance, np.ones(n))
+    found = smoothed_ends(pulses, PERIOD, walk)
+    assert found is not None
+    assert found.rate == pytest.approx(weights @ pulses / weights.sum() / PERIOD, rel=1e-12)
+    assert found.variance(walk) == pytest.approx(1 / weights.sum() / PERIOD**2, rel=1e-9)
+
+
+@given(st.integers(-100, 100), st.integers(0, 2**31))
+def test_whole_pulses_per_sample_shift_the_rate_and_nothing_else(whole: int, seed: int) -> None:
+    pulses = counter(np.random.default_rng(seed), 12.3, 0.1, 2000)
+    base = mean_rate(pulses, PERIOD, 0.1)
+    shifted = mean_rate(pulses + whole, PERIOD, 0.1)
+    assert shifted.rate == pytest.approx(base.rate + whole / PERIOD, rel=1e-12, abs=1e-9)
+    assert shifted.variance(0.1) == pytest.approx(base.variance(0.1), rel=1e-9)

@@ -1,0 +1,347 @@
+"""Input that cannot work gets a sentence; what is sound of a damaged recording is used."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import struct
+
+import numpy as np
+import pytest
+from bag_files import (
+    ENCODERS,
+    IMU,
+    JOINTS,
+    KINDS,
+    NS,
+    assert_same,
+    read,
+    session,
+    stamps,
+    storage_file,
+    timeline,
+    write_with_rosbags,
+)
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from imu_calib.bags import RecordingError, RecordingWriter, open_recording
+from imu_calib.bags.mcap_records import walk
+from imu_calib.cdr import part
+from imu_calib.errors import InputError
+from imu_calib.stream import SetpointBlock
+
+SESSION = session(seconds=10)
+ROWS = timeline(SESSION)
+SQLITE = StoragePlugin.SQLITE3
+
+
+def write_chunks(path, compression='', count=5):
+    """A recording of `count` chunks of two seconds, all four topics in each."""
+    with RecordingWriter(path, compression=compression) as writer:
+        start = int(SESSION[IMU].stamp[0])
+        for k in range(count):
+            for topic, block in SESSION.items():
+                edges = [start + 2 * k * NS, start + 2 * (k + 1) * NS]
+                some = part(block, *np.searchsorted(stamps(block), edges).tolist())
+                writer.write(topic, KINDS[topic].type_name, ENCODERS[topic](some), stamps(some))
+            writer.flush()
+    return path
+
+
+def records(path, op):
+    """(offset, length) of the top-level records of one opcode."""
+    content = storage_file(path).read_bytes()
+    offsets, _ = walk(np.frombuffer(content, np.uint8), 8)
+    lengths = [struct.unpack_from('<Q', content, o + 1)[0] for o in offsets]
+    return [(int(o), n) for o, n in zip(offsets, lengths, strict=True) if content[o] == op]
+
+
+def cut(path, size):
+    os.truncate(storage_file(path), size)
+
+
+def overwrite(file, offset, content):
+    with file.open('r+b') as stream:
+        stream.seek(offset)
+        stream.write(content)
+
+
+def samples_until(seconds):
+    """The session up to a time."""
+    limit = int(SESSION[IMU].stamp[0]) + seconds * NS
+    return {t: part(b, 0, int(np.searchsorted(stamps(b), limit))) for t, b in SESSION.items()}
+
+
+@pytest.mark.parametrize(
+    ('name', 'content', 'sentence'),
+    [
+        ('a.mcap', b'', 'a.mcap is empty: expected an mcap file'),
+        ('a.db3', b'', 'a.db3 is empty: expected a sqlite3 file'),
+        ('a.mcap', b'just some text\n' * 9, "starts with b'just som': expected an mcap file"),
+        ('a.mcap', b'\x89MCAP0\r\n', 'no topics'),
+        ('a.db3', b'SQLite format 3\0' + bytes(500), 'not a sound sqlite3 file'),
+        ('a.mcap.zstd', b'\x28\xb5\x2f\xfdgarbage', 'is empty: expected an mcap file'),
+    ],
+)
+def test_files_that_are_no_recording_get_a_sentence(tmp_path, name, content, sentence):
+    (tmp_path / name).write_bytes(content)
+    for path in (tmp_path / name, tmp_path):
+        with pytest.raises(InputError, match=sentence.replace('(', r'\(')):
+            open_recording(path)
+
+
+def test_a_path_without_a_recording_gets_a_sentence(tmp_path):
+    with pytest.raises(InputError, match='no such recording'):
+        open_recording(tmp_path / 'nothing')
+    with pytest.raises(InputError, match='found nothing'):
+        open_recording(tmp_path)
+    (tmp_path / 'notes.txt').write_text('x')
+    with pytest.raises(InputError, match=r'expected \*.mcap or \*.db3 files, found notes.txt'):
+        open_recording(tmp_path)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason='root may read everything')
+def test_a_folder_without_permission_gets_a_sentence(tmp_path):
+    (tmp_path / 'locked').mkdir(mode=0)
+    with pytest.raises(InputError, match='cannot be read'):
+        open_recording(tmp_path / 'locked')
+
+
+def test_a_foreign_sqlite_file_is_described(tmp_path):
+    database = sqlite3.connect(tmp_path / 'f.db3')
+    database.execute('CREATE TABLE people(name TEXT)')
+    database.commit()
+    database.close()
+    expected = (
+        r'not a recording of rosbag2: expected table topics .* \(tables in the file: people\)'
+    )
+    with pytest.raises(InputError, match=expected):
+        open_recording(tmp_path / 'f.db3')
+
+
+@pytest.mark.parametrize(
+    ('text', 'problem'),
+    [
+        (None, 'metadata.yaml is missing'),
+        ('{', 'metadata.yaml is not YAML'),
+        ('- 1\n', 'metadata.yaml has no rosbag2_bagfile_information'),
+        ('rosbag2_bagfile_information: {relative_file_paths: 3}', 'has no rosbag2_bagfile'),
+    ],
+)
+def test_without_sound_metadata_the_files_found_are_used(tmp_path, text, problem):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS)
+    (path / 'metadata.yaml').unlink()
+    if text is not None:
+        (path / 'metadata.yaml').write_text(text)
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert problem in losses[0]
+    assert 'bag.mcap' in losses[0]
+
+
+def test_a_missing_file_of_a_split_recording_is_a_stated_loss(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS)
+    text = (path / 'metadata.yaml').read_text()
+    (path / 'metadata.yaml').write_text(text.replace('- bag.mcap', '- bag.mcap\n  - gone.mcap'))
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert losses == [
+        'bag: gone.mcap, which metadata.yaml names, is missing; its messages are lost.'
+    ]
+    storage_file(path).rename(path / 'other.mcap')
+    with pytest.raises(InputError, match='none of the files that metadata.yaml names is there'):
+        open_recording(path)
+
+
+def test_a_broken_file_of_a_split_recording_leaves_the_others(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS)
+    (path / 'metadata.yaml').unlink()
+    (path / 'bag_1.mcap').write_text('no recording')
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert 'bag_1.mcap starts with' in losses[1]
+
+
+@pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])
+def test_a_file_without_footer_gives_its_whole_chunks(tmp_path, compression):
+    path = write_chunks(tmp_path / 'bag', compression)
+    fourth, _ = records(path, 6)[3]
+    cut(path, fourth)
+    blocks, losses = read(path)
+    assert_same(blocks, samples_until(6))
+    assert losses[0].startswith('bag_0.mcap has no footer')
+    assert 'up to log time 1700000005.995 s is whole' in losses[0]
+
+
+def test_an_uncompressed_cut_chunk_gives_its_whole_records(tmp_path):
+    path = write_chunks(tmp_path / 'bag')
+    last, length = records(path, 6)[4]
+    cut(path, last + length // 2)
+    blocks, losses = read(path, [IMU])
+    assert len(samples_until(8)[IMU]) < sum(map(len, blocks[IMU])) < len(SESSION[IMU])
+    assert 'is cut off at byte' in losses[0]
+    assert 'the first' in losses[1]
+    assert 'log time 1700000008.000 s to 1700000009.995 s' in losses[1]
+
+
+def test_a_compressed_cut_chunk_is_a_stated_loss(tmp_path):
+    path = write_chunks(tmp_path / 'bag', 'zstd')
+    last, length = records(path, 6)[4]
+    cut(path, last + length // 2)
+    blocks, losses = read(path)
+    assert_same(blocks, samples_until(8))
+    assert 'log time 1700000008.000 s to 1700000009.995 s) is cut off by the end' in losses[1]
+
+
+@pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])
+def test_a_corrupt_chunk_is_left_out_and_stated_once(tmp_path, compression):
+    path = write_chunks(tmp_path / 'bag', compression)
+    second, length = records(path, 6)[1]
+    overwrite(storage_file(path), second + length // 2, b'\xa5' * 40)
+    blocks, losses = read(path)
+    start = int(SESSION[IMU].stamp[0])
+    stamp = SESSION[IMU].stamp
+    kept = np.concatenate([b.stamp for b in blocks[IMU]])
+    gone = (stamp >= start + 2 * NS) & (stamp < start + 4 * NS)
+    np.testing.assert_array_equal(kept, stamp[~gone])
+    assert len(losses) == 1
+    assert 'log time 1700000002.000 s to 1700000003.995 s' in losses[0]
+    assert f'400 of {IMU}' in losses[0]
+
+
+def test_a_broken_record_head_is_jumped_over_with_the_chunk_index(tmp_path):
+    path = write_chunks(tmp_path / 'bag')
+    second, _ = records(path, 6)[1]
+    overwrite(storage_file(path), second, b'\x06' + b'\xff' * 8)
+    blocks, losses = read(path, [IMU])
+    assert sum(map(len, blocks[IMU])) == len(SESSION[IMU]) - 400
+    assert 'holds no valid record at byte' in losses[0]
+
+
+@pytest.mark.parametrize('what', ['gone', 'wrong offsets', 'incomplete'])
+def test_messages_are_found_without_a_sound_message_index(tmp_path, what):
+    path = write_chunks(tmp_path / 'bag')
+    for offset, length in records(path, 7):
+        if what == 'gone':
+            overwrite(storage_file(path), offset, b'\x80')
+        if what == 'wrong offsets':
+            overwrite(storage_file(path), offset + 15 + 8, struct.pack('<Q', 77))
+        if what == 'incomplete':
+            entry = struct.pack('<QQ', 0, 0)
+            with storage_file(path).open('rb') as file:
+                file.seek(offset + 15)
+                entry = file.read(16)
+            overwrite(storage_file(path), offset + length + 9 - 16, entry)
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert losses == []
+
+
+def write_unchunked(path, rows, footer=True):
+    """A file as `ros2 bag record --storage-preset-profile fastwrite` makes it: no chunks."""
+    with RecordingWriter(path.with_name('template')) as writer:
+        for topic, kind in KINDS.items():
+            writer.add_topic(topic, kind.type_name)
+    template = storage_file(path.with_name('template')).read_bytes()
+    tail = template.index(b'\x0f\x04\0\0\0\0\0\0\0')
+    ids = {topic: i for i, topic in enumerate(KINDS, 1)}
+    messages = [
+        struct.pack('<BQHIQQ', 5, 22 + len(data), ids[topic], 0, stamp, stamp) + data
+        for stamp, topic, data in rows
+    ]
+    end = struct.pack('<BQI', 15, 4, 0) + struct.pack('<BQQQI', 2, 20, 0, 0, 0) + template[:8]
+    path.write_bytes(template[:tail] + b''.join(messages) + (end if footer else b''))
+    return path
+
+
+@pytest.mark.parametrize('footer', [True, False])
+def test_a_file_without_chunks_is_read(tmp_path, footer):
+    path = write_unchunked(tmp_path / 'flat.mcap', ROWS, footer)
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert len(losses) == (0 if footer else 1)
+    with open_recording(path) as recording:
+        counts = {t.name: t.count for t in recording.topics}
+        assert counts[JOINTS] in {len(SESSION[JOINTS]), None}
+
+
+def test_a_cut_sqlite_file_gives_the_rows_that_are_there(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    cut(path, storage_file(path).stat().st_size // 2)
+    blocks, losses = read(path, [IMU])
+    stamp = np.concatenate([b.stamp for b in blocks[IMU]])
+    assert 100 < len(stamp) < len(SESSION[IMU])
+    np.testing.assert_array_equal(stamp, SESSION[IMU].stamp[: len(stamp)])
+    assert 'bag.db3 is cut off or damaged' in losses[0]
+    assert 'cannot be read' in losses[1]
+
+
+def test_a_damaged_page_of_a_sqlite_file_costs_its_own_rows(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    file = storage_file(path)
+    payload = next(data for stamp, topic, data in ROWS[1500:] if topic == IMU)
+    page = file.read_bytes().index(payload) // 4096
+    overwrite(file, 4096 * page, b'\xff' * 4096)
+    blocks, losses = read(path, [IMU])
+    kept = sum(map(len, blocks[IMU]))
+    assert len(SESSION[IMU]) - 60 < kept < len(SESSION[IMU])
+    assert any('rows' in loss and 'cannot be read' in loss for loss in losses)
+
+
+def test_a_cut_compressed_file_gives_what_unpacks(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, compression=CompressionMode.FILE)
+    cut(path, storage_file(path).stat().st_size - 30_000)
+    blocks, losses = read(path, [IMU])
+    stamp = np.concatenate([b.stamp for b in blocks[IMU]])
+    np.testing.assert_array_equal(stamp, SESSION[IMU].stamp[: len(stamp)])
+    assert 'is damaged' in losses[0]
+
+
+def test_losses_are_told_when_nothing_is_left(tmp_path):
+    path = write_chunks(tmp_path / 'bag', count=1)
+    offset, length = records(path, 6)[0]
+    overwrite(storage_file(path), offset + length // 2, b'\xa5' * 40)
+    with open_recording(path) as recording, pytest.raises(RecordingError, match='is corrupt'):
+        list(recording.read({IMU: KINDS[IMU]}))
+
+
+@pytest.mark.parametrize('suffix', ['mcap', 'db3'])
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_whatever_is_damaged_the_answer_is_data_or_a_sentence(tmp_path, suffix, data):
+    whole = tmp_path / f'whole_{suffix}'
+    if not whole.exists():
+        if suffix == 'mcap':
+            write_chunks(whole, 'lz4', count=2)
+        else:
+            write_with_rosbags(whole, ROWS[:400], SQLITE)
+    path = tmp_path / f'damaged_{suffix}'
+    shutil.rmtree(path, ignore_errors=True)
+    shutil.copytree(whole, path)
+    file = storage_file(path)
+    size = file.stat().st_size
+    for _ in range(data.draw(st.integers(0, 3))):
+        # The ends of a file hold its structure, where damage is worst.
+        place = st.integers(0, 700) | st.integers(size - 2500, size - 1) | st.integers(0, size - 1)
+        overwrite(file, data.draw(place), bytes([data.draw(st.integers(0, 255))]))
+    if data.draw(st.booleans()):
+        cut(path, data.draw(st.integers(0, size)))
+    try:
+        blocks, losses = read(path)
+    except InputError as error:
+        assert str(error)
+        return
+    complete = all(
+        sum(len(b) for b in blocks[topic])
+        == sum(
+            1
+            for row in (ROWS[:400] if suffix == 'db3' else timeline(samples_until(4)))
+            if row[1] == topic
+        )
+        for topic in KINDS
+    )
+    assert complete or losses
+    assert not any(isinstance(b, SetpointBlock) for b in blocks[IMU])

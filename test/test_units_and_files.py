@@ -1,0 +1,139 @@
+import math
+from pathlib import Path
+
+import pytest
+
+from imu_calib.config import Section
+from imu_calib.errors import InputError
+from imu_calib.imu import load_imu, read_imu
+from imu_calib.plan import load_plan, read_plan
+from imu_calib.share import named_file
+from imu_calib.stream import Units
+from imu_calib.turntable import load_table, read_table
+from imu_calib.units import Dimension, parse
+
+
+@pytest.mark.parametrize(
+    ('text', 'dimension', 'value'),
+    [
+        ('7.8 arcsec/pulse', Dimension.ANGLE_PER_PULSE, 7.8 / 206264.806247),
+        ('0.01 (m/s)/pulse', Dimension.VELOCITY_PER_PULSE, 0.01),
+        ('0.05 deg/sqrt(h)', Dimension.ANGLE_RANDOM_WALK, 3 / 206264.806247),
+        ('0.012 (m/s)/sqrt(h)', Dimension.VELOCITY_RANDOM_WALK, 0.0002),
+        ('20 ug', Dimension.ACCELERATION, 1.96133e-4),
+        ('15.041067 deg/h', Dimension.RATE, 7.292115e-5),
+        ('-90 deg', Dimension.ANGLE, -math.pi / 2),
+        ('2 min', Dimension.TIME, 120.0),
+    ],
+)
+def test_quantities_become_si(text: str, dimension: Dimension, value: float) -> None:
+    assert parse(text, dimension, 'key') == pytest.approx(value, rel=1e-7)
+
+
+@pytest.mark.parametrize('text', ['7.8', 7.8, '7.8 deg/h', 'fast', None, '1e999 arcsec/pulse'])
+def test_what_is_no_quantity_of_the_kind_is_refused_with_key_and_units(text: object) -> None:
+    with pytest.raises(InputError, match=r'gyro\.scale: found .*expected'):
+        parse(text, Dimension.ANGLE_PER_PULSE, 'gyro.scale')
+
+
+def test_a_misspelt_key_is_named() -> None:
+    text = 'id: a\nunits: si\nsample_frequency: 100 Hz\n'
+    with pytest.raises(InputError, match="my.yaml: unknown key 'sample_frequency'; known are"):
+        read_imu(Section.parse(text, 'my.yaml'))
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('units: si', "the key 'id' is missing"),
+        ('id: a\nunits: volts', "found 'volts', expected one of pulses, counts, si"),
+        ('id: a\nunits: pulses\ngyro: {}\naccelerometer: {}', "'scale_factor' is missing"),
+        (
+            'id: a\nunits: pulses\ngyro: {scale_factor: 0 arcsec/pulse}',
+            'scale_factor: must be above zero',
+        ),
+        ('[1, 2', 'not YAML'),
+        ('- 1', 'found a list, expected keys'),
+    ],
+)
+def test_a_wrong_imu_file_is_refused_in_words(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_imu(Section.parse(text, 'my.yaml'))
+
+
+def test_every_shipped_file_reads() -> None:
+    config = named_file('imus', 'si').parent.parent
+    for path in (config / 'imus').glob('*.yaml'):
+        assert load_imu(path).id == path.stem
+    for path in (config / 'plans').glob('*.yaml'):
+        assert load_plan(path).name == path.stem
+    for path in (config / 'tables').glob('*.yaml'):
+        assert load_table(path).name == path.stem
+
+
+def test_the_medium_unit_is_that_of_the_paper() -> None:
+    spec = load_imu('fog_medium')
+    assert spec.units is Units.PULSES
+    assert spec.gyro.scale_factor == pytest.approx(7.8 / 206264.806247)
+    assert spec.accel.scale_factor == 0.01
+
+
+def test_an_unknown_name_lists_the_shipped_ones(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"No plan is called 'twelve'; there are: .*twelve_position"
+    ):
+        load_plan('twelve')
+    with pytest.raises(InputError, match='no such file'):
+        load_plan(tmp_path / 'mine.yaml')
+
+
+PLAN = """
+name: p
+title: t
+source: s
+method: twelve_position
+dwell: 10 s
+rate_test: {{rates: [10 deg/s], turns: 1}}
+positions:
+  - {position}
+"""
+
+
+@pytest.mark.parametrize(
+    ('position', 'message'),
+    [
+        ('{id: 1, axes: [U, E, E]}', 'no right-handed frame'),
+        ('{id: 1, axes: [U, N, E]}', 'no right-handed frame'),
+        ('{id: 1, axes: [U, N]}', 'expected three of'),
+        ('{id: 1, axes: [E, N, U], dwell: -1 s}', 'dwell must be above zero'),
+        ('{id: 1, axes: [E, N, U], turned: {about: Q, by: 45 deg}}', 'expected X, Y or Z'),
+        ('{id: 1, axes: [E, N, U]}\n  - {id: 1, axes: [E, N, U]}', "two positions have the id '1'"),
+    ],
+)
+def test_a_wrong_plan_is_refused_in_words(position: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_plan(Section.parse(PLAN.format(position=position), 'my.yaml'))
+
+
+TABLE = """
+name: t
+joints:
+  - {{name: a, axis: z, max_rate: 100 deg/s, max_acceleration: 50 deg/s^2}}
+{more}
+"""
+
+
+@pytest.mark.parametrize(
+    ('more', 'message'),
+    [
+        ('mount: [x, y, -z]', 'left-handed'),
+        ('mount: [x, x, z]', 'perpendicular'),
+        ('azimuth: 30', 'expected a number with a unit'),
+        ('  - {name: a, axis: x, max_rate: 1 deg/s, max_acceleration: 1 deg/s^2}', 'the same name'),
+        ('  - {name: b, axis: q, max_rate: 1 deg/s, max_acceleration: 1 deg/s^2}', "found 'q'"),
+        ('  - {name: b, axis: x, max_rate: 0 deg/s, max_acceleration: 1 deg/s^2}', 'above zero'),
+    ],
+)
+def test_a_wrong_table_is_refused_in_words(more: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_table(Section.parse(TABLE.format(more=more), 'my.yaml'))
