@@ -107,18 +107,21 @@ class Table:
         return np.asarray(result @ self.mount)
 
     def joint_axis(self, index: int, angles: Floats) -> Floats:
-        """Return the axis about which a joint turns, (3,) in the body frame.
+        """Return the axis about which a joint turns, in the body frame.
 
         Args:
             index: Which joint.
-            angles: (k,) encoder angles of all joints, rad.
+            angles: (..., k) encoder angles of all joints, rad.
+
+        Returns:
+            (..., 3) unit vectors.
 
         """
-        frame = self.mount.T
-        for k in range(len(self.joints) - 1, index, -1):
-            joint = self.joints[k]
-            frame = frame @ rotation(np.array(joint.axis), angles[k] + joint.zero).T
-        return np.asarray(frame @ np.array(self.joints[index].axis))
+        axis = np.broadcast_to(np.array(self.joints[index].axis), (*angles.shape[:-1], 3))
+        for k in range(index + 1, len(self.joints)):
+            turned = rotation(np.array(self.joints[k].axis), angles[..., k] + self.joints[k].zero)
+            axis = np.einsum('...ji,...j->...i', turned, axis)
+        return np.asarray(axis @ self.mount)
 
     def vertical_joint(self, angles: Floats) -> int | None:
         """Return the first joint whose axis stands vertical at these angles, None if none does."""

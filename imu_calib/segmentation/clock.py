@@ -6,15 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
 
-_ITERATIONS = 8
+_ITERATIONS = 12
 _LEAST_TRAVEL = 0.1
-_LARGEST_OFFSET = 2.0
+_LARGEST_OFFSET = 1.0
+_LONGEST_STEP = 0.25
+_CONVERGED = 1e-9
+_MISFIT = 0.02
+_FEWEST_STATES = 4
+_END_SECONDS = 2.0
+_MARGIN_SECONDS = 0.8
 _MOTIONS_FOR_RATE = 3
 _SAMPLES_NEEDED = 20
 _CELLS = 4000
+_OUTLIER = 10.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,9 @@ def clock_sample(
     """Compare one motion of one joint as the gyros and as its encoder saw it.
 
     Least squares of turned = c + s * angle(t - offset) + b * t: the factor s takes the gyros'
-    scale factor, b their bias; what is left of the difference in time is the offset.
+    scale factor, b their bias; what is left of the difference in time is the offset. Of a long
+    turn only its two ends are used, each with a c and a b of its own: in between, random walk and
+    the horizontal Earth rate would pass for a difference in time.
 
     Args:
         stamp: (n,) IMU stamps, ns, spanning the motion and some rest around it.
@@ -65,28 +75,37 @@ def clock_sample(
         None where the motion is too short or the two do not describe the same motion.
 
     """
-    if len(stamp) < _SAMPLES_NEEDED or np.ptp(joint_angle) < _LEAST_TRAVEL:
+    if len(joint_stamp) < _FEWEST_STATES or np.ptp(joint_angle) < _LEAST_TRAVEL:
         return None
     origin = float(joint_stamp[0])
-    thin = slice(None, None, max(1, len(stamp) // _CELLS))
-    time = (stamp[thin] - origin) * 1e-9
-    seen = turned[thin]
     table = (joint_stamp - origin) * 1e-9
-    middle = (table + np.append(table[1:], table[-1:])) / 2
+    time = (stamp - origin) * 1e-9
+    windows = _windows(time, float(table[-1]))
+    used = np.concatenate(windows)
+    if len(used) < _SAMPLES_NEEDED:
+        return None
+    own = np.zeros((len(used), 2 * len(windows)))
+    first = 0
+    for k, window in enumerate(windows):
+        rows = slice(first, first + len(window))
+        own[rows, 2 * k] = 1.0
+        own[rows, 2 * k + 1] = time[window] - time[window].mean()
+        first += len(window)
+    time, seen = time[used], turned[used]
     slope = np.gradient(joint_angle, table)
     offset = 0.0
     for _ in range(_ITERATIONS):
         angle = np.interp(time - offset, table, joint_angle)
         rate = np.interp(time - offset, table, slope)
-        columns = np.column_stack([np.ones_like(time), angle, time - middle.mean(), -rate])
+        columns = np.column_stack([own, angle, -rate])
         solution, _, rank, _ = np.linalg.lstsq(columns, seen, rcond=None)
-        if rank < columns.shape[1] or solution[1] == 0:
+        if rank < columns.shape[1] or solution[-2] == 0:
             return None
-        step = float(solution[3] / solution[1])
-        offset += float(np.clip(step, -0.25, 0.25))
-        if not abs(offset) < _LARGEST_OFFSET:
+        step = float(np.clip(solution[-1] / solution[-2], -_LONGEST_STEP, _LONGEST_STEP))
+        offset += step
+        if abs(offset) > _LARGEST_OFFSET:
             return None
-        if abs(step) < 1e-9:
+        if abs(step) < _CONVERGED:
             break
     left = seen - columns @ solution
     if float(np.std(left)) > _MISFIT * float(np.std(seen)):
@@ -94,7 +113,14 @@ def clock_sample(
     return ClockSample(float(table.mean() * 1e9 + origin), offset)
 
 
-_MISFIT = 0.02
+def _windows(time: Floats, duration: float) -> list[NDArray[np.intp]]:
+    """Return the sample indices of a whole short motion, or of the two ends of a long one."""
+    if duration < 2 * (_END_SECONDS + _MARGIN_SECONDS):
+        ends = [(-_MARGIN_SECONDS, duration + _MARGIN_SECONDS)]
+    else:
+        ends = [(-_MARGIN_SECONDS, _END_SECONDS), (duration - _END_SECONDS, duration + _MARGIN_SECONDS)]
+    found = [np.flatnonzero((time >= a) & (time <= b)) for a, b in ends]
+    return [index[:: max(1, len(index) // _CELLS)] for index in found if len(index) > 2]
 
 
 def fit_clock(samples: Sequence[ClockSample]) -> ClockFit:
@@ -123,9 +149,6 @@ def fit_clock(samples: Sequence[ClockSample]) -> ClockFit:
         scatter / float(np.sqrt(spread)),
         n,
     )
-
-
-_OUTLIER = 10.0
 
 
 def _scatter(values: Floats) -> float:
