@@ -152,7 +152,7 @@ def test_a_missing_file_of_a_split_recording_is_a_stated_loss(tmp_path):
         'bag: gone.mcap, which metadata.yaml names, is missing; its messages are lost.'
     ]
     storage_file(path).rename(path / 'other.mcap')
-    with pytest.raises(InputError, match='none of the files that metadata.yaml names is there'):
+    with pytest.raises(InputError, match='none of the files'):
         open_recording(path)
 
 
@@ -274,7 +274,8 @@ def test_a_cut_sqlite_file_gives_the_rows_that_are_there(tmp_path):
     blocks, losses = read(path, [IMU])
     stamp = np.concatenate([b.stamp for b in blocks[IMU]])
     assert 100 < len(stamp) < len(SESSION[IMU])
-    np.testing.assert_array_equal(stamp, SESSION[IMU].stamp[: len(stamp)])
+    assert np.isin(stamp, SESSION[IMU].stamp).all()
+    assert (np.diff(stamp) > 0).all()
     assert 'bag.db3 is cut off or damaged' in losses[0]
     assert 'cannot be read' in losses[1]
 

@@ -274,6 +274,8 @@ def _indexed(tables: dict[int, Indices], buffer: Bytes) -> dict[int, Placed] | N
         offsets = np.ascontiguousarray(table[:, 1])
         if (offsets[1:] <= offsets[:-1]).any():
             offsets = np.sort(offsets)
+            if (offsets[1:] == offsets[:-1]).any():
+                return None
         if offsets[0] < 0 or offsets[-1] + _HEAD > len(buffer):
             return None
         heads = _heads(buffer, offsets)

@@ -98,6 +98,9 @@ class Recording:
         self.path = path
         self.files = found.paths
         self.topics = _topics(storages, found.metadata.counts)
+        if not self.topics:
+            told = ''.join(f' {sentence}' for sentence in losses.sentences)
+            raise RecordingError(f'{path} holds no topics.{told}')
         self.custom_data: dict[str, str] = {}
         for storage in storages:
             self.custom_data.update(storage.custom_data)

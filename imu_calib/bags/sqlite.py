@@ -167,9 +167,12 @@ class SqliteStorage:
         )
         try:
             rows = database.execute(query, (start, end, *topics)).fetchall()
-            return rows, end if rows else _first_row(database, end)
+            if rows:
+                return rows, end
+            beyond = _first_row(database, end)
         except sqlite3.DatabaseError as error:
             return self._load_damaged(database, topics, start, error)
+        return [], beyond[0] if beyond else None
 
     def _load_damaged(
         self,
@@ -178,31 +181,31 @@ class SqliteStorage:
         start: int,
         error: sqlite3.Error,
     ) -> tuple[list[tuple[Any]], int | None]:
-        """Read row by row up to the damage, and state where it is."""
+        """Read row by row up to the damage, state where it is, and go on after it."""
         rows: list[tuple[Any]] = []
         last = start - 1
+        # One query per row: a query for many fails as a whole where its last row is damaged.
         with suppress(sqlite3.DatabaseError):
-            query = 'SELECT id, topic_id, data FROM messages WHERE id >= ? ORDER BY id'
-            for key, topic, data in database.execute(query, (start,)):
-                last = key
+            while (row := _first_row(database, last + 1)) is not None:
+                last, topic, data = row
                 if topic in topics:
                     rows.append((data,))
                 if len(rows) == _MIN_ROWS:
                     return rows, last + 1
-        following = self._next_readable(database, last)
+            return rows, None
+        following = self._next_readable(database, last + 1)
         where = f'rows {last + 1} to {following - 1}' if following else f'the rows after {last}'
         self._losses.add(f'{self.path.name}: {where} cannot be read ({error}).')
         return rows, following
 
-    def _next_readable(self, database: sqlite3.Connection, last: int) -> int | None:
+    def _next_readable(self, database: sqlite3.Connection, damaged: int) -> int | None:
+        """Return the first row id after a damaged one that can be read, found in growing steps."""
         step = 1
-        while self._last is not None and last + step <= self._last:
-            try:
-                found = _first_row(database, last + step)
-            except sqlite3.DatabaseError:
-                step *= 2
-                continue
-            return found
+        while self._last is not None and damaged + step <= self._last:
+            with suppress(sqlite3.DatabaseError):
+                row = _first_row(database, damaged + step)
+                return row[0] if row else None
+            step *= 2
         return None
 
 
@@ -216,11 +219,13 @@ def _among(topics: tuple[int, ...]) -> str:
     return f'IN ({", ".join("?" * len(topics))})'
 
 
-def _first_row(database: sqlite3.Connection, start: int) -> int | None:
-    """Return the id of the first row from an id on, having looked at the whole row."""
-    query = 'SELECT id, data FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
-    row = database.execute(query, (start,)).fetchone()
-    return int(row[0]) if row else None
+def _first_row(database: sqlite3.Connection, start: int) -> tuple[int, int, Any] | None:
+    """Return id, topic and data of the first row from an id on."""
+    query = 'SELECT id, topic_id, data FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
+    row: tuple[int, int, Any] | None = database.execute(query, (start,)).fetchone()
+    if row is not None and row[0] < start:
+        raise sqlite3.DatabaseError('the row ids are out of order')
+    return row
 
 
 def _log_time(database: sqlite3.Connection, start: int) -> int:
