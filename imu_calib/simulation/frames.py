@@ -1,0 +1,101 @@
+"""Binary frames as a simulated IMU sends them over a line."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..stream import Floats, ImuBlock
+
+SYNC = 0x55AA
+"""First two bytes of a frame: AA 55, as it is sent low byte first."""
+
+FRAME = np.dtype(
+    [
+        ('sync', '<u2'),
+        ('counter', '<u4'),  # frames since the start, modulo 2^32
+        ('time', '<i8'),  # device clock at the end of the sample interval, ns
+        ('gyro', '<i4', (3,)),  # pulses or counts of channels x, y, z
+        ('accel', '<i4', (3,)),
+        ('temperature', '<i2'),  # 0.01 degrees Celsius
+        ('status', '<u2'),  # bit 0: a channel is at its limit
+        ('crc', '<u2'),  # CRC-16/CCITT-FALSE of all bytes before it
+    ]
+)
+"""One sample, 44 bytes without gaps."""
+
+Frames = NDArray[np.void]
+
+_INT32 = np.iinfo(np.int32)
+
+
+def _crc_table() -> NDArray[np.uint16]:
+    table = np.arange(256, dtype=np.uint32) << 8
+    for _ in range(8):
+        table = np.where(table & 0x8000, (table << 1) ^ 0x1021, table << 1) & 0xFFFF
+    return table.astype(np.uint16)
+
+
+_CRC = _crc_table()
+
+
+def crc16(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF) of each row of (n, m) bytes."""
+    crc = np.full(len(rows), 0xFFFF, dtype=np.uint16)
+    for column in rows.T:
+        crc = (crc << 8) ^ _CRC[(crc >> 8) ^ column]
+    return crc
+
+
+def pack(
+    samples: ImuBlock, celsius: Floats, first: int = 0, status: NDArray[np.uint16] | None = None
+) -> bytes:
+    """Write samples as frames.
+
+    Args:
+        samples: n samples in whole pulses or counts; stamps in the device's clock.
+        celsius: (n,) temperature, degrees Celsius.
+        first: Frame counter of the first sample.
+        status: (n,) status bits; zero if not given.
+
+    Raises:
+        InputError: A value is no whole number within 32 bits.
+
+    """
+    frames = np.zeros(len(samples), dtype=FRAME)
+    for name, values in (('gyro', samples.gyro), ('accel', samples.accel)):
+        if not ((values == np.rint(values)) & (np.abs(values) <= _INT32.max)).all():
+            raise InputError(f'A frame holds whole numbers of 32 bits; {name} has others.')
+        frames[name] = values
+    frames['sync'] = SYNC
+    frames['counter'] = (first + np.arange(len(samples))) % 2**32
+    frames['time'] = samples.stamp
+    frames['temperature'] = np.clip(np.rint(100 * celsius), -32768, 32767)
+    if status is not None:
+        frames['status'] = status
+    frames['crc'] = crc16(_bytes(frames)[:, :-2])
+    return frames.tobytes()
+
+
+def unpack(data: bytes) -> Frames:
+    """Read frames that follow each other without gaps, as an array of dtype `FRAME`.
+
+    Raises:
+        InputError: A frame is cut short, out of step or damaged; says which.
+
+    """
+    if len(data) % FRAME.itemsize:
+        raise InputError(
+            f'Frame {len(data) // FRAME.itemsize}: found {len(data) % FRAME.itemsize} bytes, '
+            f'expected {FRAME.itemsize}.'
+        )
+    frames = np.frombuffer(data, dtype=FRAME)
+    wrong = (frames['sync'] != SYNC) | (frames['crc'] != crc16(_bytes(frames)[:, :-2]))
+    if wrong.any():
+        raise InputError(f'Frame {int(wrong.argmax())}: sync bytes or checksum are wrong.')
+    return frames
+
+
+def _bytes(frames: Frames) -> NDArray[np.uint8]:
+    return frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)

@@ -1,0 +1,295 @@
+"""A simulated IMU: the true motion of a table in, pulses with the unit's own stamps out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ..earth import Site
+from ..errors import InputError
+from ..imu import ImuSpec
+from ..model import SensorModel
+from ..stream import Floats, ImuBlock, Stamps, Units
+from .motion import Motion
+
+Channels: TypeAlias = float | tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Warming:
+    """Temperature of the unit: reference + offset + rise * (1 - exp(-t / time_constant)).
+
+    Attributes:
+        reference: At which the sensor model holds, degrees Celsius.
+        offset: At the start above the reference, K.
+        rise: In the long run above the start, K.
+        time_constant: s.
+
+    """
+
+    reference: float = 25.0
+    offset: float = 0.0
+    rise: float = 0.0
+    time_constant: float = 600.0
+
+    def celsius(self, times: Floats) -> Floats:
+        """Return the (n,) temperature at (n,) times, degrees Celsius."""
+        return self.reference + self.excess(times)
+
+    def excess(self, times: Floats) -> Floats:
+        """Return the (n,) temperature above the reference at (n,) times, K."""
+        return np.asarray(self.offset - self.rise * np.expm1(-times / self.time_constant))
+
+
+@dataclass(frozen=True)
+class ThermalDrift:
+    """Linear coefficients per kelvin above the reference, of all channels alike or of each.
+
+    Attributes:
+        gyro_bias: (rad/s)/K.
+        gyro_scale: Relative, 1/K.
+        accel_bias: (m/s^2)/K.
+        accel_scale: Relative, 1/K.
+
+    """
+
+    gyro_bias: Channels = 0.0
+    gyro_scale: Channels = 0.0
+    accel_bias: Channels = 0.0
+    accel_scale: Channels = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuOptions:
+    """What the simulated IMU does beyond its data sheet and its sensor model.
+
+    Attributes:
+        sample_rate: Hz, in the device's own clock; None: the data sheet's, or 100 Hz.
+        noise: Whether there is random walk by the data sheet.
+        bias_instability: Whether the biases wander by the data sheet.
+        bias_time_constant: Correlation time of the wandering, s.
+        turn_on_gyro: Standard deviation of a bias drawn once per run, rad/s.
+        turn_on_accel: The same of the accelerometers, m/s^2.
+        quantise: Whether pulses and counts are whole numbers.
+        warming: Temperature over the run.
+        thermal_drift: What temperature does to the channels.
+        lever: From the centre of rotation to the accelerometers, body axes, m.
+        clock_offset: Device clock minus host clock at the start, s.
+        clock_rate_error: How much faster the device clock runs, relative (50e-6 is 50 ppm).
+        imu_stamp_jitter: Standard deviation of the stamps, s; at most 0.45 of a sample.
+        frame_id: Of the samples.
+
+    """
+
+    sample_rate: float | None = None
+    noise: bool = True
+    bias_instability: bool = True
+    bias_time_constant: float = 1000.0
+    turn_on_gyro: float = 0.0
+    turn_on_accel: float = 0.0
+    quantise: bool = True
+    warming: Warming = field(default_factory=Warming)
+    thermal_drift: ThermalDrift = field(default_factory=ThermalDrift)
+    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    clock_offset: float = 0.0
+    clock_rate_error: float = 0.0
+    imu_stamp_jitter: float = 0.0
+    frame_id: str = 'imu_link'
+
+
+class _Channels:
+    """Three channels of one kind, from what they should read to the numbers they deliver."""
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        *,
+        scale_factor: float,
+        walk: float,
+        instability: float,
+        turn_on: float,
+        limit: float,
+        correlation: float,
+        units: Units,
+        quantise: bool,
+    ) -> None:
+        self._walk_noise, self._bias_noise, once = rng.spawn(3)
+        self._scale_factor = scale_factor
+        self._walk = walk
+        self._instability = instability
+        self._limit = limit
+        self._correlation = correlation
+        self._units = units
+        self._quantise = quantise
+        self._turn_on = turn_on * once.standard_normal(3)
+        self._wander = instability * once.standard_normal(3)
+        self._accumulated = once.uniform(0.0, 1.0, 3)
+        """Pulses since the start on top of the counter's phase."""
+
+    def deliver(self, mean: Floats, widths: Floats, period: float) -> Floats:
+        """Turn means over sample intervals into pulses, counts or SI.
+
+        Args:
+            mean: (n, 3) what the channels should read, rad/s or m/s^2.
+            widths: (n,) true lengths of the intervals, s.
+            period: What they are but for rounding, s.
+
+        """
+        mean = mean + self._turn_on
+        if self._instability:
+            mean = mean + self._wandering(len(mean), period)
+        if self._walk:
+            noise = self._walk_noise.standard_normal(mean.shape)
+            mean = mean + noise * (self._walk / math.sqrt(period))
+        mean = np.clip(mean, -self._limit, self._limit)
+        if self._units is Units.SI:
+            return np.asarray(mean)
+        if self._units is Units.COUNTS:
+            counts = mean / self._scale_factor
+            return np.asarray(np.rint(counts) if self._quantise else counts)
+        increments = mean * widths[:, None] / self._scale_factor
+        return self._count(increments) if self._quantise else np.asarray(increments)
+
+    def _wandering(self, count: int, period: float) -> Floats:
+        """Return the bias (n, 3): first-order Gauss-Markov, stationary from the start."""
+        decay = math.exp(-period / self._correlation)
+        drive = self._instability * math.sqrt(-math.expm1(-2 * period / self._correlation))
+        noise = drive * self._bias_noise.standard_normal((count, 3))
+        course, _ = lfilter([1.0], [1.0, -decay], noise, axis=0, zi=decay * self._wander[None])
+        self._wander = course[-1]
+        return np.asarray(course)
+
+    def _count(self, increments: Floats) -> Floats:
+        """Return the differences of a counter that holds the whole part of the sum."""
+        total = np.cumsum(np.vstack([self._accumulated, increments]), axis=0)
+        self._accumulated = total[-1]
+        return np.diff(np.floor(total), axis=0)
+
+
+class SimulatedImu:
+    """An IMU that samples in its own clock, whatever the table does.
+
+    Each sample is the integral of the true motion over its interval, taken through the sensor
+    model, drifted with temperature, disturbed, limited to the range (mean rate of the interval)
+    and counted. Random walk adds a normal number of standard deviation walk * sqrt(interval) to
+    each increment. Bias instability is a first-order Gauss-Markov process whose standard deviation
+    is the data sheet's figure; its Allan deviation peaks at 0.62 of that. Every source of
+    randomness has a stream of its own: switching one off leaves the others as they were.
+    """
+
+    def __init__(
+        self,
+        spec: ImuSpec,
+        model: SensorModel,
+        site: Site,
+        options: ImuOptions | None = None,
+        rng: np.random.Generator | None = None,
+        *,
+        epoch: int = 0,
+    ) -> None:
+        """Switch the unit on: its first interval begins within one sample from time zero.
+
+        Args:
+            spec: Units, scale factors and noise.
+            model: The truth that a calibration is to find.
+            site: Where the table stands.
+            options: What is not in the data sheet; the defaults if not given.
+            rng: Source of all randomness.
+            epoch: Host stamp at which time is zero, ns.
+
+        Raises:
+            InputError: A rate, a clock or a time constant that no device has.
+
+        """
+        self.options = options or ImuOptions()
+        self.spec, self.model, self.site, self.epoch = spec, model, site, epoch
+        rate = self.options.sample_rate or spec.sample_rate or 100.0
+        if not (rate > 0 and self.options.bias_time_constant > 0):
+            raise InputError('The sample rate and the bias time constant must be above zero.')
+        if not abs(self.options.clock_rate_error) < 0.1:
+            raise InputError(
+                f'clock_rate_error: found {self.options.clock_rate_error:g}, expected below 0.1.'
+            )
+        gyros, accels, phase, self._jitter = (rng or np.random.default_rng()).spawn(4)
+        self._gyro = self._channels(gyros, 'gyro')
+        self._accel = self._channels(accels, 'accel')
+        self._device_period = 1 / rate
+        self._phase = float(phase.uniform())
+        self._next = 0
+
+    @property
+    def period(self) -> float:
+        """True length of a sample interval, s."""
+        return self._device_period / (1 + self.options.clock_rate_error)
+
+    def advance(self, motion: Motion, until: float) -> ImuBlock:
+        """Return the samples that have ended since the last call, up to a time.
+
+        Args:
+            motion: What the table does, at least up to `until`.
+            until: s since the epoch.
+
+        """
+        last = max(math.floor(until / self.period - self._phase), self._next)
+        ticks = np.arange(self._next, last + 1, dtype=np.float64) + self._phase
+        self._next = last
+        edges = ticks * self.period
+        stamps = self._stamps(ticks[1:])
+        if len(ticks) == 1:
+            return ImuBlock(stamps, np.empty((0, 3)), np.empty((0, 3)), self.options.frame_id)
+        widths = np.diff(edges)
+        angle, velocity = motion.increments(edges, self.site, np.array(self.options.lever))
+        gyro, accel = self._respond(angle / widths[:, None], velocity / widths[:, None], edges)
+        return ImuBlock(
+            stamps,
+            self._gyro.deliver(gyro, widths, self.period),
+            self._accel.deliver(accel, widths, self.period),
+            self.options.frame_id,
+        )
+
+    def device_stamps(self, times: Floats) -> Stamps:
+        """Return what the device's clock says, (n,) ns, at (n,) times in s since the epoch."""
+        return self._from_device_seconds(times * (1 + self.options.clock_rate_error))
+
+    def _stamps(self, ticks: Floats) -> Stamps:
+        elapsed = ticks * self._device_period
+        if self.options.imu_stamp_jitter:
+            limit = 0.45 * self._device_period
+            jitter = self.options.imu_stamp_jitter * self._jitter.standard_normal(len(ticks))
+            elapsed = elapsed + np.clip(jitter, -limit, limit)
+        return self._from_device_seconds(elapsed)
+
+    def _from_device_seconds(self, elapsed: Floats) -> Stamps:
+        offset = self.epoch + round(self.options.clock_offset * 1e9)
+        return np.asarray(offset + np.rint(elapsed * 1e9).astype(np.int64))
+
+    def _respond(self, rate: Floats, force: Floats, edges: Floats) -> tuple[Floats, Floats]:
+        gyro, accel = self.model.predict(rate, force)
+        drift, warming = self.options.thermal_drift, self.options.warming
+        if drift == ThermalDrift() or (warming.offset == 0 and warming.rise == 0):
+            return gyro, accel
+        excess = warming.excess((edges[1:] + edges[:-1]) / 2)[:, None]
+        inputs = gyro - self.model.gyro.bias, accel - self.model.accel.bias
+        return (
+            gyro + excess * (inputs[0] * np.asarray(drift.gyro_scale) + drift.gyro_bias),
+            accel + excess * (inputs[1] * np.asarray(drift.accel_scale) + drift.accel_bias),
+        )
+
+    def _channels(self, rng: np.random.Generator, triad: str) -> _Channels:
+        options = self.options
+        spec = self.spec.gyro if triad == 'gyro' else self.spec.accel
+        return _Channels(
+            rng,
+            scale_factor=spec.scale_factor,
+            walk=spec.random_walk if options.noise else 0.0,
+            instability=spec.bias_instability if options.bias_instability else 0.0,
+            turn_on=options.turn_on_gyro if triad == 'gyro' else options.turn_on_accel,
+            limit=spec.range,
+            correlation=options.bias_time_constant,
+            units=self.spec.units,
+            quantise=options.quantise,
+        )

@@ -1,0 +1,320 @@
+"""A simulated stand: a table that runs a plan with an IMU on it, as blocks of its topics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..earth import Site
+from ..errors import InputError
+from ..imu import ImuSpec
+from ..model import SensorModel
+from ..plan import Plan, Step
+from ..stream import (
+    Block,
+    Floats,
+    JointBlock,
+    Setpoint,
+    SetpointBlock,
+    Stamps,
+    TemperatureBlock,
+)
+from ..turntable import Table
+from .imu import ImuOptions, SimulatedImu
+from .motion import Motion, Ringing
+from .profile import side_by_side, trapezoid
+from .table import SimulatedTable, TableOptions
+
+SETPOINT_TOPIC = 'turntable/setpoint'
+JOINT_TOPIC = 'turntable/joint_states'
+IMU_TOPIC = 'imu/pulses'
+TEMPERATURE_TOPIC = 'imu/temperature'
+
+
+@dataclass(frozen=True)
+class Knock:
+    """The unit is knocked and stays rotated in its mounting.
+
+    Attributes:
+        time: s since the start.
+        axis: About which body axis; any length.
+        angle: By how much, rad.
+        duration: How long the knock takes, s.
+
+    """
+
+    time: float
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    angle: float = 0.0
+    duration: float = 0.05
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """How the mounting rings after each arrival, about and along a random direction.
+
+    Attributes:
+        rate: Amplitude of the angular rate at first, rad/s.
+        force: Amplitude of the specific force at first, m/s^2.
+        frequency: Hz.
+        decay: Time constant, s.
+
+    """
+
+    rate: float = 0.0
+    force: float = 0.0
+    frequency: float = 20.0
+    decay: float = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandOptions(TableOptions, ImuOptions):
+    """Everything about a simulated stand besides plan, table, IMU, model and site.
+
+    Attributes:
+        start_time: Host stamp of the start, ns.
+        lead: Standing still before the first setpoint and after the last, s.
+        settle: From the arrival at a step's end to the start of its dwell, s.
+        setpoint_rate: How often a setpoint is repeated, Hz.
+        joint_state_rate: Hz.
+        joint_stamp_jitter: Standard deviation of the joint states' stamps, s; at most 0.45 of
+            their spacing.
+        temperature_rate: Hz.
+        block_length: No block holds more than so long, s.
+        vibration: After each arrival.
+        knock: None, or one knock.
+
+    """
+
+    start_time: int = 1_700_000_000_000_000_000
+    lead: float = 1.0
+    settle: float = 1.0
+    setpoint_rate: float = 10.0
+    joint_state_rate: float = 100.0
+    joint_stamp_jitter: float = 0.0
+    temperature_rate: float = 1.0
+    block_length: float = 10.0
+    vibration: Vibration = field(default_factory=Vibration)
+    knock: Knock | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """When a step of the plan was run.
+
+    Attributes:
+        step: The step.
+        begin: Its first setpoint, s since the start.
+        rest: When the table came to rest, s.
+        end: When the next step begins, s.
+
+    """
+
+    step: Step
+    begin: float
+    rest: float
+    end: float
+
+
+class SimulatedStand:
+    """Table, IMU and the node that leads the table through a plan, in simulated time.
+
+    The table is run through the plan at once; the samples are made block by block. The same
+    arguments and the same seed give the same bits.
+
+    Attributes:
+        visits: When each step was run.
+        motion: The true motion of the unit.
+        duration: Length of the session, s.
+
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        table: Table,
+        imu_spec: ImuSpec,
+        model: SensorModel,
+        site: Site,
+        options: StandOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Set up the stand and run the table through the plan.
+
+        Raises:
+            InputError: The table cannot run the plan, or an option is out of range.
+
+        """
+        self.plan = plan
+        self.options = options or StandOptions()
+        self._check_options()
+        table_rng, imu_rng, joint_rng, ring_rng = np.random.default_rng(seed).spawn(4)
+        epoch = self.options.start_time
+        self._table = SimulatedTable(table, self.options, table_rng, epoch=epoch)
+        self._imu = SimulatedImu(imu_spec, model, site, self.options, imu_rng, epoch=epoch)
+        self.visits = self._run(plan.steps(table))
+        last = self.visits[-1].end if self.visits else self.options.lead
+        self.duration = last + self.options.lead
+        self.motion = self._true_motion(ring_rng)
+        self._joint_jitter, joint_phase = joint_rng.spawn(2)
+        self._joint_phase = float(joint_phase.uniform())
+
+    def blocks(self) -> Iterator[tuple[str, Block]]:
+        """Yield (topic, block) in order of time, to be read once.
+
+        Topics are turntable/setpoint, turntable/joint_states, imu/pulses and imu/temperature.
+        """
+        length = self.options.block_length
+        for k in range(math.ceil(self.duration / length)):
+            begin, end = k * length, min((k + 1) * length, self.duration)
+            named: list[tuple[str, Block]] = [
+                (SETPOINT_TOPIC, self._setpoints(begin, end)),
+                (JOINT_TOPIC, self._joint_states(begin, end)),
+                (IMU_TOPIC, self._imu.advance(self.motion, end)),
+                (TEMPERATURE_TOPIC, self._temperatures(begin, end)),
+            ]
+            yield from ((topic, block) for topic, block in named if len(block))
+
+    def _check_options(self) -> None:
+        o = self.options
+        positive = {
+            'setpoint_rate': o.setpoint_rate,
+            'joint_state_rate': o.joint_state_rate,
+            'temperature_rate': o.temperature_rate,
+            'block_length': o.block_length,
+        }
+        for name, value in positive.items():
+            if not value > 0:
+                raise InputError(f'{name}: found {value:g}, expected above 0.')
+        if o.setpoint_rate * o.setpoint_timeout <= 1:
+            raise InputError(
+                f'setpoint_rate: at {o.setpoint_rate:g} Hz the table would stop between setpoints '
+                f'(setpoint_timeout is {o.setpoint_timeout:g} s).'
+            )
+
+    def _run(self, steps: tuple[Step, ...]) -> tuple[Visit, ...]:
+        """Send each step until the table stands, then wait; at rest no setpoint matters."""
+        visits: list[Visit] = []
+        begin = self.options.lead
+        for step in steps:
+            for tick in range(10**9):
+                now = begin + tick / self.options.setpoint_rate
+                self._table.command(self._setpoint(step, now), now)
+                if self._table.rest_time <= now:
+                    break
+            end = now + self.options.settle + step.dwell
+            visits.append(Visit(step, begin, self._table.rest_time, end))
+            begin = end
+        return tuple(visits)
+
+    def _true_motion(self, rng: np.random.Generator) -> Motion:
+        motion = self._table.motion(self.duration)
+        vibration = self.options.vibration
+        swing = 2 * math.pi * vibration.frequency
+        rings = []
+        for visit in self.visits:
+            angle, velocity = rng.standard_normal((2, 3))
+            angle *= vibration.rate / swing / np.linalg.norm(angle)
+            velocity *= vibration.force / swing / np.linalg.norm(velocity)
+            rings.append(Ringing(visit.rest, angle, velocity, vibration.frequency, vibration.decay))
+        if vibration.rate or vibration.force:
+            motion = replace(motion, ringing=tuple(rings))
+        return motion if self.options.knock is None else _knocked(motion, self.options.knock)
+
+    def _setpoint(self, step: Step, time: float) -> Setpoint:
+        return Setpoint(
+            self._stamp(time),
+            self.plan.name,
+            step.index,
+            step.position,
+            step.mode,
+            self._table.table.names,
+            tuple(step.angles.tolist()),
+            tuple(step.rates.tolist()),
+            float(step.turns),
+            step.dwell,
+        )
+
+    def _setpoints(self, begin: float, end: float) -> SetpointBlock:
+        setpoints: list[Setpoint] = []
+        period = 1 / self.options.setpoint_rate
+        for visit in self.visits:
+            if visit.begin >= end or visit.end <= begin:
+                continue
+            times = visit.begin + period * np.arange(math.ceil((visit.end - visit.begin) / period))
+            times = times[(times >= begin) & (times < min(end, visit.end))]
+            setpoints += [self._setpoint(visit.step, time) for time in times.tolist()]
+        return SetpointBlock(tuple(setpoints))
+
+    def _joint_states(self, begin: float, end: float) -> JointBlock:
+        rate = self.options.joint_state_rate
+        times = _instants(begin, end, rate, self._joint_phase)
+        angles, rates = self._table.read(times)
+        stamped = times
+        if self.options.joint_stamp_jitter:
+            noise = self._joint_jitter.standard_normal(len(times))
+            jitter = self.options.joint_stamp_jitter * noise
+            stamped = times + np.clip(jitter, -0.45 / rate, 0.45 / rate)
+        return JointBlock(self._stamps(stamped), self._table.table.names, angles, rates)
+
+    def _temperatures(self, begin: float, end: float) -> TemperatureBlock:
+        times = _instants(begin, end, self.options.temperature_rate, 0.0)
+        celsius = self.options.warming.celsius(times)
+        return TemperatureBlock(self._imu.device_stamps(times), celsius)
+
+    def _stamp(self, time: float) -> int:
+        return self.options.start_time + round(time * 1e9)
+
+    def _stamps(self, times: Floats) -> Stamps:
+        return self.options.start_time + np.rint(times * 1e9).astype(np.int64)
+
+
+def simulate(
+    plan: Plan,
+    table: Table,
+    imu_spec: ImuSpec,
+    model: SensorModel,
+    site: Site,
+    options: StandOptions | None = None,
+    seed: int = 0,
+) -> Iterator[tuple[str, Block]]:
+    """Run a plan on a simulated stand and yield (topic, block) in order of time.
+
+    Args:
+        plan: What to run.
+        table: The table as its configuration has it; what it is in truth is in the options.
+        imu_spec: Units, scale factors and noise of the IMU.
+        model: The truth that a calibration is to find.
+        site: Where the stand is.
+        options: Errors, clocks and rates; the defaults if not given.
+        seed: Of all randomness: the same seed gives the same bits.
+
+    Raises:
+        InputError: The table cannot run the plan, or an option is out of range.
+
+    """
+    return SimulatedStand(plan, table, imu_spec, model, site, options, seed).blocks()
+
+
+def _instants(begin: float, end: float, rate: float, phase: float) -> Floats:
+    """Return the times (k + phase) / rate within [begin, end)."""
+    first = max(math.floor(begin * rate - phase), 0)
+    ticks = np.arange(first, math.ceil(end * rate - phase) + 1, dtype=np.float64)
+    times = (ticks + phase) / rate
+    return times[(times >= begin) & (times < end)]
+
+
+def _knocked(motion: Motion, knock: Knock) -> Motion:
+    """Add the knock as one more joint, between the last one and the unit."""
+    axis = np.array(knock.axis) / np.linalg.norm(knock.axis)
+    rate, acceleration = 2 * abs(knock.angle) / knock.duration, 4 * abs(knock.angle)
+    turn = trapezoid(knock.time, 0.0, knock.angle, rate, acceleration / knock.duration**2)
+    return replace(
+        motion,
+        axes=np.vstack([motion.axes, motion.mount @ axis]),
+        zeros=np.append(motion.zeros, 0.0),
+        track=side_by_side([motion.track, turn]),
+    )

@@ -1,0 +1,380 @@
+"""A simulated turntable: setpoints in, true joint angles and encoder readings out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..stream import Floats, Mode, Setpoint
+from ..turntable import TURN, Table, rotation
+from ..units import ARCSEC, DEG
+from .motion import Motion
+from .profile import Track, braking, side_by_side, trapezoid
+
+_STANDS = 1e-7
+"""A goal closer than this is no move, rad: the rounding of a table's inverse kinematics."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """How the simulated table differs from an ideal one; errors are drawn anew for each arrival.
+
+    Attributes:
+        azimuth: True heading of the table's zero against north about up, rad; None: the table's
+            own, or north if it does not know.
+        tilt: Rotation of the base about east and about north, rad.
+        encoder_resolution: Step of the angles read, rad; 0 for none.
+        positioning_error: Where the encoder says that the joint has arrived, it is off by a
+            uniform error within this, rad: the encoder does not see it.
+        servo_error: How far off the goal the joint comes to rest, uniform within this, rad: the
+            encoder sees it.
+        rate_error: Relative error of a RATE step's rate, uniform within this, constant per step.
+        setpoint_timeout: The table stops when no setpoint has come for so long, s.
+        setpoint_age: A setpoint is refused whose stamp is further than this from now, s.
+        wrapped: Angles are read within -180 to 180 deg instead of continuously.
+
+    """
+
+    azimuth: float | None = None
+    tilt: tuple[float, float] = (0.0, 0.0)
+    encoder_resolution: float = TURN / 2**22
+    positioning_error: float = 2 * ARCSEC
+    servo_error: float = 0.0
+    rate_error: float = 1e-5
+    setpoint_timeout: float = 0.5
+    setpoint_age: float = 0.5
+    wrapped: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class TableState:
+    """What the table is doing.
+
+    Attributes:
+        time: s since the table's epoch.
+        angles: (k,) encoder readings, rad.
+        rates: (k,) rad/s.
+        at_rest: Whether every joint stands still.
+        step: Index of the plan's step that was accepted last, None before the first.
+        stopped: Why it stands short of its goal; empty while it follows setpoints.
+
+    """
+
+    time: float
+    angles: Floats
+    rates: Floats
+    at_rest: bool
+    step: int | None
+    stopped: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Order:
+    """Where the joints are to come to rest: by the goal, by the encoder, in truth; and how fast."""
+
+    goal: Floats
+    encoder: Floats
+    true: Floats
+    cruise: Floats
+
+
+class SimulatedTable:
+    """A turntable that follows setpoints with trapezoidal profiles.
+
+    Time only goes forward. A setpoint is in force from `command` on; repeating it keeps the table
+    going, a new one makes it brake and go to the new goal, HOLD brakes. Reading at a time in the
+    future commits the table to what it does until then, the stop without setpoints included.
+
+    Live: `command(setpoint, now)` whenever one comes, then `advance(now)`, `motion(now)`.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        options: TableOptions | None = None,
+        rng: np.random.Generator | None = None,
+        *,
+        epoch: int = 0,
+        start: Floats | None = None,
+    ) -> None:
+        """Put the table at rest.
+
+        Args:
+            table: Joints and limits.
+            options: Its errors; the defaults if not given.
+            rng: Source of the errors.
+            epoch: Stamp at which the table's time is zero, ns.
+            start: (k,) encoder angles where it stands, rad; zeros if not given.
+
+        Raises:
+            InputError: A joint has no limit of rate or acceleration.
+
+        """
+        for joint in table.joints:
+            if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
+                raise InputError(
+                    f'Table {table.name}, joint {joint.name}: '
+                    'the simulation needs max_rate and max_acceleration.'
+                )
+        self.table = table
+        self.options = options or TableOptions()
+        self.epoch = epoch
+        count = len(table.joints)
+        streams = (rng or np.random.default_rng()).spawn(3)
+        self._errors, self._servo_errors, self._rate_errors = streams
+        self._encoders, self._truths = slice(0, count), slice(count, 2 * count)
+        self._fastest = np.array([joint.max_rate for joint in table.joints])
+        encoder = np.zeros(count) if start is None else np.array(start, dtype=float)
+        true = encoder + self._draw(self._errors, self.options.positioning_error)
+        self._track = Track.standing(0.0, np.concatenate([encoder, true]))
+        self._order = _Order(encoder, encoder, true, self._fastest)
+        self._setpoint: Setpoint | None = None
+        self._deadline = math.inf
+        self._stopped = ''
+        self._time = 0.0
+
+    @property
+    def rest_time(self) -> float:
+        """When the table is at rest, s, if setpoints keep coming."""
+        return self._track.end
+
+    def command(self, setpoint: Setpoint, time: float) -> None:
+        """Take a setpoint.
+
+        Args:
+            setpoint: As it comes off the topic.
+            time: When it arrives, s since the epoch.
+
+        Raises:
+            InputError: Refused, and why; the table goes on as if it had not come.
+
+        """
+        self._pass(time)
+        age = time - (setpoint.stamp - self.epoch) * 1e-9
+        if not abs(age) <= self.options.setpoint_age:
+            raise InputError(
+                f'{_where(setpoint)}: its stamp is {age:.3g} s old, '
+                f'accepted is up to {self.options.setpoint_age:g} s.'
+            )
+        if self._setpoint is None or not _repeats(setpoint, self._setpoint):
+            self._accept(setpoint, time)
+            self._setpoint = setpoint
+        elif self._stopped and setpoint.mode is not Mode.HOLD:
+            self._go(time)
+        self._stopped = ''
+        self._deadline = time + self.options.setpoint_timeout
+
+    def advance(self, time: float) -> TableState:
+        """Let time pass up to `time` (s since the epoch) and return the state then.
+
+        Raises:
+            InputError: The time lies in the past.
+
+        """
+        self._pass(time)
+        angles, rates = self._read(np.array([time]))
+        return TableState(
+            time,
+            angles[0],
+            rates[0],
+            time >= self._track.end,
+            None if self._setpoint is None else self._setpoint.step,
+            self._stopped,
+        )
+
+    def read(self, times: Floats) -> tuple[Floats, Floats]:
+        """Return encoder angles (n, k) in rad and rates (n, k) in rad/s at (n,) times."""
+        self._reach(times)
+        return self._read(times)
+
+    def angles(self, times: Floats) -> Floats:
+        """Return the true joint angles (n, k) at (n,) times, rad."""
+        self._reach(times)
+        return self._track.at(times)[0][:, self._truths]
+
+    def motion(self, until: float) -> Motion:
+        """Return the true motion, which holds up to `until`, s since the epoch."""
+        self._reach(np.array([until]))
+        azimuth = self.table.azimuth if self.options.azimuth is None else self.options.azimuth
+        tilt = np.array([*self.options.tilt, 0.0])
+        size = float(np.linalg.norm(tilt))
+        level = rotation(tilt / size, size) if size else np.eye(3)
+        return Motion(
+            level @ rotation(np.array([0.0, 0.0, 1.0]), azimuth or 0.0),
+            np.array([joint.axis for joint in self.table.joints]),
+            np.array([joint.zero for joint in self.table.joints]),
+            self.table.mount,
+            self._track.columns(self._truths),
+        )
+
+    def forget(self, before: float) -> None:
+        """Drop the past before a time (s since the epoch), so that a live table can run on."""
+        self._track = self._track.since(before)
+
+    def _pass(self, time: float) -> None:
+        if time < self._time:
+            raise InputError(f'The table is at {self._time:.9f} s, found {time:.9f} s: backwards.')
+        if time > self._deadline:
+            if self._track.end > self._deadline:
+                self._stop_joints(self._deadline)
+                self._stopped = f'no setpoint for {self.options.setpoint_timeout:g} s'
+            self._deadline = math.inf
+        self._time = time
+
+    def _reach(self, times: Floats) -> None:
+        self._pass(float(times.max(initial=self._time)))
+
+    def _read(self, times: Floats) -> tuple[Floats, Floats]:
+        values, rates = self._track.at(times)
+        angles = values[:, self._encoders]
+        step = self.options.encoder_resolution
+        if step:
+            angles = np.rint(angles / step) * step
+        if self.options.wrapped:
+            angles = angles - TURN * np.rint(angles / TURN)
+        return angles, rates[:, self._encoders]
+
+    def _draw(self, stream: np.random.Generator, bound: float) -> Floats:
+        return bound * stream.uniform(-1.0, 1.0, len(self.table.joints))
+
+    def _accept(self, setpoint: Setpoint, time: float) -> None:
+        if setpoint.mode is Mode.HOLD:
+            self._stop_joints(time)
+            self._order = self._standstill()
+            return
+        before = self._standstill() if self._stopped else self._order
+        angles, rates = self._demand(setpoint, before)
+        if setpoint.mode is Mode.POSITION:
+            self.table.check(angles, np.zeros(len(angles)), _where(setpoint))
+            self._order = self._aim(angles, before)
+        else:
+            self._order = self._aim_turn(setpoint, angles, rates, before)
+        self._go(time)
+
+    def _standstill(self) -> _Order:
+        """Return the order to stay where the joints come to rest anyhow."""
+        rest = self._track.value[-1]
+        encoder, true = rest[self._encoders], rest[self._truths]
+        arrives = np.abs(encoder - self._order.encoder) < _STANDS
+        return _Order(np.where(arrives, self._order.goal, encoder), encoder, true, self._fastest)
+
+    def _demand(self, setpoint: Setpoint, before: _Order) -> tuple[Floats, Floats]:
+        """Return angles (k,) and rates (k,) in the table's order; joints not named stay."""
+        angles, rates = before.goal.copy(), np.zeros(len(self.table.joints))
+        names = list(self.table.names)
+        count = len(setpoint.joints)
+        if len(setpoint.angles) != count or len(setpoint.rates) not in {0, count}:
+            raise InputError(
+                f'{_where(setpoint)}: {count} joints, but {len(setpoint.angles)} angles '
+                f'and {len(setpoint.rates)} rates.'
+            )
+        for i, name in enumerate(setpoint.joints):
+            if name not in names:
+                raise InputError(
+                    f'{_where(setpoint)}: joint {name!r}, table {self.table.name} '
+                    f'has {", ".join(names)}.'
+                )
+            angles[names.index(name)] = setpoint.angles[i]
+            rates[names.index(name)] = setpoint.rates[i] if setpoint.rates else 0.0
+        if not np.isfinite([angles, rates]).all():
+            raise InputError(f'{_where(setpoint)}: an angle or a rate is no finite number.')
+        return angles, rates
+
+    def _aim(self, goal: Floats, before: _Order) -> _Order:
+        """Aim at a position; a joint with that goal already keeps its place and its error."""
+        hidden = self._draw(self._errors, self.options.positioning_error)
+        servo = self._draw(self._servo_errors, self.options.servo_error)
+        stays = np.abs(goal - before.goal) < _STANDS
+        encoder = np.where(stays, before.encoder, goal + servo)
+        true = np.where(stays, before.true, encoder + hidden)
+        return _Order(np.where(stays, before.goal, goal), encoder, true, self._fastest)
+
+    def _aim_turn(
+        self, setpoint: Setpoint, angles: Floats, rates: Floats, before: _Order
+    ) -> _Order:
+        """Aim at whole turns: the error of the angle repeats where the joint comes back to.
+
+        The turn beyond those asked for is where the joint starts and stops.
+        """
+        where = _where(setpoint)
+        j = self._turning_joint(setpoint, angles, rates, before)
+        goal = before.goal.copy()
+        goal[j] += math.copysign(TURN * (setpoint.turns + 1), rates[j])
+        self.table.check(goal, rates, where)
+        run_up = rates[j] ** 2 / self.table.joints[j].max_acceleration
+        if run_up > TURN * (1 + 1e-9):
+            raise InputError(
+                f'{where}: joint {self.table.names[j]} needs {run_up / DEG:.4g} deg to start and '
+                f'stop at {rates[j] / DEG:g} deg/s, the table leaves 360 deg.'
+            )
+        error = float(self._draw(self._rate_errors, self.options.rate_error)[j])
+        cruise = self._fastest.copy()
+        cruise[j] = min(abs(rates[j]) * (1 + error), cruise[j])
+        servo = self._draw(self._servo_errors, self.options.servo_error)
+        hidden = before.true - before.encoder
+        encoder = np.where(rates != 0, goal + servo, before.encoder)
+        return _Order(goal, encoder, encoder + hidden, cruise)
+
+    def _turning_joint(
+        self, setpoint: Setpoint, angles: Floats, rates: Floats, before: _Order
+    ) -> int:
+        where = _where(setpoint)
+        turning = np.flatnonzero(rates)
+        if len(turning) != 1:
+            raise InputError(f'{where}: RATE turns one joint, found {len(turning)} with a rate.')
+        if not (setpoint.turns >= 1 and float(setpoint.turns).is_integer()):
+            raise InputError(f'{where}: {setpoint.turns:g} turns, expected a whole number above 0.')
+        if self._time < self._track.end:
+            raise InputError(f'{where}: RATE starts from rest, and the table still moves.')
+        off = np.where(rates != 0, 0.0, np.abs(angles - before.goal))
+        k = int(off.argmax())
+        if off[k] > 0.01 * DEG:
+            raise InputError(
+                f'{where}: RATE holds joint {self.table.names[k]} at {angles[k] / DEG:g} deg, '
+                f'but it stands at {before.goal[k] / DEG:g} deg.'
+            )
+        return int(turning[0])
+
+    def _go(self, time: float) -> None:
+        """Move to where the order aims, each joint at its own pace, after a stop if need be."""
+        self._stop_joints(time)
+        start = max(time, self._track.end)
+        last = self._track.value[-1]
+        moves: list[Track] = []
+        truths: list[Track] = []
+        for k, joint in enumerate(self.table.joints):
+            origin, target = float(last[k]), float(self._order.encoder[k])
+            true = float(last[self._truths][k])
+            if abs(target - origin) < _STANDS:
+                moves.append(Track.standing(start, np.array([origin])))
+                truths.append(Track.standing(start, np.array([true])))
+                continue
+            rate = float(self._order.cruise[k])
+            move = trapezoid(start, origin, target, rate, joint.max_acceleration)
+            moves.append(move)
+            truths.append(move.mapped(true, float(self._order.true[k])))
+        self._track = self._track.followed_by(side_by_side(moves + truths))
+
+    def _stop_joints(self, time: float) -> None:
+        """Brake, if the table moves; the order stays, so that a repeated setpoint finishes it."""
+        if time >= self._track.end:
+            return
+        values, rates = (x[0] for x in self._track.at(np.array([time])))
+        count = len(self.table.joints)
+        stops = [
+            braking(time, values[k::count], rates[k::count], joint.max_acceleration)
+            for k, joint in enumerate(self.table.joints)
+        ]
+        encoders, truths = ([stop.columns(slice(c, c + 1)) for stop in stops] for c in (0, 1))
+        self._track = self._track.followed_by(side_by_side(encoders + truths))
+
+
+def _repeats(setpoint: Setpoint, earlier: Setpoint) -> bool:
+    return replace(setpoint, stamp=earlier.stamp) == earlier
+
+
+def _where(setpoint: Setpoint) -> str:
+    return f'Setpoint of step {setpoint.step} ({setpoint.mode.name}, position {setpoint.position})'
