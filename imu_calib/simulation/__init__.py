@@ -1,8 +1,17 @@
 """Simulated hardware: a turntable, an IMU on it, and a stand that runs a plan with both."""
 
-from .imu import ImuOptions, SimulatedImu, ThermalDrift, Warming
-from .stand import Knock, SimulatedStand, StandOptions, Vibration, simulate
-from .table import SimulatedTable, TableOptions, TableState
+from .imu import SimulatedImu
+from .options import (
+    ImuOptions,
+    Knock,
+    StandOptions,
+    TableOptions,
+    ThermalDrift,
+    Vibration,
+    Warming,
+)
+from .stand import SimulatedStand, simulate
+from .table import SimulatedTable, TableState
 
 __all__ = [
     'ImuOptions',

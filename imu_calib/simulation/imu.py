@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
 from scipy.signal import lfilter
@@ -15,90 +13,7 @@ from ..imu import ImuSpec
 from ..model import SensorModel
 from ..stream import Floats, ImuBlock, Stamps, Units
 from .motion import Motion
-
-Channels: TypeAlias = float | tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Warming:
-    """Temperature of the unit: reference + offset + rise * (1 - exp(-t / time_constant)).
-
-    Attributes:
-        reference: At which the sensor model holds, degrees Celsius.
-        offset: At the start above the reference, K.
-        rise: In the long run above the start, K.
-        time_constant: s.
-
-    """
-
-    reference: float = 25.0
-    offset: float = 0.0
-    rise: float = 0.0
-    time_constant: float = 600.0
-
-    def celsius(self, times: Floats) -> Floats:
-        """Return the (n,) temperature at (n,) times, degrees Celsius."""
-        return self.reference + self.excess(times)
-
-    def excess(self, times: Floats) -> Floats:
-        """Return the (n,) temperature above the reference at (n,) times, K."""
-        return np.asarray(self.offset - self.rise * np.expm1(-times / self.time_constant))
-
-
-@dataclass(frozen=True)
-class ThermalDrift:
-    """Linear coefficients per kelvin above the reference, of all channels alike or of each.
-
-    Attributes:
-        gyro_bias: (rad/s)/K.
-        gyro_scale: Relative, 1/K.
-        accel_bias: (m/s^2)/K.
-        accel_scale: Relative, 1/K.
-
-    """
-
-    gyro_bias: Channels = 0.0
-    gyro_scale: Channels = 0.0
-    accel_bias: Channels = 0.0
-    accel_scale: Channels = 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImuOptions:
-    """What the simulated IMU does beyond its data sheet and its sensor model.
-
-    Attributes:
-        sample_rate: Hz, in the device's own clock; None: the data sheet's, or 100 Hz.
-        noise: Whether there is random walk by the data sheet.
-        bias_instability: Whether the biases wander by the data sheet.
-        bias_time_constant: Correlation time of the wandering, s.
-        turn_on_gyro: Standard deviation of a bias drawn once per run, rad/s.
-        turn_on_accel: The same of the accelerometers, m/s^2.
-        quantise: Whether pulses and counts are whole numbers.
-        warming: Temperature over the run.
-        thermal_drift: What temperature does to the channels.
-        lever: From the centre of rotation to the accelerometers, body axes, m.
-        clock_offset: Device clock minus host clock at the start, s.
-        clock_rate_error: How much faster the device clock runs, relative (50e-6 is 50 ppm).
-        imu_stamp_jitter: Standard deviation of the stamps, s; at most 0.45 of a sample.
-        frame_id: Of the samples.
-
-    """
-
-    sample_rate: float | None = None
-    noise: bool = True
-    bias_instability: bool = True
-    bias_time_constant: float = 1000.0
-    turn_on_gyro: float = 0.0
-    turn_on_accel: float = 0.0
-    quantise: bool = True
-    warming: Warming = field(default_factory=Warming)
-    thermal_drift: ThermalDrift = field(default_factory=ThermalDrift)
-    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    clock_offset: float = 0.0
-    clock_rate_error: float = 0.0
-    imu_stamp_jitter: float = 0.0
-    frame_id: str = 'imu_link'
+from .options import ImuOptions, ThermalDrift
 
 
 class _Channels:

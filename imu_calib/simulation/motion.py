@@ -10,6 +10,7 @@ import numpy as np
 
 from ..earth import Site
 from ..stream import Floats
+from ..turntable import rotation
 from .profile import Track
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -182,6 +183,8 @@ class Motion:
 
 def _turn(rows: Floats, axis: Floats, angle: Floats) -> Floats:
     """Return rows @ R(axis, angle) by Rodrigues' formula: vectors seen from the turned frame."""
+    if angle.size == 1:
+        return np.asarray(rows @ rotation(axis, float(angle.flat[0])))
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     along = rows @ np.outer(axis, axis)

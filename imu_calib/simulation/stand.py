@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -23,82 +24,16 @@ from ..stream import (
     TemperatureBlock,
 )
 from ..turntable import Table
-from .imu import ImuOptions, SimulatedImu
+from .imu import SimulatedImu
 from .motion import Motion, Ringing
+from .options import Knock, StandOptions
 from .profile import side_by_side, trapezoid
-from .table import SimulatedTable, TableOptions
+from .table import SimulatedTable
 
 SETPOINT_TOPIC = 'turntable/setpoint'
 JOINT_TOPIC = 'turntable/joint_states'
 IMU_TOPIC = 'imu/pulses'
 TEMPERATURE_TOPIC = 'imu/temperature'
-
-
-@dataclass(frozen=True)
-class Knock:
-    """The unit is knocked and stays rotated in its mounting.
-
-    Attributes:
-        time: s since the start.
-        axis: About which body axis; any length.
-        angle: By how much, rad.
-        duration: How long the knock takes, s.
-
-    """
-
-    time: float
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    angle: float = 0.0
-    duration: float = 0.05
-
-
-@dataclass(frozen=True)
-class Vibration:
-    """How the mounting rings after each arrival, about and along a random direction.
-
-    Attributes:
-        rate: Amplitude of the angular rate at first, rad/s.
-        force: Amplitude of the specific force at first, m/s^2.
-        frequency: Hz.
-        decay: Time constant, s.
-
-    """
-
-    rate: float = 0.0
-    force: float = 0.0
-    frequency: float = 20.0
-    decay: float = 0.2
-
-
-@dataclass(frozen=True, kw_only=True)
-class StandOptions(TableOptions, ImuOptions):
-    """Everything about a simulated stand besides plan, table, IMU, model and site.
-
-    Attributes:
-        start_time: Host stamp of the start, ns.
-        lead: Standing still before the first setpoint and after the last, s.
-        settle: From the arrival at a step's end to the start of its dwell, s.
-        setpoint_rate: How often a setpoint is repeated, Hz.
-        joint_state_rate: Hz.
-        joint_stamp_jitter: Standard deviation of the joint states' stamps, s; at most 0.45 of
-            their spacing.
-        temperature_rate: Hz.
-        block_length: No block holds more than so long, s.
-        vibration: After each arrival.
-        knock: None, or one knock.
-
-    """
-
-    start_time: int = 1_700_000_000_000_000_000
-    lead: float = 1.0
-    settle: float = 1.0
-    setpoint_rate: float = 10.0
-    joint_state_rate: float = 100.0
-    joint_stamp_jitter: float = 0.0
-    temperature_rate: float = 1.0
-    block_length: float = 10.0
-    vibration: Vibration = field(default_factory=Vibration)
-    knock: Knock | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,9 +135,10 @@ class SimulatedStand:
         visits: list[Visit] = []
         begin = self.options.lead
         for step in steps:
-            for tick in range(10**9):
+            setpoint = self._setpoint(step)
+            for tick in count():
                 now = begin + tick / self.options.setpoint_rate
-                self._table.command(self._setpoint(step, now), now)
+                self._table.command(replace(setpoint, stamp=self._stamp(now)), now)
                 if self._table.rest_time <= now:
                     break
             end = now + self.options.settle + step.dwell
@@ -224,9 +160,10 @@ class SimulatedStand:
             motion = replace(motion, ringing=tuple(rings))
         return motion if self.options.knock is None else _knocked(motion, self.options.knock)
 
-    def _setpoint(self, step: Step, time: float) -> Setpoint:
+    def _setpoint(self, step: Step) -> Setpoint:
+        """Return the setpoint of a step, without its stamp."""
         return Setpoint(
-            self._stamp(time),
+            0,
             self.plan.name,
             step.index,
             step.position,
@@ -246,7 +183,8 @@ class SimulatedStand:
                 continue
             times = visit.begin + period * np.arange(math.ceil((visit.end - visit.begin) / period))
             times = times[(times >= begin) & (times < min(end, visit.end))]
-            setpoints += [self._setpoint(visit.step, time) for time in times.tolist()]
+            setpoint = self._setpoint(visit.step)
+            setpoints += [replace(setpoint, stamp=stamp) for stamp in self._stamps(times).tolist()]
         return SetpointBlock(tuple(setpoints))
 
     def _joint_states(self, begin: float, end: float) -> JointBlock:

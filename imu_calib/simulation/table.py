@@ -3,50 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
+from operator import attrgetter
 
 import numpy as np
 
 from ..errors import InputError
 from ..stream import Floats, Mode, Setpoint
 from ..turntable import TURN, Table, rotation
-from ..units import ARCSEC, DEG
+from ..units import DEG
 from .motion import Motion
+from .options import TableOptions
 from .profile import Track, braking, side_by_side, trapezoid
 
 _STANDS = 1e-7
 """A goal closer than this is no move, rad: the rounding of a table's inverse kinematics."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class TableOptions:
-    """How the simulated table differs from an ideal one; errors are drawn anew for each arrival.
-
-    Attributes:
-        azimuth: True heading of the table's zero against north about up, rad; None: the table's
-            own, or north if it does not know.
-        tilt: Rotation of the base about east and about north, rad.
-        encoder_resolution: Step of the angles read, rad; 0 for none.
-        positioning_error: Where the encoder says that the joint has arrived, it is off by a
-            uniform error within this, rad: the encoder does not see it.
-        servo_error: How far off the goal the joint comes to rest, uniform within this, rad: the
-            encoder sees it.
-        rate_error: Relative error of a RATE step's rate, uniform within this, constant per step.
-        setpoint_timeout: The table stops when no setpoint has come for so long, s.
-        setpoint_age: A setpoint is refused whose stamp is further than this from now, s.
-        wrapped: Angles are read within -180 to 180 deg instead of continuously.
-
-    """
-
-    azimuth: float | None = None
-    tilt: tuple[float, float] = (0.0, 0.0)
-    encoder_resolution: float = TURN / 2**22
-    positioning_error: float = 2 * ARCSEC
-    servo_error: float = 0.0
-    rate_error: float = 1e-5
-    setpoint_timeout: float = 0.5
-    setpoint_age: float = 0.5
-    wrapped: bool = False
+_CONTENT = attrgetter(*(f.name for f in fields(Setpoint) if f.name != 'stamp'))
+"""All that a repeated setpoint has in common with the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,7 +347,7 @@ class SimulatedTable:
 
 
 def _repeats(setpoint: Setpoint, earlier: Setpoint) -> bool:
-    return replace(setpoint, stamp=earlier.stamp) == earlier
+    return bool(_CONTENT(setpoint) == _CONTENT(earlier))
 
 
 def _where(setpoint: Setpoint) -> str:
