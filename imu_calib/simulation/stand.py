@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 
 import numpy as np
@@ -135,10 +136,10 @@ class SimulatedStand:
         visits: list[Visit] = []
         begin = self.options.lead
         for step in steps:
-            setpoint = self._setpoint(step)
+            send = self._sender(step)
             for tick in count():
                 now = begin + tick / self.options.setpoint_rate
-                self._table.command(replace(setpoint, stamp=self._stamp(now)), now)
+                self._table.command(send(self._stamp(now)), now)
                 if self._table.rest_time <= now:
                     break
             end = now + self.options.settle + step.dwell
@@ -160,19 +161,19 @@ class SimulatedStand:
             motion = replace(motion, ringing=tuple(rings))
         return motion if self.options.knock is None else _knocked(motion, self.options.knock)
 
-    def _setpoint(self, step: Step) -> Setpoint:
-        """Return the setpoint of a step, without its stamp."""
-        return Setpoint(
-            0,
-            self.plan.name,
-            step.index,
-            step.position,
-            step.mode,
-            self._table.table.names,
-            tuple(step.angles.tolist()),
-            tuple(step.rates.tolist()),
-            float(step.turns),
-            step.dwell,
+    def _sender(self, step: Step) -> Callable[[int], Setpoint]:
+        """Return what makes the setpoint of a step from its stamp."""
+        return partial(
+            Setpoint,
+            plan=self.plan.name,
+            step=step.index,
+            position=step.position,
+            mode=step.mode,
+            joints=self._table.table.names,
+            angles=tuple(step.angles.tolist()),
+            rates=tuple(step.rates.tolist()),
+            turns=float(step.turns),
+            dwell=step.dwell,
         )
 
     def _setpoints(self, begin: float, end: float) -> SetpointBlock:
@@ -181,10 +182,11 @@ class SimulatedStand:
         for visit in self.visits:
             if visit.begin >= end or visit.end <= begin:
                 continue
-            times = visit.begin + period * np.arange(math.ceil((visit.end - visit.begin) / period))
+            times = visit.begin + period * np.arange(
+                math.ceil((visit.end - visit.begin) / period), dtype=np.float64
+            )
             times = times[(times >= begin) & (times < min(end, visit.end))]
-            setpoint = self._setpoint(visit.step)
-            setpoints += [replace(setpoint, stamp=stamp) for stamp in self._stamps(times).tolist()]
+            setpoints += map(self._sender(visit.step), self._stamps(times).tolist())
         return SetpointBlock(tuple(setpoints))
 
     def _joint_states(self, begin: float, end: float) -> JointBlock:
