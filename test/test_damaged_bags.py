@@ -276,8 +276,8 @@ def test_a_cut_sqlite_file_gives_the_rows_that_are_there(tmp_path):
     assert 100 < len(stamp) < len(SESSION[IMU])
     assert np.isin(stamp, SESSION[IMU].stamp).all()
     assert (np.diff(stamp) > 0).all()
-    assert 'bag.db3 is cut off or damaged' in losses[0]
-    assert 'cannot be read' in losses[1]
+    assert 'bag.db3 is cut off: ' in losses[0]
+    assert any('cannot be read' in loss for loss in losses)
 
 
 def test_a_damaged_page_of_a_sqlite_file_costs_its_own_rows(tmp_path):

@@ -68,7 +68,7 @@ class Catalogue:
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: dict[int, int] | None = None
-    chunk_starts: list[int] = field(default_factory=list)
+    chunk_starts: set[int] = field(default_factory=set)
 
     def add(self, op: int, content: bytes) -> None:
         """Take note of a record, if it is of a kind that matters.
@@ -95,7 +95,7 @@ class Catalogue:
         elif op == Op.CHUNK_INDEX:
             fields.number('Q')
             fields.number('Q')
-            self.chunk_starts.append(fields.number('Q'))
+            self.chunk_starts.add(fields.number('Q'))
         elif op == Op.STATISTICS:
             fields.skip(42)
             pairs = np.frombuffer(fields.block(), [('id', '<u2'), ('count', '<u8')])

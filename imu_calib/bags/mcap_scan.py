@@ -164,6 +164,8 @@ class _Scanner:
         following: int = position + RECORD_HEAD + length
         if op == Op.CHUNK:
             return self._chunk(position, length, following)
+        if position in self.found.catalogue.chunk_starts:
+            return None
         if op == 0 or following > self.end:
             return self._overrun(position) if op in set(Op) else None
         return self._whole_record(op, position, length, following)

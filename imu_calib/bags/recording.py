@@ -106,6 +106,7 @@ class Recording:
             self.custom_data.update(storage.custom_data)
         self.custom_data.update(found.metadata.custom_data)
         self._storages = storages
+        self._counts = found.metadata.counts
         self._losses = losses
         times = [(s.start_ns, s.end_ns) for s in storages]
         self.start_ns, self.end_ns = first_and_last(
@@ -176,23 +177,34 @@ class Recording:
     ) -> Iterator[tuple[str, Block]]:
         total = sum(storage.size for storage in self._storages)
         malformed = {topic: Malformed() for topic in topics}
-        pieces = self._pieces(topics, malformed)
-        empty = True
-        for topic, block, done in merge(pieces.items()):
-            empty = False
+        read = dict.fromkeys(topics, 0)
+        for topic, block, done in merge(self._pieces(topics, malformed).items()):
+            read[topic] += len(block)
             if progress:
                 progress(done, total)
             yield topic, block
         self._state_malformed(malformed)
-        if empty:
-            raise RecordingError(
-                f'{self.path}: no message on {", ".join(topics)}.{self._told_losses()}'
-            )
+        self._state_missing({topic: n + malformed[topic].count for topic, n in read.items()})
+        if not any(read.values()):
+            told = ''.join(f' {sentence}' for sentence in self.losses)
+            raise RecordingError(f'{self.path}: no message on {", ".join(topics)}.{told}')
         if progress:
             progress(total, total)
 
-    def _told_losses(self) -> str:
-        return ''.join(f' {sentence}' for sentence in self.losses)
+    def _state_missing(self, found: Mapping[str, int]) -> None:
+        """State messages that metadata.yaml counts and nothing else tells the lack of.
+
+        A damaged page of a sqlite3 file can lose rows without an error.
+        """
+        if self._losses.sentences:
+            return
+        for topic, count in found.items():
+            stated = self._counts.get(topic, count)
+            if count < stated:
+                self._losses.add(
+                    f'{self.path.name}: metadata.yaml counts {stated} messages of {topic}, but '
+                    f'only {count} were found.'
+                )
 
     def _check(self, topics: Mapping[str, Kind]) -> None:
         held = {topic.name: topic for topic in self.topics}

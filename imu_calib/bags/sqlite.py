@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 from contextlib import closing, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
 
 
 _MAGIC = b'SQLite format 3\x00'
+_HEADER = 100
+# Python turns SQLite's own messages into text, which damaged names make impossible.
+_DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
 _MIN_ROWS, _MAX_ROWS = 2048, 65536
 # All versions of the schema have these; later ones add columns and tables.
 _EXPECTED = {
@@ -52,7 +57,7 @@ class SqliteStorage:
         self.end_ns: int | None = None
         try:
             self._open_for_the_first_time()
-        except sqlite3.Error as error:
+        except _DAMAGE as error:
             raise RecordingError(f'{path.name} is not a sound sqlite3 file: {error}.') from None
 
     def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[Stretch]]:
@@ -81,14 +86,22 @@ class SqliteStorage:
 
     def _check_magic(self) -> None:
         with self.path.open('rb') as file:
-            magic = file.read(len(_MAGIC))
+            head = file.read(_HEADER)
+        magic = head[: len(_MAGIC)]
         if magic != _MAGIC:
             what = f'starts with {magic!r}' if magic else 'is empty'
             raise RecordingError(f'{self.path.name} {what}: expected a sqlite3 file.')
+        expected = _stated_size(head)
+        if self.size < expected:
+            # SQLite itself would read zeros where the last page is cut.
+            self._losses.add(
+                f'{self.path.name} is cut off: {self.size} of {expected} bytes are there.'
+            )
 
     def _connect(self) -> sqlite3.Connection:
         address = f'file:{quote(str(self.path.absolute()))}?{self._options}'
         connection = sqlite3.connect(address, uri=True)
+        connection.text_factory = partial(str, encoding='utf-8', errors='replace')
         if self._tolerant:
             # SQLite refuses a file that is shorter than its header says, except in this mode.
             connection.execute('PRAGMA writable_schema=ON')
@@ -106,12 +119,10 @@ class SqliteStorage:
             self._options = 'mode=ro&immutable=1'
             self._losses.add(f'{log.name} cannot be read ({error}): the latest messages are lost.')
             self._describe()
-        except sqlite3.DatabaseError:
+        except _DAMAGE:
             self._tolerant = True
             self._describe()
-            self._losses.add(
-                f'{self.path.name} is cut off or damaged; what can be read of it is used.'
-            )
+            self._losses.add(f'{self.path.name} is damaged; what can be read of it is used.')
 
     def _describe(self) -> None:
         """Read what the file says of itself."""
@@ -151,7 +162,7 @@ class SqliteStorage:
             self._last = _extreme(database, 'max(id)')
             self.start_ns = _extreme(database, 'min(timestamp)')
             self.end_ns = _extreme(database, 'max(timestamp)')
-        except sqlite3.DatabaseError:
+        except _DAMAGE:
             if not self._tolerant:
                 raise
             self._first = 0 if self._first is None else self._first
@@ -170,7 +181,7 @@ class SqliteStorage:
             if rows:
                 return rows, end
             beyond = _first_row(database, end)
-        except sqlite3.DatabaseError as error:
+        except _DAMAGE as error:
             return self._load_damaged(database, topics, start, error)
         return [], beyond[0] if beyond else None
 
@@ -179,13 +190,13 @@ class SqliteStorage:
         database: sqlite3.Connection,
         topics: tuple[int, ...],
         start: int,
-        error: sqlite3.Error,
+        error: Exception,
     ) -> tuple[list[tuple[Any]], int | None]:
         """Read row by row up to the damage, state where it is, and go on after it."""
         rows: list[tuple[Any]] = []
         last = start - 1
         # One query per row: a query for many fails as a whole where its last row is damaged.
-        with suppress(sqlite3.DatabaseError):
+        with suppress(*_DAMAGE):
             while (row := _first_row(database, last + 1)) is not None:
                 last, topic, data = row
                 if topic in topics:
@@ -202,11 +213,19 @@ class SqliteStorage:
         """Return the first row id after a damaged one that can be read, found in growing steps."""
         step = 1
         while self._last is not None and damaged + step <= self._last:
-            with suppress(sqlite3.DatabaseError):
+            with suppress(*_DAMAGE):
                 row = _first_row(database, damaged + step)
                 return row[0] if row else None
             step *= 2
         return None
+
+
+def _stated_size(head: bytes) -> int:
+    """Return the size that the header of a sqlite3 file states; 0 where it states none."""
+    if len(head) < _HEADER or head[24:28] != head[92:96]:
+        return 0
+    page, count = struct.unpack_from('>H', head, 16)[0], struct.unpack_from('>I', head, 28)[0]
+    return int(count) * (65536 if page == 1 else int(page))
 
 
 def _extreme(database: sqlite3.Connection, what: str) -> int | None:
@@ -230,8 +249,11 @@ def _first_row(database: sqlite3.Connection, start: int) -> tuple[int, int, Any]
 
 def _log_time(database: sqlite3.Connection, start: int) -> int:
     query = 'SELECT timestamp FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
-    row = database.execute(query, (start,)).fetchone()
-    return int(row[0]) if row else 0
+    with suppress(*_DAMAGE):
+        row = database.execute(query, (start,)).fetchone()
+        if row and isinstance(row[0], int):
+            return row[0]
+    return 0
 
 
 def _messages(rows: list[tuple[Any]]) -> Messages:
