@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .codec import compressor
 from .mcap_records import MAGIC, MESSAGE_HEAD, RECORD_HEAD, Op, record, string, strings
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from imu_calib.cdr import Messages
@@ -47,17 +47,24 @@ class McapWriter:
     Args:
         path: File to create.
         compression: '', 'lz4' or 'zstd'.
+        pack: Compresses a chunk so.
         chunk_bytes: Size at which a chunk is closed.
         chunk_ns: Span of log time at which a chunk is closed.
 
     Raises:
-        InputError: The compression is unknown or not installed.
         OSError: The file cannot be created.
 
     """
 
-    def __init__(self, path: Path, compression: str, chunk_bytes: int, chunk_ns: int) -> None:
-        self._pack = compressor(compression)
+    def __init__(
+        self,
+        path: Path,
+        compression: str,
+        pack: Callable[[bytes], bytes],
+        chunk_bytes: int,
+        chunk_ns: int,
+    ) -> None:
+        self._pack = pack
         self._compression = compression
         self._chunk_bytes = chunk_bytes
         self._chunk_ns = chunk_ns

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from . import metadata
+from .codec import compressor
 from .definitions import definition
 from .mcap_writer import McapWriter
 from .storage import RecordingError, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from types import TracebackType
     from typing import Any
 
@@ -54,17 +56,13 @@ class RecordingWriter:
         self._topics: dict[str, tuple[int, str]] = {}
         self._profiles: dict[str, dict[str, Any]] = {}
         self._open = True
-        try:
+        pack = compressor(compression)
+        if self.path.exists():
+            raise RecordingError(f'{self.path} exists already; recordings are not overwritten.')
+        with _in_words(self.path):
             self.path.mkdir(parents=True)
-            self._file = McapWriter(
-                self.path / f'{self.path.name}_0.mcap', compression, chunk_bytes, CHUNK_NS
-            )
-        except FileExistsError:
-            raise RecordingError(
-                f'{self.path} exists already; recordings are not overwritten.'
-            ) from None
-        except OSError as error:
-            raise RecordingError(f'{self.path} cannot be written: {error.strerror}.') from None
+            file = self.path / f'{self.path.name}_0.mcap'
+            self._file = McapWriter(file, compression, pack, chunk_bytes, CHUNK_NS)
         if self._custom_data:
             # At the start, so that it is there even if the program is killed.
             self._file.add_metadata(_RECORD, self._custom_data)
@@ -117,29 +115,37 @@ class RecordingWriter:
             log_time: (n,) when each was received, ns.
 
         Raises:
-            InputError: The topic has another type already, or the type is not known.
+            InputError: The topic has another type already, the type is not known, or the disk
+                takes no more.
 
         """
         self.add_topic(topic, type_name)
         times = np.asarray(log_time, np.int64)
         if times.shape != (len(messages),) or (times < 0).any():
             raise ValueError(f'{len(messages)} messages need as many log times, none negative.')
-        self._file.write(self._topics[topic][0], messages, times)
+        with _in_words(self.path):
+            self._file.write(self._topics[topic][0], messages, times)
 
     def add_custom_data(self, pairs: Mapping[str, str]) -> None:
         """Add entries to the metadata, for instance a result."""
         self._custom_data.update(pairs)
-        self._file.add_metadata(_RECORD, dict(pairs))
+        with _in_words(self.path):
+            self._file.add_metadata(_RECORD, dict(pairs))
 
     def flush(self) -> None:
         """Bring everything so far to where a killed program does not lose it."""
-        self._file.flush()
+        with _in_words(self.path):
+            self._file.flush()
 
     def close(self) -> None:
         """Finish the file and write metadata.yaml."""
         if not self._open:
             return
         self._open = False
+        with _in_words(self.path):
+            self._finish()
+
+    def _finish(self) -> None:
         self._file.flush()
         topics = [
             Topic(name, kind, self._file.counts[channel])
@@ -156,3 +162,11 @@ class RecordingWriter:
         self._file.add_metadata('rosbag2', {'serialized_metadata': metadata.dump(content)})
         self._file.close()
         metadata.write_metadata(self.path, content)
+
+
+@contextmanager
+def _in_words(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f'{path} cannot be written: {error.strerror or error}.') from None
