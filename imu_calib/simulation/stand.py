@@ -28,7 +28,7 @@ from ..turntable import Table
 from .imu import SimulatedImu
 from .motion import Motion, Ringing
 from .options import Knock, StandOptions
-from .profile import side_by_side, trapezoid
+from .profile import Track, side_by_side, trapezoid
 from .table import SimulatedTable
 
 SETPOINT_TOPIC = 'turntable/setpoint'
@@ -250,11 +250,12 @@ def _instants(begin: float, end: float, rate: float, phase: float) -> Floats:
 def _knocked(motion: Motion, knock: Knock) -> Motion:
     """Add the knock as one more joint, between the last one and the unit."""
     axis = np.array(knock.axis) / np.linalg.norm(knock.axis)
+    before = Track.standing(motion.track.start[0], np.zeros(1))
     rate, acceleration = 2 * abs(knock.angle) / knock.duration, 4 * abs(knock.angle)
     turn = trapezoid(knock.time, 0.0, knock.angle, rate, acceleration / knock.duration**2)
     return replace(
         motion,
         axes=np.vstack([motion.axes, motion.mount @ axis]),
         zeros=np.append(motion.zeros, 0.0),
-        track=side_by_side([motion.track, turn]),
+        track=side_by_side([motion.track, before.followed_by(turn)]),
     )
