@@ -137,8 +137,8 @@ def _nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
     if not session.samples:
         return 'The IMU stream is empty: nothing can be determined.'
     text = (
-        f'None of the positions of plan {setup.plan.name} was found in {session.samples} IMU samples '
-        f'({session.duration:.0f} s): nothing can be determined.'
+        f'None of the positions of plan {setup.plan.name} was found in {session.samples} IMU '
+        f'samples ({session.duration:.0f} s): nothing can be determined.'
     )
     reasons = sorted({r.reason for r in labelled.rejected})
     loose = len(session.segments)

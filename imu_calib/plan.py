@@ -153,6 +153,7 @@ class Plan:
                 sense = self._sense(table, joint, angles)
                 add(position, Mode.POSITION, still, 0, 0.0)
                 for rate in position.rate_test.rates:
+                    self._check_run_up(table, joint, rate, position.id)
                     rates = still.copy()
                     rates[joint] = sense * rate
                     add(position, Mode.RATE, rates, position.rate_test.turns, 0.0)
@@ -161,6 +162,16 @@ class Plan:
                 angles = table.angles(position.attitude, angles)
             add(position, Mode.POSITION, still, 0, position.dwell)
         return tuple(steps)
+
+    def _check_run_up(self, table: Table, joint: int, rate: float, position: str) -> None:
+        """Refuse a rate that the table cannot reach and leave within the turn that is spare."""
+        needed = rate**2 / table.joints[joint].max_acceleration
+        if needed > TURN:
+            raise InputError(
+                f'plan {self.name}, position {position}: to {rate / DEG:g} deg/s and back joint '
+                f'{table.joints[joint].name} of table {table.name} needs {needed / DEG:.0f} deg, '
+                'a turn is spare for it.'
+            )
 
     def _turning_joint(self, table: Table, position: Position, angles: Floats) -> int:
         joint = table.vertical_joint(angles)

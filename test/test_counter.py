@@ -85,7 +85,7 @@ def test_white_weights_are_those_of_generalised_least_squares() -> None:
     # The tridiagonal covariance written out and inverted is the independent truth.
     rng = np.random.default_rng(2)
     walk, n = 3.0, 40
-    pulses = counter(rng, 2345.6, walk, n)
+    pulses = counter(rng, 2325.0, walk, n)
     covariance = (
         walk**2 * PERIOD * np.eye(n) + (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)) / 12
     )
@@ -93,7 +93,9 @@ def test_white_weights_are_those_of_generalised_least_squares() -> None:
     found = smoothed_ends(pulses, PERIOD, walk)
     assert found is not None
     assert found.rate == pytest.approx(weights @ pulses / weights.sum() / PERIOD, rel=1e-12)
-    assert found.variance(walk) == pytest.approx(1 / weights.sum() / PERIOD**2, rel=1e-9)
+    # 23 pulses and a quarter of one pass in a sample: no harmonic of the error stays in phase, and
+    # with a walk of 0.3 pulses a sample the error is white indeed.
+    assert found.variance(walk) == pytest.approx(1 / weights.sum() / PERIOD**2, rel=0.02)
 
 
 @given(st.integers(-100, 100), st.integers(0, 2**31))

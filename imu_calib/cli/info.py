@@ -78,8 +78,7 @@ def _show_segments(session: Segmented, setup: Setup) -> None:
     )
     for heading in headings:
         rows.add_column(heading, justify='left' if heading == 'position' else 'right')
-    starts = [s.start for s in (*labelled.segments, *labelled.turns)]
-    zero = min(starts, default=0)
+    zero = min((s.start for s in labelled.segments), default=0)
     for segment in labelled.segments:
         s = segment.statistics
         rows.add_row(

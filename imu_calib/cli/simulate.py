@@ -3,13 +3,116 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
+
+import numpy as np
+
+from ..bags import RecordingWriter
+from ..calibration import Calibration
+from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
+from ..earth import Site
+from ..imu import load_imu
+from ..plan import load_plan
+from ..share import named_file
+from ..simulation import SimulatedStand, StandOptions
+from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, Stamps
+from ..turntable import load_table
+from ..units import ARCSEC, DEG
+from . import options
+from .terminal import OUTPUT, progress_bar
+
+LUOYANG = 34.65
+"""Latitude of the site of Cao 2022, deg."""
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
-    parser = commands.add_parser('simulate', help='write a simulated recording', description=__doc__)
+    parser = commands.add_parser(
+        'simulate', help='write a simulated recording', description=__doc__
+    )
+    parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
+    parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
+    parser.add_argument(
+        '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--truth',
+        default='cao2022_table1',
+        metavar='NAME|FILE',
+        help="the unit's true parameters, as a calibration file (default: %(default)s)",
+    )
+    parser.add_argument(
+        '--azimuth',
+        type=float,
+        default=0.0,
+        metavar='DEG',
+        help="true heading of the table's zero against north, about up (default: 0)",
+    )
+    parser.add_argument(
+        '--positioning',
+        type=float,
+        default=0.0,
+        metavar='ARCSEC',
+        help='half width of the error of each arrival, which the encoder does not see (default: 0)',
+    )
+    parser.add_argument(
+        '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
+    )
+    parser.add_argument('--seed', type=int, default=0, help='same seed, same bits (default: 0)')
+    parser.add_argument(
+        '--compression', choices=('', 'lz4', 'zstd'), default='', help='of the recording'
+    )
+    options.add_site_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Simulate."""
+    """Simulate and write."""
+    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
+    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    truth = Calibration.load(named_file('truths', arguments.truth))
+    stand = SimulatedStand(
+        load_plan(arguments.plan),
+        load_table(arguments.table),
+        load_imu(arguments.imu),
+        truth.model,
+        site,
+        StandOptions(
+            azimuth=arguments.azimuth * DEG,
+            positioning_error=arguments.positioning * ARCSEC,
+            bias_instability=arguments.bias_instability,
+        ),
+        arguments.seed,
+    )
+    data = options.describe(arguments.plan, arguments.imu, arguments.table, site)
+    target = Path(arguments.output)
+    with (
+        RecordingWriter(target, data, arguments.compression) as writer,
+        progress_bar('simulating') as show,
+    ):
+        start = None
+        for topic, block in stand.blocks():
+            kind, messages, stamp = serialised(block)
+            writer.write(f'/{topic}', kind.type_name, messages, stamp)
+            start = int(stamp[0]) if start is None else start
+            show(int(stamp[-1]) - start, round(stand.duration * 1e9))
+    truth.save(target / 'truth.yaml')
+    OUTPUT.print(
+        f'{stand.duration:.0f} s of plan {stand.plan.name} written to {target}, '
+        f'the true parameters to {target / "truth.yaml"}'
+    )
+
+
+def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
+    """Serialise a block: what it is, its messages, and when each was recorded."""
+    if isinstance(block, ImuBlock):
+        return Kind.IMU, encode_imu(block), block.stamp
+    if isinstance(block, JointBlock):
+        return Kind.JOINTS, encode_joints(block), block.stamp
+    if isinstance(block, SetpointBlock):
+        stamps = np.array([s.stamp for s in block.setpoints], dtype=np.int64)
+        return Kind.SETPOINTS, encode_setpoints(block), stamps
+    return Kind.TEMPERATURES, encode_temperatures(block), block.stamp

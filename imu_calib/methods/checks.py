@@ -21,6 +21,8 @@ _SCALE_LIMIT = 2.0
 _AXIS_LIMIT = 0.5
 _OFF_POSITION = 0.02 * DEG
 _OUTSTANDING = 5.0
+_LEAST_EARTH_RATE = 0.01 * DEG_H
+_LEAST_AZIMUTH = 0.05 * DEG
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ def conclude(
         _check_latitude(evidence, gyro.vector, earth)
     azimuth = float(np.arctan2(gyro.vector[0], gyro.vector[1]))
     azimuth_std = _azimuth_std(gyro.vector, earth)
-    if north_known and abs(azimuth) > _CONTRADICTION * azimuth_std:
+    if north_known and abs(azimuth) > max(_CONTRADICTION * azimuth_std, _LEAST_AZIMUTH):
         notes.append(
             f'The gyros see north {azimuth / DEG:.1f} +- {azimuth_std / DEG:.1f} deg off the '
             'azimuth given: the gyro biases are wrong by up to '
@@ -215,8 +217,8 @@ def _check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> No
     up_std = float(np.sqrt(covariance[2, 2]))
     level = float(np.hypot(earth[0], earth[1]))
     level_std = float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
-    far_up = abs(earth[2] - site.up_rate) > _CONTRADICTION * up_std
-    far_level = abs(level - site.north_rate) > _CONTRADICTION * level_std
+    far_up = abs(earth[2] - site.up_rate) > max(_CONTRADICTION * up_std, _LEAST_EARTH_RATE)
+    far_level = abs(level - site.north_rate) > max(_CONTRADICTION * level_std, _LEAST_EARTH_RATE)
     if not (far_up or far_level):
         return
     seen = float(np.arctan2(earth[2], level))

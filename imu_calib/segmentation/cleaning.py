@@ -21,6 +21,7 @@ _FEWEST_WINDOWS = 4
 _FEWEST_BLOCKS = 5
 _WITHOUT_LARGEST = 0.7
 _TINY = 1e-15
+_FAR_BETTER = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,7 @@ def _outlying_spreads(windows: Floats, quantum: Floats) -> NDArray[np.bool_]:
     return np.asarray((spread > limit + 1e-15).any(axis=1))
 
 
-def find_step(statistics: Statistics, walk: Floats) -> tuple[int, str] | None:
+def find_step(statistics: Statistics, walk: Floats) -> tuple[float, str] | None:
     """Find a step of the mean within a stretch: somebody moved the unit and left it so.
 
     Args:
@@ -105,40 +106,44 @@ def find_step(statistics: Statistics, walk: Floats) -> tuple[int, str] | None:
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
 
     Returns:
-        How many of its blocks lie before the step, and the step in words; None without a step. A
+        Which share of it lies before the step, and the step in words; None without a step. A
         step must be plain against the scatter of neighbouring blocks and explain the stretch
         far better than a drift does.
 
     """
-    rates = np.array([b[:, 0] for b in statistics.blocks])
-    count = rates.shape[1]
-    if count < _FEWEST_BLOCKS:
-        return None
-    # The largest difference is left out, since it may be the step itself.
-    squares = np.sort(np.diff(rates, axis=1) ** 2, axis=1)[:, :-1]
-    noise = np.sqrt(squares.mean(axis=1) / (2 * _WITHOUT_LARGEST))
-    expected = [
-        np.median(b[:, 1]) * w**2 + np.median(b[:, 2])
-        for b, w in zip(statistics.blocks, walk, strict=True)
-    ]
-    noise = np.maximum(noise, np.sqrt(expected)) + _TINY
-    best: tuple[float, int, int] | None = None
-    for cut in range(1, count):
-        difference = rates[:, cut:].mean(axis=1) - rates[:, :cut].mean(axis=1)
-        score = np.abs(difference) / (noise * np.sqrt(1 / cut + 1 / (count - cut)))
-        channel = int(np.argmax(score))
-        if best is None or score[channel] > best[0]:
-            best = (float(score[channel]), cut, channel)
+    best: tuple[float, float, int] | None = None
+    for channel, blocks in enumerate(statistics.blocks):
+        found = _largest_step(blocks, float(walk[channel]))
+        if found is not None and (best is None or found[0] > best[0]):
+            best = (*found, channel)
     if best is None or best[0] < _STEP_SIGNIFICANCE:
         return None
     _, cut, channel = best
-    row = rates[channel]
-    as_step = np.concatenate([row[:cut] - row[:cut].mean(), row[cut:] - row[cut:].mean()])
+    row = statistics.blocks[channel][:, 0]
+    count, at = len(row), round(cut * len(row))
+    as_step = np.concatenate([row[:at] - row[:at].mean(), row[at:] - row[at:].mean()])
     index = np.arange(count) - (count - 1) / 2
     as_drift = row - row.mean() - index * (index @ row) / (index @ index)
-    if as_step @ as_step > 0.25 * (as_drift @ as_drift):
+    if as_step @ as_step > _FAR_BETTER * (as_drift @ as_drift):
         return None
-    return cut, f'the mean of {CHANNELS[channel]} steps by {_amount(row, cut, channel)}'
+    return cut, f'the mean of {CHANNELS[channel]} steps by {_amount(row, at, channel)}'
+
+
+def _largest_step(blocks: Floats, walk: float) -> tuple[float, float] | None:
+    """Return the significance of the largest step, and where it is as a share of the stretch."""
+    row = blocks[:, 0]
+    count = len(row)
+    if count < _FEWEST_BLOCKS:
+        return None
+    # The largest difference is left out, since it may be the step itself.
+    squares = np.sort(np.diff(row) ** 2)[:-1]
+    noise = squares.mean() / (2 * _WITHOUT_LARGEST)
+    noise = max(noise, float(np.median(blocks[:, 1])) * walk**2 + float(np.median(blocks[:, 2])))
+    cuts = np.arange(1, count)
+    difference = np.array([row[k:].mean() - row[:k].mean() for k in cuts])
+    score = np.abs(difference) / (np.sqrt(noise * (1 / cuts + 1 / (count - cuts))) + _TINY)
+    best = int(np.argmax(score))
+    return float(score[best]), float(cuts[best] / count)
 
 
 def _amount(row: Floats, cut: int, channel: int) -> str:

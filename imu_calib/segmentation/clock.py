@@ -79,7 +79,7 @@ def clock_sample(
         return None
     origin = float(joint_stamp[0])
     table = (joint_stamp - origin) * 1e-9
-    time = (stamp - origin) * 1e-9
+    time: Floats = np.asarray((stamp - origin) * 1e-9, dtype=float)
     windows = _windows(time, float(table[-1]))
     used = np.concatenate(windows)
     if len(used) < _SAMPLES_NEEDED:
@@ -118,7 +118,10 @@ def _windows(time: Floats, duration: float) -> list[NDArray[np.intp]]:
     if duration < 2 * (_END_SECONDS + _MARGIN_SECONDS):
         ends = [(-_MARGIN_SECONDS, duration + _MARGIN_SECONDS)]
     else:
-        ends = [(-_MARGIN_SECONDS, _END_SECONDS), (duration - _END_SECONDS, duration + _MARGIN_SECONDS)]
+        ends = [
+            (-_MARGIN_SECONDS, _END_SECONDS),
+            (duration - _END_SECONDS, duration + _MARGIN_SECONDS),
+        ]
     found = [np.flatnonzero((time >= a) & (time <= b)) for a, b in ends]
     return [index[:: max(1, len(index) // _CELLS)] for index in found if len(index) > 2]
 

@@ -4,15 +4,17 @@ A counter shows floor(true count). Between two readings the error of a differenc
 values, with variance c (1 - c) in pulses squared, c the fraction of the true difference: 1/6 on
 average over phases, however long one waits (methods.md, section 11). A counter tells more than its
 two end readings, and what more depends on how fast it runs against its own noise. Three estimators
-share the work; each states the variance that it leaves.
+share the work, each with the variance that it leaves; the smallest is taken.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..stream import Floats
 
@@ -22,7 +24,7 @@ END_POINT_VARIANCE = 1 / 6
 _READING_VARIANCE = 1 / 12
 _PASSAGES_NEEDED = 5
 _DRIFT_SIGNIFICANCE = 6.0
-_CYCLES_FOR_WHITE = 2.0
+_HARMONICS = 64
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,26 @@ def end_points(pulses: Floats, period: float) -> MeanRate:
     return MeanRate(float(pulses.sum()) / duration, 1 / duration, END_POINT_VARIANCE / duration**2)
 
 
+@dataclass(frozen=True, eq=False)
+class Passages:
+    """When a counter first reached new values: sample indices, and the values without sign."""
+
+    index: NDArray[np.intp]
+    level: Floats
+    drift: float
+
+
+def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
+    """Find the first passages; None where the drift does not clearly lead the walk."""
+    count = np.cumsum(pulses)
+    drift = float(count[-1]) / len(pulses)
+    if abs(drift) * math.sqrt(len(pulses)) < _DRIFT_SIGNIFICANCE * walk * math.sqrt(period):
+        return None
+    record = np.maximum.accumulate(count * math.copysign(1.0, drift))
+    index = np.flatnonzero(np.diff(record, prepend=0.0) > 0)
+    return Passages(index, record[index], drift) if len(index) > _PASSAGES_NEEDED else None
+
+
 def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None:
     """Estimate from the moments when the counter first reached a new value.
 
@@ -89,46 +111,84 @@ def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | Non
         None where the drift does not clearly lead the walk, or passes too few levels.
 
     """
-    count = np.cumsum(pulses)
-    drift = float(count[-1]) / len(pulses)
-    if abs(drift) * math.sqrt(len(pulses)) < _DRIFT_SIGNIFICANCE * walk * math.sqrt(period):
-        return None
-    record = np.maximum.accumulate(count * math.copysign(1.0, drift))
-    passed = np.flatnonzero(np.diff(record, prepend=0.0) > 0)
-    if len(passed) <= _PASSAGES_NEEDED:
-        return None
-    first, last = int(passed[0]), int(passed[-1])
-    duration = (last - first) * period
-    rate = math.copysign(float(record[last] - record[first]) / duration, drift)
-    return MeanRate(rate, 1 / duration, 2 * drift**2 * _READING_VARIANCE / duration**2)
+    found = passages(pulses, period, walk)
+    return None if found is None else _between(found, 0, len(found.index) - 1, period)
+
+
+def _between(found: Passages, first: int, last: int, period: float) -> MeanRate:
+    duration = float(found.index[last] - found.index[first]) * period
+    rate = math.copysign(float(found.level[last] - found.level[first]) / duration, found.drift)
+    return MeanRate(rate, 1 / duration, 2 * found.drift**2 * _READING_VARIANCE / duration**2)
 
 
 def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None:
-    """Estimate by generalised least squares with white reading errors of variance 1/12.
+    """Estimate with weights that are optimal against white reading errors of variance 1/12.
 
     Increments then have a tridiagonal covariance, whose inverse gives weights that are flat in
     the middle and fade out towards both ends over the time in which the walk grows as large as
     the reading error: w_k = 1 - cosh(kappa (k - m)) / cosh(kappa m), m = (n + 1) / 2,
-    2 cosh(kappa) = 2 + 12 walk^2 period.
+    2 cosh(kappa) = 2 + 12 walk^2 period. The stated variance is that of these weights against
+    the reading error as it is (`_faded_error`), white or not.
 
     Returns:
-        None where the reading errors are not white over that time: too few pulses pass in it.
+        None without a walk.
 
     """
     growth = walk * walk * period / _READING_VARIANCE
     if growth <= 0:
         return None
     kappa = math.acosh(1 + growth / 2)
-    if abs(float(pulses.mean())) < _CYCLES_FOR_WHITE * kappa:
-        return None
     n = len(pulses)
     k = np.arange(1, n + 1)
     fade = (np.exp(-kappa * k) + np.exp(-kappa * (n + 1 - k))) / (1 + math.exp(-kappa * (n + 1)))
     weights = 1 - fade
     total = float(weights.sum()) * period
-    steps = np.diff(weights, prepend=0.0, append=0.0)
+    error = 2 * _faded_error(float(pulses.mean()), math.exp(-kappa), walk * walk * period)
     return MeanRate(
         float(weights @ pulses) / total,
         period * float(weights @ weights) / total**2,
-        _READING_VARIANCE * float(steps @ steps) / total**2,
+        error / total**2,
     )
+
+
+def _faded_error(step: float, fade: float, growth: float) -> float:
+    """Return the variance of a reading error averaged with weights (1 - fade) fade^k.
+
+    The error of a counter of uniform phase is a sawtooth of its true count x, a sum over m of
+    sin(2 pi m x) / (pi m). While x advances by `step` and diffuses by `growth` per sample, its
+    harmonics keep their phase for a while: covariance at lag j is the sum over m of
+    Re(z^j) / (2 pi^2 m^2) with z = exp(2 pi i m step - 2 pi^2 m^2 growth).
+    """
+    m = np.arange(1, _HARMONICS + 1)
+    power = 1 / (2 * np.pi**2 * m**2)
+    z = np.exp(2j * np.pi * m * step - 2 * np.pi**2 * m**2 * growth)
+    alone = (1 - fade) / (1 + fade)
+    together = alone * ((1 + fade * z) / (1 - fade * z)).real
+    return float(power @ together) + (_READING_VARIANCE - float(power.sum())) * alone
+
+
+def block_rates(pulses: Floats, period: float, walk: float, seconds: float) -> list[MeanRate]:
+    """Estimate the mean rates of blocks of at least `seconds`, independent of each other.
+
+    A slow counter is cut where it passes a new value, any other into equal times.
+    """
+    whole = float(np.rint(pulses.mean()))
+    found = passages(pulses - whole, period, walk)
+    slow = found is not None and first_passages_are_best(pulses - whole, period, walk)
+    if found is not None and slow:
+        cuts = [0]
+        for k in range(1, len(found.index)):
+            if (found.index[k] - found.index[cuts[-1]]) * period >= seconds:
+                cuts.append(k)
+        parts = [_between(found, a, b, period) for a, b in pairwise(cuts)]
+        return [MeanRate(p.rate + whole / period, p.walk_gain, p.quantum) for p in parts]
+    count = max(1, int(len(pulses) * period // seconds))
+    return [mean_rate(part, period, walk) for part in np.array_split(pulses, count)]
+
+
+def first_passages_are_best(pulses: Floats, period: float, walk: float) -> bool:
+    """Say whether first passages beat the smoothed ends for a whole stretch."""
+    passed, smoothed = first_passages(pulses, period, walk), smoothed_ends(pulses, period, walk)
+    if passed is None or smoothed is None:
+        return passed is not None
+    return passed.variance(walk) <= smoothed.variance(walk)

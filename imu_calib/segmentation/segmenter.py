@@ -35,6 +35,7 @@ _VERTICAL = 1e-4
 _SAMPLES_FOR_PERIOD = 256
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 _WALK_GUESS = 0.05
+_STEP_MARGIN = 0.1
 _LEAST_TURNED = TURN / 72
 
 
@@ -332,7 +333,7 @@ class Segmenter:
         step = find_step(statistics, self._walk)
         if step is not None:
             before, what = step
-            kept = _longer_part(kept, before, len(statistics.blocks[0]))
+            kept = _longer_part(kept, before)
             if len(kept.stamp) * samples.period < _SHORTEST_REST:
                 return f'the unit was moved: {what}'
             statistics = statistics_at_rest(kept, self._walk)
@@ -475,12 +476,12 @@ def _missing(samples: Samples, gaps: list[tuple[int, int]]) -> int:
     return int(np.sum(np.rint(holes) - 1))
 
 
-def _longer_part(samples: Samples, before: int, blocks: int) -> Samples:
-    """Return the part before or after a step, without the block next to it."""
+def _longer_part(samples: Samples, before: float) -> Samples:
+    """Return the part before or after a step, at a distance from it."""
     n = len(samples.stamp)
-    if before >= blocks - before:
-        return samples.part(0, n * max(before - 1, 0) // blocks)
-    return samples.part(n * (before + 1) // blocks, n)
+    if before >= 1 / 2:
+        return samples.part(0, int(n * (before - _STEP_MARGIN)))
+    return samples.part(int(n * (before + _STEP_MARGIN)), n)
 
 
 def _line_origin(samples: Samples) -> float:

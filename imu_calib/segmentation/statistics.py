@@ -10,7 +10,7 @@ import numpy as np
 
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
-from .counter import MeanRate, mean_rate
+from .counter import MeanRate, block_rates, mean_rate
 from .segment import Statistics
 
 BLOCK_SECONDS = 10.0
@@ -193,40 +193,44 @@ def _combine(means: list[MeanRate], walk: float) -> MeanRate:
 
 def _blocks(parts: list[Samples], walk: Floats) -> tuple[Floats, ...]:
     """Cut the runs into blocks and estimate each block's mean: per channel (b, 3)."""
-    rows: list[list[tuple[float, float, float]]] = [[] for _ in range(6)]
+    rows: list[list[MeanRate]] = [[] for _ in range(6)]
     for part in parts:
-        for block in _cut(part):
-            for c in range(6):
-                m = _channel_mean(block, c, walk[c])
-                rows[c].append((m.rate, m.walk_gain, m.quantum))
-    return tuple(np.array(r).reshape(-1, 3) for r in rows)
+        length = len(part.stamp) * part.period
+        seconds = (
+            BLOCK_SECONDS if length >= _MINIMUM_BLOCKS * BLOCK_SECONDS else length / _MINIMUM_BLOCKS
+        )
+        for c in range(6):
+            rows[c] += _channel_blocks(part, c, walk[c], seconds)
+    return tuple(
+        np.array([(m.rate, m.walk_gain, m.quantum) for m in r]).reshape(-1, 3) for r in rows
+    )
 
 
-def _cut(samples: Samples) -> list[Samples]:
-    """Cut into equal blocks of BLOCK_SECONDS or a little more; short stretches into a few."""
-    n = len(samples.stamp)
-    seconds = n * samples.period
-    count = int(seconds // BLOCK_SECONDS)
-    if count < _MINIMUM_BLOCKS:
-        count = min(_MINIMUM_BLOCKS, n // 2)
-    if count < 2:
-        return []
-    edges = np.linspace(0, n, count + 1).astype(int)
-    return [samples.part(int(a), int(b)) for a, b in pairwise(edges)]
+def _channel_blocks(samples: Samples, channel: int, walk: float, seconds: float) -> list[MeanRate]:
+    increments, quantum = samples.increments[:, channel], float(samples.quantum[channel])
+    if quantum == 0.0:
+        count = max(1, int(len(increments) * samples.period // seconds))
+        parts = [p for p in np.array_split(increments, count) if len(p)]
+        times = [len(p) * samples.period for p in parts]
+        return [MeanRate(float(p.sum()) / t, 1 / t, 0.0) for p, t in zip(parts, times, strict=True)]
+    pulses = np.rint(increments / quantum)
+    rates = block_rates(pulses, samples.period, walk / quantum, seconds)
+    return [MeanRate(m.rate * quantum, m.walk_gain, m.quantum * quantum**2) for m in rates]
 
 
 def _drifts(blocks: tuple[Floats, ...], samples: Samples) -> tuple[Floats, Floats]:
     """Fit a line through the block means: slopes and their standard deviations, per second."""
-    if len(blocks[0]) < _MINIMUM_BLOCKS:
-        return np.full(6, np.nan), np.full(6, np.nan)
-    rates = np.array([b[:, 0] for b in blocks])
     span = (samples.stamp[-1] - samples.stamp[0]) * 1e-9
-    times = (np.arange(rates.shape[1]) + 0.5) / rates.shape[1] * span
-    centred = times - times.mean()
-    slopes = rates @ centred / (centred @ centred)
-    left = rates - rates.mean(axis=1, keepdims=True) - slopes[:, None] * centred
-    scatter = (left**2).sum(axis=1) / (rates.shape[1] - 2)
-    return slopes, np.sqrt(scatter / (centred @ centred))
+    slopes, deviations = np.full(6, np.nan), np.full(6, np.nan)
+    for c, rates in enumerate(b[:, 0] for b in blocks):
+        n = len(rates)
+        if n < _MINIMUM_BLOCKS:
+            continue
+        centred = ((np.arange(n) + 0.5) / n - 0.5) * span
+        slopes[c] = rates @ centred / (centred @ centred)
+        left = rates - rates.mean() - slopes[c] * centred
+        deviations[c] = np.sqrt(left @ left / (n - 2) / (centred @ centred))
+    return slopes, deviations
 
 
 def pooled_walk(statistics: Sequence[Statistics]) -> Floats:

@@ -1,0 +1,94 @@
+"""Simulated sessions for the tests: the hardware-level simulation straight into the calibrator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Calibrator, Result, Setup
+from imu_calib.earth import Site
+from imu_calib.imu import ImuSpec, load_imu
+from imu_calib.plan import Plan, load_plan
+from imu_calib.share import named_file
+from imu_calib.simulation import StandOptions, simulate
+from imu_calib.stream import Block, JointBlock, SetpointBlock
+from imu_calib.turntable import Table, load_table
+from imu_calib.units import DEG
+
+LATITUDE = 34.65 * DEG
+SITE = Site.at(LATITUDE)
+
+Named = tuple[str, Block]
+Change = Callable[[Iterable[Named]], Iterable[Named]]
+
+
+@cache
+def truth() -> Calibration:
+    """The twelve-position column of Cao 2022's Table 1."""
+    return Calibration.load(named_file('truths', 'cao2022_table1'))
+
+
+def paper_imu() -> ImuSpec:
+    """The unit of Cao 2022 without bias instability."""
+    spec = load_imu('fog_medium')
+    return replace(
+        spec,
+        gyro=replace(spec.gyro, bias_instability=0.0),
+        accel=replace(spec.accel, bias_instability=0.0),
+    )
+
+
+def quick_plan(name: str, dwell: float) -> Plan:
+    """A shipped plan with shorter dwells."""
+    plan = load_plan(name)
+    return replace(plan, positions=tuple(replace(p, dwell=dwell) for p in plan.positions))
+
+
+def stand(**options: Any) -> StandOptions:
+    """A stand whose table arrives exactly: what is left is the IMU's own."""
+    return StandOptions(**{'positioning_error': 0.0, 'bias_instability': False, **options})
+
+
+def session(
+    plan: Plan | str = 'twelve_position',
+    options: StandOptions | None = None,
+    seed: int = 0,
+    *,
+    table: Table | None = None,
+    site: Site = SITE,
+    spec: ImuSpec | None = None,
+) -> Iterator[Named]:
+    """Run a stand."""
+    plan = load_plan(plan) if isinstance(plan, str) else plan
+    return simulate(
+        plan,
+        table or load_table('three_axis'),
+        spec or paper_imu(),
+        truth().model,
+        site,
+        options or stand(),
+        seed,
+    )
+
+
+def calibrate(
+    blocks: Iterable[Named],
+    plan: Plan | str = 'twelve_position',
+    *,
+    table: Table | None = None,
+    site: Site = SITE,
+    spec: ImuSpec | None = None,
+    imu_only: bool = False,
+) -> Result:
+    """Feed blocks to a calibrator and solve."""
+    plan = load_plan(plan) if isinstance(plan, str) else plan
+    table = None if imu_only else table or load_table('three_axis')
+    calibrator = Calibrator(Setup(spec or paper_imu(), plan, table, site))
+    for _, block in blocks:
+        if imu_only and isinstance(block, (JointBlock, SetpointBlock)):
+            continue
+        calibrator.feed(block)
+    return calibrator.finish()

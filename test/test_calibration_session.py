@@ -1,0 +1,264 @@
+"""Whole sessions on the simulated stand: blocks in, 24 parameters out, against the truth put in."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sessions import (
+    LATITUDE,
+    SITE,
+    Named,
+    calibrate,
+    paper_imu,
+    quick_plan,
+    session,
+    stand,
+    truth,
+)
+
+from imu_calib.calibrator import Result
+from imu_calib.config import Section
+from imu_calib.earth import Site
+from imu_calib.plan import Plan, load_plan
+from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, SetpointBlock
+from imu_calib.turntable import load_table, read_table
+from imu_calib.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM
+
+GYRO_BIAS = slice(9, 12)
+LIMITS = np.concatenate(
+    [
+        np.full(3, 6 * PPM),
+        np.full(6, 0.02 * ARCMIN),
+        np.full(3, 0.12 * DEG_H),
+        np.full(3, 4 * PPM),
+        np.full(6, 4e-6),  # E_A shares the accelerometers' noise with K_A
+        np.full(3, 2.5 * MICRO_G),
+    ]
+)
+
+
+def errors(result: Result) -> Floats:
+    return result.calibration.model.vector() - truth().model.vector()
+
+
+def normalised(result: Result) -> Floats:
+    return errors(result) / result.calibration.std
+
+
+def one_session(seed: int) -> tuple[Floats, Floats]:
+    azimuth = np.random.default_rng(seed + 1000).uniform(-np.pi, np.pi)
+    result = calibrate(session(options=stand(azimuth=azimuth), seed=seed))
+    return normalised(result), result.calibration.std
+
+
+def test_normalised_errors_of_a_hundred_sessions_are_standard_normal() -> None:
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        runs = list(pool.map(one_session, range(100)))
+    errors_in_std = np.array([run[0] for run in runs])
+    deviations = np.array([run[1] for run in runs])
+    # 2400 values, a hundred per parameter: 1 / sqrt(2 n) is 1.4 % and 7 %.
+    assert 0.96 < np.sqrt(np.mean(errors_in_std**2)) < 1.04
+    spread = np.sqrt(np.mean(errors_in_std**2, axis=0))
+    assert np.all((spread > 0.76) & (spread < 1.26))
+    assert np.abs(errors_in_std).max() < 4.5
+    # What the noise and the dwells of the unit allow.
+    assert np.all(deviations.max(axis=0) < LIMITS)
+
+
+@pytest.mark.parametrize('azimuth', [0.0, 1.0, 2.5, 5.0, 200.0])
+def test_the_twelve_position_bias_does_not_move_with_the_azimuth(azimuth: float) -> None:
+    plan = quick_plan('twelve_position', 20.0)
+    exact = stand(azimuth=azimuth * DEG, quantise=False, noise=False)
+    result = calibrate(session(plan, exact), plan)
+    assert np.abs(errors(result)[GYRO_BIAS]).max() < 1e-6 * DEG_H
+
+
+def test_with_pulses_the_bias_moves_by_quantisation_and_no_more() -> None:
+    plan = quick_plan('twelve_position', 60.0)
+    biases = []
+    for azimuth in (0.0, 2.0, 5.0, 200.0):
+        options = stand(azimuth=azimuth * DEG, noise=False)
+        result = calibrate(session(plan, options, seed=1), plan)
+        biases.append(result.calibration.model.gyro.bias)
+    # One reading off by a pulse at either end of each of twelve dwells of 60 s: at the very most
+    # a pulse over a dwell in the mean, sqrt(1/6) / sqrt(12) of that in the root mean square.
+    pulse = 7.8 / 60 * 4.84813681109536e-6
+    assert np.ptp(biases, axis=0).max() < 4.5 * pulse * np.sqrt(1 / 6 / 12) * np.sqrt(2)
+
+
+@pytest.mark.parametrize('azimuth', [0.0, 2.0, 5.0])
+def test_the_six_position_bias_moves_as_its_formula_says(azimuth: float) -> None:
+    # methods.md, section 4: dD = (I + M) mean(R_nb^T) (Rz(-e) - 1) (0, omega_N, 0).
+    plan = quick_plan('six_position', 20.0)
+    believed = replace(load_table('three_axis'), azimuth=0.0)
+    exact = stand(azimuth=azimuth * DEG, quantise=False, noise=False)
+    result = calibrate(session(plan, exact, table=believed), plan, table=believed)
+    east_north = SITE.north_rate * np.array([np.sin(azimuth * DEG), np.cos(azimuth * DEG) - 1])
+    mean = np.mean([p.attitude.T[:, :2] for p in plan.positions], axis=0)
+    predicted = truth().model.gyro.response @ (mean @ east_north)
+    assert errors(result)[GYRO_BIAS] / DEG_H == pytest.approx(predicted / DEG_H, abs=2e-6)
+    size = 12.373 * np.sin(azimuth * DEG)  # deg/h at 34.65 deg
+    assert errors(result)[9] / DEG_H == pytest.approx(2 / 3 * size, abs=0.005)
+    assert errors(result)[10] / DEG_H == pytest.approx(-1 / 3 * size, abs=0.005)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_without_noise_the_scale_factor_is_exact_at_any_start_phase(seed: int) -> None:
+    plan = load_plan('twelve_position')
+    ten = replace(plan.positions[0].rate_test, rates=(10 * DEG, -10 * DEG))  # type: ignore[type-var]
+    positions = tuple(
+        replace(p, dwell=10.0, rate_test=ten if p.rate_test else None) for p in plan.positions
+    )
+    plan = replace(plan, positions=positions)
+    exact = stand(quantise=False, noise=False)
+    result = calibrate(session(plan, exact, seed), plan)
+    assert np.abs(errors(result)[:3]).max() < 1 * PPM
+
+
+def test_a_difference_of_clocks_is_found_and_does_not_reach_the_scale_factor() -> None:
+    options = stand(clock_offset=0.05, clock_rate_error=50e-6)
+    result = calibrate(session(options=options, seed=2))
+    clock = result.session.clock
+    assert abs(clock.rate - 50e-6) < 4.5 * clock.rate_std < 1e-6
+    assert np.abs(normalised(result)[:9]).max() < 4.5
+
+
+def test_half_a_millisecond_of_jitter_costs_little() -> None:
+    options = stand(joint_stamp_jitter=0.0005, imu_stamp_jitter=0.0005)
+    result = calibrate(session(options=options, seed=2))
+    assert np.abs(normalised(result)).max() < 4.5
+    assert result.calibration.std[:3].max() < 15 * PPM
+
+
+@pytest.mark.parametrize('missing', [(SetpointBlock,), (SetpointBlock, JointBlock)])
+def test_joint_states_alone_and_the_imu_alone_serve_too(missing: tuple[type, ...]) -> None:
+    blocks = [b for b in session(seed=5) if not isinstance(b[1], missing)]
+    result = calibrate(blocks, imu_only=JointBlock in missing)
+    assert len(result.labelled.segments) == 12
+    assert len(result.labelled.turns) == 18
+    assert np.abs(normalised(result)).max() < 4.5
+
+
+OTHER_TABLE = """
+name: other
+joints:
+  - {name: a, axis: -z, zero: 33 deg, max_rate: 400 deg/s, max_acceleration: 200 deg/s^2}
+  - {name: b, axis: y, zero: -12 deg, max_rate: 200 deg/s, max_acceleration: 100 deg/s^2}
+  - {name: c, axis: -x, max_rate: 200 deg/s, max_acceleration: 100 deg/s^2}
+mount: [-y, z, -x]
+"""
+
+
+def test_another_table_needs_no_special_case() -> None:
+    table = read_table(Section.parse(OTHER_TABLE, 'other.yaml'))
+    result = calibrate(session(table=table, seed=6), table=table)
+    assert np.abs(normalised(result)).max() < 4.5
+
+
+def test_the_south_needs_no_special_case() -> None:
+    site = Site.at(-LATITUDE)
+    result = calibrate(session(site=site, seed=7), site=site)
+    assert np.abs(normalised(result)).max() < 4.5
+    assert result.solution.earth_up < 0
+
+
+def shuffled(plan: Plan) -> Plan:
+    order = np.random.default_rng(0).permutation(len(plan.positions))
+    return replace(plan, positions=tuple(plan.positions[k] for k in order))
+
+
+def test_another_order_needs_no_special_case() -> None:
+    plan = shuffled(load_plan('twelve_position'))
+    result = calibrate(session(plan, seed=8), plan)
+    assert np.abs(normalised(result)).max() < 4.5
+
+
+def test_a_repeated_position_is_averaged_and_makes_its_share_surer() -> None:
+    plan = load_plan('twelve_position')
+    again = replace(plan.positions[2], id='3 again')
+    run = replace(plan, positions=(*plan.positions, again))
+    blocks = [(topic, renamed(block)) for topic, block in session(run, seed=9)]
+    result = calibrate(blocks, plan)
+    assert len(result.labelled.segments) == 13
+    assert np.abs(normalised(result)).max() < 4.5
+
+
+def renamed(block: Block) -> Block:
+    if not isinstance(block, SetpointBlock):
+        return block
+    return SetpointBlock(
+        tuple(replace(s, position=s.position.removesuffix(' again')) for s in block.setpoints)
+    )
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=8, deadline=None)
+def test_the_result_does_not_depend_on_cuts_and_interleaving(seed: int) -> None:
+    blocks = list(short_session())
+    reference = calibrate(blocks, short_plan()).calibration.to_yaml()
+    assert calibrate(recut(blocks, seed), short_plan()).calibration.to_yaml() == reference
+
+
+def short_plan() -> Plan:
+    return quick_plan('twelve_position', 10.0)
+
+
+def short_session() -> list[Named]:
+    return list(session(short_plan(), seed=1))
+
+
+def recut(blocks: list[Named], seed: int) -> list[Named]:
+    """Cut every topic anew at random, and interleave the topics at random."""
+    rng = np.random.default_rng(seed)
+    topics = {name: [b for n, b in blocks if n == name] for name, _ in blocks}
+    queues = {n: [p for b in bs for p in cut(b, rng)] for n, bs in topics.items()}
+    turns = rng.permutation([n for n, q in queues.items() for _ in q])
+    sources = {n: iter(q) for n, q in queues.items()}
+    return [(n, next(sources[n])) for n in turns]
+
+
+def cut(block: Block, rng: np.random.Generator) -> list[Block]:
+    edges = [0, *sorted(rng.integers(0, len(block) + 1, rng.integers(0, 3))), len(block)]
+    return [part(block, slice(a, b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+
+
+def part(block: Block, rows: slice) -> Block:
+    if isinstance(block, ImuBlock):
+        return ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], block.frame_id)
+    if isinstance(block, JointBlock):
+        return JointBlock(
+            block.stamp[rows], block.names, block.position[rows], block.velocity[rows]
+        )
+    if isinstance(block, SetpointBlock):
+        return SetpointBlock(block.setpoints[rows])
+    return block
+
+
+def test_memory_is_bounded_by_splitting_a_long_rest() -> None:
+    # A rest longer than the longest stretch becomes several of one position.
+    from imu_calib.segmentation import segmenter
+
+    plan = quick_plan('twelve_position', 30.0)
+    blocks = list(session(plan, seed=3))
+    whole = calibrate(blocks, plan)
+    saved = segmenter._LONGEST_REST
+    segmenter._LONGEST_REST = 1000
+    try:
+        split = calibrate(blocks, plan)
+        again = calibrate(recut(blocks, 5), plan)
+    finally:
+        segmenter._LONGEST_REST = saved
+    assert len(split.labelled.segments) > 2 * len(whole.labelled.segments)
+    assert split.calibration.to_yaml() == again.calibration.to_yaml()
+    assert np.abs(normalised(split)).max() < 4.5
+
+
+def test_the_unit_of_the_paper_is_what_the_tests_use() -> None:
+    assert paper_imu().gyro.bias_instability == 0.0
+    assert paper_imu().gyro.random_walk == pytest.approx(0.05 * DEG / 60)

@@ -1,0 +1,72 @@
+"""A real session by hand: raw counts of a wearable unit, through reader, segmentation and solver.
+
+The recording is imucal's example session (MIT licence, data/LICENSE.imucal), written by
+data/make_hand_session.py. imucal's model is calibrated = R^-1 K^-1 (raw - K_ga acc - b): scale on
+the raw side and a rotation-like R behind it, where ours is raw * nominal = (I + M) input + d. To
+first order in misalignment both call the diagonal the scale factor, so K compares; its bias is in
+counts and contains no scale, so b compares with d / nominal; R has no counterpart to first order
+but the sum of ours. Its K_ga (gyro counts per m/s^2) is what the 24-parameter model leaves out. It
+also spreads the turn of 360 deg over the samples by the gyro itself, where ours takes its angle.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imu_calib.bags import open_recording
+from imu_calib.calibrator import Calibrator, Result, Setup
+from imu_calib.cdr import Kind
+from imu_calib.earth import Site
+from imu_calib.imu import load_imu
+from imu_calib.plan import load_plan
+from imu_calib.units import DEG
+
+RECORDING = Path(__file__).parent / 'data' / 'hand_session'
+COUNTS_PER_FORCE = [208.5457, 208.0011, 214.7846]  # imucal's K_a, counts per m/s^2
+COUNTS_PER_RATE = [16.67770, 16.18790, 16.25336]  # imucal's K_g, counts per deg/s
+ZERO_FORCE = [-6.0189, -48.2879, -28.9664]  # imucal's b_a, counts
+ZERO_RATE = [1.9607, -4.4728, -3.6512]  # imucal's b_g, counts
+
+
+@pytest.fixture(scope='module')
+def result() -> Result:
+    # Erlangen; imucal takes 9.81 m/s^2.
+    site = Site.at(49.6 * DEG, gravity=9.81)
+    setup = Setup(load_imu('mems_counts'), load_plan('six_position_by_hand'), None, site)
+    calibrator = Calibrator(setup)
+    with open_recording(RECORDING) as recording:
+        for _, block in recording.read({'/imu/raw': Kind.IMU}):
+            calibrator.feed(block)
+    return calibrator.finish()
+
+
+def test_six_holds_and_three_turns_are_found(result: Result) -> None:
+    names = [s.position for s in result.labelled.segments]
+    assert names == ['x_up', 'x_down', 'y_up', 'y_down', 'z_up', 'z_down']
+    assert [t.position for t in result.labelled.turns] == ['x_turn', 'y_turn', 'z_turn']
+    # The counts integrate to +360 deg about each axis.
+    assert [t.angle for t in result.labelled.turns] == pytest.approx([2 * np.pi] * 3)
+
+
+def test_scale_factors_are_those_that_imucal_finds(result: Result) -> None:
+    calibration = result.calibration
+    accel = np.diag(calibration.model.accel.response) / calibration.imu.accel.scale_factor
+    gyro = np.diag(calibration.model.gyro.response) / calibration.imu.gyro.scale_factor * DEG
+    assert accel == pytest.approx(COUNTS_PER_FORCE, rel=0.005)
+    assert gyro == pytest.approx(COUNTS_PER_RATE, rel=0.005)
+
+
+def test_biases_are_those_that_imucal_finds(result: Result) -> None:
+    # Holds by hand lean by a degree or two, which moves the mean of six by g times its sine over
+    # six, some 8 counts; the gyros differ by K_ga and by the Earth rate, tenths of a count.
+    calibration = result.calibration
+    accel = calibration.model.accel.bias / calibration.imu.accel.scale_factor
+    gyro = calibration.model.gyro.bias / calibration.imu.gyro.scale_factor
+    assert accel == pytest.approx(ZERO_FORCE, abs=15)
+    assert gyro == pytest.approx(ZERO_RATE, abs=0.3)
+
+
+def test_leaning_holds_show_in_the_standard_deviations(result: Result) -> None:
+    assert any('accelerometers scatter' in finding for finding in result.calibration.findings)
+    assert result.calibration.std[12:15].min() > 1e-3
