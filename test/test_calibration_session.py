@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -225,7 +226,7 @@ def recut(blocks: list[Named], seed: int) -> list[Named]:
 
 def cut(block: Block, rng: np.random.Generator) -> list[Block]:
     edges = [0, *sorted(rng.integers(0, len(block) + 1, rng.integers(0, 3))), len(block)]
-    return [part(block, slice(a, b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+    return [part(block, slice(a, b)) for a, b in pairwise(edges) if b > a]
 
 
 def part(block: Block, rows: slice) -> Block:

@@ -38,7 +38,7 @@ def test_what_is_no_quantity_of_the_kind_is_refused_with_key_and_units(text: obj
 
 def test_a_misspelt_key_is_named() -> None:
     text = 'id: a\nunits: si\nsample_frequency: 100 Hz\n'
-    with pytest.raises(InputError, match="my.yaml: unknown key 'sample_frequency'; known are"):
+    with pytest.raises(InputError, match=r"my\.yaml: unknown key 'sample_frequency'; known are"):
         read_imu(Section.parse(text, 'my.yaml'))
 
 

@@ -128,6 +128,7 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     if clock.motions:
         OUTPUT.print(
             f'IMU clock against table: {clock.offset * 1e3:+.3f} +- {clock.offset_std * 1e3:.3f} '
-            f'ms, {clock.rate * 1e6:+.2f} +- {clock.rate_std * 1e6:.2f} ppm ({clock.motions} motions)'
+            f'ms, {clock.rate * 1e6:+.2f} +- {clock.rate_std * 1e6:.2f} ppm '
+            f'({clock.motions} motions)'
         )
     sentence_list('Worth knowing', result.calibration.findings)

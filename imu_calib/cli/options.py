@@ -97,7 +97,8 @@ def find_imu(arguments: argparse.Namespace, data: Mapping[str, str], where: str)
     if 'imu_calib.imu' in data:
         return read_imu(Section.parse(data['imu_calib.imu'], f'{where}: its IMU'))
     raise InputError(
-        f"{where} does not say what the IMU's numbers mean: give --imu ({_shipped('imus')}, or a file)."
+        f"{where} does not say what the IMU's numbers mean: "
+        f'give --imu ({_shipped("imus")}, or a file).'
     )
 
 
@@ -186,7 +187,8 @@ def _named(
             return topic.name
     listed = ', '.join(t.name for t in candidates) or 'none'
     raise InputError(
-        f'{option} {wanted}: {recording.path} has no such topic; of type {kind.type_name}: {listed}.'
+        f'{option} {wanted}: {recording.path} has no such topic; '
+        f'of type {kind.type_name} it has: {listed}.'
     )
 
 

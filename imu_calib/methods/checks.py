@@ -117,8 +117,8 @@ def _check_axes(response: Floats, name: str, what: str) -> None:
     scale = abs(float(np.linalg.det(response))) ** (1 / 3)
     if not 1 / _SCALE_LIMIT < scale < _SCALE_LIMIT:
         raise InputError(
-            f'The {name} answer {scale:.4g} times what {what} ask(s): units or scale factor of the '
-            "IMU's description are not those of the recording."
+            f'The {name} answer {scale:.4g} times what they should to {what}: units or scale factor '
+            "of the IMU's description are not those of the recording."
         )
     near = np.rint(response)
     if np.array_equal(near, np.eye(3)) and np.abs(response - np.eye(3)).max() < _AXIS_LIMIT:
@@ -131,8 +131,8 @@ def _check_axes(response: Floats, name: str, what: str) -> None:
             words.append(f'{AXES[i]} answers to {sign}{AXES[j].upper()}')
     kind = 'mirrored' if np.linalg.det(response) < 0 else 'swapped'
     raise NotObservable(
-        f'The axes of the {name} are {kind} against the plan: {", ".join(words)}. Give the mounting '
-        "in the table's YAML, or correct the driver."
+        f'The axes of the {name} are {kind} against the plan: {", ".join(words)}. Give the '
+        "mounting in the table's YAML, or correct the driver."
     )
 
 
@@ -226,8 +226,8 @@ def _check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> No
     raise NotObservable(
         f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: the gyros see an Earth '
         f'rate of {earth[2] / DEG_H:.2f} +- {up_std / DEG_H:.2f} deg/h up (expected '
-        f'{site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- {level_std / DEG_H:.2f} deg/h level '
-        f'(expected {site.north_rate / DEG_H:.2f}). It fits a latitude of {seen / DEG:.1f} +- '
+        f'{site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- {level_std / DEG_H:.2f} deg/h '
+        f'level (expected {site.north_rate / DEG_H:.2f}). It fits a latitude of {seen / DEG:.1f} +- '
         f'{max(up_std, level_std) / total / DEG:.1f} deg.'
     )
 
