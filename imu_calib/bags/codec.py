@@ -6,7 +6,7 @@ import importlib
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from imu_calib.errors import InputError
+from ..errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

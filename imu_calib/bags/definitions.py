@@ -6,8 +6,8 @@ import os
 import re
 from pathlib import Path
 
-from imu_calib.errors import InputError
-from imu_calib.share import message_folder
+from ..errors import InputError
+from ..share import message_folder
 
 _OWN = 'imu_calib_msgs'
 _RULE = '=' * 80

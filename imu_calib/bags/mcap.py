@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imu_calib.cdr import Messages
-
+from ..cdr import Messages
 from .codec import CodecError, decompressor
 from .mcap_records import MESSAGE_HEAD, RECORD_HEAD, Op, RecordError, walk
 from .mcap_scan import Chunk, scan
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO
 
-    from imu_calib.cdr.messages import Bytes, Indices
+    from ..cdr.messages import Bytes, Indices
 
 _HEAD = RECORD_HEAD + MESSAGE_HEAD
 _HEAD_KIND = np.dtype([('op', 'u1'), ('length', '<u8'), ('channel', '<u2')])

@@ -11,7 +11,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from imu_calib.cdr.messages import Bytes, Indices
+from ..cdr.messages import Bytes, Indices
 
 MAGIC = b'\x89MCAP0\r\n'
 RECORD_HEAD = 9

@@ -23,7 +23,7 @@ from .storage import Losses, RecordingError, seconds
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from imu_calib.cdr.messages import Bytes, Indices
+    from ..cdr.messages import Bytes, Indices
 
 _WINDOW = 1 << 22
 _CHUNK_FIELDS = 40

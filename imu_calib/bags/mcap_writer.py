@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from imu_calib.cdr import Messages
-    from imu_calib.cdr.messages import Indices
+    from ..cdr import Messages
+    from ..cdr.messages import Indices
 
 _HEAD = RECORD_HEAD + MESSAGE_HEAD
 

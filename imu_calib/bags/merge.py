@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imu_calib.cdr import part
-from imu_calib.stream import SetpointBlock
+from ..cdr import part
+from ..stream import SetpointBlock
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from imu_calib.stream import Block, Stamps
+    from ..stream import Block, Stamps
 
 STRETCH_NS = 5_000_000_000
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imu_calib.cdr import Malformed, Messages
-
+from ..cdr import Malformed, Messages
 from .codec import ZSTD_MAGIC, CodecError, decompressor
 from .files import Found, Scratch, find_files, open_storage
 from .merge import Piece, merge
@@ -19,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from types import TracebackType
 
-    from imu_calib.cdr import Kind
-    from imu_calib.stream import Block
+    from ..cdr import Kind
+    from ..stream import Block
 
 CACHE_BYTES = 48 << 20
 _HASH_BLOCK = 1 << 20

@@ -9,8 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from imu_calib.cdr import Messages
-
+from ..cdr import Messages
 from .metadata import custom_data_of
 from .storage import Cache, Losses, RecordingError, Stretch, Topic
 

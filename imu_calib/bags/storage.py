@@ -6,13 +6,13 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from imu_calib.errors import InputError
+from ..errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Mapping
     from pathlib import Path
 
-    from imu_calib.cdr.messages import Messages
+    from ..cdr.messages import Messages
 
 
 class RecordingError(InputError):

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Any
 
-    from imu_calib.cdr import Messages
-    from imu_calib.stream import Stamps
+    from ..cdr import Messages
+    from ..stream import Stamps
 
 CHUNK_BYTES = 1 << 20
 CHUNK_NS = 5_000_000_000

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from imu_calib.stream import (
+from ..stream import (
     Block,
     ImuBlock,
     JointBlock,
@@ -16,15 +16,13 @@ from imu_calib.stream import (
     SetpointBlock,
     TemperatureBlock,
 )
-
 from .layout import ENCAPSULATION, Layout, LayoutReader
 from .messages import CdrError, Malformed, Messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from imu_calib.stream import Floats
-
+    from ..stream import Floats
     from .messages import Bytes, Indices
 
 Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)

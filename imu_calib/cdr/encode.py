@@ -13,7 +13,7 @@ from .messages import CdrError, Messages
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from imu_calib.stream import (
+    from ..stream import (
         Floats,
         ImuBlock,
         JointBlock,
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         Stamps,
         TemperatureBlock,
     )
-
     from .messages import Bytes
 
 PULSES = (-1.0, -1.0, -1.0)

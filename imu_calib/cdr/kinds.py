@@ -10,8 +10,7 @@ from .decode import decode_imu, decode_joints, decode_setpoints, decode_temperat
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from imu_calib.stream import Block
-
+    from ..stream import Block
     from .messages import Malformed, Messages
 
 

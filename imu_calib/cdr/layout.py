@@ -16,8 +16,7 @@ import numpy as np
 from .messages import CdrError
 
 if TYPE_CHECKING:
-    from imu_calib.stream import Floats, Stamps
-
+    from ..stream import Floats, Stamps
     from .messages import Bytes
 
 ENCAPSULATION = 4

@@ -117,8 +117,8 @@ def _check_axes(response: Floats, name: str, what: str) -> None:
     scale = abs(float(np.linalg.det(response))) ** (1 / 3)
     if not 1 / _SCALE_LIMIT < scale < _SCALE_LIMIT:
         raise InputError(
-            f'The {name} answer {scale:.4g} times what they should to {what}: units or scale factor '
-            "of the IMU's description are not those of the recording."
+            f'The {name} answer {scale:.4g} times what they should to {what}: units or scale '
+            "factor of the IMU's description are not those of the recording."
         )
     near = np.rint(response)
     if np.array_equal(near, np.eye(3)) and np.abs(response - np.eye(3)).max() < _AXIS_LIMIT:
@@ -227,8 +227,8 @@ def _check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> No
         f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: the gyros see an Earth '
         f'rate of {earth[2] / DEG_H:.2f} +- {up_std / DEG_H:.2f} deg/h up (expected '
         f'{site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- {level_std / DEG_H:.2f} deg/h '
-        f'level (expected {site.north_rate / DEG_H:.2f}). It fits a latitude of {seen / DEG:.1f} +- '
-        f'{max(up_std, level_std) / total / DEG:.1f} deg.'
+        f'level (expected {site.north_rate / DEG_H:.2f}). It fits a latitude of '
+        f'{seen / DEG:.1f} +- {max(up_std, level_std) / total / DEG:.1f} deg.'
     )
 
 
