@@ -30,6 +30,6 @@ def run(arguments: argparse.Namespace) -> None:
     OUTPUT.print(comparison_table(calibrations, names))
     OUTPUT.print(
         "\nTable 1: the paper's names, K = S - S0 (deviation of the scale factor). Its E names"
-        '\nare the transpose of ours: by its eq. (18) for the accelerometers, by our reading for the '
-        'gyros.'
+        '\nare the transpose of ours: by its eq. (18) for the accelerometers, by our reading for '
+        'the gyros.'
     )
