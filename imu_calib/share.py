@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 
 from .errors import InputError
 
-_CHECKOUT = Path(__file__).resolve().parent.parent
+_PACKAGE = Path(__file__).resolve().parent
+_CHECKOUT = _PACKAGE.parent
 
 
 def share_folder() -> Path:
     """Return the folder that holds `config`.
 
-    A ROS share folder of the running environment comes first, then the checkout (an editable
-    install has no data files of its own), then the data folder of the Python environment.
+    In a checkout (an editable install is one too) it is the checkout; else it is share/imu_calib
+    of the prefix that the package is installed in, be it a ROS workspace or a Python environment.
 
     Raises:
         InputError: None of them holds the package's files.
 
     """
-    prefixes = [Path(p) for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    package = Path(__file__).resolve()
-    ament = [p / 'share' / 'imu_calib' for p in prefixes if package.is_relative_to(p.resolve())]
-    candidates = [*ament, _CHECKOUT, Path(sys.prefix) / 'share' / 'imu_calib']
+    candidates = [_CHECKOUT, *(p / 'share' / 'imu_calib' for p in _PACKAGE.parents)]
     for folder in candidates:
         if (folder / 'config' / 'plans').is_dir():
             return folder
-    looked = ', '.join(str(folder) for folder in candidates)
-    raise InputError(f'The files of imu_calib are not installed: no config/plans in {looked}.')
+    raise InputError(
+        'The files of imu_calib are not installed: there is no share/imu_calib/config/plans '
+        f'above {_PACKAGE}.'
+    )
 
 
 def message_folder() -> Path:
