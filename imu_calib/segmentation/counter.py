@@ -25,6 +25,7 @@ _READING_VARIANCE = 1 / 12
 _PASSAGES_NEEDED = 5
 _DRIFT_SIGNIFICANCE = 6.0
 _HARMONICS = 64
+_FADED_OUT = 37.0
 
 
 @dataclass(frozen=True)
@@ -139,16 +140,23 @@ def smoothed_ends(pulses: Floats, period: float, walk: float) -> MeanRate | None
         return None
     kappa = math.acosh(1 + growth / 2)
     n = len(pulses)
-    k = np.arange(1, n + 1)
-    fade = (np.exp(-kappa * k) + np.exp(-kappa * (n + 1 - k))) / (1 + math.exp(-kappa * (n + 1)))
-    weights = 1 - fade
-    total = float(weights.sum()) * period
+    reach = min(n, math.ceil(_FADED_OUT / kappa))
+    if 2 * reach < n:
+        # Both fades die out before they meet: the middle has weight one, and costs nothing.
+        fade = np.exp(-kappa * np.arange(1, reach + 1))
+        lost = float(fade @ pulses[:reach]) + float(fade @ pulses[: -reach - 1 : -1])
+        weighted = float(pulses.sum()) - lost
+        total = (n - 2 * float(fade.sum())) * period
+        squares = n - 4 * float(fade.sum()) + 2 * float(fade @ fade)
+    else:
+        k = np.arange(1, n + 1)
+        fade = np.exp(-kappa * k) + np.exp(-kappa * (n + 1 - k))
+        weights = 1 - fade / (1 + math.exp(-kappa * (n + 1)))
+        weighted = float(weights @ pulses)
+        total = float(weights.sum()) * period
+        squares = float(weights @ weights)
     error = 2 * _faded_error(float(pulses.mean()), math.exp(-kappa), walk * walk * period)
-    return MeanRate(
-        float(weights @ pulses) / total,
-        period * float(weights @ weights) / total**2,
-        error / total**2,
-    )
+    return MeanRate(weighted / total, period * squares / total**2, error / total**2)
 
 
 def _faded_error(step: float, fade: float, growth: float) -> float:
