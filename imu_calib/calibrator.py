@@ -112,6 +112,7 @@ class Calibrator:
             session.clock,
             setup.table.azimuth if setup.table is not None else None,
             noise(labelled.segments, setup.imu),
+            setup.table.positioning if setup.table is not None else 0.0,
         )
         try:
             solution = self._solver(evidence)

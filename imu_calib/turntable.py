@@ -76,6 +76,8 @@ class Table:
         joints: From the base to the unit.
         mount: (3, 3) columns are the body axes in the frame of the last joint.
         azimuth: Heading of the table's zero against north about up, rad; None when unknown.
+        positioning: Standard deviation of an arrival's error that the encoder does not show, rad;
+            0 when not stated.
 
     """
 
@@ -83,6 +85,7 @@ class Table:
     joints: tuple[Joint, ...]
     mount: Floats = field(default_factory=lambda: np.eye(3))
     azimuth: float | None = None
+    positioning: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -297,7 +300,10 @@ def read_table(section: Section) -> Table:
     azimuth = None
     if section.has('azimuth') and section.raw('azimuth') != 'unknown':
         azimuth = section.quantity('azimuth', Dimension.ANGLE)
-    table = Table(section.text('name'), joints, _read_mount(section), azimuth)
+    positioning = section.quantity('positioning', Dimension.ANGLE, 0.0)
+    if positioning < 0:
+        raise InputError(f'{section.key("positioning")}: cannot be negative.')
+    table = Table(section.text('name'), joints, _read_mount(section), azimuth, positioning)
     section.finish()
     return table
 

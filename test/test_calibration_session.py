@@ -263,3 +263,20 @@ def test_memory_is_bounded_by_splitting_a_long_rest() -> None:
 def test_the_unit_of_the_paper_is_what_the_tests_use() -> None:
     assert paper_imu().gyro.bias_instability == 0.0
     assert paper_imu().gyro.random_walk == pytest.approx(0.05 * DEG / 60)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_positioning_that_a_table_states_is_in_the_standard_deviations(seed: int) -> None:
+    # No sensor sees it: two arcsec, uniform, tilt the axis of a rate test by 1e-5 rad as a whole.
+    half_width = 2 * ARCMIN / 60
+    table = replace(load_table('three_axis'), positioning=half_width / np.sqrt(3))
+    result = calibrate(session(options=stand(positioning_error=half_width), seed=seed), table=table)
+    assert np.abs(normalised(result)).max() < 4.5
+    assert not any('scatter' in finding for finding in result.calibration.findings)
+
+
+def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
+    result = calibrate(session(options=stand(positioning_error=10 * ARCMIN / 60), seed=1))
+    plain = calibrate(session(seed=1))
+    assert any('accelerometers scatter' in finding for finding in result.calibration.findings)
+    assert np.all(result.calibration.std[12:] > 3 * plain.calibration.std[12:])

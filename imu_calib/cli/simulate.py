@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..share import named_file
 from ..simulation import SimulatedStand, StandOptions
 from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, Stamps
 from ..turntable import load_table
-from ..units import ARCSEC, DEG
+from ..units import DEG
 from . import options
 from .terminal import OUTPUT, progress_bar
 
@@ -52,13 +53,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="true heading of the table's zero against north, about up (default: 0)",
     )
     parser.add_argument(
-        '--positioning',
-        type=float,
-        default=0.0,
-        metavar='ARCSEC',
-        help='half width of the error of each arrival, which the encoder does not see (default: 0)',
-    )
-    parser.add_argument(
         '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
     )
     parser.add_argument('--seed', type=int, default=0, help='same seed, same bits (default: 0)')
@@ -73,16 +67,18 @@ def run(arguments: argparse.Namespace) -> None:
     """Simulate and write."""
     latitude = LUOYANG if arguments.latitude is None else arguments.latitude
     site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    table = load_table(arguments.table)
     truth = Calibration.load(named_file('truths', arguments.truth))
     stand = SimulatedStand(
         load_plan(arguments.plan),
-        load_table(arguments.table),
+        table,
         load_imu(arguments.imu),
         truth.model,
         site,
         StandOptions(
             azimuth=arguments.azimuth * DEG,
-            positioning_error=arguments.positioning * ARCSEC,
+            # A uniform error of this half width has the standard deviation that the table states.
+            positioning_error=math.sqrt(3) * table.positioning,
             bias_instability=arguments.bias_instability,
         ),
         arguments.seed,

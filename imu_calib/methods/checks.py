@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from ..earth import EARTH_RATE
 from ..errors import InputError, NotObservable
 from ..model import AXES, SensorModel
 from ..stream import Floats
@@ -33,7 +35,7 @@ class _Fit:
         vector: (3,) Earth rate or specific force in the frame of the attitudes.
         covariance: (3, 3) its covariance.
         residuals: (s, 3) what is left.
-        scatter: Chi-square per degree of freedom of what is left.
+        scatter: Chi-square per degree of freedom of what is left, of stretches or of groups.
         significant: Whether the scatter exceeds the noise.
 
     """
@@ -83,7 +85,8 @@ def conclude(
             widened[block, block] *= fit.scatter
             notes.append(
                 f'Between positions the {name} scatter {np.sqrt(fit.scatter):.1f} times more than '
-                'within them (positioning errors, drift): their standard deviations are widened.'
+                'within them (positioning errors that the table does not state, drift): their '
+                'standard deviations are widened.'
             )
     residuals = _residuals(evidence, gyro, accel)
     notes += _outstanding(residuals)
@@ -143,7 +146,9 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     """
     triad = model.gyro if channels.start == 0 else model.accel
     outputs = evidence.outputs()[:, channels] - triad.bias
-    variances = np.maximum(evidence.variances()[:, channels], SMALLEST_VARIANCE)
+    world = EARTH_RATE if channels.start == 0 else evidence.site.gravity
+    variances = evidence.variances()[:, channels] + (evidence.positioning * world) ** 2
+    variances = np.maximum(variances, SMALLEST_VARIANCE)
     inputs = np.einsum('ij,skj->sik', triad.response, evidence.attitudes())
     noisy = bool(variances.max() > SMALLEST_VARIANCE)
     s = len(outputs)
@@ -155,16 +160,41 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     inverse = np.linalg.pinv(matrix / scale)
     solution = inverse @ wanted / scale
     covariance = (inverse @ inverse.T) / np.outer(scale, scale)
-    left = wanted - matrix @ solution
-    freedom = max(1, 3 * s - estimated)
-    square = float(left @ left)
-    return _Fit(
-        solution[:3],
-        covariance[:3, :3],
-        (left / weights.reshape(-1)).reshape(s, 3),
-        max(1.0, square / freedom),
-        bool(noisy and 3 * s > estimated and chi2.sf(square, freedom) < _SIGNIFICANT),
-    )
+    left = ((wanted - matrix @ solution) / weights.reshape(-1)).reshape(s, 3)
+    scatter, significant = 1.0, False
+    for groups in (np.arange(s), _arrivals(evidence)):
+        ratio, plain = _scatter(left, variances, groups, estimated)
+        if noisy and plain:
+            scatter, significant = max(scatter, ratio), True
+    return _Fit(solution[:3], covariance[:3, :3], left, scatter, significant)
+
+
+def _arrivals(evidence: Evidence) -> NDArray[np.intp]:
+    """Number the stretches by which axis is up or down: what errs once in all of such a group.
+
+    Between the positions of a group only the vertical axis turned. An error of arrival of the
+    other axes is common to them, and hides from the scatter within the group.
+    """
+    found = evidence.vertical_axes()
+    kinds = sorted(set(found))
+    return np.array([kinds.index(axis) for axis in found])
+
+
+def _scatter(
+    left: Floats, variances: Floats, groups: NDArray[np.intp], estimated: int
+) -> tuple[float, bool]:
+    """Return chi-square per degree of freedom of the groups' means, and whether it is plain."""
+    square, count = 0.0, 0
+    for group in range(int(groups.max()) + 1):
+        mine = groups == group
+        precision = 1 / variances[mine]
+        mean = (precision * left[mine]).sum(axis=0) / precision.sum(axis=0)
+        square += float(mean**2 @ precision.sum(axis=0))
+        count += 3
+    if count <= estimated:
+        return 1.0, False
+    freedom = count - estimated
+    return square / freedom, bool(chi2.sf(square, freedom) < _SIGNIFICANT)
 
 
 def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit) -> tuple[Residual, ...]:

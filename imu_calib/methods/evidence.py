@@ -34,6 +34,7 @@ class Evidence:
         clock: Table against IMU.
         azimuth: Heading of the table's zero against north, rad; None when unknown.
         walk: (6,) random-walk coefficients, rad/sqrt(s) and (m/s)/sqrt(s).
+        positioning: Standard deviation of an arrival of the table, rad; 0 when not stated.
 
     """
 
@@ -44,6 +45,7 @@ class Evidence:
     clock: ClockFit
     azimuth: float | None
     walk: Floats
+    positioning: float = 0.0
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import NotObservable
-from ..model import AXES, SensorModel, Triad
+from ..model import AXES, PARAMETERS, ParameterKind, SensorModel, Triad
 from ..stream import Floats
 from .evidence import Evidence
 from .linear import BIAS, UNKNOWNS, ChannelSystem, parameters_of, triad_covariance
@@ -116,9 +116,29 @@ def _missing_words(evidence: Evidence) -> str:
 
 
 def assemble(
-    gyros: tuple[Triad, Floats, float], accels: tuple[Triad, Floats, float]
+    evidence: Evidence, gyros: tuple[Triad, Floats, float], accels: tuple[Triad, Floats, float]
 ) -> tuple[SensorModel, Floats, float]:
     """Join the two triads: model, (24, 24) covariance, condition number."""
     covariance = np.zeros((24, 24))
     covariance[:12, :12], covariance[12:, 12:] = gyros[1], accels[1]
+    covariance[np.diag_indices(24)] += _arrival_variances(evidence)
     return SensorModel(gyros[0], accels[0]), covariance, max(gyros[2], accels[2])
+
+
+def _arrival_variances(evidence: Evidence) -> Floats:
+    """Return the variances (24,) that the table's stated positioning error adds.
+
+    While an axis stays vertical the other joints do not move: the error of their arrival is one and
+    the same for all positions of that axis up, and for its turns. It goes whole into the gyros'
+    misalignments, by half the difference of up and down into the accelerometers', and into their
+    biases from the four of six such arrivals in which a channel lies level.
+    """
+    square = evidence.positioning**2
+    misalignment = [p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS]
+    bias = [p.kind is ParameterKind.BIAS for p in PARAMETERS]
+    gyro = np.arange(24) < 12
+    result = np.zeros(24)
+    result[misalignment & gyro] = square
+    result[misalignment & ~gyro] = square / 2
+    result[bias & ~gyro] = 4 / 36 * square * evidence.site.gravity**2
+    return result

@@ -30,7 +30,7 @@ def solve(evidence: Evidence) -> Solution:
     weights, mean_input, uncertain = _bias_equation(evidence)
     gyros, covariance, condition = solve_gyros(evidence, (weights, mean_input))
     covariance[9:12, 9:12] += uncertain
-    solved = assemble((gyros, covariance, condition), solve_accelerometers(evidence))
+    solved = assemble(evidence, (gyros, covariance, condition), solve_accelerometers(evidence))
     north = evidence.azimuth is not None
     return conclude(evidence, *solved, findings=[], north_known=north)
 

@@ -31,7 +31,7 @@ def solve(evidence: Evidence) -> Solution:
     """
     weights, findings = _bias_weights(evidence)
     gyros = solve_gyros(evidence, (weights, np.zeros(3)))
-    solved = assemble(gyros, solve_accelerometers(evidence))
+    solved = assemble(evidence, gyros, solve_accelerometers(evidence))
     return conclude(evidence, *solved, findings=findings, north_known=False)
 
 
