@@ -97,22 +97,7 @@ class Calibration:
             InputError: No calibration; names file, key, what was found and what was expected.
 
         """
-        section = Section.parse(text, where)
-        version = section.number('format')
-        if version != _FORMAT:
-            raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
-        try:
-            units = Units(section.text('units'))
-        except ValueError:
-            raise InputError(f'{section.key("units")}: found {section.text("units")!r}.') from None
-        gyro_spec, gyro = _read_triad(section.section('gyro'))
-        accel_spec, accel = _read_triad(section.section('accelerometer'))
-        spec = ImuSpec(section.text('imu'), units, None, gyro_spec, accel_spec)
-        covariance = _read_covariance(section)
-        residuals = _read_residuals(section)
-        findings = tuple(section.raw('findings')) if section.has('findings') else ()
-        provenance = dict(section.raw('provenance')) if section.has('provenance') else {}
-        return cls(spec, SensorModel(gyro, accel), covariance, residuals, findings, provenance)
+        return cls._read(Section.parse(text, where))
 
     def save(self, path: Path) -> None:
         """Write the file whole or not at all.
@@ -136,13 +121,29 @@ class Calibration:
             InputError: Unreadable, or no calibration.
 
         """
+        return cls._read(Section.load(path))
+
+    @classmethod
+    def _read(cls, section: Section) -> Calibration:
+        version = section.number('format')
+        if version != _FORMAT:
+            raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
         try:
-            text = path.read_text(encoding='utf-8')
-        except OSError as error:
-            raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
-        except UnicodeDecodeError:
-            raise InputError(f'{path}: found binary data, expected a calibration.') from None
-        return cls.from_yaml(text, str(path))
+            units = Units(section.text('units'))
+        except ValueError:
+            raise InputError(f'{section.key("units")}: found {section.text("units")!r}.') from None
+        gyro_spec, gyro = _read_triad(section.section('gyro'))
+        accel_spec, accel = _read_triad(section.section('accelerometer'))
+        spec = ImuSpec(section.text('imu'), units, None, gyro_spec, accel_spec)
+        covariance = _read_covariance(section)
+        residuals = _read_residuals(section)
+        findings = section.raw('findings') if section.has('findings') else []
+        provenance = section.raw('provenance') if section.has('provenance') else {}
+        if not isinstance(findings, list) or not isinstance(provenance, dict):
+            raise InputError(f'{section.where}: findings must be a list, provenance a mapping.')
+        return cls(
+            spec, SensorModel(gyro, accel), covariance, residuals, tuple(findings), provenance
+        )
 
 
 class _Dumper(yaml.SafeDumper):

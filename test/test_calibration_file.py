@@ -1,0 +1,107 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from sessions import truth
+
+from imu_calib.calibration import Calibration, ResidualRow
+from imu_calib.errors import InputError
+from imu_calib.model import SensorModel
+from imu_calib.report.parameters import comparison_table, parameter_table
+
+
+def example() -> Calibration:
+    rng = np.random.default_rng(0)
+    square = rng.normal(size=(24, 24)) * 1e-6
+    return Calibration(
+        truth().imu,
+        SensorModel.from_vector(rng.normal(size=24) * 1e-3),
+        square @ square.T,
+        (ResidualRow('1', 12.5, rng.normal(size=3), rng.normal(size=3)),),
+        ('Position 3: left out, the sensor is saturated.',),
+        {'plan': 'twelve_position'},
+    )
+
+
+def test_a_calibration_comes_back_from_its_file_bit_for_bit(tmp_path: Path) -> None:
+    saved, path = example(), tmp_path / 'calibration.yaml'
+    saved.save(path)
+    loaded = Calibration.load(path)
+    assert loaded.to_yaml() == saved.to_yaml()
+    assert np.array_equal(loaded.model.vector(), saved.model.vector())
+    assert np.array_equal(loaded.covariance, saved.covariance)
+    assert [p.name for p in tmp_path.iterdir()] == ['calibration.yaml']
+
+
+def test_the_file_alone_is_enough_to_apply_it() -> None:
+    # The README's formula on what yaml.safe_load returns, against the model's own compensation.
+    calibration = example()
+    document = yaml.safe_load(calibration.to_yaml())
+    pulses, interval = np.array([3.0, -1.0, 7.0]), 0.01
+    part = document['accelerometer']
+    response = np.eye(3) + np.array(part['error_matrix'])
+    force = np.linalg.solve(response, pulses * part['scale_factor'] / interval - part['bias'])
+    _, expected = calibration.model.compensate(np.zeros(3), pulses * 0.01 / interval)
+    assert force == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('hello', 'found a text, expected keys'),
+        ('format: 2', 'found 2, expected 1'),
+        ('{}', "the key 'format' is missing"),
+        ('format: 1\nunits: volts', "found 'volts'"),
+    ],
+)
+def test_what_is_no_calibration_is_refused_in_words(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Calibration.from_yaml(text, 'my.yaml')
+
+
+def test_a_matrix_of_the_wrong_size_is_named() -> None:
+    text = example().to_yaml().replace('  bias: [', '  bias: [1.0, ', 1)
+    with pytest.raises(InputError, match=r'gyro: bias: found 4 numbers, expected 3'):
+        Calibration.from_yaml(text, 'my.yaml')
+
+
+def rendered(table: object) -> list[list[str]]:
+    columns = [list(column.cells) for column in table.columns]  # type: ignore[attr-defined]
+    return [[str(cell) for cell in row] for row in zip(*columns, strict=True)]
+
+
+def test_the_truth_of_the_paper_prints_as_the_paper_prints_it() -> None:
+    # Cao 2022, Table 1, twelve positions; names, order, numbers and units are the paper's.
+    rows = {
+        r[0]: (float(r[2]), r[-1]) for r in rendered(comparison_table([truth(), truth()], 'ab'))
+    }
+    printed = {
+        'K_GX': (-0.015, 'arcsec/p'),
+        'K_GZ': (0.008, 'arcsec/p'),
+        'E_GXY': (5.23, 'arcmin'),
+        'E_GYX': (-4.79, 'arcmin'),
+        'E_GZY': (-1.60, 'arcmin'),
+        'D_GX': (1.75, 'deg/h'),
+        'K_AX': (0.0010, '(m/s)/p'),
+        'K_AZ': (-0.002, '(m/s)/p'),
+        'E_AXY': (4.57, 'arcmin'),
+        'E_AYZ': (7.55, 'arcmin'),
+        'D_AX': (0.0003, 'g'),
+        'D_AZ': (-0.0007, 'g'),
+    }
+    for name, (value, unit) in printed.items():
+        assert rows[name][0] == pytest.approx(value, abs=1e-6)
+        assert rows[name][1] == unit
+    assert list(rows)[:4] == ['K_GX', 'K_GY', 'K_GZ', 'E_GXY']
+
+
+def test_the_table_shows_as_many_digits_as_the_deviation_deserves() -> None:
+    rows = rendered(parameter_table(example(), example()))
+    assert len(rows) == 24
+    for name, value, deviation, unit, _, ratio in rows:
+        assert unit == {'K': 'ppm', 'E': 'arcmin'}.get(name[0], 'deg/h' if name[2] == 'g' else 'ug')
+        assert value.partition('.')[2] == '' or len(value.partition('.')[2]) == len(
+            deviation.partition('.')[2]
+        )
+        assert float(ratio) == 0.0
