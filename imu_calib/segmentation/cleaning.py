@@ -98,7 +98,7 @@ def _outlying_spreads(windows: Floats, quantum: Floats) -> NDArray[np.bool_]:
     return np.asarray((spread > limit + 1e-15).any(axis=1))
 
 
-def find_step(statistics: Statistics, walk: Floats) -> tuple[float, str] | None:
+def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float], str] | None:
     """Find a step of the mean within a stretch: somebody moved the unit and left it so.
 
     Args:
@@ -106,48 +106,80 @@ def find_step(statistics: Statistics, walk: Floats) -> tuple[float, str] | None:
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
 
     Returns:
-        Which share of it lies before the step, and the step in words; None without a step. A
-        step must be plain against the scatter of neighbouring blocks and explain the stretch
-        far better than a drift does.
+        Between which two instants the step lies, s after the stretch began, and the step in
+        words; None without a step. A step must be plain against the scatter of neighbouring
+        blocks and explain the stretch far better than a drift does.
 
     """
-    best: tuple[float, float, int] | None = None
+    best: tuple[_Step, int] | None = None
     for channel, blocks in enumerate(statistics.blocks):
         found = _largest_step(blocks, float(walk[channel]))
-        if found is not None and (best is None or found[0] > best[0]):
-            best = (*found, channel)
-    if best is None or best[0] < _STEP_SIGNIFICANCE:
+        if found is not None and (best is None or found.score > best[0].score):
+            best = found, channel
+    if best is None or best[0].score < _STEP_SIGNIFICANCE:
         return None
-    _, cut, channel = best
-    row = statistics.blocks[channel][:, 0]
-    count, at = len(row), round(cut * len(row))
-    as_step = np.concatenate([row[:at] - row[:at].mean(), row[at:] - row[at:].mean()])
-    index = np.arange(count) - (count - 1) / 2
-    as_drift = row - row.mean() - index * (index @ row) / (index @ index)
-    if as_step @ as_step > _FAR_BETTER * (as_drift @ as_drift):
+    step, channel = best
+    if step.left > _FAR_BETTER * step.left_by_drift:
         return None
-    return cut, f'the mean of {CHANNELS[channel]} steps by {_amount(row, at, channel)}'
+    before, after = statistics.blocks[channel][step.cut - 1 : step.cut + 1, 3].tolist()
+    # The step may lie anywhere in the two blocks beside the cut.
+    half = (after - before) / 2
+    between = before - half, after + half
+    return between, f'the mean of {CHANNELS[channel]} steps by {_amount(step.size, channel)}'
 
 
-def _largest_step(blocks: Floats, walk: float) -> tuple[float, float] | None:
-    """Return the significance of the largest step, and where it is as a share of the stretch."""
-    row = blocks[:, 0]
-    count = len(row)
-    if count < _FEWEST_BLOCKS:
+@dataclass(frozen=True)
+class _Step:
+    """The largest step of a row of blocks.
+
+    Attributes:
+        score: Its size in standard deviations.
+        cut: Index of the first block after it.
+        size: rad/s or m/s^2.
+        left: Weighted sum of squares about the two levels.
+        left_by_drift: The same about a line.
+
+    """
+
+    score: float
+    cut: int
+    size: float
+    left: float
+    left_by_drift: float
+
+
+def _largest_step(blocks: Floats, walk: float) -> _Step | None:
+    """Find the cut whose two sides differ most, each block by its own variance."""
+    row, gain, quantum, middle = blocks.T
+    if len(row) < _FEWEST_BLOCKS:
         return None
+    variance = walk**2 * gain + quantum
+    variance = variance if variance.min() > 0 else gain
     # The largest difference is left out, since it may be the step itself.
-    squares = np.sort(np.diff(row) ** 2)[:-1]
-    noise = squares.mean() / (2 * _WITHOUT_LARGEST)
-    noise = max(noise, float(np.median(blocks[:, 1])) * walk**2 + float(np.median(blocks[:, 2])))
-    cuts = np.arange(1, count)
-    difference = np.array([row[k:].mean() - row[:k].mean() for k in cuts])
-    score = np.abs(difference) / (np.sqrt(noise * (1 / cuts + 1 / (count - cuts))) + _TINY)
-    best = int(np.argmax(score))
-    return float(score[best]), float(cuts[best] / count)
+    squares = np.sort(np.diff(row) ** 2 / (variance[1:] + variance[:-1]))[:-1]
+    excess = float(squares.mean()) / _WITHOUT_LARGEST
+    if walk > 0 or quantum.min() > 0:
+        excess = max(excess, 1.0)
+    weights = 1 / variance
+    before, after = np.cumsum(weights)[:-1], np.cumsum(weights[::-1])[-2::-1]
+    total, sums = float(weights @ row), np.cumsum(weights * row)[:-1]
+    difference = (total - sums) / after - sums / before
+    score = np.abs(difference) / (np.sqrt(excess * (1 / before + 1 / after)) + _TINY)
+    cut = int(np.argmax(score))
+    levels = np.where(np.arange(len(row)) <= cut, sums[cut] / before[cut], 0.0)
+    levels[cut + 1 :] = (total - sums[cut]) / after[cut]
+    centred = middle - weights @ middle / weights.sum()
+    line = total / weights.sum() + centred * (weights * centred @ row / (weights @ centred**2))
+    return _Step(
+        float(score[cut]),
+        cut + 1,
+        float(difference[cut]),
+        float(weights @ (row - levels) ** 2),
+        float(weights @ (row - line) ** 2),
+    )
 
 
-def _amount(row: Floats, cut: int, channel: int) -> str:
-    step = float(row[cut:].mean() - row[:cut].mean())
+def _amount(step: float, channel: int) -> str:
     if channel < 3:
         return f'{np.degrees(step) * 3600:.3g} deg/h'
     return f'{step / 9.80665e-6:.3g} ug'

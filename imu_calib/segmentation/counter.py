@@ -175,10 +175,16 @@ def _faded_error(step: float, fade: float, growth: float) -> float:
     return float(power @ together) + (_READING_VARIANCE - float(power.sum())) * alone
 
 
-def block_rates(pulses: Floats, period: float, walk: float, seconds: float) -> list[MeanRate]:
+def block_rates(
+    pulses: Floats, period: float, walk: float, seconds: float
+) -> list[tuple[float, MeanRate]]:
     """Estimate the mean rates of blocks of at least `seconds`, independent of each other.
 
     A slow counter is cut where it passes a new value, any other into equal times.
+
+    Returns:
+        For each block its middle, s after the first sample began, and its rate.
+
     """
     whole = float(np.rint(pulses.mean()))
     found = passages(pulses - whole, period, walk)
@@ -189,9 +195,19 @@ def block_rates(pulses: Floats, period: float, walk: float, seconds: float) -> l
             if (found.index[k] - found.index[cuts[-1]]) * period >= seconds:
                 cuts.append(k)
         parts = [_between(found, a, b, period) for a, b in pairwise(cuts)]
-        return [MeanRate(p.rate + whole / period, p.walk_gain, p.quantum) for p in parts]
-    count = max(1, int(len(pulses) * period // seconds))
-    return [mean_rate(part, period, walk) for part in np.array_split(pulses, count)]
+        middles = [(found.index[a] + found.index[b]) / 2 + 1 for a, b in pairwise(cuts)]
+        return [
+            (m * period, MeanRate(p.rate + whole / period, p.walk_gain, p.quantum))
+            for m, p in zip(middles, parts, strict=True)
+        ]
+    edges = block_edges(len(pulses), period, seconds)
+    return [((a + b) / 2 * period, mean_rate(pulses[a:b], period, walk)) for a, b in edges]
+
+
+def block_edges(samples: int, period: float, seconds: float) -> list[tuple[int, int]]:
+    """Cut samples into blocks of equal length and at least `seconds`; half-open index ranges."""
+    count = max(1, min(samples, int(samples * period // seconds)))
+    return list(pairwise(np.linspace(0, samples, count + 1).astype(int).tolist()))
 
 
 def first_passages_are_best(pulses: Floats, period: float, walk: float) -> bool:

@@ -27,7 +27,8 @@ class Statistics:
         walk_gain: (6,) 1/s.
         quantum: (6,) variance left by quantisation, (rad/s)^2 and (m/s^2)^2.
         end_points: (6,) plain sum over duration, what the documents' formulae call the mean.
-        blocks: Per channel (b, 3): mean, walk gain and quantum of blocks of 10 s or more.
+        blocks: Per channel (b, 4): mean, walk gain, quantum of blocks of 10 s or more, and the
+            middle of each, s after the segment began.
         drift: (6,) slope of the block means, rad/s^2 and m/s^3.
         drift_std: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
 

@@ -35,7 +35,6 @@ _VERTICAL = 1e-4
 _SAMPLES_FOR_PERIOD = 256
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 _WALK_GUESS = 0.05
-_STEP_MARGIN = 0.1
 _LEAST_TURNED = TURN / 72
 
 
@@ -332,8 +331,8 @@ class Segmenter:
         statistics = statistics_at_rest(kept, self._walk)
         step = find_step(statistics, self._walk)
         if step is not None:
-            before, what = step
-            kept = _longer_part(kept, before)
+            between, what = step
+            kept = _longer_part(kept, between)
             if len(kept.stamp) * samples.period < _SHORTEST_REST:
                 return f'the unit was moved: {what}'
             statistics = statistics_at_rest(kept, self._walk)
@@ -476,12 +475,13 @@ def _missing(samples: Samples, gaps: list[tuple[int, int]]) -> int:
     return int(np.sum(np.rint(holes) - 1))
 
 
-def _longer_part(samples: Samples, before: float) -> Samples:
-    """Return the part before or after a step, at a distance from it."""
+def _longer_part(samples: Samples, between: tuple[float, float]) -> Samples:
+    """Return the part before or after a step that lies between two instants."""
     n = len(samples.stamp)
-    if before >= 1 / 2:
-        return samples.part(0, int(n * (before - _STEP_MARGIN)))
-    return samples.part(int(n * (before + _STEP_MARGIN)), n)
+    first, last = np.searchsorted(
+        samples.stamp, samples.stamp[0] + np.multiply(between, 1e9), side='right'
+    ).tolist()
+    return samples.part(0, first) if first >= n - last else samples.part(last, n)
 
 
 def _line_origin(samples: Samples) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
-from .counter import MeanRate, block_rates, mean_rate
+from .counter import MeanRate, block_edges, block_rates, mean_rate
 from .segment import Statistics
 
 BLOCK_SECONDS = 10.0
@@ -113,7 +113,7 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     means = [[_channel_mean(part, c, walk[c]) for c in range(6)] for part in parts]
     best = [_combine([row[c] for row in means], walk[c]) for c in range(6)]
     blocks = _blocks(parts, walk)
-    drift, drift_std = _drifts(blocks, samples)
+    drift, drift_std = _drifts(blocks)
     return Statistics(
         samples=used,
         missing=max(0, span - used),
@@ -153,7 +153,7 @@ def statistics_between(samples: Samples, first: float, last: float) -> Statistic
     )
     c = np.mod(pulses, 1.0)
     reading = sum(1 / 12 - (x % 1) * (1 - x % 1) * c * (1 - c) for x in (first, last))
-    empty = tuple(np.empty((0, 3)) for _ in range(6))
+    empty = tuple(np.empty((0, 4)) for _ in range(6))
     return Statistics(
         samples=int(np.ceil(last) - np.floor(first)),
         missing=0,
@@ -192,41 +192,54 @@ def _combine(means: list[MeanRate], walk: float) -> MeanRate:
 
 
 def _blocks(parts: list[Samples], walk: Floats) -> tuple[Floats, ...]:
-    """Cut the runs into blocks and estimate each block's mean: per channel (b, 3)."""
-    rows: list[list[MeanRate]] = [[] for _ in range(6)]
+    """Cut the runs into blocks and estimate each block's mean: per channel (b, 4).
+
+    Runs between gaps that are shorter than half a block stay out: their means say little.
+    """
+    whole = sum(len(part.stamp) for part in parts) * parts[0].period
+    enough = whole >= _MINIMUM_BLOCKS * BLOCK_SECONDS
+    seconds = BLOCK_SECONDS if enough else whole / _MINIMUM_BLOCKS
+    rows: list[list[tuple[float, float, float, float]]] = [[] for _ in range(6)]
     for part in parts:
-        length = len(part.stamp) * part.period
-        seconds = (
-            BLOCK_SECONDS if length >= _MINIMUM_BLOCKS * BLOCK_SECONDS else length / _MINIMUM_BLOCKS
-        )
+        if 2 * len(part.stamp) * part.period < seconds:
+            continue
+        after = float(part.stamp[0] - parts[0].stamp[0]) * 1e-9
         for c in range(6):
-            rows[c] += _channel_blocks(part, c, walk[c], seconds)
-    return tuple(
-        np.array([(m.rate, m.walk_gain, m.quantum) for m in r]).reshape(-1, 3) for r in rows
-    )
+            rows[c] += [
+                (m.rate, m.walk_gain, m.quantum, after + middle)
+                for middle, m in _channel_blocks(part, c, walk[c], seconds)
+            ]
+    return tuple(np.array(row).reshape(-1, 4) for row in rows)
 
 
-def _channel_blocks(samples: Samples, channel: int, walk: float, seconds: float) -> list[MeanRate]:
+def _channel_blocks(
+    samples: Samples, channel: int, walk: float, seconds: float
+) -> list[tuple[float, MeanRate]]:
     increments, quantum = samples.increments[:, channel], float(samples.quantum[channel])
+    period = samples.period
     if quantum == 0.0:
-        count = max(1, int(len(increments) * samples.period // seconds))
-        parts = [p for p in np.array_split(increments, count) if len(p)]
-        times = [len(p) * samples.period for p in parts]
-        return [MeanRate(float(p.sum()) / t, 1 / t, 0.0) for p, t in zip(parts, times, strict=True)]
+        edges = block_edges(len(increments), period, seconds)
+        sums = [float(increments[a:b].sum()) for a, b in edges]
+        return [
+            ((a + b) / 2 * period, MeanRate(s / t, 1 / t, 0.0))
+            for s, (a, b) in zip(sums, edges, strict=True)
+            for t in [(b - a) * period]
+        ]
     pulses = np.rint(increments / quantum)
-    rates = block_rates(pulses, samples.period, walk / quantum, seconds)
-    return [MeanRate(m.rate * quantum, m.walk_gain, m.quantum * quantum**2) for m in rates]
+    return [
+        (middle, MeanRate(m.rate * quantum, m.walk_gain, m.quantum * quantum**2))
+        for middle, m in block_rates(pulses, period, walk / quantum, seconds)
+    ]
 
 
-def _drifts(blocks: tuple[Floats, ...], samples: Samples) -> tuple[Floats, Floats]:
+def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:
     """Fit a line through the block means: slopes and their standard deviations, per second."""
-    span = (samples.stamp[-1] - samples.stamp[0]) * 1e-9
     slopes, deviations = np.full(6, np.nan), np.full(6, np.nan)
-    for c, rates in enumerate(b[:, 0] for b in blocks):
+    for c, (rates, middles) in enumerate((b[:, 0], b[:, 3]) for b in blocks):
         n = len(rates)
         if n < _MINIMUM_BLOCKS:
             continue
-        centred = ((np.arange(n) + 0.5) / n - 0.5) * span
+        centred = middles - middles.mean()
         slopes[c] = rates @ centred / (centred @ centred)
         left = rates - rates.mean() - slopes[c] * centred
         deviations[c] = np.sqrt(left @ left / (n - 2) / (centred @ centred))
@@ -256,7 +269,7 @@ def _channel_walk(segments: list[Floats]) -> float:
     square = float(np.mean([np.var(b[:, 0], ddof=1) / b[:, 1].mean() for b in segments]))
     for _ in range(_SCORING_STEPS):
         score, information = 0.0, 0.0
-        for mean, gain, quantum in (b.T for b in segments):
+        for mean, gain, quantum, _ in (b.T for b in segments):
             variance = np.maximum(square * gain + quantum, np.finfo(float).tiny)
             weights = 1 / variance / (1 / variance).sum()
             # The segment's own mean takes one degree of freedom.
