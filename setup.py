@@ -14,6 +14,9 @@ def shared(folder: str) -> list[tuple[str, list[str]]]:
     return [(f'share/{NAME}/{t}', [str(p) for p in files if p.parent == t]) for t in targets]
 
 
+# The wheel has no build for other machines; there the nodes need ROS 2.
+DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
+
 setup(
     name=NAME,
     version='0.1.0',
@@ -40,7 +43,8 @@ setup(
         "backports.zstd>=1; python_version < '3.14'",
     ],
     extras_require={
-        'test': ['pytest>=7.4', 'hypothesis>=6', 'rosbags>=0.10.7'],
+        'dds': [DDS],
+        'test': ['pytest>=7.4', 'hypothesis>=6', 'rosbags>=0.10.7', DDS],
         'dev': ['matplotlib>=3.6', 'mypy>=1.11', 'ruff>=0.9', 'types-PyYAML'],
     },
     entry_points={'console_scripts': ['imu-calib = imu_calib.cli.main:main']},

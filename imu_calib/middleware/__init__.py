@@ -1,0 +1,34 @@
+"""rclpy where ROS 2 is, else the same subset of it over Cyclone DDS, on ROS 2's wire.
+
+    from imu_calib.middleware import Node, QoSProfile, messages, run
+
+    class Talker(Node):
+        def __init__(self):
+            super().__init__('talker')
+            self.publisher = self.create_publisher(messages.String, 'chatter', 10)
+
+    run(Talker)
+
+Which one it is, `RUNTIME` says; IMU_CALIB_MIDDLEWARE=rclpy|dds forces it. Beside rclpy's names
+there are `open_drain` and `drain` (all that has arrived as serialised bytes, in bulk),
+`acknowledged` and `run`. What rclpy offers and the subset does not is said in `dds.node.Node`;
+services over DDS do not reach peers on rmw_fastrtps.
+"""
+
+from typing import TYPE_CHECKING
+
+from .selection import require, runtime
+
+RUNTIME = runtime()
+require(RUNTIME)
+
+if TYPE_CHECKING or RUNTIME == 'dds':
+    from .dds import *  # noqa: F403
+    from .dds import __all__ as _names
+else:
+    from .ros import *  # noqa: F403
+    from .ros import __all__ as _names
+
+from .running import Stoppable, run  # noqa: E402
+
+__all__ = [*_names, 'RUNTIME', 'Stoppable', 'run']  # noqa: PLE0604

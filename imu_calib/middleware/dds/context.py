@@ -1,0 +1,154 @@
+"""What a process shares: the DDS participant, the arguments, the state of the graph."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from ...errors import ImuCalibError
+from . import logging
+from .arguments import Arguments, parse
+from .domain import LAST_DOMAIN, configuration, domain_id
+from .graph import Graph
+from .wire import delete
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+class Context:
+    """One DDS participant, shared by the nodes of a process, from init to shutdown."""
+
+    def __init__(self) -> None:
+        self.arguments = Arguments()
+        self._topics: dict[str, Any] = {}
+        self._domain: Any = None
+        self.participant: Any = None
+        self.graph: Graph
+        self.nodes: list[Any] = []
+
+    def ok(self) -> bool:
+        """Tell whether it stands between init and shutdown."""
+        return self.participant is not None
+
+    def init(self, args: Sequence[str] | None = None, domain: int | None = None) -> None:
+        """Join the domain.
+
+        Raises:
+            ImuCalibError: Joined before; a wrong argument; a domain that is out of range;
+                Cyclone DDS cannot join.
+
+        """
+        if self.ok():
+            raise ImuCalibError('init() is called twice without shutdown().')
+        self.arguments = parse(sys.argv[1:] if args is None else args)
+        for logger, level in self.arguments.levels:
+            logging.set_logger_level(logger, _severity(level))
+        number = domain_id() if domain is None else domain
+        if not 0 <= number <= LAST_DOMAIN:
+            raise ImuCalibError(f'The domain is {number}, expected 0 to {LAST_DOMAIN}.')
+        self._join(number)
+        self.graph = Graph(self)
+
+    def _join(self, number: int) -> None:
+        from cyclonedds.core import DDSException
+        from cyclonedds.domain import Domain, DomainParticipant
+        from cyclonedds.qos import Policy, Qos
+
+        try:
+            self._domain = Domain(number, configuration())
+            self.participant = DomainParticipant(number, Qos(Policy.Userdata(b'enclave=/;')))
+        except DDSException as error:
+            self._leave()
+            raise ImuCalibError(
+                f'Cyclone DDS cannot join domain {number}: {error}. ROS_AUTOMATIC_DISCOVERY_RANGE '
+                'and CYCLONEDDS_URI say which network interfaces it may use.'
+            ) from error
+
+    def topic(self, name: str, idl: Any) -> Any:
+        """Return the DDS topic of a name, made once."""
+        from cyclonedds.core import DDSException
+        from cyclonedds.topic import Topic
+
+        if not self.ok():
+            raise ImuCalibError(f'{name}: init() has to be called first.')
+        if name not in self._topics:
+            try:
+                self._topics[name] = Topic(self.participant, name, idl)
+            except DDSException as error:
+                raise ImuCalibError(f'The topic {name} cannot be made: {error}') from error
+        known = self._topics[name].data_type
+        if known is not idl:
+            raise ImuCalibError(
+                f'The topic {name} has the type {known.__idl_typename__}, '
+                f'not {idl.__idl_typename__}.'
+            )
+        return self._topics[name]
+
+    def shutdown(self) -> None:
+        """Destroy the nodes and leave the domain; nothing where that is done."""
+        if not self.ok():
+            return
+        for node in list(self.nodes):
+            node.destroy_node()
+        self.graph.close()
+        self._leave()
+
+    def _leave(self) -> None:
+        for topic in self._topics.values():
+            delete(topic)
+        self._topics = {}
+        for entity in (self.participant, self._domain):
+            if entity is not None:
+                delete(entity)
+        self.participant = self._domain = None
+
+
+def _severity(text: str) -> logging.LoggingSeverity:
+    try:
+        return logging.LoggingSeverity[text.upper()]
+    except KeyError:
+        known = ', '.join(s.name.lower() for s in logging.LoggingSeverity)
+        raise ImuCalibError(f'--log-level {text!r}, expected one of {known}.') from None
+
+
+_default = Context()
+
+
+def get_default_context() -> Context:
+    """Return the context of init() and shutdown() without arguments."""
+    return _default
+
+
+def init(
+    *,
+    args: Sequence[str] | None = None,
+    context: Context | None = None,
+    domain_id: int | None = None,
+    signal_handler_options: Any = None,  # noqa: ARG001 (no handlers are installed here)
+) -> None:
+    """Join the domain; arguments as rclpy's, errors as `Context.init`."""
+    (context or _default).init(args, domain_id)
+
+
+def ok(*, context: Context | None = None) -> bool:
+    """Tell whether a context stands between init and shutdown."""
+    return (context or _default).ok()
+
+
+def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:  # noqa: ARG001
+    """Destroy all nodes and leave the domain.
+
+    Raises:
+        ImuCalibError: init was not called, or shutdown before.
+
+    """
+    chosen = context or _default
+    if not chosen.ok():
+        raise ImuCalibError('shutdown() without init().')
+    chosen.shutdown()
+
+
+def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:  # noqa: ARG001
+    """Shut down where that is not done yet."""
+    (context or _default).shutdown()

@@ -1,0 +1,72 @@
+"""The DDS domain: its number and its reach, from ROS 2's environment variables."""
+
+from __future__ import annotations
+
+import os
+
+from ...errors import InputError
+
+LAST_DOMAIN = 232
+"""The ports of a higher one do not exist (RTPS: 7400 + 250 * domain)."""
+
+_REACHES = ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT')
+_NO_MULTICAST = '<General><AllowMulticast>false</AllowMulticast></General>'
+_LOOPBACK = 'localhost'
+
+
+def domain_id() -> int:
+    """Return the domain that ROS_DOMAIN_ID says, 0 where it says nothing.
+
+    Raises:
+        InputError: It is no number, or out of range.
+
+    """
+    text = os.environ.get('ROS_DOMAIN_ID', '').strip()
+    if not text:
+        return 0
+    if not text.isdecimal() or int(text) > LAST_DOMAIN:
+        raise InputError(
+            f'ROS_DOMAIN_ID is {text!r}, expected a whole number from 0 to {LAST_DOMAIN}.'
+        )
+    return int(text)
+
+
+def configuration() -> str:
+    """Return Cyclone DDS's configuration: ROS's reach and peers, then CYCLONEDDS_URI.
+
+    Raises:
+        InputError: ROS_AUTOMATIC_DISCOVERY_RANGE is none of its four words.
+
+    """
+    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '').strip().upper() or 'SUBNET'
+    if reach not in _REACHES:
+        raise InputError(
+            f'ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}, expected one of {", ".join(_REACHES)}.'
+        )
+    if os.environ.get('ROS_LOCALHOST_ONLY', '').strip() == '1':
+        reach = 'LOCALHOST'
+    own = _of_reach(reach)
+    user = os.environ.get('CYCLONEDDS_URI', '').strip()
+    return ','.join(part for part in (own, user) if part)
+
+
+def _of_reach(reach: str) -> str:
+    if reach == 'SYSTEM_DEFAULT':
+        return ''
+    peers = [p for p in os.environ.get('ROS_STATIC_PEERS', '').split(';') if p.strip()]
+    if reach == 'OFF':
+        peers = []
+    if reach == 'LOCALHOST':
+        peers.insert(0, _LOOPBACK)
+    general = (
+        '' if reach == 'SUBNET' else '<General><AllowMulticast>false</AllowMulticast></General>'
+    )
+    if not general and not peers:
+        return ''
+    # Without multicast a peer is found by its port: few participants, each with an index.
+    listed = ''.join(f'<Peer address="{p.strip()}"/>' for p in peers)
+    return (
+        f'<CycloneDDS><Domain>{general}<Discovery><ParticipantIndex>auto</ParticipantIndex>'
+        f'<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex><Peers>{listed}</Peers>'
+        '</Discovery></Domain></CycloneDDS>'
+    )

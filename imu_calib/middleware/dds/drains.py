@@ -1,0 +1,47 @@
+"""The fast path: all that has arrived, as bytes, in one call."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from .clock import Duration
+
+if TYPE_CHECKING:
+    from .endpoints import Publisher, Subscription
+    from .node import Node
+    from .qos import QoSProfile
+
+
+def open_drain(
+    node: Node, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
+) -> Subscription:
+    """Subscribe without a callback: messages wait until `drain` takes them.
+
+    Args:
+        node: Node that subscribes.
+        msg_type: Class of the messages.
+        topic: Name of the topic.
+        qos_profile: Keep all, here and at the publisher, loses nothing.
+        **options: Further arguments of create_subscription.
+
+    """
+    return node.create_subscription(msg_type, topic, None, qos_profile, raw=True, **options)
+
+
+def drain(subscription: Subscription) -> list[bytes]:
+    """Return all that has arrived, serialised, oldest first; for `cdr.Messages.join`."""
+    return subscription.reader.drain()
+
+
+def acknowledged(publisher: Publisher, timeout_sec: float) -> bool:
+    """Wait until all reliable subscriptions have all messages of a publisher.
+
+    Args:
+        publisher: Publisher.
+        timeout_sec: Longest wait, s.
+
+    Returns:
+        Whether they have.
+
+    """
+    return publisher.wait_for_all_acked(Duration(seconds=timeout_sec))

@@ -1,0 +1,84 @@
+"""Names of nodes, topics and services: their form, namespaces, remap rules."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from ...errors import InputError
+
+_NODE = re.compile(r'[A-Za-z_]\w*', re.ASCII)
+_TOPIC = re.compile(r'(~(?=/|$)|/)?([A-Za-z_]\w*)?(/[A-Za-z_]\w*)*', re.ASCII)
+
+
+@dataclass(frozen=True)
+class Remap:
+    """One rule of -r: from a name to another, for one node or for all."""
+
+    node: str
+    source: str
+    target: str
+
+
+def check_node_name(name: str) -> str:
+    """Return a node's name if it is one.
+
+    Raises:
+        InputError: It holds other characters than letters, digits and underscores.
+
+    """
+    if not _NODE.fullmatch(name):
+        raise InputError(
+            f'{name!r} is no node name: letters, digits and underscores, no digit first.'
+        )
+    return name
+
+
+def namespace_of(text: str) -> str:
+    """Return a namespace with its leading and without a trailing slash.
+
+    Raises:
+        InputError: It is no namespace.
+
+    """
+    name = '/' + text.strip('/')
+    if not _TOPIC.fullmatch(name):
+        raise InputError(f'{text!r} is no namespace.')
+    return name
+
+
+def fully_qualified(namespace: str, name: str) -> str:
+    """Return namespace and name in one."""
+    return f'{namespace.rstrip("/")}/{name}'
+
+
+def expand(name: str, namespace: str, node: str) -> str:
+    """Return the absolute name of a topic or service.
+
+    Args:
+        name: Absolute, relative, or private (~/name).
+        namespace: Namespace of the node.
+        node: Name of the node.
+
+    Raises:
+        InputError: It is no topic name.
+
+    """
+    if not name or not _TOPIC.fullmatch(name):
+        raise InputError(f'{name!r} is no name of a topic or service.')
+    if name.startswith('/'):
+        return name
+    if name.startswith('~'):
+        return fully_qualified(namespace, node) + name[1:]
+    return fully_qualified(namespace, name)
+
+
+def remapped(name: str, namespace: str, node: str, rules: tuple[Remap, ...]) -> str:
+    """Return the absolute name after the first rule that fits."""
+    absolute = expand(name, namespace, node)
+    for rule in rules:
+        if rule.source.startswith('__') or rule.node not in {'', node}:
+            continue
+        if expand(rule.source, namespace, node) == absolute:
+            return expand(rule.target, namespace, node)
+    return absolute

@@ -1,0 +1,346 @@
+"""Node: rclpy's, as far as the suite's nodes use it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ...errors import ImuCalibError
+from . import names
+from .arguments import parse
+from .clock import Clock, ClockType
+from .context import Context, get_default_context
+from .endpoints import Publisher, Subscription
+from .logging import Logger, get_logger
+from .messages import Message, message_class
+from .parameters import Parameter, ParameterDescriptor, Parameters, SetParametersResult
+from .qos import QoSProfile, ReliabilityPolicy, overridden, profile
+from .services import Client, Service
+from .timer import Timer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from .qos import (
+        PublisherEventCallbacks,
+        QoSOverridingOptions,
+        SubscriptionEventCallbacks,
+    )
+
+_PER_ROUND = 64
+"""Messages of one subscription before the others and the timers have their turn."""
+
+
+class Node:
+    """A node with publishers, subscriptions, timers, services and parameters.
+
+    Not offered: actions, lifecycle, callback groups, parameter services (`ros2 param`), /rosout,
+    /parameter_events, content filters, serialised services, QoS beyond `QoSProfile`.
+    """
+
+    def __init__(
+        self,
+        node_name: str,
+        *,
+        context: Context | None = None,
+        cli_args: Sequence[str] | None = None,
+        namespace: str | None = None,
+        use_global_arguments: bool = True,
+        parameter_overrides: Iterable[Parameter] | None = None,
+        start_parameter_services: bool = False,  # noqa: ARG002 (there are none)
+        enable_rosout: bool = False,  # noqa: ARG002 (there is none)
+    ) -> None:
+        self.context = context or get_default_context()
+        if not self.context.ok():
+            raise ImuCalibError(f'The node {node_name} is made before init().')
+        own = parse([] if cli_args is None else cli_args)
+        if use_global_arguments:
+            own = own.followed_by(self.context.arguments)
+        self._remaps = own.remaps
+        self._name = names.check_node_name(own.special('__node', node_name) or node_name)
+        self._namespace = names.namespace_of(own.special('__ns', node_name) or namespace or '')
+        overrides = own.parameters_of(self.get_fully_qualified_name())
+        overrides |= {p.name: p.value for p in parameter_overrides or ()}
+        self._parameters = Parameters(overrides, self.get_fully_qualified_name())
+        self._logger = get_logger(self.get_fully_qualified_name()[1:].replace('/', '.'))
+        self._clock = Clock(clock_type=ClockType.ROS_TIME)
+        self.publishers_: list[Publisher] = []
+        self.subscriptions_: list[Subscription] = []
+        self.timers_: list[Timer] = []
+        self.services_: list[Service | Client] = []
+        self.context.nodes.append(self)
+        self._follow_clock()
+        self.context.graph.announce()
+
+    def get_name(self) -> str:
+        """Return the name."""
+        return self._name
+
+    def get_namespace(self) -> str:
+        """Return the namespace, with its leading slash."""
+        return self._namespace
+
+    def get_fully_qualified_name(self) -> str:
+        """Return namespace and name."""
+        return names.fully_qualified(self._namespace, self._name)
+
+    def get_logger(self) -> Logger:
+        """Return the node's logger."""
+        return self._logger
+
+    def get_clock(self) -> Clock:
+        """Return the node's ROS clock."""
+        return self._clock
+
+    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
+        """Return the absolute name of a topic, remapped."""
+        rules = () if only_expand else self._remaps
+        return names.remapped(topic, self._namespace, self._name, rules)
+
+    resolve_service_name = resolve_topic_name
+
+    def create_publisher(
+        self,
+        msg_type: type[Message],
+        topic: str,
+        qos_profile: QoSProfile | int,
+        *,
+        event_callbacks: PublisherEventCallbacks | None = None,
+        qos_overriding_options: QoSOverridingOptions | None = None,
+    ) -> Publisher:
+        """Publish a type on a topic; its publish takes messages and serialised bytes."""
+        name = self.resolve_topic_name(topic)
+        prefix = f'qos_overrides.{name}.publisher'
+        qos = self._overridden(qos_profile, qos_overriding_options, prefix)
+        publisher = Publisher(self, msg_type, name, qos, event_callbacks)
+        self.publishers_.append(publisher)
+        self.context.graph.announce()
+        return publisher
+
+    def create_subscription(
+        self,
+        msg_type: type[Message],
+        topic: str,
+        callback: Callable[[Any], Any] | None,
+        qos_profile: QoSProfile | int,
+        *,
+        event_callbacks: SubscriptionEventCallbacks | None = None,
+        qos_overriding_options: QoSOverridingOptions | None = None,
+        raw: bool = False,
+    ) -> Subscription:
+        """Subscribe to a topic; without a callback the messages wait for `drain`."""
+        name = self.resolve_topic_name(topic)
+        prefix = f'qos_overrides.{name}.subscription'
+        qos = self._overridden(qos_profile, qos_overriding_options, prefix)
+        subscription = Subscription(self, msg_type, name, callback, qos, event_callbacks, raw)
+        self.subscriptions_.append(subscription)
+        self.context.graph.announce()
+        return subscription
+
+    def _overridden(
+        self, qos: QoSProfile | int, options: QoSOverridingOptions | None, prefix: str
+    ) -> QoSProfile:
+        def declare(name: str, default: Any) -> Any:
+            described = ParameterDescriptor(read_only=True)
+            return self.declare_parameter(name, default, described).value
+
+        return overridden(profile(qos), options, prefix, declare)
+
+    def create_timer(
+        self,
+        timer_period_sec: float,
+        callback: Callable[[], Any],
+        callback_group: None = None,  # noqa: ARG002 (rclpy's third argument)
+        clock: Clock | None = None,
+    ) -> Timer:
+        """Call back periodically, on ROS time unless another clock is given."""
+        timer = Timer(int(timer_period_sec * 1e9), callback, clock or self._clock)
+        self.timers_.append(timer)
+        return timer
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any]
+    ) -> Service:
+        """Serve; peers on rmw_fastrtps cannot call it."""
+        service = Service(self, srv_type, self.resolve_service_name(srv_name), callback)
+        self.services_.append(service)
+        self.context.graph.announce()
+        return service
+
+    def create_client(self, srv_type: Any, srv_name: str) -> Client:
+        """Ask a service; one on rmw_fastrtps never answers."""
+        client = Client(self, srv_type, self.resolve_service_name(srv_name))
+        self.services_.append(client)
+        self.context.graph.announce()
+        return client
+
+    def declare_parameter(
+        self,
+        name: str,
+        value: Any = None,
+        descriptor: ParameterDescriptor | None = None,
+        ignore_override: bool = False,
+    ) -> Parameter:
+        """Declare a parameter; arguments and errors as `Parameters.declare`."""
+        return self._parameters.declare(name, value, descriptor, ignore_override)
+
+    def declare_parameters(
+        self, namespace: str, parameters: Iterable[tuple[Any, ...]], ignore_override: bool = False
+    ) -> list[Parameter]:
+        """Declare (name, value, descriptor) tuples, each name below a namespace."""
+        prefix = f'{namespace}.' if namespace else ''
+        declared = []
+        for name, *rest in parameters:
+            value, descriptor = (*rest, None, None)[:2]
+            declared.append(
+                self.declare_parameter(prefix + name, value, descriptor, ignore_override)
+            )
+        return declared
+
+    def has_parameter(self, name: str) -> bool:
+        """Tell whether a parameter is declared."""
+        return self._parameters.has(name)
+
+    def get_parameter(self, name: str) -> Parameter:
+        """Return a declared parameter."""
+        return self._parameters.get(name)
+
+    def get_parameter_or(self, name: str, alternative_value: Parameter) -> Parameter:
+        """Return a parameter, or another where it is not declared."""
+        return self._parameters.get(name) if self.has_parameter(name) else alternative_value
+
+    def set_parameters(self, parameter_list: Iterable[Parameter]) -> list[SetParametersResult]:
+        """Change parameters; each result says whether, or why not."""
+        results = self._parameters.set(parameter_list)
+        self._follow_clock()
+        return results
+
+    def add_on_set_parameters_callback(
+        self, callback: Callable[[list[Parameter]], SetParametersResult]
+    ) -> None:
+        """Let a callback accept or refuse changes."""
+        self._parameters.callbacks.append(callback)
+
+    def remove_on_set_parameters_callback(
+        self, callback: Callable[[list[Parameter]], SetParametersResult]
+    ) -> None:
+        """Ask a callback no longer."""
+        self._parameters.callbacks.remove(callback)
+
+    def count_publishers(self, topic_name: str) -> int:
+        """Return how many publishers a topic has, here and elsewhere."""
+        return self.context.graph.count_writers(f'rt{self.resolve_topic_name(topic_name)}')
+
+    def count_subscribers(self, topic_name: str) -> int:
+        """Return how many subscriptions a topic has, here and elsewhere."""
+        return self.context.graph.count_readers(f'rt{self.resolve_topic_name(topic_name)}')
+
+    def get_node_names(self) -> list[str]:
+        """Return the names of all nodes that are there."""
+        return [name for name, _ in self.get_node_names_and_namespaces()]
+
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        """Return (name, namespace) of all nodes that are there."""
+        return self.context.graph.nodes()
+
+    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
+        """Return the topics that are there and their types."""
+        found = sorted(self.context.graph.topics().items())
+        return [
+            (topic[2:], sorted(t.replace('::dds_::', '/').replace('::', '/')[:-1] for t in kinds))
+            for topic, kinds in found
+            if topic.startswith('rt/')
+        ]
+
+    def destroy_publisher(self, publisher: Publisher) -> bool:
+        """Remove a publisher; return whether it was this node's."""
+        return self._destroy(publisher, self.publishers_)
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Remove a subscription; return whether it was this node's."""
+        return self._destroy(subscription, self.subscriptions_)
+
+    def destroy_service(self, service: Service) -> bool:
+        """Remove a service; return whether it was this node's."""
+        return self._destroy(service, self.services_)
+
+    def destroy_client(self, client: Client) -> bool:
+        """Remove a client; return whether it was this node's."""
+        return self._destroy(client, self.services_)
+
+    def destroy_timer(self, timer: Timer) -> bool:
+        """Remove a timer; return whether it was this node's."""
+        timer.cancel()
+        if timer not in self.timers_:
+            return False
+        self.timers_.remove(timer)
+        return True
+
+    def _destroy(self, entity: Any, among: list[Any]) -> bool:
+        if entity not in among:
+            return False
+        among.remove(entity)
+        entity.destroy()
+        self.context.graph.announce()
+        return True
+
+    def destroy_node(self) -> None:
+        """Remove the node and all that it has."""
+        if self not in self.context.nodes:
+            return
+        self.context.nodes.remove(self)
+        for timer in self.timers_:
+            timer.cancel()
+        for entity in (*self.publishers_, *self.subscriptions_, *self.services_):
+            entity.destroy()
+        for kind in (self.publishers_, self.subscriptions_, self.services_, self.timers_):
+            kind.clear()
+        self.context.graph.announce()
+
+    def readers(self) -> Iterator[Any]:
+        """Yield all DDS readers of the node."""
+        yield from (entity.reader for entity in (*self.subscriptions_, *self.services_))
+
+    def writers(self) -> Iterator[Any]:
+        """Yield all DDS writers of the node."""
+        yield from (entity.writer for entity in (*self.publishers_, *self.services_))
+
+    def conditions(self) -> Iterator[Any]:
+        """Yield what an executor waits for."""
+        yield from (s.reader.condition for s in self.subscriptions_ if s.callback is not None)
+        yield from (s.reader.condition for s in self.services_)
+
+    def execute(self) -> bool:
+        """Run all callbacks that are ready; return whether there were any."""
+        ready = False
+        endpoints: list[Publisher | Subscription] = [*self.publishers_, *self.subscriptions_]
+        for endpoint in endpoints:
+            endpoint.tend()
+        for subscription in list(self.subscriptions_):
+            if not subscription.destroyed:
+                ready |= subscription.execute(_PER_ROUND)
+        for service in list(self.services_):
+            ready |= service in self.services_ and service.execute()
+        for timer in list(self.timers_):
+            ready |= timer in self.timers_ and timer.execute()
+        return ready
+
+    def _follow_clock(self) -> None:
+        """Listen to /clock where use_sim_time says so."""
+        if not self.has_parameter('use_sim_time'):
+            self.declare_parameter('use_sim_time', False)
+        if not self.get_parameter('use_sim_time').value:
+            self._clock.simulated = None
+        elif self._clock.simulated is None:
+            self._clock.simulated = 0
+            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            kind = message_class('rosgraph_msgs/msg/Clock')
+            self.create_subscription(kind, '/clock', self._on_clock, qos)
+
+    def _on_clock(self, msg: Any) -> None:
+        if self._clock.simulated is not None:
+            self._clock.simulated = msg.clock.sec * 1_000_000_000 + msg.clock.nanosec
+
+
+def create_node(node_name: str, **options: Any) -> Node:
+    """Return a new node."""
+    return Node(node_name, **options)

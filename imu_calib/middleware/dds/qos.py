@@ -1,0 +1,188 @@
+"""Quality of service: rclpy's names, and what they are in DDS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
+from typing import TYPE_CHECKING, Any
+
+from ...errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+INFINITE = 2**63 - 1
+
+
+class ReliabilityPolicy(IntEnum):
+    """Whether what is lost is sent again."""
+
+    RELIABLE = 1
+    BEST_EFFORT = 2
+
+
+class DurabilityPolicy(IntEnum):
+    """Whether a late joiner gets what was sent before."""
+
+    TRANSIENT_LOCAL = 1
+    VOLATILE = 2
+
+
+class HistoryPolicy(IntEnum):
+    """How much waits for a reader that lags."""
+
+    KEEP_LAST = 1
+    KEEP_ALL = 2
+
+
+@dataclass
+class QoSProfile:
+    """The subset of rclpy's profile: history, depth, reliability and durability."""
+
+    history: HistoryPolicy = HistoryPolicy.KEEP_LAST
+    depth: int = 10
+    reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE
+    durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
+
+
+qos_profile_sensor_data = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+qos_profile_services_default = QoSProfile()
+
+
+class QoSPolicyKind(IntEnum):
+    """Policies that a parameter may override, and the names of incompatible ones."""
+
+    DURABILITY = 1 << 1
+    RELIABILITY = 1 << 4
+    HISTORY = 1 << 5
+    DEPTH = 1 << 11
+
+
+@dataclass(frozen=True)
+class QoSOverridingOptions:
+    """Which policies of an endpoint parameters may override.
+
+    The parameters are `qos_overrides.<topic>.<publisher|subscription>.<policy>`, as in ROS.
+    """
+
+    policy_kinds: Sequence[QoSPolicyKind]
+    callback: Callable[[QoSProfile], Any] | None = None
+    entity_id: str | None = None
+
+    @classmethod
+    def with_default_policies(
+        cls,
+        *,
+        callback: Callable[[QoSProfile], Any] | None = None,
+        entity_id: str | None = None,
+    ) -> QoSOverridingOptions:
+        """Let history, depth and reliability be overridden."""
+        kinds = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY)
+        return cls(kinds, callback, entity_id)
+
+
+@dataclass(frozen=True)
+class QoSIncompatibleInfo:
+    """How many peers do not match, and the policy of the last of them."""
+
+    total_count: int
+    total_count_change: int
+    last_policy_kind: int
+
+
+@dataclass
+class SubscriptionEventCallbacks:
+    """What a subscription calls when a publisher offers less than it requests."""
+
+    incompatible_qos: Callable[[QoSIncompatibleInfo], None] | None = None
+
+
+@dataclass
+class PublisherEventCallbacks:
+    """What a publisher calls when a subscription requests more than it offers."""
+
+    incompatible_qos: Callable[[QoSIncompatibleInfo], None] | None = None
+
+
+def profile(qos: QoSProfile | int) -> QoSProfile:
+    """Return a profile; a number is the depth of a reliable, volatile one."""
+    return QoSProfile(depth=qos) if isinstance(qos, int) else replace(qos)
+
+
+_ENUMS: dict[str, type[Enum]] = {
+    'history': HistoryPolicy,
+    'reliability': ReliabilityPolicy,
+    'durability': DurabilityPolicy,
+}
+
+
+def overridden(
+    qos: QoSProfile,
+    options: QoSOverridingOptions | None,
+    prefix: str,
+    declare: Callable[[str, Any], Any],
+) -> QoSProfile:
+    """Apply the parameters that override a profile.
+
+    Args:
+        qos: Profile of the code.
+        options: What may be overridden; None for nothing.
+        prefix: Start of the parameters' names.
+        declare: Declares a read-only parameter with its default and returns its value.
+
+    Raises:
+        InputError: A value is none of the policy's.
+
+    """
+    if options is None:
+        return qos
+    if options.entity_id:
+        prefix = f'{prefix}_{options.entity_id}'
+    for kind in options.policy_kinds:
+        name = kind.name.lower()
+        known = _ENUMS.get(name)
+        now = getattr(qos, name)
+        value = declare(f'{prefix}.{name}', now if known is None else now.name.lower())
+        if known is not None:
+            if value.upper() not in known.__members__:
+                words = ', '.join(m.lower() for m in known.__members__)
+                raise InputError(f'Parameter {prefix}.{name} is {value!r}, expected {words}.')
+            value = known[value.upper()]
+        qos = replace(qos, **{name: value})
+    if options.callback is not None and not getattr(options.callback(qos), 'successful', True):
+        raise InputError(f'The overrides {prefix}.* are refused.')
+    return qos
+
+
+def to_dds(qos: QoSProfile, user_data: str) -> Any:
+    """Return the wheel's Qos for a reader or a writer.
+
+    Args:
+        qos: Profile.
+        user_data: What discovery tells the peers, the type hash above all.
+
+    """
+    from cyclonedds.qos import Policy, Qos
+
+    keep_all = qos.history is HistoryPolicy.KEEP_ALL
+    history = Policy.History.KeepAll if keep_all else Policy.History.KeepLast(max(1, qos.depth))
+    policies = [
+        history,
+        # A reliable writer waits for a lagging reader for as long as it takes, as in ROS.
+        Policy.Reliability.Reliable(max_blocking_time=INFINITE)
+        if qos.reliability == ReliabilityPolicy.RELIABLE
+        else Policy.Reliability.BestEffort,
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+        Policy.WriterDataLifecycle(autodispose=False),
+        Policy.IgnoreLocal.Nothing,
+        Policy.Userdata(user_data.encode()),
+    ]
+    if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+        # What a late joiner gets is the history of the durability service, not that above.
+        policies += [
+            Policy.Durability.TransientLocal,
+            Policy.DurabilityService(0, history, -1, -1, -1),
+        ]
+    else:
+        policies.append(Policy.Durability.Volatile)
+    return Qos(*policies)

@@ -1,0 +1,142 @@
+"""Services (std_srvs/Trigger and its like) as rmw_cyclonedds speaks them."""
+
+from __future__ import annotations
+
+import secrets
+import struct
+import time
+from typing import TYPE_CHECKING, Any
+
+from .codec import deserialize_message, serialize_message
+from .future import Future
+from .messages import message_class
+from .qos import QoSProfile
+from .wire import Reader, Writer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .node import Node
+
+_REQUEST_ID = struct.Struct('<Qq')
+
+
+class Trigger:
+    """std_srvs/srv/Trigger."""
+
+    TYPE_NAME = 'std_srvs/srv/Trigger'
+    Request = message_class('std_srvs/srv/Trigger_Request')
+    Response = message_class('std_srvs/srv/Trigger_Response')
+
+
+def _identity(gid: bytes, role: str) -> str:
+    numbers = '.'.join(f'{b:x}' for b in gid)
+    return f'{role}id= {numbers};'
+
+
+def _ends(node: Node, srv_type: Any, name: str, serves: bool, gid: bytes) -> tuple[Reader, Writer]:
+    """Make the two DDS endpoints of one side of a service."""
+    identity = _identity(gid, 'service' if serves else 'client')
+    request, reply = f'rq{name}Request', f'rr{name}Reply'
+    qos = QoSProfile()
+    asked, answered = srv_type.Request.TYPE_NAME, srv_type.Response.TYPE_NAME
+    if serves:
+        reader = Reader(node.context, request, asked, qos, identity, 'service')
+        return reader, Writer(node.context, reply, answered, qos, identity, 'service')
+    reader = Reader(node.context, reply, answered, qos, identity, 'service')
+    return reader, Writer(node.context, request, asked, qos, identity, 'service')
+
+
+class Service:
+    """Answers requests; the callback takes request and response and returns the response."""
+
+    def __init__(
+        self, node: Node, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any]
+    ) -> None:
+        self.srv_type = srv_type
+        self.srv_name = srv_name
+        self.callback = callback
+        self.reader, self._writer = _ends(node, srv_type, srv_name, True, secrets.token_bytes(16))
+        self.writer = self._writer
+
+    def execute(self) -> bool:
+        """Answer what has been asked; return whether there was anything."""
+        payloads = self.reader.take()
+        for payload in payloads:
+            request = deserialize_message(payload, self.srv_type.Request, skip=16)
+            response = self.callback(request, self.srv_type.Response())
+            if not isinstance(response, self.srv_type.Response):
+                raise TypeError(
+                    f'The callback of {self.srv_name} returned {type(response).__name__}, '
+                    f'expected {self.srv_type.Response.__name__}.'
+                )
+            self._writer.write(serialize_message(response, _request_id(payload)))
+        return bool(payloads)
+
+    def destroy(self) -> None:
+        """Leave the service's topics."""
+        self.reader.delete()
+        self._writer.delete()
+
+
+def _request_id(payload: bytes) -> bytes:
+    order = '<' if payload[1] else '>'
+    return _REQUEST_ID.pack(*struct.unpack(f'{order}Qq', payload[4:20]))
+
+
+class Client:
+    """Asks a service; the answer is a future."""
+
+    def __init__(self, node: Node, srv_type: Any, srv_name: str) -> None:
+        self.srv_type = srv_type
+        self.srv_name = srv_name
+        gid = secrets.token_bytes(16)
+        self._guid = int.from_bytes(gid[:8], 'little')
+        self._sequence = 0
+        self._pending: dict[int, Future] = {}
+        self.reader, self._writer = _ends(node, srv_type, srv_name, False, gid)
+        self.writer = self._writer
+
+    def service_is_ready(self) -> bool:
+        """Tell whether somebody serves."""
+        return self._writer.matched() > 0 and self.reader.matched() > 0
+
+    def wait_for_service(self, timeout_sec: float | None = None) -> bool:
+        """Wait until somebody serves; return whether it came to that."""
+        end = None if timeout_sec is None else time.monotonic() + timeout_sec
+        while not self.service_is_ready():
+            if end is not None and time.monotonic() >= end:
+                return False
+            time.sleep(0.02)
+        return True
+
+    def call_async(self, request: Any) -> Future:
+        """Ask; the future is done when the answer has come and the node is spun."""
+        if not isinstance(request, self.srv_type.Request):
+            raise TypeError(f'Expected {self.srv_type.Request}, got {type(request)}')
+        self._sequence += 1
+        future = self._pending[self._sequence] = Future()
+        prefix = _REQUEST_ID.pack(self._guid, self._sequence)
+        self._writer.write(serialize_message(request, prefix))
+        return future
+
+    def remove_pending_request(self, future: Future) -> None:
+        """Forget a request whose answer nobody waits for any more."""
+        self._pending = {s: f for s, f in self._pending.items() if f is not future}
+
+    def execute(self) -> bool:
+        """Take the answers that have come; return whether there was one."""
+        found = False
+        for payload in self.reader.take():
+            guid, sequence = _REQUEST_ID.unpack(_request_id(payload))
+            # The answers to all clients come on one topic.
+            future = self._pending.pop(sequence, None) if guid == self._guid else None
+            if future is not None:
+                found = True
+                future.set_result(deserialize_message(payload, self.srv_type.Response, skip=16))
+        return found
+
+    def destroy(self) -> None:
+        """Leave the service's topics."""
+        self.reader.delete()
+        self._writer.delete()

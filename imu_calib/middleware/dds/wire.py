@@ -1,0 +1,177 @@
+"""Topics, readers and writers of the cyclonedds wheel, on ROS 2's wire; the bytes are ours."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from ...errors import ImuCalibError
+from .interfaces import Field, interface, type_hash
+from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
+
+if TYPE_CHECKING:
+    from .context import Context
+
+_ANY = 3 | 12 | 112
+"""Samples read or not, of new or known writers, alive or not."""
+
+# Numbers of DDS policies that profiles have, and rclpy's numbers for them.
+_POLICIES = {2: 2, 11: 16, 13: 32}
+_BULK = 4096
+
+
+@cache
+def idl_type(name: str, prefix: str = '') -> Any:
+    """Return the wheel's type of a message, as ROS 2 names it on the wire.
+
+    Args:
+        name: Full name, for instance sensor_msgs/msg/Imu.
+        prefix: 'service' puts the id of a request in front.
+
+    """
+    from cyclonedds.idl import annotations, make_idl_struct, types
+
+    package, kind, short = name.split('/')
+    fields: dict[str, Any] = {}
+    if prefix:
+        fields = {'client_guid': types.uint64, 'sequence_number': types.int64}
+    fields.update((f'{f.name}_', _idl_field(f)) for f in interface(name).fields)
+    struct = make_idl_struct(f'{short}_', f'{package}.{kind}.dds_.{short}_', fields)
+    return annotations.final(struct)
+
+
+def _idl_field(field: Field) -> Any:
+    from cyclonedds.idl import types
+
+    one: Any
+    if field.nested:
+        one = idl_type(field.base)
+    elif field.base == 'string':
+        one = types.bounded_str[field.string_bound] if field.string_bound else str
+    elif field.base == 'bool':
+        one = bool
+    else:
+        one = getattr(types, field.base)
+    if field.sequence:
+        return types.sequence[one, field.size] if field.size else types.sequence[one]
+    return types.array[one, field.size] if field.size else one
+
+
+def delete(entity: Any) -> None:
+    """Delete an entity of the wheel now rather than with its last reference."""
+    entity.__del__()
+
+
+class Endpoint:
+    """A reader or a writer of one DDS topic."""
+
+    def __init__(
+        self,
+        context: Context,
+        topic: str,
+        type_name: str,
+        qos: QoSProfile,
+        user_data: str = '',
+        prefix: str = '',
+    ) -> None:
+        self.context = context
+        self.topic = context.topic(topic, idl_type(type_name, prefix))
+        self._qos = to_dds(qos, f'{user_data}typehash={type_hash(type_name)};')
+        self.entity: Any = None
+
+    @property
+    def gid(self) -> bytes:
+        """The 16 bytes that tell this endpoint from all others."""
+        return bytes(self.entity.get_guid().bytes)
+
+    def delete(self) -> None:
+        """Leave the topic."""
+        delete(self.entity)
+
+
+class Writer(Endpoint):
+    """Sends serialised messages."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        from cyclonedds._clayer import ddspy_write
+        from cyclonedds.pub import DataWriter
+
+        super().__init__(*args, **options)
+        self.entity = DataWriter(self.context.participant, self.topic, qos=self._qos)
+        self._write = ddspy_write
+
+    def write(self, payload: bytes) -> None:
+        """Send one message, its encapsulation header included.
+
+        Raises:
+            ImuCalibError: The middleware refuses it.
+
+        """
+        code = self._write(self.entity._ref, payload + bytes(-len(payload) % 4))
+        if code < 0:
+            raise ImuCalibError(f'{self.topic.name}: Cyclone DDS refuses to send ({code}).')
+
+    def acknowledged(self, timeout_ns: int) -> bool:
+        """Wait until every reliable reader has everything; return whether it came to that."""
+        # The wheel's own wait_for_acks fails when the time is over.
+        code = int(self.entity._wait_for_acks(self.entity._ref, timeout_ns))
+        return code == 0
+
+    def matched(self) -> int:
+        """Return the number of readers."""
+        return len(self.entity.get_matched_subscriptions())
+
+    def incompatible(self) -> QoSIncompatibleInfo | None:
+        """Return what does not match since the last call, None for nothing."""
+        return _incompatible(self.entity.get_offered_incompatible_qos_status())
+
+
+class Reader(Endpoint):
+    """Receives serialised messages."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        from cyclonedds._clayer import ddspy_take
+        from cyclonedds.core import ReadCondition
+        from cyclonedds.sub import DataReader
+
+        super().__init__(*args, **options)
+        self.entity = DataReader(self.context.participant, self.topic, qos=self._qos)
+        self.condition = ReadCondition(self.entity, _ANY)
+        self._take = ddspy_take
+
+    def take(self, most: int = _BULK) -> list[bytes]:
+        """Return what has arrived, at most so many messages."""
+        taken = self._take(self.entity._ref, _ANY, most)
+        if isinstance(taken, int):
+            raise ImuCalibError(f'{self.topic.name}: Cyclone DDS cannot take ({taken}).')
+        # A writer that leaves is told by a sample without data.
+        return [payload for payload, info in taken if info.valid_data]
+
+    def drain(self) -> list[bytes]:
+        """Return all that has arrived."""
+        payloads: list[bytes] = []
+        while True:
+            taken = self._take(self.entity._ref, _ANY, _BULK)
+            if isinstance(taken, int) or not taken:
+                return payloads
+            payloads += [payload for payload, info in taken if info.valid_data]
+
+    def matched(self) -> int:
+        """Return the number of writers."""
+        return len(self.entity.get_matched_publications())
+
+    def incompatible(self) -> QoSIncompatibleInfo | None:
+        """Return what does not match since the last call, None for nothing."""
+        return _incompatible(self.entity.get_requested_incompatible_qos_status())
+
+    def delete(self) -> None:
+        """Leave the topic."""
+        delete(self.condition)
+        super().delete()
+
+
+def _incompatible(status: Any) -> QoSIncompatibleInfo | None:
+    if status.total_count_change <= 0:
+        return None
+    kind = _POLICIES.get(status.last_policy_id, 0)
+    return QoSIncompatibleInfo(status.total_count, status.total_count_change, kind)

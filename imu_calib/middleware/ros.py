@@ -1,0 +1,165 @@
+"""rclpy under the names that the nodes use, and the two things it lacks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy import (
+    create_node,
+    get_default_context,
+    ok,
+    shutdown,
+    spin,
+    spin_once,
+    spin_until_future_complete,
+    try_shutdown,
+)
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterAlreadyDeclaredException,
+    ParameterException,
+    ParameterNotDeclaredException,
+)
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.rcutils_logger import RcutilsLogger as Logger
+from rclpy.logging import LoggingSeverity, get_logger
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_profile_sensor_data,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.time import Time
+from std_srvs.srv import Trigger
+
+from . import ros_messages as messages
+from .dds.domain import domain_id as checked_domain
+
+__all__ = [
+    'Clock',
+    'ClockType',
+    'Context',
+    'DurabilityPolicy',
+    'Duration',
+    'ExternalShutdownException',
+    'FloatingPointRange',
+    'Future',
+    'HistoryPolicy',
+    'IntegerRange',
+    'InvalidParameterTypeException',
+    'InvalidParameterValueException',
+    'Logger',
+    'LoggingSeverity',
+    'Node',
+    'Parameter',
+    'ParameterAlreadyDeclaredException',
+    'ParameterDescriptor',
+    'ParameterException',
+    'ParameterNotDeclaredException',
+    'PublisherEventCallbacks',
+    'QoSOverridingOptions',
+    'QoSPolicyKind',
+    'QoSProfile',
+    'ReliabilityPolicy',
+    'SetParametersResult',
+    'SingleThreadedExecutor',
+    'SubscriptionEventCallbacks',
+    'Time',
+    'Trigger',
+    'acknowledged',
+    'create_node',
+    'deserialize_message',
+    'drain',
+    'get_default_context',
+    'get_logger',
+    'init',
+    'messages',
+    'ok',
+    'open_drain',
+    'qos_profile_sensor_data',
+    'serialize_message',
+    'shutdown',
+    'spin',
+    'spin_once',
+    'spin_until_future_complete',
+    'try_shutdown',
+]
+
+
+def init(**options: Any) -> None:
+    """Initialise rclpy without its signal handlers, which would end the context at once.
+
+    Args:
+        **options: Arguments of rclpy.init.
+
+    Raises:
+        InputError: ROS_DOMAIN_ID is out of range.
+
+    """
+    checked_domain()
+    options.setdefault('signal_handler_options', SignalHandlerOptions.NO)
+    rclpy.init(**options)
+
+
+class _Never(CallbackGroup):  # type: ignore[misc]
+    """Keeps the executor away from subscriptions that are drained."""
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+def open_drain(node: Any, msg_type: Any, topic: str, qos_profile: Any, **options: Any) -> Any:
+    """Subscribe without a callback; see `dds.drains.open_drain`."""
+    return node.create_subscription(
+        msg_type,
+        topic,
+        lambda _: None,
+        qos_profile,
+        raw=True,
+        callback_group=_Never(),
+        **options,
+    )
+
+
+def drain(subscription: Any) -> list[bytes]:
+    """Return all that has arrived, serialised, oldest first; for `cdr.Messages.join`."""
+    payloads = []
+    handle, kind = subscription.handle, subscription.msg_type
+    with handle:
+        # As rclpy's own wait_for_message does; a callback per message is twenty times slower.
+        take = handle.take_message
+        while (taken := take(kind, True)) is not None:
+            payloads.append(taken[0])
+    return payloads
+
+
+def acknowledged(publisher: Any, timeout_sec: float) -> bool:
+    """Wait until all reliable subscriptions have all messages; return whether they have."""
+    return bool(publisher.wait_for_all_acked(Duration(seconds=timeout_sec)))

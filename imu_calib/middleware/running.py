@@ -1,0 +1,81 @@
+"""A node's life from init to shutdown, with a last word when a signal ends it."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+
+class Stoppable(Protocol):
+    """A node with a last word."""
+
+    def stop(self) -> Sequence[Any]:
+        """Publish the last messages; return the publishers whose peers must have them."""
+
+
+_TICK = 0.05
+_LAST_WORD = 2.0
+
+
+def run(
+    node_factory: Callable[[], Any],
+    *,
+    args: Sequence[str] | None = None,
+    done: Callable[[Any], bool] | None = None,
+) -> bool:
+    """Spin a node until SIGINT, SIGTERM, shutdown, or until it is done.
+
+    The signal's handler sets an event only. Then `node.stop()`, where the node has it, publishes
+    its last messages and returns their publishers; these are waited for until their subscriptions
+    have acknowledged, and only then is the node destroyed and the middleware shut down.
+
+    Args:
+        node_factory: Makes the node, after init.
+        args: Command line with --ros-args; none for that of the process.
+        done: Asked with the node after each round; true ends the run.
+
+    Returns:
+        Whether every last message was acknowledged.
+
+    """
+    from . import ExternalShutdownException, init, ok, spin_once, try_shutdown
+
+    stop = threading.Event()
+    former = _handle(lambda *_: stop.set())
+    init(args=args)
+    heard = True
+    try:
+        node = node_factory()
+        try:
+            while ok() and not stop.is_set() and not (done is not None and done(node)):
+                spin_once(node, timeout_sec=_TICK)
+        except ExternalShutdownException:
+            pass
+        finally:
+            heard = ok() and _last_word(node)
+            node.destroy_node()
+    finally:
+        try_shutdown()
+        for number, handler in former.items():
+            signal.signal(number, handler)
+    return heard
+
+
+def _handle(handler: Callable[..., None]) -> dict[signal.Signals, Any]:
+    """Install a handler; return the former ones. Signals come to the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    return {n: signal.signal(n, handler) for n in (signal.SIGINT, signal.SIGTERM)}
+
+
+def _last_word(node: Any) -> bool:
+    from . import acknowledged
+
+    stop = getattr(node, 'stop', None)
+    publishers = stop() if stop is not None else None
+    heard = [acknowledged(p, _LAST_WORD) for p in publishers or ()]
+    return all(heard)

@@ -1,0 +1,67 @@
+"""Which runtime the nodes have: rclpy wherever it is, else Cyclone DDS."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from importlib.util import find_spec
+
+from ..errors import ImuCalibError
+
+VARIABLE = 'IMU_CALIB_MIDDLEWARE'
+RUNTIMES = ('rclpy', 'dds')
+
+
+def runtime() -> str:
+    """Return 'rclpy' where a module of that name exists, else 'dds'.
+
+    The environment variable IMU_CALIB_MIDDLEWARE forces one of the two.
+
+    Raises:
+        ImuCalibError: The variable holds another word.
+
+    """
+    forced = os.environ.get(VARIABLE, '')
+    if forced:
+        if forced not in RUNTIMES:
+            raise ImuCalibError(f'{VARIABLE} is {forced!r}, expected {" or ".join(RUNTIMES)}.')
+        return forced
+    return 'rclpy' if find_spec('rclpy') is not None else 'dds'
+
+
+def require(chosen: str) -> None:
+    """Check that a runtime works.
+
+    Args:
+        chosen: 'rclpy' or 'dds'.
+
+    Raises:
+        ImuCalibError: It does not; the text says what to do.
+
+    """
+    if chosen == 'rclpy':
+        _import(
+            'rclpy',
+            'rclpy does not load: {}. Source the setup file of a ROS 2 installation '
+            f'whose Python this is, or set {VARIABLE}=dds to do without ROS.',
+        )
+        _import(
+            'imu_calib_msgs.msg',
+            'The messages of the suite are not there: {}. Build them '
+            'with `colcon build --base-paths . msg_defs` in the checkout and source '
+            'install/setup.bash.',
+        )
+    else:
+        _import(
+            'cyclonedds._clayer',
+            'Without ROS 2 the nodes need Cyclone DDS, which does not '
+            "load: {}. Install it with `pip install 'imu_calib[dds]'`, or source ROS 2.",
+        )
+
+
+def _import(module: str, sentence: str) -> None:
+    try:
+        importlib.import_module(module)
+    except Exception as error:
+        reason = f'{type(error).__name__}: {error}'
+        raise ImuCalibError(sentence.format(reason)) from error
