@@ -35,17 +35,19 @@ _VERTICAL = 1e-4
 _SAMPLES_FOR_PERIOD = 256
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 _WALK_GUESS = 0.05
+_MOSTLY = 0.5
 _LEAST_TURNED = TURN / 72
 
 
 @dataclass(frozen=True, eq=False)
 class Rejected:
-    """A stretch that was looked at and not used: when (ns, IMU clock), where, and why."""
+    """What was looked at and not used: when (ns, IMU clock), where, why; a rest or a turn."""
 
     start: int
     end: int
     reason: str
     position: str | None = None
+    turn: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,8 +199,7 @@ class Segmenter:
     def _take_joints(self, block: JointBlock) -> None:
         if self._table is None or self._joints is None:
             return
-        missing = [name for name in self._table.names if name not in block.names]
-        if missing:
+        if set(block.names) != set(self._table.names):
             raise InputError(
                 f'The joint states name {", ".join(block.names) or "no joint"}; table '
                 f'{self._table.name} has {", ".join(self._table.names)}.'
@@ -293,10 +294,11 @@ class Segmenter:
             return
         reject = self._rejector(int(stamp[0]), int(stamp[-1]))
         samples = to_samples(stamp, values, self._spec, sample_period(stamp))
-        if self._saturated(values, samples).any():
+        saturated = self._saturated(values, samples)
+        if saturated.mean() > _MOSTLY:
             reject('the sensor is saturated')
             return
-        found = self._sound_statistics(samples)
+        found = self._sound_statistics(samples, saturated)
         if isinstance(found, str):
             reject(found)
             return
@@ -316,11 +318,13 @@ class Segmenter:
         )
 
     def _sound_statistics(
-        self, samples: Samples
+        self, samples: Samples, saturated: NDArray[np.bool_]
     ) -> tuple[Statistics, Stamps, tuple[str, ...]] | str:
         """Estimate over the sound part of a stretch; a text says why there is none."""
-        sound = sound_part(samples, self._walk)
+        sound = sound_part(samples, self._walk, saturated)
         notes = list(sound.notes)
+        if saturated.any():
+            notes.append(f'{saturated.sum()} samples are saturated')
         kept = _masked(samples, sound.mask)
         if len(kept.stamp) * samples.period < _SHORTEST_REST:
             return '; '.join(notes) or 'too little of it was quiet'
@@ -377,7 +381,7 @@ class Segmenter:
             return
         start = turns.start + self._offset_ns
         end = start + turns.seconds * 1e9
-        reject = self._rejector(int(start), int(end))
+        reject = self._rejector(int(start), int(end), turn=True)
         period_ns = samples.period * 1e9
         inside = slice(
             int(np.searchsorted(samples.stamp, start - period_ns)),
@@ -385,13 +389,13 @@ class Segmenter:
         )
         part = samples.part(inside.start, inside.stop)
         if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
-            reject('the IMU stream does not span the turn')
+            reject('the IMU stream does not span it')
             return
         if len(gap_free(part.stamp, part.period)) > 1:
-            reject('IMU samples are missing within the turn')
+            reject('IMU samples are missing within it')
             return
         if self._saturated(values[inside], part).any():
-            reject('the sensor is saturated during the turn')
+            reject('the sensor is saturated during it')
             return
         origin = _line_origin(part) - part.period * 1e9
         first = (start - origin) / period_ns
@@ -417,18 +421,18 @@ class Segmenter:
         turned = part.increments[:, :3].sum(axis=0)
         if float(np.linalg.norm(turned)) < _LEAST_TURNED:
             return
-        reject = self._rejector(motion.start, motion.end)
+        reject = self._rejector(motion.start, motion.end, turn=True)
         if len(gap_free(part.stamp, part.period)) > 1:
-            reject('IMU samples are missing within the turn')
+            reject('IMU samples are missing within it')
         elif self._saturated(values[first:last], part).any():
-            reject('the sensor is saturated during the turn')
+            reject('the sensor is saturated during it')
         else:
             statistics = statistics_between(part, 0.0, float(len(part.stamp)))
             self._motions.append(FreeMotion(motion.start, motion.end, statistics, turned))
 
-    def _rejector(self, start: int, end: int) -> Callable[[str], None]:
+    def _rejector(self, start: int, end: int, *, turn: bool = False) -> Callable[[str], None]:
         def reject(reason: str) -> None:
-            self._rejected.append(Rejected(start, end, reason))
+            self._rejected.append(Rejected(start, end, reason, turn=turn))
 
         return reject
 
@@ -448,9 +452,13 @@ class Segmenter:
 
 
 def _expected_walk(spec: ImuSpec) -> Floats:
-    """Return the random walk to choose weights by: the data sheet's, or a fraction of a pulse."""
+    """Return the random walk to choose weights by: the data sheet's, or a fraction of a pulse.
+
+    Values that are no pulses need no weights, and their own scatter shows what is an outlier.
+    """
+    guess = _WALK_GUESS if spec.units is Units.PULSES else 0.0
     walks = [
-        t.random_walk if t.random_walk > 0 else _WALK_GUESS * t.scale_factor
+        t.random_walk if t.random_walk > 0 else guess * t.scale_factor
         for t in (spec.gyro, spec.accel)
     ]
     return np.repeat(walks, 3)
