@@ -137,6 +137,9 @@ class Calibrator:
 def _nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
     if not session.samples:
         return 'The IMU stream is empty: nothing can be determined.'
+    if not session.duration:
+        told = ' '.join(f'{loss}.' for loss in session.losses)
+        return f'None of {session.samples} IMU samples can be used. {told}'
     text = (
         f'None of the positions of plan {setup.plan.name} was found in {session.samples} IMU '
         f'samples ({session.duration:.0f} s): nothing can be determined.'
@@ -145,7 +148,8 @@ def _nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
     loose = len(session.segments)
     if loose:
         text += f' {loose} stretches at rest fit no position of the plan.'
-    return ' '.join([text, *(f'Left out: {reason}.' for reason in reasons[:3]), *session.losses])
+    sentences = [*(f'Left out: {reason}' for reason in reasons[:3]), *session.losses]
+    return ' '.join([text, *(f'{sentence}.' for sentence in sentences)])
 
 
 def _what_was_lost(evidence: Evidence, labelled: Labelled, session: Segmented) -> list[str]:
@@ -157,6 +161,9 @@ def _what_was_lost(evidence: Evidence, labelled: Labelled, session: Segmented) -
     found = {segment.position for segment in labelled.segments}
     for rejected in labelled.rejected:
         name = rejected.position or '(unknown)'
+        if rejected.turn:
+            sentences.append(f'Position {name}: a turn is left out, {rejected.reason}.')
+            continue
         again = '; it was measured again' if name in found else ''
         sentences.append(f'Position {name}: left out, {rejected.reason}{again}.')
     sentences += [

@@ -32,7 +32,7 @@ class Sound:
     notes: tuple[str, ...]
 
 
-def sound_part(samples: Samples, walk: Floats) -> Sound:
+def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None = None) -> Sound:
     """Cut the settling at both ends and the disturbances within a stretch at rest.
 
     Windows of half a second whose mean or spread leaves the others' are not sound. A drift of the
@@ -41,24 +41,29 @@ def sound_part(samples: Samples, walk: Floats) -> Sound:
     Args:
         samples: A stretch during which the table stood still.
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
+        spoilt: (n,) samples that are known to be unsound, for instance saturated.
 
     """
     length = max(1, round(_WINDOW_SECONDS / samples.period))
     count = len(samples.stamp) // length
     everything = np.ones(len(samples.stamp), dtype=bool)
+    if spoilt is not None:
+        everything &= ~spoilt
     if count < _FEWEST_WINDOWS:
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
     bad = _outlying_means(used.sum(axis=1), samples, walk, length * samples.period)
     bad |= _outlying_spreads(used, samples.quantum)
+    bad |= ~everything[: count * length].reshape(count, length).all(axis=1)
     if not bad.any():
         return Sound(everything, ())
     good = np.flatnonzero(~bad)
     if not len(good):
-        return Sound(~everything, ('no half second of it was quiet',))
+        return Sound(np.zeros_like(everything), ('no half second of it was quiet',))
     first, last = int(good[0]), int(good[-1]) + 1
     mask = np.repeat(~bad, length)
     mask = np.concatenate([mask, np.full(len(everything) - len(mask), last == count)])
+    mask &= everything
     inner = int(bad[first:last].sum())
     if not inner:
         return Sound(mask, ())
