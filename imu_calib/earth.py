@@ -75,7 +75,7 @@ class Site:
             raise InputError(f'height: found {height:g} m, expected -500 to 10000.')
         if gravity is None:
             return cls(latitude, normal_gravity(latitude, height), 'normal gravity (WGS 84)')
-        if not 9.7 < gravity < 9.9:
+        if not 9.7 <= gravity <= 9.9:
             raise InputError(f'gravity: found {gravity:g} m/s^2, expected 9.7 to 9.9.')
         return cls(latitude, gravity, 'measured')
 

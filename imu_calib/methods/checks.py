@@ -15,12 +15,15 @@ from ..model import AXES, SensorModel
 from ..stream import Floats
 from ..units import DEG, DEG_H
 from .evidence import SMALLEST_VARIANCE, Evidence
+from .rate_test import RateTest
 from .solution import Residual, Solution
 
 _SIGNIFICANT = 1e-6
 _CONTRADICTION = 5.0
 _SCALE_LIMIT = 2.0
 _AXIS_LIMIT = 0.5
+_ALTERNATIONS = 8
+_FAR_SCALE = 0.1
 _OFF_POSITION = 0.02 * DEG
 _OUTSTANDING = 5.0
 _LEAST_EARTH_RATE = 0.01 * DEG_H
@@ -73,10 +76,10 @@ def conclude(
     """
     _check_axes(model.gyro.response, 'gyros', 'whole turns')
     _check_axes(model.accel.response, 'accelerometers', 'gravity')
+    notes = [*findings, *_far_scales(model)]
     gyro = _fit(evidence, model, slice(0, 3), estimated=6)
     accel = _fit(evidence, model, slice(3, 6), estimated=14)
     widened = covariance.copy()
-    notes = list(findings)
     for fit, block, name in (
         (gyro, slice(0, 12), 'gyros'),
         (accel, slice(12, 24), 'accelerometers'),
@@ -88,6 +91,16 @@ def conclude(
                 'within them (positioning errors that the table does not state, drift): their '
                 'standard deviations are widened.'
             )
+    scatter = RateTest.of(evidence).scatter()
+    if scatter is not None:
+        # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
+        factors = np.where(np.arange(24) < 9, np.sqrt(scatter), 1.0)
+        widened *= np.outer(factors, factors)
+        notes.append(
+            f'Between turns the gyros scatter {np.sqrt(scatter):.1f} times more than within them '
+            '(a range that ends below the rates, a scale factor that depends on the rate): the '
+            'standard deviations of K_g and E_g are widened.'
+        )
     residuals = _residuals(evidence, gyro, accel)
     notes += _outstanding(residuals)
     notes += _off_positions(evidence)
@@ -115,6 +128,20 @@ def conclude(
     )
 
 
+def _far_scales(model: SensorModel) -> list[str]:
+    """Mention outputs so far from the nominal scale that the description may be another unit's."""
+    scales = {
+        'gyros': abs(float(np.linalg.det(model.gyro.response))) ** (1 / 3),
+        'accelerometers': abs(float(np.linalg.det(model.accel.response))) ** (1 / 3),
+    }
+    return [
+        f'The {name} answer {scale:.3f} times what the scale factor of their description says: '
+        'is it that of this unit?'
+        for name, scale in scales.items()
+        if abs(scale - 1) > _FAR_SCALE
+    ]
+
+
 def _check_axes(response: Floats, name: str, what: str) -> None:
     """Refuse a response that no orientation of three real axes explains."""
     scale = abs(float(np.linalg.det(response))) ** (1 / 3)
@@ -123,8 +150,10 @@ def _check_axes(response: Floats, name: str, what: str) -> None:
             f'The {name} answer {scale:.4g} times what they should to {what}: units or scale '
             "factor of the IMU's description are not those of the recording."
         )
-    near = np.rint(response)
-    if np.array_equal(near, np.eye(3)) and np.abs(response - np.eye(3)).max() < _AXIS_LIMIT:
+    largest = np.abs(response).max(axis=1)
+    if np.all(np.diag(response) == largest) and np.all(
+        np.abs(response - np.diag(largest)).max(axis=1) < _AXIS_LIMIT * largest
+    ):
         return
     words = []
     for i in range(3):
@@ -133,6 +162,8 @@ def _check_axes(response: Floats, name: str, what: str) -> None:
         if j != i or sign:
             words.append(f'{AXES[i]} answers to {sign}{AXES[j].upper()}')
     kind = 'mirrored' if np.linalg.det(response) < 0 else 'swapped'
+    if not words:
+        kind, words = 'turned', [f'{name} answer by {np.round(response, 2).tolist()}']
     raise NotObservable(
         f'The axes of the {name} are {kind} against the plan: {", ".join(words)}. Give the '
         "mounting in the table's YAML, or correct the driver."
@@ -162,11 +193,48 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     covariance = (inverse @ inverse.T) / np.outer(scale, scale)
     left = ((wanted - matrix @ solution) / weights.reshape(-1)).reshape(s, 3)
     scatter, significant = 1.0, False
+    tested = left
+    if channels.start == 3:
+        tested = _left_by_weighted_fit(evidence, outputs, variances, solution[:3])
     for groups in (np.arange(s), _arrivals(evidence)):
-        ratio, plain = _scatter(left, variances, groups, estimated)
+        ratio, plain = _scatter(tested, variances, groups, estimated)
         if noisy and plain:
             scatter, significant = max(scatter, ratio), True
     return _Fit(solution[:3], covariance[:3, :3], left, scatter, significant)
+
+
+def _left_by_weighted_fit(
+    evidence: Evidence, outputs: Floats, variances: Floats, force: Floats
+) -> Floats:
+    """Return what responses, biases and tilt leave when fitted together, each output by its noise.
+
+    The closed forms weigh all positions alike. What a position of few pulses does to them through
+    its quantisation is no contradiction among the others.
+
+    Args:
+        evidence: The session.
+        outputs: (s, 3) mean outputs.
+        variances: (s, 3) theirs.
+        force: (3,) specific force in the frame of the attitudes, to begin with.
+
+    Returns:
+        (s, 3)
+
+    """
+    attitudes, weights = evidence.attitudes(), 1 / np.sqrt(variances)
+    force = force.copy()
+    left = outputs
+    for _ in range(_ALTERNATIONS):
+        felt = np.column_stack([np.einsum('skj,k->sj', attitudes, force), np.ones(len(outputs))])
+        channels = [
+            np.linalg.lstsq(felt * w[:, None], y * w, rcond=None)[0]
+            for y, w in zip(outputs.T, weights.T, strict=True)
+        ]
+        left = outputs - felt @ np.array(channels).T
+        level = np.einsum('ij,skj->sik', np.array(channels)[:, :3], attitudes)[:, :, :2]
+        design = (level * weights[:, :, None]).reshape(-1, 2)
+        force[:2] += np.linalg.lstsq(design, (left * weights).reshape(-1), rcond=None)[0]
+    return np.asarray(left)
 
 
 def _arrivals(evidence: Evidence) -> NDArray[np.intp]:
@@ -253,12 +321,21 @@ def _check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> No
         return
     seen = float(np.arctan2(earth[2], level))
     total = float(np.hypot(earth[2], level))
+    total_std = max(up_std, level_std)
+    text = (
+        f'the gyros see an Earth rate of {earth[2] / DEG_H:.2f} +- {up_std / DEG_H:.2f} deg/h up '
+        f'(expected {site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- '
+        f'{level_std / DEG_H:.2f} deg/h level (expected {site.north_rate / DEG_H:.2f})'
+    )
+    if abs(total - EARTH_RATE) > _CONTRADICTION * total_std:
+        raise NotObservable(
+            f'The data contradicts itself: {text}, {total / DEG_H:.2f} deg/h in all, where the '
+            f'Earth turns at {EARTH_RATE / DEG_H:.2f} deg/h at any latitude. The rate test does '
+            'not fit the stretches at rest (saturated turns, clocks that differ, drift).'
+        )
     raise NotObservable(
-        f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: the gyros see an Earth '
-        f'rate of {earth[2] / DEG_H:.2f} +- {up_std / DEG_H:.2f} deg/h up (expected '
-        f'{site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- {level_std / DEG_H:.2f} deg/h '
-        f'level (expected {site.north_rate / DEG_H:.2f}). It fits a latitude of '
-        f'{seen / DEG:.1f} +- {max(up_std, level_std) / total / DEG:.1f} deg.'
+        f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}. It fits a '
+        f'latitude of {seen / DEG:.1f} +- {total_std / total / DEG:.1f} deg.'
     )
 
 
