@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from ...errors import InputError
-from .names import Remap
+from .names import Remap, check_node_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -134,7 +134,7 @@ def _assignment(text: str, option: str) -> tuple[str, str, str]:
     node, _, name = left.rpartition(':')
     if not sign or not name or (option == '-r' and not right):
         raise InputError(f'--ros-args: {option} {text!r}, expected name:=value.')
-    return node, name, right
+    return node and check_node_name(node), name, right
 
 
 def _parameter(text: str) -> tuple[str, str, Any]:
@@ -189,9 +189,6 @@ def _leaves(prefix: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 def _fits(pattern: str, full_name: str) -> bool:
     """Tell whether a pattern with * (one part) and ** (any) means a node."""
     absolute = pattern if pattern.startswith('/') else f'/{pattern}'
-    if '/' not in pattern and '*' not in pattern:
-        # `-p node:name:=value` names the node without its namespace.
-        return full_name.rpartition('/')[2] == pattern or full_name == absolute
     parts = {'**': '(/[^/]+)*', '*': '/[^/]+'}
     expression = ''.join(parts.get(p) or f'/{re.escape(p)}' for p in absolute.split('/')[1:])
     return re.fullmatch(expression, full_name) is not None

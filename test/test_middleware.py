@@ -1,0 +1,513 @@
+"""What a node may rely on, on whichever runtime IMU_CALIB_MIDDLEWARE chooses."""
+
+import os
+import signal
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from loopback import environment, start, until
+
+from imu_calib.cdr import Messages, decode_imu, encode_imu
+from imu_calib.errors import ImuCalibError
+from imu_calib.stream import ImuBlock
+
+# ROS reads this when it loads its messages.
+os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
+try:
+    from imu_calib import middleware as ros
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+KEEP_ALL = ros.QoSProfile(
+    history=ros.HistoryPolicy.KEEP_ALL, reliability=ros.ReliabilityPolicy.RELIABLE
+)
+LATCHED = ros.QoSProfile(depth=1, durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
+STEADY = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+
+
+@pytest.fixture
+def init(domain):
+    """Join with a command line; leave at the end of the test."""
+
+    def join(*args):
+        ros.init(args=list(args))
+
+    yield join
+    ros.try_shutdown()
+
+
+@pytest.fixture
+def node(init):
+    init()
+    return ros.Node('tested')
+
+
+def spun(node, condition, seconds=5.0):
+    return until(condition, seconds, lambda: ros.spin_once(node, timeout_sec=0.05))
+
+
+def finish(process, seconds=15.0):
+    out, err = process.communicate(timeout=seconds)
+    assert process.returncode == 0, err
+    return out, err
+
+
+def test_a_message_arrives_as_it_was_sent(node):
+    got = []
+    node.create_subscription(ros.messages.JointState, 'joints', got.append, 10)
+    publisher = node.create_publisher(ros.messages.JointState, 'joints', 10)
+    sent = ros.messages.JointState(name=['outer', 'ä'], position=[0.5, -1e-300])
+    sent.header.stamp.sec = -5
+    assert spun(node, lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(sent)
+    assert spun(node, lambda: got)
+    assert got[0] == sent
+
+
+def test_serialised_bytes_go_both_ways(node):
+    got = []
+    node.create_subscription(ros.messages.String, 'text', got.append, 10, raw=True)
+    publisher = node.create_publisher(ros.messages.String, 'text', 10)
+    payload = ros.serialize_message(ros.messages.String(data='hello'))
+    assert spun(node, lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(payload)
+    assert spun(node, lambda: got)
+    assert ros.deserialize_message(got[0], ros.messages.String).data == 'hello'
+
+
+def test_a_late_joiner_gets_the_latched_message(node):
+    publisher = node.create_publisher(ros.messages.String, 'state', LATCHED)
+    for text in ('first', 'last'):
+        publisher.publish(ros.messages.String(data=text))
+    got = []
+    node.create_subscription(ros.messages.String, 'state', got.append, LATCHED)
+    assert spun(node, lambda: got)
+    spun(node, lambda: False, 0.2)
+    assert [m.data for m in got] == ['last']
+
+
+def test_a_volatile_message_does_not_wait_for_a_late_joiner(node):
+    publisher = node.create_publisher(ros.messages.String, 'setpoint', 1)
+    publisher.publish(ros.messages.String(data='move'))
+    got = []
+    node.create_subscription(ros.messages.String, 'setpoint', got.append, 1)
+    assert spun(node, lambda: publisher.get_subscription_count() == 1)
+    assert not spun(node, lambda: got, 0.3)
+
+
+def test_a_service_answers(node):
+    def answer(request, response):
+        response.success, response.message = True, 'started'
+        return response
+
+    node.create_service(ros.Trigger, '~/start', answer)
+    client = node.create_client(ros.Trigger, '/tested/start')
+    assert client.wait_for_service(timeout_sec=5.0)
+    for _ in range(3):
+        future = client.call_async(ros.Trigger.Request())
+        ros.spin_until_future_complete(node, future, timeout_sec=5.0)
+        assert (future.result().success, future.result().message) == (True, 'started')
+
+
+def test_two_clients_get_their_own_answers(node):
+    counts = iter(range(100))
+
+    def answer(request, response):
+        response.message = str(next(counts))
+        return response
+
+    node.create_service(ros.Trigger, 'count', answer)
+    clients = [node.create_client(ros.Trigger, 'count') for _ in range(2)]
+    assert all(c.wait_for_service(timeout_sec=5.0) for c in clients)
+    futures = [c.call_async(ros.Trigger.Request()) for c in clients]
+    assert spun(node, lambda: all(f.done() for f in futures))
+    assert sorted(f.result().message for f in futures) == ['0', '1']
+
+
+def test_nobody_serves(node):
+    client = node.create_client(ros.Trigger, 'nobody')
+    assert not client.wait_for_service(timeout_sec=0.1)
+
+
+def test_a_parameter_has_its_default_its_type_and_its_limits(node):
+    limits = ros.FloatingPointRange(from_value=0.0, to_value=10.0)
+    described = ros.ParameterDescriptor(description='s', floating_point_range=[limits])
+    assert node.declare_parameter('dwell', 1.5, described).value == 1.5
+    set_to = node.set_parameters
+    assert set_to([ros.Parameter('dwell', value=2.5)])[0].successful
+    assert not set_to([ros.Parameter('dwell', value=11.0)])[0].successful
+    assert not set_to([ros.Parameter('dwell', value='long')])[0].successful
+    assert node.get_parameter('dwell').value == 2.5
+    with pytest.raises(ros.ParameterAlreadyDeclaredException):
+        node.declare_parameter('dwell', 1.0)
+    with pytest.raises(ros.ParameterNotDeclaredException):
+        node.get_parameter('dwel')
+
+
+def test_a_read_only_parameter_stays(node):
+    node.declare_parameter('plan', 'a', ros.ParameterDescriptor(read_only=True))
+    result = node.set_parameters([ros.Parameter('plan', value='b')])[0]
+    assert not result.successful
+    assert 'read-only' in result.reason
+    assert node.get_parameter('plan').value == 'a'
+
+
+def test_a_callback_refuses_a_change(node):
+    node.declare_parameter('rate', 1)
+    node.add_on_set_parameters_callback(
+        lambda ps: ros.SetParametersResult(successful=ps[0].value > 0, reason='not positive')
+    )
+    results = [node.set_parameters([ros.Parameter('rate', value=v)])[0] for v in (2, -1)]
+    assert [r.successful for r in results] == [True, False]
+    assert results[1].reason == 'not positive'
+    assert node.get_parameter('rate').value == 2
+
+
+def test_parameters_come_from_files_and_arguments(init, tmp_path):
+    file = tmp_path / 'parameters.yaml'
+    file.write_text(
+        '/**:\n  ros__parameters:\n    everywhere: 1\n    tolerance: 1.0e-3\n'
+        '    gains: [1.0, 2.0]\n'
+        '/stand/tested:\n  ros__parameters:\n    here: yes\n    nested: {inner: text}\n'
+        'other:\n  ros__parameters:\n    here: false\n'
+    )
+    init(
+        '--ros-args', '--params-file', str(file), '-p', 'given:=2.5', '-p', 'name:="7"',
+        '-p', 'everywhere:=3',
+    )  # fmt: skip
+    node = ros.Node('tested', namespace='/stand')
+    declared = {
+        'everywhere': 0, 'tolerance': 0.0, 'gains': [0.0], 'here': False, 'nested.inner': '',
+        'given': 0.0, 'name': '', 'untouched': 9,
+    }  # fmt: skip
+    found = {n: node.declare_parameter(n, v).value for n, v in declared.items()}
+    found['gains'] = list(found['gains'])
+    assert found == {
+        'everywhere': 3, 'tolerance': 1e-3, 'gains': [1.0, 2.0], 'here': True,
+        'nested.inner': 'text', 'given': 2.5, 'name': '7', 'untouched': 9,
+    }  # fmt: skip
+
+
+def test_an_argument_may_mean_one_node(init):
+    init('--ros-args', '-p', 'first:size:=-4', '-p', 'second:size:=5')
+    sizes = [ros.Node(n).declare_parameter('size', 0).value for n in ('first', 'second', 'third')]
+    assert sizes == [-4, 5, 0]
+
+
+def test_a_given_value_of_the_wrong_type_is_refused(init):
+    init('--ros-args', '-p', 'dwell:=long')
+    node = ros.Node('tested')
+    with pytest.raises(ros.InvalidParameterTypeException, match='dwell'):
+        node.declare_parameter('dwell', 1.5)
+
+
+def test_names_follow_namespace_and_remaps(init):
+    init(
+        '--ros-args', '-r', '__ns:=/stand', '-r', 'imu/pulses:=/raw', '-r', 'first:__node:=named',
+        '-r', 'named:here:=there', '-r', 'second:~/own:=mine',
+    )  # fmt: skip
+    first, second = ros.Node('first'), ros.Node('second')
+    assert first.get_fully_qualified_name() == '/stand/named'
+    assert second.get_fully_qualified_name() == '/stand/second'
+    assert first.resolve_topic_name('imu/pulses') == '/raw'
+    assert first.resolve_topic_name('here') == '/stand/there'
+    assert second.resolve_topic_name('here') == '/stand/here'
+    assert second.create_publisher(ros.messages.String, '~/own', 1).topic_name == '/stand/mine'
+    assert first.resolve_topic_name('/absolute') == '/absolute'
+
+
+def test_a_parameter_overrides_the_quality_of_service(init):
+    init('--ros-args', '-p', 'qos_overrides./imu.subscription.reliability:=best_effort')
+    node = ros.Node('tested')
+    options = ros.QoSOverridingOptions.with_default_policies()
+    # A profile of its own: rclpy writes the overrides into the one it is given.
+    qos = ros.QoSProfile(history=ros.HistoryPolicy.KEEP_ALL)
+    got = node.create_subscription(
+        ros.messages.Imu, 'imu', lambda _: None, qos, qos_overriding_options=options
+    )
+    assert got.qos_profile.reliability == ros.ReliabilityPolicy.BEST_EFFORT
+    assert got.qos_profile.history == ros.HistoryPolicy.KEEP_ALL
+    assert node.get_parameter('qos_overrides./imu.subscription.history').value == 'keep_all'
+
+
+def test_a_timer_keeps_its_period_and_can_be_stopped(node):
+    times = []
+    timer = node.create_timer(0.05, lambda: times.append(time.monotonic()), clock=STEADY)
+    assert spun(node, lambda: len(times) == 6)
+    assert np.diff(times).mean() == pytest.approx(0.05, abs=0.02)
+    timer.cancel()
+    assert not spun(node, lambda: len(times) > 6, 0.2)
+    timer.reset()
+    assert spun(node, lambda: len(times) > 6)
+
+
+def test_simulated_time_moves_clock_and_timers(init):
+    init('--ros-args', '-p', 'use_sim_time:=true')
+    node = ros.Node('tested')
+    ticks = []
+    node.create_timer(1.0, lambda: ticks.append(node.get_clock().now().nanoseconds))
+    clock = node.create_publisher(ros.messages.Clock, '/clock', 10)
+    assert spun(node, lambda: clock.get_subscription_count() == 1)
+    assert node.get_clock().now().nanoseconds == 0
+    message = ros.messages.Clock()
+    for tenths in range(100, 141):
+        message.clock.sec, message.clock.nanosec = tenths // 10, tenths % 10 * 100_000_000
+        clock.publish(message)
+        expected = tenths * 100_000_000
+        assert spun(node, lambda now=expected: node.get_clock().now().nanoseconds == now)
+        spun(node, lambda: False, 0.01)
+    assert len(ticks) == 5  # at the first time that was told, and each second after it
+    assert not spun(node, lambda: len(ticks) > 5, 0.2)
+
+
+def test_a_best_effort_publisher_is_told_to_a_reliable_subscription(node):
+    told = []
+    events = ros.SubscriptionEventCallbacks(incompatible_qos=told.append)
+    node.create_subscription(
+        ros.messages.Imu, 'imu', lambda _: None, KEEP_ALL, event_callbacks=events
+    )
+    node.create_publisher(ros.messages.Imu, 'imu', ros.qos_profile_sensor_data)
+    assert spun(node, lambda: told)
+    assert told[0].total_count == 1
+    assert int(told[0].last_policy_kind) == int(ros.QoSPolicyKind.RELIABILITY)
+
+
+def test_the_graph_names_nodes_and_counts_publishers(node):
+    node.create_publisher(ros.messages.Imu, 'imu/pulses', KEEP_ALL)
+    second = ros.Node('second', namespace='/stand')
+    second.create_publisher(ros.messages.Imu, '/imu/pulses', KEEP_ALL)
+    assert spun(node, lambda: node.count_publishers('imu/pulses') == 2)
+    expected = {('tested', '/'), ('second', '/stand')}
+    assert spun(node, lambda: expected <= set(node.get_node_names_and_namespaces()))
+    second.destroy_node()
+    assert spun(node, lambda: node.count_publishers('imu/pulses') == 1)
+    assert spun(node, lambda: 'second' not in node.get_node_names())
+
+
+def test_the_log_is_written_as_ros_writes_it(domain):
+    code = (
+        'from imu_calib.middleware import *\n'
+        "init(args=[]); n = Node('a', namespace='/b'); n.get_logger().warning('text')\n"
+        "n.get_logger().debug('no')\n"
+        "for _ in range(3): n.get_logger().info('thrice', throttle_duration_sec=9.0)\n"
+        'shutdown()'
+    )
+    _, err = finish(start(code))
+    import re
+
+    assert re.search(r'\[WARN\] \[\d+\.\d{9}\] \[b\.a\]: text', err)
+    assert '[DEBUG]' not in err
+    assert err.count('thrice') == 1
+
+
+@pytest.mark.parametrize(
+    ('field', 'value'),
+    [('dwell', 1), ('dwell', np.float32(1)), ('plan', 1), ('step', 1.5), ('step', -1),
+     ('mode', 256), ('positions', [1]), ('positions', 1.0), ('joint_names', ['a', 1]),
+     ('header', 'now')],
+)  # fmt: skip
+def test_a_wrong_type_is_refused_with_the_field(field, value):
+    message = ros.messages.TurntableSetpoint()
+    with pytest.raises(AssertionError, match=field):
+        setattr(message, field, value)
+
+
+def test_an_unknown_field_is_refused():
+    with pytest.raises((AssertionError, AttributeError), match='spin'):
+        ros.messages.TurntableSetpoint(spin=1.0)
+
+
+def test_keep_all_loses_nothing_when_drained_late(node):
+    count, size = 20_000, 1000
+    stamps = np.arange(count, dtype=np.int64) * 250_000
+    counts = np.arange(count * 3, dtype=float).reshape(-1, 3)
+    payloads = encode_imu(ImuBlock(stamps, counts, -counts, 'imu')).payloads()
+    subscription = ros.open_drain(node, ros.messages.Imu, 'imu/pulses', KEEP_ALL)
+    publisher = node.create_publisher(ros.messages.Imu, 'imu/pulses', KEEP_ALL)
+    assert spun(node, lambda: publisher.get_subscription_count() == 1)
+    drained = []
+    for start_at in range(0, count, size):
+        for payload in payloads[start_at : start_at + size]:
+            publisher.publish(payload)
+        ros.spin_once(node, timeout_sec=0.0)
+        if start_at % 5000 == 0:
+            drained += ros.drain(subscription)
+    assert until(lambda: drained.extend(ros.drain(subscription)) or len(drained) >= count)
+    (block,) = decode_imu(Messages.join(drained))
+    assert (block.stamp == stamps).all()
+    assert (block.gyro == counts).all()
+    assert (block.accel == -counts).all()
+
+
+BURST = """
+import sys
+from imu_calib.middleware import *
+init(args=[]); node = Node('source')
+qos = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+publisher = node.create_publisher(messages.Imu, 'imu/pulses', qos)
+while not publisher.get_subscription_count(): spin_once(node, timeout_sec=0.01)
+message = messages.Imu()
+for i in range(int(sys.argv[1])):
+    message.header.stamp.sec = i
+    publisher.publish(serialize_message(message))
+print(acknowledged(publisher, 10.0)); shutdown()
+"""
+
+
+def test_another_process_is_drained_without_loss(node):
+    subscription = ros.open_drain(node, ros.messages.Imu, 'imu/pulses', KEEP_ALL)
+    source = start(BURST, '5000')
+    drained = []
+    assert until(lambda: drained.extend(ros.drain(subscription)) or len(drained) >= 5000, 15.0)
+    assert finish(source)[0].strip() == 'True'
+    (block,) = decode_imu(Messages.join(drained))
+    assert (block.stamp == np.arange(5000) * 1_000_000_000).all()
+
+
+LAST_WORD = """
+from imu_calib.middleware import *
+latched = QoSProfile(depth=1)
+class Table(Node):
+    def __init__(self):
+        super().__init__('table')
+        self.publisher = self.create_publisher(messages.String, 'state', latched)
+        self.create_timer(0.02, lambda: self.publisher.publish(messages.String(data='moving')))
+    def stop(self):
+        self.publisher.publish(messages.String(data='stopped'))
+        return [self.publisher]
+raise SystemExit(0 if run(Table, args=[]) else 3)
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_after_its_last_message(node, number):
+    got = []
+    node.create_subscription(ros.messages.String, 'state', lambda m: got.append(m.data), 100)
+    process = start(LAST_WORD)
+    assert spun(node, lambda: 'moving' in got, 15.0), process.stderr
+    process.send_signal(number)
+    assert spun(node, lambda: got[-1] == 'stopped')
+    finish(process)
+
+
+def test_a_node_that_nobody_hears_ends_all_the_same(domain):
+    process = start(LAST_WORD)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    finish(process, 5.0)
+
+
+def test_run_ends_when_its_node_is_done(domain):
+    class Counter(ros.Node):
+        def __init__(self):
+            super().__init__('counter')
+            self.count = 0
+            self.create_timer(0.01, self.tick)
+
+        def tick(self):
+            self.count += 1
+
+    assert ros.run(Counter, args=[], done=lambda n: n.count >= 3)
+    assert not ros.ok()
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_a_peer_that_vanishes_does_not_hold_up_the_others(node):
+    listener = (
+        'from imu_calib.middleware import *\n'
+        "init(args=[]); n = Node('listener')\n"
+        "n.create_subscription(messages.String, 'text', lambda m: print(m.data, flush=True), 10)\n"
+        'spin(n)'
+    )
+    process = start(listener)
+    publisher = node.create_publisher(ros.messages.String, 'text', 10)
+    got = []
+    node.create_subscription(ros.messages.String, 'text', got.append, 10)
+    assert spun(node, lambda: publisher.get_subscription_count() == 2, 15.0)
+    publisher.publish(ros.messages.String(data='one'))
+    assert process.stdout.readline().strip() == 'one'
+    process.kill()
+    process.communicate()
+    publisher.publish(ros.messages.String(data='two'))
+    assert spun(node, lambda: len(got) == 2, 2.0)
+    begin = time.monotonic()
+    ros.acknowledged(publisher, 0.5)
+    assert time.monotonic() - begin < 3.0
+
+
+def test_a_source_that_leaves_leaves_no_empty_message(node):
+    subscription = ros.open_drain(node, ros.messages.Imu, 'imu/pulses', KEEP_ALL)
+    finish(start(BURST, '3'))
+    assert until(lambda: subscription.get_publisher_count() == 0, 12.0)
+    assert len(ros.drain(subscription)) == 3
+
+
+def test_a_thread_may_publish_while_another_spins(node):
+    got = []
+    node.create_subscription(ros.messages.String, 'text', got.append, 1000)
+    publisher = node.create_publisher(ros.messages.String, 'text', 1000)
+    assert spun(node, lambda: publisher.get_subscription_count() == 1)
+    message = ros.messages.String(data='x')
+    thread = threading.Thread(target=lambda: [publisher.publish(message) for _ in range(500)])
+    thread.start()
+    assert spun(node, lambda: len(got) == 500)
+    thread.join()
+
+
+@pytest.mark.parametrize('text', ['233', '-1', 'seven', '1e2', '99999999999'])
+def test_a_domain_out_of_range_is_said(text, monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', text)
+    with pytest.raises(ImuCalibError, match=r'ROS_DOMAIN_ID.*0 to 232'):
+        ros.init(args=[])
+    assert not ros.ok()
+
+
+BLOCKED = """
+import importlib.abc, sys
+class Block(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name.split('.')[0] == sys.argv[1]:
+            raise ImportError(f'no {name} here')
+sys.meta_path.insert(0, Block())
+from imu_calib.errors import ImuCalibError
+try:
+    import imu_calib.middleware
+except ImuCalibError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(
+    ('runtime', 'module', 'advice'),
+    [('dds', 'cyclonedds', "pip install 'imu_calib[dds]'"),
+     ('rclpy', 'rclpy', 'Source the setup file'),
+     ('other', 'none', 'expected rclpy or dds')],
+)  # fmt: skip
+def test_a_runtime_that_does_not_load_is_said_in_words(runtime, module, advice):
+    out, _ = finish(start(BLOCKED, module, IMU_CALIB_MIDDLEWARE=runtime))
+    assert advice in out
+
+
+def test_unbuilt_messages_are_said_in_words():
+    if ros.RUNTIME != 'rclpy':
+        pytest.skip('only rclpy needs them built')
+    out, _ = finish(start(BLOCKED, 'imu_calib_msgs', IMU_CALIB_MIDDLEWARE='rclpy'))
+    assert 'colcon build --base-paths . msg_defs' in out
+
+
+def test_a_broken_rclpy_is_no_reason_to_switch(tmp_path):
+    (tmp_path / 'rclpy').mkdir()
+    (tmp_path / 'rclpy' / '__init__.py').write_text("raise ImportError('libfastcdr.so missing')\n")
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    process = start(BLOCKED, 'nothing', PYTHONPATH=path, IMU_CALIB_MIDDLEWARE='')
+    out, _ = finish(process)
+    assert 'rclpy does not load: ImportError: libfastcdr.so missing' in out
