@@ -21,6 +21,9 @@ _LIMITS = {
     for bits in (8, 16, 32, 64)
 }
 
+# get_fields_and_field_types speaks IDL.
+_IDL = {'float64': 'double', 'float32': 'float', 'bool': 'boolean', 'byte': 'octet'}
+
 
 class Message:
     """A message as rclpy has it: keywords make it, defaults are zeros, wrong types are refused.
@@ -98,7 +101,7 @@ def message_class(name: str) -> type[Message]:
 
 
 def _spelled(field: Field) -> str:
-    base = field.base.replace('/msg/', '/')
+    base = _IDL.get(field.base, field.base.replace('/msg/', '/'))
     if field.sequence:
         return f'sequence<{base}{f", {field.size}" if field.size else ""}>'
     return f'{base}[{field.size}]' if field.size else base

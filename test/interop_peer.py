@@ -1,0 +1,101 @@
+"""One end of an exchange, run by either runtime: `talk` sends every message, `hear` prints them."""
+
+import json
+import sys
+import time
+
+from imu_calib import middleware as ros
+
+M = ros.messages
+KINDS = {
+    'bool': M.Bool, 'calibration': M.ImuCalibration, 'data_raw': M.Imu,
+    'diagnostics': M.DiagnosticArray, 'header': M.Header, 'joints': M.JointState,
+    'progress': M.CalibrationProgress, 'quaternion': M.Quaternion, 'setpoint': M.TurntableSetpoint,
+    'state': M.TurntableState, 'temperature': M.Temperature, 'text': M.String,
+    'time': M.Clock, 'trajectory': M.JointTrajectory, 'vector': M.Vector3,
+}  # fmt: skip
+INNER = {
+    'status': M.DiagnosticStatus, 'values': M.KeyValue, 'points': M.JointTrajectoryPoint,
+}  # fmt: skip
+QOS = ros.QoSProfile(depth=1, durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def filled(kind, seed=1):
+    """Return a message whose fields differ from each other and from zero."""
+    message = kind()
+    for number, (name, spelled) in enumerate(kind.get_fields_and_field_types().items(), seed):
+        setattr(message, name, value(getattr(message, name), name, spelled, number))
+    return message
+
+
+def value(now, name, spelled, number):
+    if hasattr(now, 'get_fields_and_field_types'):
+        return filled(type(now), number + 1)
+    if name in INNER and isinstance(now, list):
+        return [filled(INNER[name], number + k) for k in range(2)]
+    if 'string' in spelled:
+        text = f'{name} \u00e4 {number}'
+        return [text, '', text[:3]] if 'sequence' in spelled else text
+    if spelled == 'boolean':
+        return True
+    if spelled == 'octet':
+        return bytes([number % 4])
+    if '[' in spelled:
+        return [number + k / 8 for k in range(len(now))]
+    if 'sequence' in spelled:
+        return [number - k / 8 for k in range(5)]
+    return number / 8 if isinstance(now, float) else number
+
+
+def plain(message):
+    """Return a message as lists, texts and numbers."""
+    if hasattr(message, 'get_fields_and_field_types'):
+        return {n: plain(getattr(message, n)) for n in message.get_fields_and_field_types()}
+    if isinstance(message, bytes):
+        return list(message)
+    if isinstance(message, (str, bool, int, float)):
+        return message
+    return [plain(v) for v in message]
+
+
+def talk(node):
+    """Keep every message latched, count, and serve, until the process is told to end."""
+    for topic, kind in KINDS.items():
+        node.create_publisher(kind, topic, QOS).publish(filled(kind))
+    counter = node.create_publisher(M.String, 'count', 10)
+    node.create_timer(0.05, lambda: counter.publish(M.String(data='tick')))
+
+    def answer(request, response):
+        response.success, response.message = True, 'heard'
+        return response
+
+    node.create_service(ros.Trigger, '~/start', answer)
+    print('ready', flush=True)
+    sys.stdin.close()
+    end = time.monotonic() + float(sys.argv[2])
+    while time.monotonic() < end:
+        ros.spin_once(node, timeout_sec=0.1)
+
+
+def hear(node):
+    """Print what comes on every topic, and the answer of the service where it is asked."""
+    got = {}
+    for topic, kind in KINDS.items():
+        node.create_subscription(kind, topic, lambda m, t=topic: got.update({t: plain(m)}), QOS)
+    end = time.monotonic() + float(sys.argv[2])
+    while len(got) < len(KINDS) and time.monotonic() < end:
+        ros.spin_once(node, timeout_sec=0.1)
+    if 'ask' in sys.argv:
+        client = node.create_client(ros.Trigger, '/stand/talker/start')
+        if client.wait_for_service(timeout_sec=5.0):
+            future = client.call_async(ros.Trigger.Request())
+            ros.spin_until_future_complete(node, future, timeout_sec=5.0)
+            got['answer'] = plain(future.result()) if future.done() else None
+    print(json.dumps({'got': got, 'expected': {t: plain(filled(k)) for t, k in KINDS.items()}}))
+
+
+if __name__ == '__main__':
+    role = {'talk': talk, 'hear': hear}[sys.argv[1]]
+    ros.init(args=['--ros-args', '-r', '__ns:=/stand'])
+    role(ros.Node(f'{sys.argv[1]}er'.replace('hearer', 'listener')))
+    ros.shutdown()

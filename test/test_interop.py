@@ -1,0 +1,155 @@
+"""The DDS runtime and real ROS 2 hear each other: every message, both ways, and the tools."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from loopback import CHECKOUT, environment
+
+ROS = Path('/opt/ros/jazzy/setup.bash')
+PEER = CHECKOUT / 'test' / 'interop_peer.py'
+RMWS = ['rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp']
+
+
+def built_messages():
+    """Return the setup file that knows imu_calib_msgs, None where it is not built."""
+    folders = [Path(p).parent for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    for folder in [*folders, CHECKOUT / 'install']:
+        if (folder / 'imu_calib_msgs').is_dir() and (folder / 'setup.bash').is_file():
+            return folder / 'setup.bash'
+    return None
+
+
+SETUP = built_messages() if ROS.is_file() else None
+pytestmark = [
+    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
+    pytest.mark.skipif(
+        SETUP is None, reason='imu_calib_msgs is not built: colcon build, source install/setup.bash'
+    ),
+]
+
+
+def without_ros():
+    """Return the environment as it is where no ROS was sourced."""
+    hidden = {'PYTHONPATH', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'CMAKE_PREFIX_PATH'}
+    kept = {k: v for k, v in os.environ.items() if k not in hidden}
+    kept['PATH'] = os.pathsep.join(p for p in kept['PATH'].split(os.pathsep) if '/ros/' not in p)
+    return kept
+
+
+def command(runtime, *words):
+    """Return the command line of a peer or a tool on one of the two sides."""
+    if runtime == 'dds':
+        return [sys.executable, *words]
+    quoted = ' '.join(f"'{w}'" for w in words)
+    # The checkout is tested, not the package that the workspace has installed.
+    path = f'export PYTHONPATH={CHECKOUT}:$PYTHONPATH'
+    return ['bash', '-c', f'source {ROS} && source {SETUP} && {path} && exec {quoted}']
+
+
+def side(runtime, domain):
+    more = {'PYTHONPATH': str(CHECKOUT), 'IMU_CALIB_MIDDLEWARE': runtime}
+    return {**without_ros(), **domain, **more}
+
+
+@contextmanager
+def talker(runtime, domain, seconds=40):
+    """Run a peer that sends every message."""
+    words = ([] if runtime == 'dds' else ['python3']) + [str(PEER), 'talk', str(seconds)]
+    process = subprocess.Popen(
+        command(runtime, *words),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=side(runtime, domain),
+    )
+    try:
+        assert process.stdout.readline() == 'ready\n', process.stderr.read()
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def ask(runtime, domain, *words, seconds=30):
+    """Run a command to its end; return its output, and what it complains of."""
+    done = subprocess.run(
+        command(runtime, *words),
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        env=side(runtime, domain),
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr
+
+
+def hear(runtime, domain, *words):
+    python = [] if runtime == 'dds' else ['python3']
+    out, err = ask(runtime, domain, *python, str(PEER), 'hear', '15', *words)
+    return json.loads(out), err
+
+
+@pytest.mark.parametrize('rmw', RMWS)
+@pytest.mark.parametrize(('sends', 'hears'), [('dds', 'rclpy'), ('rclpy', 'dds')])
+def test_every_message_arrives_as_it_was_sent(sends, hears, rmw):
+    domain = environment(RMW_IMPLEMENTATION=rmw)
+    with talker(sends, domain):
+        heard, complaints = hear(hears, domain)
+    assert heard['got'] == heard['expected']
+    assert complaints == ''
+
+
+@pytest.mark.parametrize(('serves', 'asks'), [('dds', 'rclpy'), ('rclpy', 'dds')])
+def test_a_service_answers_across_runtimes(serves, asks):
+    domain = environment()
+    with talker(serves, domain):
+        heard, _ = hear(asks, domain, 'ask')
+    assert heard['got']['answer'] == {'success': True, 'message': 'heard'}
+
+
+def ros2(domain, *words):
+    return ask('rclpy', domain, 'ros2', *words)[0]
+
+
+@pytest.mark.parametrize('rmw', RMWS)
+def test_the_tools_of_ros_see_a_node_on_dds(rmw):
+    domain = environment(RMW_IMPLEMENTATION=rmw)
+    look = ('--no-daemon', '--spin-time', '2')
+    with talker('dds', domain):
+        topics = ros2(domain, 'topic', 'list', '-t', *look)
+        assert '/stand/setpoint [imu_calib_msgs/msg/TurntableSetpoint]' in topics
+        assert '/stand/data_raw [sensor_msgs/msg/Imu]' in topics
+        assert ros2(domain, 'node', 'list', *look).split() == ['/stand/talker']
+        info = ros2(domain, 'topic', 'info', '-v', '/stand/state', *look)
+        assert 'Node name: talker' in info
+        assert 'Node namespace: /stand' in info
+        assert 'Durability: TRANSIENT_LOCAL' in info
+        assert re.search(r'Topic type hash: RIHS01_[0-9a-f]{64}', info)
+        echoed = ros2(domain, 'topic', 'echo', '--once', '/stand/count', 'std_msgs/msg/String')
+        assert echoed.startswith('data: tick')
+
+
+def test_the_announced_hashes_are_those_of_ros():
+    domain = environment()
+    code = (
+        'import json; from imu_calib.middleware.dds.interfaces import type_hash;'
+        'from imu_calib.middleware import messages as m;'
+        'print(json.dumps({k.TYPE_NAME: type_hash(k.TYPE_NAME) for k in vars(m).values()'
+        " if hasattr(k, 'TYPE_NAME')}))"
+    )
+    ours = json.loads(ask('dds', domain, '-c', code)[0])
+    prefixes = ask('rclpy', domain, 'printenv', 'AMENT_PREFIX_PATH')[0].strip().split(os.pathsep)
+    for name, announced in ours.items():
+        package, kind, short = name.split('/')
+        files = [Path(p) / 'share' / package / kind / f'{short}.json' for p in prefixes]
+        content = json.loads(next(f for f in files if f.is_file()).read_text())
+        assert {h['type_name']: h['hash_string'] for h in content['type_hashes']}[name] == announced
+    assert len(ours) >= 20
