@@ -250,6 +250,15 @@ def test_a_timer_keeps_its_period_and_can_be_stopped(node):
     assert spun(node, lambda: len(times) > 6)
 
 
+def test_a_node_that_waits_spends_no_processor_time(node):
+    ticks = []
+    node.create_timer(0.01, lambda: ticks.append(1), clock=STEADY)
+    ros.open_drain(node, ros.messages.Imu, 'imu/pulses', KEEP_ALL)
+    begin = time.process_time()
+    spun(node, lambda: len(ticks) == 50)
+    assert time.process_time() - begin < 0.25
+
+
 def test_simulated_time_moves_clock_and_timers(init):
     init('--ros-args', '-p', 'use_sim_time:=true')
     node = ros.Node('tested')
@@ -346,6 +355,19 @@ def test_keep_all_loses_nothing_when_drained_late(node):
     assert (block.stamp == stamps).all()
     assert (block.gyro == counts).all()
     assert (block.accel == -counts).all()
+
+
+def test_a_drain_may_be_bounded(node):
+    subscription = ros.open_drain(node, ros.messages.String, 'text', KEEP_ALL)
+    publisher = node.create_publisher(ros.messages.String, 'text', KEEP_ALL)
+    assert spun(node, lambda: publisher.get_subscription_count() == 1)
+    payloads = [ros.serialize_message(ros.messages.String(data=str(k))) for k in range(10)]
+    for payload in payloads:
+        publisher.publish(payload)
+    assert ros.acknowledged(publisher, 5.0)
+    spun(node, lambda: False, 0.1)
+    assert ros.drain(subscription, 4) == payloads[:4]
+    assert ros.drain(subscription) == payloads[4:]
 
 
 BURST = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import repeat
 from typing import Any
 
 import rclpy
@@ -148,14 +149,17 @@ def open_drain(node: Any, msg_type: Any, topic: str, qos_profile: Any, **options
     )
 
 
-def drain(subscription: Any) -> list[bytes]:
-    """Return all that has arrived, serialised, oldest first; for `cdr.Messages.join`."""
-    payloads = []
+def drain(subscription: Any, most: int | None = None) -> list[bytes]:
+    """Return what has arrived, serialised, oldest first; see `dds.drains.drain`."""
+    payloads: list[bytes] = []
     handle, kind = subscription.handle, subscription.msg_type
     with handle:
         # As rclpy's own wait_for_message does; a callback per message is twenty times slower.
         take = handle.take_message
-        while (taken := take(kind, True)) is not None:
+        for _ in repeat(None) if most is None else repeat(None, most):
+            taken = take(kind, True)
+            if taken is None:
+                break
             payloads.append(taken[0])
     return payloads
 

@@ -28,9 +28,15 @@ def open_drain(
     return node.create_subscription(msg_type, topic, None, qos_profile, raw=True, **options)
 
 
-def drain(subscription: Subscription) -> list[bytes]:
-    """Return all that has arrived, serialised, oldest first; for `cdr.Messages.join`."""
-    return subscription.reader.drain()
+def drain(subscription: Subscription, most: int | None = None) -> list[bytes]:
+    """Return what has arrived, serialised, oldest first; for `cdr.Messages.join`.
+
+    Args:
+        subscription: One of `open_drain`.
+        most: Take no more than that; a few thousand fit the processor's cache and decode fastest.
+
+    """
+    return subscription.reader.drain(most)
 
 
 def acknowledged(publisher: Publisher, timeout_sec: float) -> bool:

@@ -108,7 +108,7 @@ class Subscription:
         """Hand messages that have arrived to the callback; return whether there were any."""
         if self.callback is None:
             return False
-        payloads = self.reader.take(most)
+        payloads = self.reader.drain(most)
         for payload in payloads:
             if self.destroyed:
                 break

@@ -30,6 +30,7 @@ class SingleThreadedExecutor:
         self._context = context or get_default_context()
         self._nodes: list[Node] = []
         self._waitset: Any = None
+        self._never: Any = None
         self._waits_for: tuple[Any, ...] = ()
         self._shut = False
 
@@ -117,21 +118,25 @@ class SingleThreadedExecutor:
 
     def _attach(self) -> None:
         """Make the wait set anew where the readers have changed."""
-        from cyclonedds.core import WaitSet
+        from cyclonedds.core import GuardCondition, WaitSet
 
+        participant = self._context.participant
         conditions = tuple(c for node in self._nodes for c in node.conditions())
-        if self._waitset is not None and conditions == self._waits_for:
+        if self._waitset is not None and (participant, *conditions) == self._waits_for:
             return
         self._forget()
-        self._waitset = WaitSet(self._context.participant)
-        for condition in conditions:
+        self._waitset = WaitSet(participant)
+        # An empty wait set does not wait; this one always holds a condition that is never met.
+        self._never = GuardCondition(participant)
+        for condition in (self._never, *conditions):
             self._waitset.attach(condition)
-        self._waits_for = conditions
+        self._waits_for = (participant, *conditions)
 
     def _forget(self) -> None:
         if self._waitset is not None:
             delete(self._waitset)
-        self._waitset, self._waits_for = None, ()
+            delete(self._never)
+        self._waitset, self._never, self._waits_for = None, None, ()
 
 
 _global: SingleThreadedExecutor | None = None

@@ -61,7 +61,7 @@ class Service:
 
     def execute(self) -> bool:
         """Answer what has been asked; return whether there was anything."""
-        payloads = self.reader.take()
+        payloads = self.reader.drain()
         for payload in payloads:
             request = deserialize_message(payload, self.srv_type.Request, skip=16)
             response = self.callback(request, self.srv_type.Response())
@@ -127,7 +127,7 @@ class Client:
     def execute(self) -> bool:
         """Take the answers that have come; return whether there was one."""
         found = False
-        for payload in self.reader.take():
+        for payload in self.reader.drain():
             guid, sequence = _REQUEST_ID.unpack(_request_id(payload))
             # The answers to all clients come on one topic.
             future = self._pending.pop(sequence, None) if guid == self._guid else None

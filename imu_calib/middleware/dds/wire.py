@@ -139,22 +139,24 @@ class Reader(Endpoint):
         self.condition = ReadCondition(self.entity, _ANY)
         self._take = ddspy_take
 
-    def take(self, most: int = _BULK) -> list[bytes]:
-        """Return what has arrived, at most so many messages."""
-        taken = self._take(self.entity._ref, _ANY, most)
-        if isinstance(taken, int):
-            raise ImuCalibError(f'{self.topic.name}: Cyclone DDS cannot take ({taken}).')
-        # A writer that leaves is told by a sample without data.
-        return [payload for payload, info in taken if info.valid_data]
+    def drain(self, most: int | None = None) -> list[bytes]:
+        """Return all that has arrived, or the oldest so many messages.
 
-    def drain(self) -> list[bytes]:
-        """Return all that has arrived."""
+        Raises:
+            ImuCalibError: The middleware cannot take.
+
+        """
         payloads: list[bytes] = []
-        while True:
-            taken = self._take(self.entity._ref, _ANY, _BULK)
-            if isinstance(taken, int) or not taken:
-                return payloads
+        while most is None or len(payloads) < most:
+            room = _BULK if most is None else min(_BULK, most - len(payloads))
+            taken = self._take(self.entity._ref, _ANY, room)
+            if isinstance(taken, int):
+                raise ImuCalibError(f'{self.topic.name}: Cyclone DDS cannot take ({taken}).')
+            if not taken:
+                break
+            # A writer that leaves is told by a sample without data.
             payloads += [payload for payload, info in taken if info.valid_data]
+        return payloads
 
     def matched(self) -> int:
         """Return the number of writers."""
