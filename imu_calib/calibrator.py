@@ -159,19 +159,20 @@ def _what_was_lost(evidence: Evidence, labelled: Labelled, session: Segmented) -
     if missing:
         sentences.append(f'Missing from the recording: position {", ".join(missing)}.')
     found = {segment.position for segment in labelled.segments}
+    alike: dict[tuple[bool, str], list[str]] = {}
     for rejected in labelled.rejected:
-        name = rejected.position or '(unknown)'
-        if rejected.turn:
-            sentences.append(f'Position {name}: a turn is left out, {rejected.reason}.')
-            continue
-        again = '; it was measured again' if name in found else ''
-        sentences.append(f'Position {name}: left out, {rejected.reason}{again}.')
+        again = '; it was measured again' if rejected.position in found else ''
+        reason = rejected.reason + ('' if rejected.turn else again)
+        alike.setdefault((rejected.turn, reason), []).append(rejected.position or '(unknown)')
+    for (turn, reason), names in alike.items():
+        what = 'a turn is left out' if turn else 'left out'
+        sentences.append(f'Position {", ".join(dict.fromkeys(names))}: {what}, {reason}.')
     sentences += [
         f'Position {segment.position}: {note}.'
         for segment in labelled.segments
         for note in segment.notes
     ]
-    sentences += [f'{loss}.' for loss in session.losses]
+    sentences += [f'{loss}.' for loss in (*labelled.notes, *session.losses)]
     return list(dict.fromkeys(sentences))
 
 

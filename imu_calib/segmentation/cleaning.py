@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats
+from ..units import DEG
 from .segment import CHANNELS, Statistics
 from .statistics import Samples
 
 _WINDOW_SECONDS = 0.5
 _OUTLIER = 7.0
+_KNOCK = 5.0
+_LEAST_KNOCK = 0.005 * DEG
 _PULSES = 2.5
 _SPREAD_RATIO = 3.0
 _FLIPPING = 0.5
@@ -26,10 +29,20 @@ _FAR_BETTER = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """Which samples of a stretch are sound, and in words what the others were."""
+    """Which samples of a stretch are sound, in words what the others were, and the first knock."""
 
     mask: NDArray[np.bool_]
     notes: tuple[str, ...]
+    knock: Knock | None = None
+
+
+@dataclass(frozen=True)
+class Knock:
+    """A disturbance that left the unit turned: samples start to stop, by `angle` (rad)."""
+
+    start: int
+    stop: int
+    angle: float
 
 
 def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None = None) -> Sound:
@@ -52,7 +65,8 @@ def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None 
     if count < _FEWEST_WINDOWS:
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
-    bad = _outlying_means(used.sum(axis=1), samples, walk, length * samples.period)
+    means = _Means.of(used.sum(axis=1), walk * np.sqrt(length * samples.period))
+    bad = means.outlying(samples.quantum)
     bad |= _outlying_spreads(used, samples.quantum)
     bad |= ~everything[: count * length].reshape(count, length).all(axis=1)
     if not bad.any():
@@ -69,20 +83,49 @@ def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None 
         return Sound(mask, ())
     at = float(np.flatnonzero(bad[first:last])[0] + first) * _WINDOW_SECONDS
     note = f'disturbed {at:.1f} s after it came to rest; {inner * _WINDOW_SECONDS:.1f} s left out'
-    return Sound(mask, (note,))
+    return Sound(mask, (note,), means.knock(bad, first, last, samples.quantum, length))
 
 
-def _outlying_means(
-    sums: Floats, samples: Samples, walk: Floats, seconds: float
-) -> NDArray[np.bool_]:
-    left = sums - _robust_line(sums)
-    scatter = 1.4826 * np.median(np.abs(left), axis=0)
-    expected = walk * np.sqrt(seconds)
-    floor = _PULSES * samples.quantum
-    limit = _OUTLIER * np.maximum(scatter, expected) + floor
-    # Values that are no pulses and carry no noise at all still deserve a tolerance.
-    limit = np.maximum(limit, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
-    return np.asarray((np.abs(left) > limit).any(axis=1))
+@dataclass(frozen=True, eq=False)
+class _Means:
+    """Windows about their robust line.
+
+    Attributes:
+        left: (w, 6) what is left of their sums, rad and m/s.
+        scatter: (6,) standard deviation of a sum.
+        tolerance: (6,) what rounding may do to a sum.
+
+    """
+
+    left: Floats
+    scatter: Floats
+    tolerance: Floats
+
+    @classmethod
+    def of(cls, sums: Floats, expected: Floats) -> _Means:
+        """Take the sums (w, 6) of windows, and the noise (6,) expected of one."""
+        left = sums - _robust_line(sums)
+        scatter = np.maximum(1.4826 * np.median(np.abs(left), axis=0), expected)
+        # Values that are no pulses and carry no noise at all still deserve a tolerance.
+        return cls(left, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
+
+    def outlying(self, quantum: Floats) -> NDArray[np.bool_]:
+        limit = np.maximum(_OUTLIER * self.scatter + _PULSES * quantum, self.tolerance)
+        return np.asarray((np.abs(self.left) > limit).any(axis=1))
+
+    def knock(
+        self, bad: NDArray[np.bool_], first: int, last: int, quantum: Floats, length: int
+    ) -> Knock | None:
+        """Find the first run of bad windows within first to last that turned the unit for good."""
+        inside = np.flatnonzero(bad[first:last]) + first
+        # A slow knock may show in some of its windows only: runs with one good between are one.
+        for run in np.split(inside, np.flatnonzero(np.diff(inside) > 2) + 1):
+            start, stop = int(run[0]), int(run[-1]) + 1
+            turned = self.left[start:stop, :3].sum(axis=0)
+            limit = _KNOCK * np.sqrt(stop - start) * self.scatter[:3] + quantum[:3]
+            if np.any(np.abs(turned) > np.maximum(limit, _LEAST_KNOCK)):
+                return Knock(start * length, stop * length, float(np.linalg.norm(turned)))
+        return None
 
 
 def _robust_line(sums: Floats) -> Floats:

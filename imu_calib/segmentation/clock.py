@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
+from .statistics import Samples, gap_free
 
 _ITERATIONS = 12
 _LEAST_TRAVEL = 0.1
@@ -22,7 +23,9 @@ _MARGIN_SECONDS = 0.8
 _MOTIONS_FOR_RATE = 3
 _SAMPLES_NEEDED = 20
 _CELLS = 4000
-_OUTLIER = 10.0
+_OUTLIER = 12.0
+_LEAST_JUMP = 5e-3
+_CELL_SECONDS = 0.1
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class ClockFit:
         rate: Dimensionless; 0 where the session cannot tell.
         rate_std: Standard deviation; NaN where the session cannot tell.
         motions: How many motions it rests on.
+        jumps: By how much the offset jumps between motions, s, in order.
 
     """
 
@@ -53,6 +57,7 @@ class ClockFit:
     rate: float
     rate_std: float
     motions: int
+    jumps: tuple[float, ...] = ()
 
 
 def clock_sample(
@@ -126,24 +131,64 @@ def _windows(time: Floats, duration: float) -> list[NDArray[np.intp]]:
     return [index[:: max(1, len(index) // _CELLS)] for index in found if len(index) > 2]
 
 
+def share_seen(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> float | None:
+    """Compare how far the gyros turned with how far the encoders did, whatever the axes.
+
+    Args:
+        samples: Of the IMU, reaching a second beyond the motion at both ends.
+        joint_stamp: (m,) ns, by the IMU's clock as far as it is known.
+        attitudes: (m, 3, 3) by the encoders.
+
+    Returns:
+        Way of the gyros over way of the encoders, at the shift within a second where it is
+        largest; None where the motion is too short or IMU samples are missing.
+
+    """
+    if len(joint_stamp) < 2 or len(gap_free(samples.stamp, samples.period)) > 1:
+        return None
+    origin = float(joint_stamp[0])
+    table = (joint_stamp - origin) * 1e-9
+    _, index = np.unique(np.floor(table / _CELL_SECONDS), return_index=True)
+    index = np.append(index, len(table) - 1)
+    steps = np.einsum('nij,nij->n', attitudes[index[1:]], attitudes[index[:-1]])
+    way = float(np.arccos(np.clip((steps - 1) / 2, -1.0, 1.0)).sum())
+    if way < _LEAST_TRAVEL:
+        return None
+    time = (samples.stamp - origin) * 1e-9
+    edges = np.arange(float(time[0]), float(time[-1]), _CELL_SECONDS)
+    turned = np.cumsum(samples.increments[:, :3], axis=0)
+    angle = np.column_stack([np.interp(edges, time, column) for column in turned.T])
+    passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(angle, axis=0), axis=1)))
+    shifts = np.arange(-_LARGEST_OFFSET, _LARGEST_OFFSET + _CELL_SECONDS, _CELL_SECONDS)
+    ways = np.interp(table[-1] + shifts, edges, passed) - np.interp(shifts, edges, passed)
+    return float(ways.max()) / way
+
+
 def fit_clock(samples: Sequence[ClockSample]) -> ClockFit:
-    """Fit a line through the offsets of all motions, once more without its outliers."""
+    """Fit a line through the offsets of all motions; where they jump, parallel pieces of one."""
     if not samples:
         return ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
     time = np.array([s.time for s in samples])
     offset = np.array([s.offset for s in samples])
-    keep = np.abs(offset - np.median(offset)) <= _OUTLIER * _scatter(offset) + 1e-3
+    pieces = _pieces(time, offset)
+    # A motion that stands alone between two jumps is an outlier.
+    sizes = np.bincount(pieces)
+    keep = sizes[pieces] > 1 if sizes.max() > 1 else np.ones(len(time), dtype=bool)
     time, offset = time[keep], offset[keep]
+    levels, pieces = np.unique(pieces[keep], return_inverse=True)
     epoch = float(time.mean())
     seconds = (time - epoch) * 1e-9
-    n = len(time)
-    if n < _MOTIONS_FOR_RATE or np.ptp(seconds) == 0:
+    n, k = len(time), len(levels)
+    means = np.array([[x[pieces == p].mean() for p in range(k)] for x in (seconds, offset)])
+    centred = seconds - means[0][pieces]
+    spread = float(centred @ centred)
+    if n < _MOTIONS_FOR_RATE - 1 + k or spread == 0:
         std = float(np.std(offset, ddof=1) / np.sqrt(n)) if n > 1 else float('nan')
         return ClockFit(epoch, float(offset.mean()), std, 0.0, float('nan'), n)
-    spread = float(seconds @ seconds)
-    rate = float(seconds @ offset) / spread
-    left = offset - offset.mean() - rate * seconds
-    scatter = float(np.sqrt(left @ left / (n - 2)))
+    rate = float(centred @ offset) / spread
+    at_epoch = means[1] - rate * means[0]
+    left = offset - rate * seconds - at_epoch[pieces]
+    scatter = float(np.sqrt(left @ left / (n - 1 - k)))
     return ClockFit(
         epoch,
         float(offset.mean()),
@@ -151,8 +196,16 @@ def fit_clock(samples: Sequence[ClockSample]) -> ClockFit:
         rate,
         scatter / float(np.sqrt(spread)),
         n,
+        tuple(np.diff(at_epoch).tolist()),
     )
 
 
-def _scatter(values: Floats) -> float:
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+def _pieces(time: Floats, offset: Floats) -> NDArray[np.intp]:
+    """Number the pieces between jumps of the offset."""
+    elapsed, change = np.diff(time) * 1e-9, np.diff(offset)
+    if not len(change):
+        return np.zeros(len(time), dtype=np.intp)
+    far = elapsed >= np.median(elapsed)
+    left = change - np.median(change[far] / elapsed[far]) * elapsed
+    limit = _OUTLIER * 1.4826 * float(np.median(np.abs(left))) + _LEAST_JUMP
+    return np.append(0, np.cumsum(np.abs(left) > limit)).astype(np.intp)

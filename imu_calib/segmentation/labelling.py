@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..errors import InputError
 from ..plan import Plan, Position
 from ..stream import Floats, Mode, Setpoint
 from ..turntable import TURN, Table
 from ..units import DEG
 from .segment import Segment, Turn
-from .segmenter import FreeMotion, Rejected, Segmented
+from .segmenter import FreeMotion, Rejected, Segmented, Slip
 
 _ARRIVAL_TOLERANCE = 0.2 * DEG
 _ATTITUDE_TOLERANCE = 1.0 * DEG
@@ -21,6 +22,7 @@ _SHORT_DWELL = 0.25
 _WHOLE_TURN = 0.15
 _BY_HAND_TURN = 0.3
 _ALONG_UP = 0.8
+_PART = ('', 'what lies after it is', 'what lies before it is', 'what lies between is')
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +33,14 @@ class Labelled:
         segments: Stretches at rest that count, in order.
         turns: Whole turns, in order.
         rejected: Stretches that were not used, and why.
+        notes: What else of the session was left out, in sentences.
 
     """
 
     segments: tuple[Segment, ...]
     turns: tuple[Turn, ...]
     rejected: tuple[Rejected, ...]
+    notes: tuple[str, ...] = ()
 
 
 def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
@@ -50,11 +54,15 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
         plan: What was run.
         table: The table whose joint angles the segments carry; None with the IMU alone.
 
+    Raises:
+        InputError: The setpoints name none of the plan's positions.
+
     """
     clock = session.clock
     offset = 0.0 if np.isnan(clock.offset) else clock.offset
     setpoints = _Setpoints(session.setpoints, offset)
     if session.setpoints:
+        _check_plan(session.setpoints, plan)
         segments, rejected = _by_setpoint(session.segments, setpoints, plan, table)
     elif table is not None:
         segments, rejected = _by_attitude(session.segments, plan), []
@@ -68,7 +76,49 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
         for r in session.rejected
         if setpoints.counts((r.start + r.end) / 2)
     ]
-    return Labelled(tuple(segments), tuple(turns), (*named, *rejected))
+    labelled = Labelled(tuple(segments), tuple(turns), (*named, *rejected))
+    return _in_one_mount(labelled, session.slips, setpoints) if session.slips else labelled
+
+
+def _in_one_mount(labelled: Labelled, slips: Sequence[Slip], setpoints: _Setpoints) -> Labelled:
+    """Keep what was measured while the unit sat in its mount in one and the same way.
+
+    A knock changes every misalignment against the table: what lies before it and after it are two
+    calibrations. The one with more positions and turns is kept.
+    """
+    instants = [slip.instant for slip in slips]
+    segments = [(int(np.searchsorted(instants, s.start)), s) for s in labelled.segments]
+    turns = [(int(np.searchsorted(instants, t.start)), t) for t in labelled.turns]
+    sizes = [
+        len({s.position for mount, s in segments if mount == k}) + sum(m == k for m, _ in turns)
+        for k in range(len(slips) + 1)
+    ]
+    best = int(np.argmax(sizes))
+    words = ', '.join(
+        f'by {slip.angle / DEG:.3f} deg at position {setpoints.position(slip.instant) or "?"}'
+        for slip in slips
+    )
+    return replace(
+        labelled,
+        segments=tuple(s for mount, s in segments if mount == best),
+        turns=tuple(t for mount, t in turns if mount == best),
+        notes=(
+            f'A knock turned the unit in its mount ({words}): before and after it misalignments '
+            f'differ, so only {_PART[(best > 0) + 2 * (best < len(slips))]} used',
+        ),
+    )
+
+
+def _check_plan(setpoints: Sequence[Setpoint], plan: Plan) -> None:
+    """Refuse a plan that knows none of the positions at which the table was asked to stand."""
+    names = list(dict.fromkeys(s.position for s in setpoints))
+    known = [p.id for p in plan.positions]
+    if not set(names) & set(known):
+        ran = ', '.join(sorted({s.plan for s in setpoints}))
+        raise InputError(
+            f'The setpoints of the recording are of plan {ran} with positions {", ".join(names)}; '
+            f'plan {plan.name} has {", ".join(known)}.'
+        )
 
 
 class _Setpoints:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..stream import Floats, JointBlock, Stamps
+from ..stream import Floats, Stamps
 from ..units import DEG
 
 _WINDOW_NS = 250_000_000
@@ -69,15 +69,20 @@ class JointTracker:
         """Start of the rest that goes on, ns; None in motion."""
         return None if self._moving else self._start
 
-    def feed(self, block: JointBlock) -> list[Rest | Motion]:
-        """Take joint states in; return what has come to its end."""
-        position = block.position
+    def feed(self, stamp: Stamps, position: Floats) -> list[Rest | Motion]:
+        """Take joint states in; return what has come to its end.
+
+        Args:
+            stamp: (n,) ns, increasing.
+            position: (n, k) rad.
+
+        """
         if len(self._stamp):
             position = np.unwrap(np.vstack([self._position[-1:], position]), axis=0)[1:]
             self._position = np.vstack([self._position, position])
         else:
             self._position = np.unwrap(position, axis=0)
-        self._stamp = np.concatenate([self._stamp, block.stamp])
+        self._stamp = np.concatenate([self._stamp, stamp])
         return self._judge()
 
     def finish(self) -> list[Rest | Motion]:

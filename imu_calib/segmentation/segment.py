@@ -88,7 +88,6 @@ class Turn:
         up: (3,) up in body axes.
         position: Id of the plan's position at which it was made; None where unknown.
         rate_error: Standard deviation of the encoder's rate, relative; 0 without an encoder.
-        notes: What was cut away and why, for a person.
 
     """
 
@@ -100,7 +99,6 @@ class Turn:
     up: Floats
     position: str | None = None
     rate_error: float = 0.0
-    notes: tuple[str, ...] = ()
 
     def rate(self, clock_rate: float = 0.0) -> float:
         """Return the rate about up, rad/s, per second of the IMU's clock.

@@ -14,9 +14,10 @@ from ..imu import ImuSpec
 from ..stream import Block, Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, Stamps, Units
 from ..turntable import TURN, Table
 from .buffer import RowBuffer
-from .cleaning import find_step, sound_part
-from .clock import ClockFit, ClockSample, clock_sample, fit_clock
+from .cleaning import Sound, find_step, sound_part
+from .clock import ClockFit, ClockSample, clock_sample, fit_clock, share_seen
 from .motion import JointTracker, Motion, Rest, WholeTurns, find_turns
+from .order import Ordered, StampOrder
 from .segment import Segment, Statistics, Turn
 from .statistics import (
     Samples,
@@ -36,6 +37,10 @@ _SAMPLES_FOR_PERIOD = 256
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 _WALK_GUESS = 0.05
 _MOSTLY = 0.5
+_SEEN = 0.75
+_ALIKE = 1.5
+_STEADY = 0.05
+_ENDS = 20
 _LEAST_TURNED = TURN / 72
 
 
@@ -48,6 +53,14 @@ class Rejected:
     reason: str
     position: str | None = None
     turn: bool = False
+
+
+@dataclass(frozen=True)
+class Slip:
+    """At `instant` (ns, IMU clock) a knock turned the unit in its mount by `angle` (rad)."""
+
+    instant: int
+    angle: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +82,7 @@ class Segmented:
         turns: Whole turns measured by an encoder, in order.
         motions: Larger motions that no encoder saw, in order.
         rejected: Stretches that were not used.
+        slips: Knocks after which the unit sat otherwise in its mount, in order.
         losses: What was lost on the way in, in sentences.
         setpoints: The first of every run of equal setpoints, in order.
         clock: Table against IMU.
@@ -81,6 +95,7 @@ class Segmented:
     turns: tuple[Turn, ...]
     motions: tuple[FreeMotion, ...]
     rejected: tuple[Rejected, ...]
+    slips: tuple[Slip, ...]
     losses: tuple[str, ...]
     setpoints: tuple[Setpoint, ...]
     clock: ClockFit
@@ -107,12 +122,15 @@ class Segmenter:
         self._imu = RowBuffer(6)
         self._joints = JointTracker() if table is not None else None
         self._stillness: StillnessTracker | None = None
+        self._imu_order, self._joint_order = (
+            StampOrder(6),
+            StampOrder(len(table.names) if table else 0),
+        )
         self._period = 0.0
         self._seen = 0
         self._pending: deque[Rest | Motion] = deque()
         self._setpoints: list[Setpoint] = []
         self._last_stamp: int | None = None
-        self._last_joint: int | None = None
         self._first_stamp: int | None = None
         self._samples = 0
         self._offset_ns = 0
@@ -121,6 +139,8 @@ class Segmenter:
         self._turns: list[Turn] = []
         self._motions: list[FreeMotion] = []
         self._rejected: list[Rejected] = []
+        self._slips: list[Slip] = []
+        self._shares: list[tuple[float, float]] = []
         self._dropped: dict[str, tuple[int, int]] = {}
 
     @property
@@ -145,6 +165,8 @@ class Segmenter:
 
     def finish(self) -> Segmented:
         """End of all streams."""
+        self._add_imu(self._imu_order.finish())
+        self._add_joints(self._joint_order.finish())
         tracker = self._tracker
         if tracker is not None:
             self._pending.extend(tracker.finish())
@@ -152,14 +174,17 @@ class Segmenter:
         duration = 0.0
         if self._first_stamp is not None and self._last_stamp is not None:
             duration = (self._last_stamp - self._first_stamp) * 1e-9
+        self._drop_unseen()
+        clock = fit_clock(self._clock)
         return Segmented(
             tuple(self._segments),
             tuple(self._turns),
             tuple(self._motions),
             tuple(self._rejected),
-            self._losses(),
+            tuple(self._slips),
+            (*self._losses(), *_jumps(clock)),
             tuple(self._setpoints),
-            fit_clock(self._clock),
+            clock,
             self._samples,
             duration,
         )
@@ -176,8 +201,11 @@ class Segmenter:
         stamp, values = self._keep(
             'values that are no numbers (NaN or infinite)', finite, stamp, values
         )
-        newer = _increasing(stamp, self._last_stamp)
-        stamp, values = self._keep('stamps that jump back or stand still', newer, stamp, values)
+        self._add_imu(self._imu_order.take(stamp, values))
+
+    def _add_imu(self, ordered: Ordered) -> None:
+        self._note('stamps that jump or stand still', ordered.lost)
+        stamp, values = ordered.stamp, ordered.values
         if not len(stamp):
             return
         if self._first_stamp is None:
@@ -191,10 +219,13 @@ class Segmenter:
         """Drop the rows that the mask does not name, and remember how many and from when."""
         if mask.all():
             return stamp, values
-        lost = int((~mask).sum())
-        count, first = self._dropped.get(what, (0, int(stamp[~mask][0])))
-        self._dropped[what] = (count + lost, first)
+        self._note(what, stamp[~mask])
         return stamp[mask], values[mask]
+
+    def _note(self, what: str, lost: Stamps) -> None:
+        if len(lost):
+            count, first = self._dropped.get(what, (0, int(lost[0])))
+            self._dropped[what] = (count + len(lost), first)
 
     def _take_joints(self, block: JointBlock) -> None:
         if self._table is None or self._joints is None:
@@ -208,15 +239,12 @@ class Segmenter:
         stamp, position = block.stamp, block.position[:, columns]
         finite = np.asarray(np.isfinite(position).all(axis=1))
         stamp, position = self._keep('joint positions that are no numbers', finite, stamp, position)
-        newer = _increasing(stamp, self._last_joint)
-        stamp, position = self._keep(
-            'joint stamps that jump back or stand still', newer, stamp, position
-        )
-        if not len(stamp):
-            return
-        self._last_joint = int(stamp[-1])
-        ordered = JointBlock(stamp, self._table.names, position, np.full_like(position, np.nan))
-        self._pending.extend(self._joints.feed(ordered))
+        self._add_joints(self._joint_order.take(stamp, position))
+
+    def _add_joints(self, ordered: Ordered) -> None:
+        self._note('joint stamps that jump or stand still', ordered.lost)
+        if self._joints is not None and len(ordered.stamp):
+            self._pending.extend(self._joints.feed(ordered.stamp, ordered.values))
 
     def _take_setpoints(self, block: SetpointBlock) -> None:
         for setpoint in block.setpoints:
@@ -298,7 +326,14 @@ class Segmenter:
         if saturated.mean() > _MOSTLY:
             reject('the sensor is saturated')
             return
-        found = self._sound_statistics(samples, saturated)
+        sound = sound_part(samples, self._walk, saturated)
+        if sound.knock is not None and rest.angles is not None:
+            before, after = slice(0, sound.knock.start), slice(sound.knock.stop, None)
+            self._stretch(rest, stamp[before], values[before])
+            self._slips.append(Slip(int(stamp[sound.knock.start]), sound.knock.angle))
+            self._stretch(rest, stamp[after], values[after])
+            return
+        found = self._sound_statistics(samples, sound, saturated)
         if isinstance(found, str):
             reject(found)
             return
@@ -318,10 +353,9 @@ class Segmenter:
         )
 
     def _sound_statistics(
-        self, samples: Samples, saturated: NDArray[np.bool_]
+        self, samples: Samples, sound: Sound, saturated: NDArray[np.bool_]
     ) -> tuple[Statistics, Stamps, tuple[str, ...]] | str:
         """Estimate over the sound part of a stretch; a text says why there is none."""
-        sound = sound_part(samples, self._walk, saturated)
         notes = list(sound.notes)
         if saturated.any():
             notes.append(f'{saturated.sum()} samples are saturated')
@@ -353,6 +387,11 @@ class Segmenter:
             self._free_motion(motion, samples, values)
             return
         self._compare_clocks(motion, samples)
+        if not self._saturated(values, samples).any():
+            attitudes = self._table.attitude(motion.position)
+            seen = share_seen(samples, motion.stamp + self._offset_ns, attitudes)
+            if seen is not None:
+                self._shares.append(((motion.start + motion.end) / 2 + self._offset_ns, seen))
         for turns in find_turns(motion):
             self._turn(turns, motion, samples, values)
 
@@ -397,6 +436,9 @@ class Segmenter:
         if self._saturated(values[inside], part).any():
             reject('the sensor is saturated during it')
             return
+        if not _steady(part):
+            reject('the gyros do not turn steadily while the joint states do')
+            return
         origin = _line_origin(part) - part.period * 1e9
         first = (start - origin) / period_ns
         statistics = statistics_between(part, first, first + turns.seconds / part.period)
@@ -411,6 +453,31 @@ class Segmenter:
                 rate_error=turns.rate_error,
             )
         )
+
+    def _drop_unseen(self) -> None:
+        """Drop rests beside a motion of the table that the gyros did not see: clocks are apart."""
+        instants = np.array([instant for instant, _ in self._shares])
+        shares = np.array([share for _, share in self._shares])
+        # Where all motions look alike in size, it is the scale factor that is wrong.
+        if not len(shares) or shares.max() < _ALIKE * shares.min():
+            return
+        unseen = np.concatenate([[False], shares < _SEEN, [False]])
+
+        def beside_unseen(instant: float) -> bool:
+            after = int(np.searchsorted(instants, instant))
+            return bool(unseen[after] or unseen[after + 1])
+
+        self._slips = [slip for slip in self._slips if not beside_unseen(slip.instant)]
+        kept = []
+        for segment in self._segments:
+            if beside_unseen((segment.start + segment.end) / 2):
+                self._rejector(segment.start, segment.end)(
+                    'the gyros do not see the motion beside it that the joint states tell of '
+                    '(clocks that jump, or are more than a second apart)'
+                )
+            else:
+                kept.append(segment)
+        self._segments = kept
 
     def _free_motion(self, motion: Motion, samples: Samples, values: Floats) -> None:
         first = int(np.searchsorted(samples.stamp, motion.start, side='right'))
@@ -464,15 +531,6 @@ def _expected_walk(spec: ImuSpec) -> Floats:
     return np.repeat(walks, 3)
 
 
-def _increasing(stamp: Stamps, last: int | None) -> NDArray[np.bool_]:
-    """Say which stamps exceed all before them."""
-    if not len(stamp):
-        return np.ones(0, dtype=bool)
-    before = np.maximum.accumulate(stamp)[:-1]
-    lowest = np.iinfo(np.int64).min if last is None else last
-    return np.asarray(stamp > np.maximum(np.concatenate([[lowest], before]), lowest))
-
-
 def _masked(samples: Samples, mask: NDArray[np.bool_]) -> Samples:
     return Samples(samples.stamp[mask], samples.increments[mask], samples.quantum, samples.period)
 
@@ -490,6 +548,23 @@ def _longer_part(samples: Samples, between: tuple[float, float]) -> Samples:
         samples.stamp, samples.stamp[0] + np.multiply(between, 1e9), side='right'
     ).tolist()
     return samples.part(0, first) if first >= n - last else samples.part(last, n)
+
+
+def _steady(samples: Samples) -> bool:
+    """Say whether the gyros turn as fast at the ends of a stretch as in the whole of it."""
+    n = len(samples.stamp)
+    length = max(1, n // _ENDS)
+    rates = samples.increments[:, :3]
+    mean = rates.mean(axis=0)
+    ends = np.array([rates[:length].mean(axis=0), rates[n - length :].mean(axis=0)])
+    return bool(np.all(np.linalg.norm(ends - mean, axis=1) < _STEADY * np.linalg.norm(mean)))
+
+
+def _jumps(clock: ClockFit) -> list[str]:
+    return [
+        f'The clocks of IMU and table jump by {jump:+.4f} s against each other'
+        for jump in clock.jumps
+    ]
 
 
 def _line_origin(samples: Samples) -> float:

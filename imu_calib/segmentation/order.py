@@ -1,0 +1,62 @@
+"""Stamps in order: what jumps is dropped, one sample at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..stream import Floats, Stamps
+
+
+@dataclass(frozen=True, eq=False)
+class Ordered:
+    """Rows whose stamps increase, and the stamps (ns) of those that were dropped."""
+
+    stamp: Stamps
+    values: Floats
+    lost: Stamps
+
+
+class StampOrder:
+    """Lets rows through whose stamps increase; the outcome does not depend on block boundaries.
+
+    A row is dropped if it does not come after all before it, or if it does not come before the
+    next one although that one does come after all before: one wild stamp must not make all that
+    follow look late. The last row waits for its successor.
+
+    Args:
+        columns: Number of values in a row.
+
+    """
+
+    def __init__(self, columns: int) -> None:
+        self._last = int(np.iinfo(np.int64).min)
+        self._stamp: Stamps = np.empty(0, dtype=np.int64)
+        self._values: Floats = np.empty((0, columns))
+
+    def take(self, stamp: Stamps, values: Floats) -> Ordered:
+        """Take (n,) stamps with (n, columns) values; return what is certain by now."""
+        stamp = np.concatenate([self._stamp, stamp])
+        values = np.concatenate([self._values, values])
+        self._stamp, self._values = stamp[-1:], values[-1:]
+        return self._sorted_out(stamp[:-1], values[:-1], stamp[1:])
+
+    def finish(self) -> Ordered:
+        """End of the stream: return the row that waits."""
+        stamp, self._stamp = self._stamp, self._stamp[:0]
+        values, self._values = self._values, self._values[:0]
+        return self._sorted_out(stamp, values, np.full(len(stamp), np.iinfo(np.int64).max))
+
+    def _sorted_out(self, stamp: Stamps, values: Floats, following: Stamps) -> Ordered:
+        if not len(stamp):
+            return Ordered(stamp, values, stamp)
+        if stamp[0] > self._last and np.all(following > stamp):
+            self._last = int(stamp[-1])
+            return Ordered(stamp, values, stamp[:0])
+        keep = np.zeros(len(stamp), dtype=bool)
+        for k, (now, after) in enumerate(zip(stamp.tolist(), following.tolist(), strict=True)):
+            if now > self._last and not self._last < after <= now:
+                keep[k] = True
+                self._last = now
+        return Ordered(stamp[keep], values[keep], stamp[~keep])
