@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 TOPIC = 'imu/pulses'
-REPEATS = 5
+REPEATS = 15
+FEWER = 10
 OVER_CALLBACK = 10.0
 OF_DRAIN = 0.8
 DRAIN_PERIOD = 0.005
@@ -53,11 +54,11 @@ KEEP_ALL = {
 
 @dataclass
 class Way:
-    """One way to receive, and the best of its times."""
+    """One way to receive, and the best of its rates, in messages a second."""
 
     name: str
     receive: Callable[[ros.Node, Sequence[bytes]], float]
-    seconds: float = np.inf
+    rate: float = 0.0
 
 
 def payloads(count: int) -> list[bytes]:
@@ -80,7 +81,8 @@ def send(node: ros.Node, messages: Sequence[bytes]) -> ros.Node:
 
 
 def by_callback(node: ros.Node, messages: Sequence[bytes]) -> float:
-    """Take message objects one by one in a callback."""
+    """Take message objects one by one in a callback; return messages a second."""
+    messages = messages[: len(messages) // FEWER]
     got = []
     subscription = node.create_subscription(
         ros.messages.Imu, TOPIC, got.append, ros.QoSProfile(**KEEP_ALL)
@@ -95,16 +97,16 @@ def by_callback(node: ros.Node, messages: Sequence[bytes]) -> float:
     executor.shutdown()
     node.destroy_publisher(publisher)
     node.destroy_subscription(subscription)
-    return seconds
+    return len(messages) / seconds
 
 
 def by_drain(node: ros.Node, messages: Sequence[bytes]) -> float:
-    """Drain the bytes and do nothing with them."""
+    """Drain the bytes and do nothing with them; return messages a second."""
     return _drained(node, messages, lambda _: None)
 
 
 def into_columns(node: ros.Node, messages: Sequence[bytes]) -> float:
-    """Drain the bytes and decode them, in the blocks in which they come."""
+    """Drain the bytes and decode them, block by block; return messages a second."""
     return _drained(node, messages, lambda block: decode_imu(Messages.join(block)))
 
 
@@ -123,7 +125,7 @@ def _drained(
     seconds = time.perf_counter() - begin
     node.destroy_publisher(publisher)
     node.destroy_subscription(subscription)
-    return seconds
+    return len(messages) / seconds
 
 
 def compare(count: int) -> bool:
@@ -138,14 +140,14 @@ def compare(count: int) -> bool:
     node = ros.Node('benchmark')
     for _ in range(REPEATS):
         for way in ways:
-            way.seconds = min(way.seconds, way.receive(node, messages))
+            way.rate = max(way.rate, way.receive(node, messages))
     ros.shutdown()
-    callback, drain, columns = (way.seconds for way in ways)
+    callback, drain, columns = (way.rate for way in ways)
     for way in ways:
-        print(f'{ros.RUNTIME:6} {way.name:20} {count / way.seconds:12,.0f} Imu/s')
-    print(f'columns over callback   {callback / columns:6.1f}   promised {OVER_CALLBACK}')
-    print(f'columns over bare drain {drain / columns:6.2f}   promised {OF_DRAIN}')
-    return callback / columns >= OVER_CALLBACK and drain / columns >= OF_DRAIN
+        print(f'{ros.RUNTIME:6} {way.name:20} {way.rate:12,.0f} Imu/s')
+    print(f'columns over callback   {columns / callback:6.1f}   promised {OVER_CALLBACK}')
+    print(f'columns over bare drain {columns / drain:6.2f}   promised {OF_DRAIN}')
+    return columns / callback >= OVER_CALLBACK and columns / drain >= OF_DRAIN
 
 
 def source(rate: float, seconds: float) -> None:
