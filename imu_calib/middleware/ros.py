@@ -35,6 +35,7 @@ from rclpy.exceptions import (
     ParameterNotDeclaredException,
 )
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.impl.rcutils_logger import RcutilsLogger as Logger
 from rclpy.logging import LoggingSeverity, get_logger
 from rclpy.node import Node
@@ -54,6 +55,7 @@ from rclpy.task import Future
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
+from ..errors import InputError
 from . import ros_messages as messages
 from .dds.domain import domain_id as checked_domain
 
@@ -107,6 +109,9 @@ __all__ = [
     'try_shutdown',
 ]
 
+RCLError = rclpy_implementation.RCLError
+UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
+
 
 def init(**options: Any) -> None:
     """Initialise rclpy without its signal handlers, which would end the context at once.
@@ -115,12 +120,15 @@ def init(**options: Any) -> None:
         **options: Arguments of rclpy.init.
 
     Raises:
-        InputError: ROS_DOMAIN_ID is out of range.
+        InputError: ROS_DOMAIN_ID is out of range, or --ros-args cannot be understood.
 
     """
     checked_domain()
     options.setdefault('signal_handler_options', SignalHandlerOptions.NO)
-    rclpy.init(**options)
+    try:
+        rclpy.init(**options)
+    except (RCLError, UnknownROSArgsError) as error:
+        raise InputError(f'rclpy does not start: {error}') from error
 
 
 class _Never(CallbackGroup):  # type: ignore[misc]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
+import time
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ class Stoppable(Protocol):
 
 _TICK = 0.05
 _LAST_WORD = 2.0
+_LOOK_AROUND = 2.0
 
 
 def run(
@@ -51,8 +54,12 @@ def run(
     try:
         node = node_factory()
         try:
+            look = time.monotonic() + _LOOK_AROUND
             while ok() and not stop.is_set() and not (done is not None and done(node)):
                 spin_once(node, timeout_sec=_TICK)
+                if time.monotonic() > look:
+                    look = math.inf
+                    _warn_of_namesakes(node)
         except ExternalShutdownException:
             pass
         finally:
@@ -70,6 +77,17 @@ def _handle(handler: Callable[..., None]) -> dict[signal.Signals, Any]:
     if threading.current_thread() is not threading.main_thread():
         return {}
     return {n: signal.signal(n, handler) for n in (signal.SIGINT, signal.SIGTERM)}
+
+
+def _warn_of_namesakes(node: Any) -> None:
+    """Say so where another node has the same name: both would answer to the same services."""
+    own = node.get_name(), node.get_namespace()
+    same = [n for n in node.get_node_names_and_namespaces() if n == own]
+    if len(same) > 1:
+        node.get_logger().warning(
+            f'{len(same)} nodes are called {node.get_fully_qualified_name()}; '
+            'name one of them otherwise with --ros-args -r __node:=NAME.'
+        )
 
 
 def _last_word(node: Any) -> bool:

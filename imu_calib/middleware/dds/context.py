@@ -95,13 +95,13 @@ class Context:
         self._leave()
 
     def _leave(self) -> None:
-        for topic in self._topics.values():
-            delete(topic)
+        """Delete all entities; who spins in another thread sees ok() turn false first."""
+        entities = [*self._topics.values(), self.participant, self._domain]
+        self.participant = self._domain = None
         self._topics = {}
-        for entity in (self.participant, self._domain):
+        for entity in entities:
             if entity is not None:
                 delete(entity)
-        self.participant = self._domain = None
 
 
 def _severity(text: str) -> logging.LoggingSeverity:

@@ -105,16 +105,22 @@ class SingleThreadedExecutor:
 
     def _wait(self, nanoseconds: int) -> None:
         """Wait for a message, at most until the next timer."""
-        if not self._context.ok():
-            return
+        from cyclonedds.core import DDSException
+
         for node in self._nodes:
             for timer in node.timers_:
                 left = timer.time_until_next_call()
                 if left is not None and not timer.clock.ros_time_is_active:
                     nanoseconds = min(nanoseconds, left)
-        self._attach()
-        if nanoseconds > 0:
-            self._waitset.wait(nanoseconds)
+        try:
+            self._attach()
+            if nanoseconds > 0:
+                self._waitset.wait(nanoseconds)
+        except DDSException:
+            # Another thread has shut down, or destroyed an endpoint, in the meantime.
+            self._forget()
+            if self._context.ok() and not self._shut:
+                raise
 
     def _attach(self) -> None:
         """Make the wait set anew where the readers have changed."""
