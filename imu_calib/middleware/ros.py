@@ -57,7 +57,7 @@ from std_srvs.srv import Trigger
 
 from ..errors import InputError
 from . import ros_messages as messages
-from .dds.domain import domain_id as checked_domain
+from .domain import domain_id as checked_domain
 
 __all__ = [
     'Clock',

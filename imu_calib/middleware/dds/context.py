@@ -6,9 +6,9 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from ...errors import ImuCalibError
+from ..domain import LAST_DOMAIN, configuration, domain_id
 from . import logging
 from .arguments import Arguments, parse
-from .domain import LAST_DOMAIN, configuration, domain_id
 from .graph import Graph
 from .wire import delete
 

@@ -330,8 +330,10 @@ class Node:
             self.declare_parameter('use_sim_time', False)
         if not self.get_parameter('use_sim_time').value:
             self._clock.simulated = None
-        elif self._clock.simulated is None:
+            return
+        if self._clock.simulated is None:
             self._clock.simulated = 0
+        if not any(s.callback == self._on_clock for s in self.subscriptions_):
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             kind = message_class('rosgraph_msgs/msg/Clock')
             self.create_subscription(kind, '/clock', self._on_clock, qos)

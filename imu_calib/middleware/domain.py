@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from ...errors import InputError
+from ..errors import InputError
 
 LAST_DOMAIN = 232
 """The ports of a higher one do not exist (RTPS: 7400 + 250 * domain)."""
