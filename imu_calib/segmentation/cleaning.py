@@ -21,6 +21,7 @@ _SPREAD_RATIO = 3.0
 _FLIPPING = 0.5
 _STEP_SIGNIFICANCE = 8.0
 _FEWEST_WINDOWS = 4
+_QUIET_WINDOWS = 3
 _FEWEST_BLOCKS = 5
 _WITHOUT_LARGEST = 0.7
 _TINY = 1e-15
@@ -66,24 +67,35 @@ def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None 
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
     means = _Means.of(used.sum(axis=1), walk * np.sqrt(length * samples.period))
-    bad = means.outlying(samples.quantum)
-    bad |= _outlying_spreads(used, samples.quantum)
+    # A channel of little noise may wander from one step of its ADC to the next within a stretch.
+    bad = means.outlying(_PULSES * samples.quantum + samples.grid * length)
+    bad |= _outlying_spreads(used, samples.quantum + samples.grid)
     bad |= ~everything[: count * length].reshape(count, length).all(axis=1)
     if not bad.any():
         return Sound(everything, ())
-    good = np.flatnonzero(~bad)
-    if not len(good):
+    if bad.all():
         return Sound(np.zeros_like(everything), ('no half second of it was quiet',))
-    first, last = int(good[0]), int(good[-1]) + 1
+    first, last = _settled(bad), len(bad) - _settled(bad[::-1])
+    bad[:first], bad[last:] = True, True
     mask = np.repeat(~bad, length)
     mask = np.concatenate([mask, np.full(len(everything) - len(mask), last == count)])
     mask &= everything
     inner = int(bad[first:last].sum())
     if not inner:
         return Sound(mask, ())
+    floor = samples.quantum + samples.grid * length
     at = float(np.flatnonzero(bad[first:last])[0] + first) * _WINDOW_SECONDS
     note = f'disturbed {at:.1f} s after it came to rest; {inner * _WINDOW_SECONDS:.1f} s left out'
-    return Sound(mask, (note,), means.knock(bad, first, last, samples.quantum, length))
+    return Sound(mask, (note,), means.knock(bad, first, last, floor, length))
+
+
+def _settled(bad: NDArray[np.bool_]) -> int:
+    """Return the first window from which on it is quiet, and not just between two swings."""
+    for length in range(_QUIET_WINDOWS, 0, -1):
+        quiet = np.convolve(~bad, np.ones(length), 'valid') == length
+        if quiet.any():
+            return int(np.argmax(quiet))
+    return len(bad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +121,12 @@ class _Means:
         # Values that are no pulses and carry no noise at all still deserve a tolerance.
         return cls(left, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
 
-    def outlying(self, quantum: Floats) -> NDArray[np.bool_]:
-        limit = np.maximum(_OUTLIER * self.scatter + _PULSES * quantum, self.tolerance)
+    def outlying(self, floor: Floats) -> NDArray[np.bool_]:
+        limit = np.maximum(_OUTLIER * self.scatter + floor, self.tolerance)
         return np.asarray((np.abs(self.left) > limit).any(axis=1))
 
     def knock(
-        self, bad: NDArray[np.bool_], first: int, last: int, quantum: Floats, length: int
+        self, bad: NDArray[np.bool_], first: int, last: int, floor: Floats, length: int
     ) -> Knock | None:
         """Find the first run of bad windows within first to last that turned the unit for good."""
         inside = np.flatnonzero(bad[first:last]) + first
@@ -122,7 +134,7 @@ class _Means:
         for run in np.split(inside, np.flatnonzero(np.diff(inside) > 2) + 1):
             start, stop = int(run[0]), int(run[-1]) + 1
             turned = self.left[start:stop, :3].sum(axis=0)
-            limit = _KNOCK * np.sqrt(stop - start) * self.scatter[:3] + quantum[:3]
+            limit = _KNOCK * np.sqrt(stop - start) * self.scatter[:3] + floor[:3]
             if np.any(np.abs(turned) > np.maximum(limit, _LEAST_KNOCK)):
                 return Knock(start * length, stop * length, float(np.linalg.norm(turned)))
         return None

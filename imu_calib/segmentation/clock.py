@@ -146,6 +146,8 @@ def share_seen(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> floa
     """
     if len(joint_stamp) < 2 or len(gap_free(samples.stamp, samples.period)) > 1:
         return None
+    if samples.stamp[0] > joint_stamp[0] or samples.stamp[-1] < joint_stamp[-1]:
+        return None
     origin = float(joint_stamp[0])
     table = (joint_stamp - origin) * 1e-9
     _, index = np.unique(np.floor(table / _CELL_SECONDS), return_index=True)

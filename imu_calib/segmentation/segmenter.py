@@ -37,6 +37,7 @@ _SAMPLES_FOR_PERIOD = 256
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 _WALK_GUESS = 0.05
 _MOSTLY = 0.5
+_TURN_AND_RUN_UP = 1.25 * TURN
 _SEEN = 0.75
 _ALIKE = 1.5
 _STEADY = 0.05
@@ -359,7 +360,7 @@ class Segmenter:
         notes = list(sound.notes)
         if saturated.any():
             notes.append(f'{saturated.sum()} samples are saturated')
-        kept = _masked(samples, sound.mask)
+        kept = samples.at(sound.mask)
         if len(kept.stamp) * samples.period < _SHORTEST_REST:
             return '; '.join(notes) or 'too little of it was quiet'
         gaps = gap_free(samples.stamp, samples.period)
@@ -392,8 +393,14 @@ class Segmenter:
             seen = share_seen(samples, motion.stamp + self._offset_ns, attitudes)
             if seen is not None:
                 self._shares.append(((motion.start + motion.end) / 2 + self._offset_ns, seen))
-        for turns in find_turns(motion):
+        found = find_turns(motion)
+        for turns in found:
             self._turn(turns, motion, samples, values)
+        if not found and np.ptp(motion.position, axis=0).max() > _TURN_AND_RUN_UP:
+            reject = self._rejector(
+                motion.start + self._offset_ns, motion.end + self._offset_ns, turn=True
+            )
+            reject('the joint states show no constant rate')
 
     def _compare_clocks(self, motion: Motion, samples: Samples) -> None:
         table = self._table
@@ -529,10 +536,6 @@ def _expected_walk(spec: ImuSpec) -> Floats:
         for t in (spec.gyro, spec.accel)
     ]
     return np.repeat(walks, 3)
-
-
-def _masked(samples: Samples, mask: NDArray[np.bool_]) -> Samples:
-    return Samples(samples.stamp[mask], samples.increments[mask], samples.quantum, samples.period)
 
 
 def _missing(samples: Samples, gaps: list[tuple[int, int]]) -> int:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
@@ -19,6 +21,8 @@ BLOCK_SECONDS = 10.0
 _MINIMUM_BLOCKS = 4
 _STAMPS_FOR_A_LINE = 3
 _SCORING_STEPS = 20
+_SMALLEST_VARIANCE = 1e-100
+_SAMPLES_FOR_GRID = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +34,8 @@ class Samples:
         increments: (n, 6) angle (rad) or velocity (m/s) gained in each interval.
         quantum: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
         period: Sample interval, s.
+        grid: (6,) step to which each increment is rounded on its own, rad and m/s: that of an ADC.
+            A counter carries its remainder on and has none.
 
     """
 
@@ -37,12 +43,15 @@ class Samples:
     increments: Floats
     quantum: Floats
     period: float
+    grid: Floats
 
     def part(self, start: int, stop: int) -> Samples:
         """Return samples start to stop."""
-        return Samples(
-            self.stamp[start:stop], self.increments[start:stop], self.quantum, self.period
-        )
+        return self.at(slice(start, stop))
+
+    def at(self, rows: slice | NDArray[np.bool_]) -> Samples:
+        """Return some of the samples."""
+        return replace(self, stamp=self.stamp[rows], increments=self.increments[rows])
 
 
 def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> Samples:
@@ -57,9 +66,18 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
     """
     scale = np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
     if spec.units is not Units.PULSES:
-        return Samples(stamp, values * (scale * period), np.zeros(6), period)
+        increments = values * (scale * period)
+        codes = spec.units is Units.COUNTS and bool(np.all(values == np.rint(values)))
+        grid = scale * period if codes else _grid(increments)
+        return Samples(stamp, increments, np.zeros(6), period, grid)
     whole = np.all(values == np.rint(values), axis=0)
-    return Samples(stamp, values * scale, np.where(whole, scale, 0.0), period)
+    return Samples(stamp, values * scale, np.where(whole, scale, 0.0), period, np.zeros(6))
+
+
+def _grid(increments: Floats) -> Floats:
+    """Return the smallest difference between values of each channel; 0 where all are the same."""
+    distinct = [np.diff(np.unique(column)) for column in increments[:_SAMPLES_FOR_GRID].T]
+    return np.array([gaps.min() if len(gaps) else 0.0 for gaps in distinct])
 
 
 def sample_period(stamp: Stamps) -> float:
@@ -153,6 +171,10 @@ def statistics_between(samples: Samples, first: float, last: float) -> Statistic
     )
     c = np.mod(pulses, 1.0)
     reading = sum(1 / 12 - (x % 1) * (1 - x % 1) * c * (1 - c) for x in (first, last))
+    rounding = np.array(
+        [_rounding(samples.increments[:, k], float(samples.grid[k])) for k in range(6)]
+    )
+    rounding /= samples.period**2
     empty = tuple(np.empty((0, 4)) for _ in range(6))
     return Statistics(
         samples=int(np.ceil(last) - np.floor(first)),
@@ -160,7 +182,7 @@ def statistics_between(samples: Samples, first: float, last: float) -> Statistic
         duration=duration,
         mean=mean,
         walk_gain=np.full(6, 1 / duration),
-        quantum=np.asarray(reading * (samples.quantum / duration) ** 2),
+        quantum=np.asarray(reading * (samples.quantum / duration) ** 2 + rounding),
         end_points=mean,
         blocks=empty,
         drift=np.full(6, np.nan),
@@ -172,10 +194,23 @@ def _channel_mean(samples: Samples, channel: int, walk: float) -> MeanRate:
     increments, quantum = samples.increments[:, channel], float(samples.quantum[channel])
     if quantum == 0.0:
         duration = len(increments) * samples.period
-        return MeanRate(float(increments.sum()) / duration, 1 / duration, 0.0)
+        rounding = _rounding(increments, float(samples.grid[channel])) / samples.period**2
+        return MeanRate(float(increments.sum()) / duration, 1 / duration, rounding)
     pulses = np.rint(increments / quantum)
     mean = mean_rate(pulses, samples.period, walk / quantum)
     return MeanRate(mean.rate * quantum, mean.walk_gain, mean.quantum * quantum**2)
+
+
+def _rounding(increments: Floats, grid: float) -> float:
+    """Return the variance that an ADC's rounding leaves in a mean, however long.
+
+    Noise of an ADC's step or more makes the rounding errors of single samples average out; what
+    is left falls with exp(-4 pi^2 (noise / step)^2) (Widrow and Kollar 2008, section 4.4).
+    """
+    if grid == 0.0:
+        return 0.0
+    noise = max(0.0, float(np.var(increments)) / grid**2 - 1 / 12)
+    return grid**2 / 12 * math.exp(-4 * math.pi**2 * noise)
 
 
 def _combine(means: list[MeanRate], walk: float) -> MeanRate:
@@ -219,9 +254,10 @@ def _channel_blocks(
     period = samples.period
     if quantum == 0.0:
         edges = block_edges(len(increments), period, seconds)
+        rounding = _rounding(increments, float(samples.grid[channel])) / period**2
         sums = [float(increments[a:b].sum()) for a, b in edges]
         return [
-            ((a + b) / 2 * period, MeanRate(s / t, 1 / t, 0.0))
+            ((a + b) / 2 * period, MeanRate(s / t, 1 / t, rounding))
             for s, (a, b) in zip(sums, edges, strict=True)
             for t in [(b - a) * period]
         ]
@@ -270,7 +306,7 @@ def _channel_walk(segments: list[Floats]) -> float:
     for _ in range(_SCORING_STEPS):
         score, information = 0.0, 0.0
         for mean, gain, quantum, _ in (b.T for b in segments):
-            variance = np.maximum(square * gain + quantum, np.finfo(float).tiny)
+            variance = np.maximum(square * gain + quantum, _SMALLEST_VARIANCE)
             weights = 1 / variance / (1 / variance).sum()
             # The segment's own mean takes one degree of freedom.
             square_left = (mean - weights @ mean) ** 2 * len(mean) / (len(mean) - 1)
