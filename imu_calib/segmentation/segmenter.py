@@ -479,8 +479,8 @@ class Segmenter:
         for segment in self._segments:
             if beside_unseen((segment.start + segment.end) / 2):
                 self._rejector(segment.start, segment.end)(
-                    'the gyros do not see the motion beside it that the joint states tell of '
-                    '(clocks that jump, or are more than a second apart)'
+                    'the gyros do not see the motion beside it as the joint states tell it (clocks '
+                    'that jump or are more than a second apart, or a range below its rate)'
                 )
             else:
                 kept.append(segment)
