@@ -91,7 +91,9 @@ def hear(node):
             future = client.call_async(ros.Trigger.Request())
             ros.spin_until_future_complete(node, future, timeout_sec=5.0)
             got['answer'] = plain(future.result()) if future.done() else None
-    print(json.dumps({'got': got, 'expected': {t: plain(filled(k)) for t, k in KINDS.items()}}))
+    expected = {topic: plain(filled(kind)) for topic, kind in KINDS.items()}
+    nodes = node.get_node_names_and_namespaces()
+    print(json.dumps({'got': got, 'expected': expected, 'nodes': nodes}))
 
 
 if __name__ == '__main__':

@@ -113,6 +113,8 @@ def test_a_service_answers_across_runtimes(serves, asks):
     with talker(serves, domain):
         heard, _ = hear(asks, domain, 'ask')
     assert heard['got']['answer'] == {'success': True, 'message': 'heard'}
+    assert ['talker', '/stand'] in heard['nodes']
+    assert ['listener', '/stand'] in heard['nodes']
 
 
 def ros2(domain, *words):
@@ -133,7 +135,8 @@ def test_the_tools_of_ros_see_a_node_on_dds(rmw):
         assert 'Node namespace: /stand' in info
         assert 'Durability: TRANSIENT_LOCAL' in info
         assert re.search(r'Topic type hash: RIHS01_[0-9a-f]{64}', info)
-        echoed = ros2(domain, 'topic', 'echo', '--once', '/stand/count', 'std_msgs/msg/String')
+        echo = ('topic', 'echo', '--no-daemon', '--once', '/stand/count', 'std_msgs/msg/String')
+        echoed = ros2(domain, *echo)
         assert echoed.startswith('data: tick')
 
 

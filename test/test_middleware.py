@@ -525,6 +525,20 @@ def test_a_domain_out_of_range_is_said(text, monkeypatch):
     assert not ros.ok()
 
 
+def test_the_reach_of_discovery_is_one_of_four_words(monkeypatch):
+    from imu_calib.middleware.domain import configuration
+
+    monkeypatch.delenv('CYCLONEDDS_URI', raising=False)
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'localhost')
+    assert '<Peer address="localhost"/>' in configuration()
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF')
+    assert '<AllowMulticast>false</AllowMulticast>' in configuration()
+    assert 'Peer address' not in configuration()
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'here')
+    with pytest.raises(ImuCalibError, match='SUBNET, LOCALHOST'):
+        configuration()
+
+
 BLOCKED = """
 import importlib.abc, sys
 class Block(importlib.abc.MetaPathFinder):
