@@ -37,6 +37,9 @@ class Publisher:
     def publish(self, msg: Message | bytes) -> None:
         """Send a message, or the bytes of a serialised one.
 
+        With KEEP ALL on both ends this waits for a subscription that lags; for one whose process
+        died, until its lease of ten seconds ends (the same under rclpy).
+
         Raises:
             TypeError: It is of another type than the topic.
             ImuCalibError: The middleware refuses it.
