@@ -13,7 +13,7 @@ from ..earth import EARTH_RATE
 from ..errors import InputError, NotObservable
 from ..model import AXES, SensorModel
 from ..stream import Floats
-from ..units import DEG, DEG_H
+from ..units import DEG, DEG_H, PPM
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .rate_test import RateTest
 from .solution import Residual, Solution
@@ -24,6 +24,7 @@ _SCALE_LIMIT = 2.0
 _AXIS_LIMIT = 0.5
 _ALTERNATIONS = 8
 _FAR_SCALE = 0.1
+_WELL_KNOWN_CLOCKS = 5e-6
 _OFF_POSITION = 0.02 * DEG
 _OUTSTANDING = 5.0
 _LEAST_EARTH_RATE = 0.01 * DEG_H
@@ -76,7 +77,7 @@ def conclude(
     """
     _check_axes(model.gyro.response, 'gyros', 'whole turns')
     _check_axes(model.accel.response, 'accelerometers', 'gravity')
-    notes = [*findings, *_far_scales(model)]
+    notes = [*findings, *_far_scales(model), *_clocks(evidence)]
     gyro = _fit(evidence, model, slice(0, 3), estimated=6)
     accel = _fit(evidence, model, slice(3, 6), estimated=14)
     widened = covariance.copy()
@@ -126,6 +127,17 @@ def conclude(
         condition,
         tuple(notes),
     )
+
+
+def _clocks(evidence: Evidence) -> list[str]:
+    """Mention clocks that the session does not compare well: their rate goes straight into K_g."""
+    std = evidence.clock_rate()[1]
+    if std < _WELL_KNOWN_CLOCKS:
+        return []
+    return [
+        f'The rate between the clocks of IMU and table is known to {std / PPM:.0f} ppm only: K_g '
+        'is no better (joint states at 20 Hz or more would tell).'
+    ]
 
 
 def _far_scales(model: SensorModel) -> list[str]:

@@ -17,6 +17,7 @@ from ..stream import Floats
 
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
+_QUARTZ = 50e-6
 
 SMALLEST_VARIANCE = 1e-32
 """Stands for zero where a noise-free session is divided by its variance, SI units squared."""
@@ -80,6 +81,24 @@ class Evidence:
 
         """
         return [vertical_axis(a[2], s.position) for a, s in zip(self.attitudes(), self.segments)]  # noqa: B905
+
+    def off_axis(self) -> Floats:
+        """Return up in body axes, by the encoders, less the axis that is vertical, (s, 3)."""
+        exact = [sign * np.eye(3)[axis] for axis, sign in self.vertical_axes()]
+        return np.asarray(self.attitudes()[:, 2] - np.array(exact).reshape(-1, 3))
+
+    def clock_rate(self) -> tuple[float, float]:
+        """Return by how much the IMU's clock is faster than the table's, and its deviation.
+
+        What the motions show is weighed with what two quartz clocks may differ by. Where no turn
+        was timed by a table, neither matters.
+        """
+        if all(turn.seconds is None for turn in self.turns):
+            return 0.0, 0.0
+        if not np.isfinite(self.clock.rate_std):
+            return 0.0, _QUARTZ
+        share = _QUARTZ**2 / (_QUARTZ**2 + self.clock.rate_std**2)
+        return share * self.clock.rate, float(np.sqrt(share)) * self.clock.rate_std
 
     def missing(self) -> list[str]:
         """Name the positions of the plan that no sound segment stands for."""

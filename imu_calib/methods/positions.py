@@ -14,6 +14,8 @@ from .evidence import Evidence
 from .linear import BIAS, UNKNOWNS, ChannelSystem, parameters_of, triad_covariance
 from .rate_test import RateTest
 
+_PASSES = 2
+
 
 def solve_gyros(evidence: Evidence, bias: tuple[Floats, Floats]) -> tuple[Triad, Floats, float]:
     """Solve the gyros from the rate test and one equation for the bias.
@@ -31,9 +33,22 @@ def solve_gyros(evidence: Evidence, bias: tuple[Floats, Floats]) -> tuple[Triad,
 
     """
     test = RateTest.of(evidence)
+    triad, covariance, condition = _gyros(evidence, test, bias, test.outputs)
+    for _ in range(_PASSES):
+        outputs = test.outputs - test.off_axis @ triad.response.T
+        triad, covariance, condition = _gyros(evidence, test, bias, outputs)
+    # All three scale factors share the error of the clocks' rate.
+    covariance[:3, :3] += evidence.clock_rate()[1] ** 2
+    return triad, covariance, condition
+
+
+def _gyros(
+    evidence: Evidence, test: RateTest, bias: tuple[Floats, Floats], turned: Floats
+) -> tuple[Triad, Floats, float]:
+    """Solve for (t, 3) outputs of the turns as if the vertical axis alone had turned."""
     weights, mean_input = bias
     at_rest = len(evidence.segments)
-    outputs = np.vstack([evidence.outputs()[:, :3], test.outputs])
+    outputs = np.vstack([evidence.outputs()[:, :3], turned])
     variances = np.vstack([evidence.variances()[:, :3], test.variances])
     unknowns, covariances, conditions = [], [], []
     for channel in range(3):
@@ -47,11 +62,8 @@ def solve_gyros(evidence: Evidence, bias: tuple[Floats, Floats]) -> tuple[Triad,
         unknowns.append(solved[0])
         covariances.append(solved[1])
         conditions.append(solved[2])
-    covariance = triad_covariance(covariances)
-    # All three scale factors share the error of the clocks' rate.
-    if np.isfinite(evidence.clock.rate_std):
-        covariance[:3, :3] += evidence.clock.rate_std**2
-    return Triad(*parameters_of(np.array(unknowns))), covariance, max(conditions)
+    triad = Triad(*parameters_of(np.array(unknowns)))
+    return triad, triad_covariance(covariances), max(conditions)
 
 
 def solve_accelerometers(evidence: Evidence) -> tuple[Triad, Floats, float]:
@@ -67,8 +79,19 @@ def solve_accelerometers(evidence: Evidence) -> tuple[Triad, Floats, float]:
         NotObservable: An axis that was never up, or never down.
 
     """
+    outputs = evidence.outputs()[:, 3:]
+    off_axis = evidence.site.gravity * evidence.off_axis()
+    triad, covariance, condition = _accelerometers(evidence, outputs)
+    for _ in range(_PASSES):
+        corrected = outputs - off_axis @ triad.response.T
+        triad, covariance, condition = _accelerometers(evidence, corrected)
+    return triad, covariance, condition
+
+
+def _accelerometers(evidence: Evidence, outputs: Floats) -> tuple[Triad, Floats, float]:
+    """Solve for (s, 3) outputs as if the vertical axis stood exactly so."""
     up_weights, down_weights = _up_and_down(evidence)
-    outputs, variances = evidence.outputs()[:, 3:], evidence.variances()[:, 3:]
+    variances = evidence.variances()[:, 3:]
     unknowns, covariances, conditions = [], [], []
     for channel in range(3):
         system = ChannelSystem(len(outputs))

@@ -31,6 +31,7 @@ class RateTest:
         variances: (t, 3) theirs, (rad/s)^2.
         inputs: (t,) rate about the vertical body axis, Earth included, rad/s.
         axes: (t,) which body axis was vertical.
+        off_axis: (t, 3) what the encoders say that the other axes turned, rad/s.
 
     """
 
@@ -38,6 +39,7 @@ class RateTest:
     variances: Floats
     inputs: Floats
     axes: Floats
+    off_axis: Floats
 
     @classmethod
     def of(cls, evidence: Evidence) -> RateTest:
@@ -47,12 +49,13 @@ class RateTest:
             NotObservable: An axis about which nothing turned.
 
         """
-        axes, inputs, variances = [], [], []
+        axes, inputs, variances, off = [], [], [], []
         for turn in evidence.turns:
             axis, sign = vertical_axis(turn.up, turn.position)
-            rate = turn.rate(evidence.clock.rate)
+            rate = turn.rate(evidence.clock_rate()[0])
             axes.append(axis)
             inputs.append(sign * (rate + evidence.site.up_rate))
+            off.append((rate + evidence.site.up_rate) * (turn.up - sign * np.eye(3)[axis]))
             variance = turn.statistics.variance(evidence.walk)[:3]
             # An error of the encoder's rate shows in the channel that turns, and there alone.
             variance[axis] += (turn.rate_error * rate) ** 2
@@ -64,7 +67,7 @@ class RateTest:
                     f'the gyros to {name.upper()} cannot be determined.'
                 )
         outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
-        return cls(outputs, np.array(variances), np.array(inputs), np.array(axes))
+        return cls(outputs, np.array(variances), np.array(inputs), np.array(axes), np.array(off))
 
     def scatter(self) -> float | None:
         """Hold the turns about each axis to a line, which their outputs must follow.

@@ -13,6 +13,8 @@ _WINDOW_NS = 250_000_000
 _STILL_RATE = 0.05 * DEG
 _SLOWEST_TURN = 0.5 * DEG
 _STEADY = 0.03
+_STEADY_AT_MOST = 0.2
+_UNUSUAL = 8.0
 _TURN = 2 * np.pi
 _SAMPLES_FOR_ANGLES = 256
 _SAMPLES_FOR_TURN = 5
@@ -217,8 +219,11 @@ def _steady_runs(time: Floats, angle: Floats) -> list[tuple[int, int]]:
     back = np.minimum(back, np.maximum(np.arange(len(time)) - 1, 0))
     elapsed = np.maximum(time - time[back], 1e-9)
     rate = (angle - angle[back]) / elapsed
-    steady = np.abs(rate - rate[back]) <= _STEADY * np.abs(rate)
-    steady &= np.abs(rate) > _SLOWEST_TURN
+    turning = np.abs(rate) > _SLOWEST_TURN
+    change = np.abs(rate - rate[back]) / np.maximum(np.abs(rate), _SLOWEST_TURN)
+    # Jitter of the stamps makes a constant rate look unsteady throughout, a ramp does so briefly.
+    usual = float(np.median(change[turning])) if turning.any() else 0.0
+    steady = turning & (change <= np.clip(_UNUSUAL * usual, _STEADY, _STEADY_AT_MOST))
     edges = np.flatnonzero(np.diff(steady.astype(np.int8), prepend=0, append=0))
     runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     return [(a, b) for a, b in runs if b - a >= _SAMPLES_FOR_TURN - 2]

@@ -430,8 +430,8 @@ class Segmenter:
         reject = self._rejector(int(start), int(end), turn=True)
         period_ns = samples.period * 1e9
         inside = slice(
-            int(np.searchsorted(samples.stamp, start - period_ns)),
-            int(np.searchsorted(samples.stamp, end + 2 * period_ns)),
+            int(np.searchsorted(samples.stamp, start - 2 * period_ns)),
+            int(np.searchsorted(samples.stamp, end + 3 * period_ns)),
         )
         part = samples.part(inside.start, inside.stop)
         if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
