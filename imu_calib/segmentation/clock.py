@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
+from ..units import DEG
 from .statistics import Samples, gap_free
 
 _ITERATIONS = 12
@@ -26,6 +27,8 @@ _CELLS = 4000
 _OUTLIER = 12.0
 _LEAST_JUMP = 5e-3
 _CELL_SECONDS = 0.1
+_MOVING = 0.25
+_SURELY_MOVING = 1.0 * DEG
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,16 @@ def _windows(time: Floats, duration: float) -> list[NDArray[np.intp]]:
     return [index[:: max(1, len(index) // _CELLS)] for index in found if len(index) > 2]
 
 
-def share_seen(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> float | None:
-    """Compare how far the gyros turned with how far the encoders did, whatever the axes.
+@dataclass(frozen=True)
+class Seen:
+    """How much of a motion of the table the gyros saw, by angle and by time; 1 is all of it."""
+
+    angle: float
+    time: float
+
+
+def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> Seen | None:
+    """Compare a motion as the gyros and as the encoders saw it, whatever their axes.
 
     Args:
         samples: Of the IMU, reaching a second beyond the motion at both ends.
@@ -140,8 +151,8 @@ def share_seen(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> floa
         attitudes: (m, 3, 3) by the encoders.
 
     Returns:
-        Way of the gyros over way of the encoders, at the shift within a second where it is
-        largest; None where the motion is too short or IMU samples are missing.
+        Each share at the shift within a second where it is largest; None where the motion is too
+        short or IMU samples are missing.
 
     """
     if len(joint_stamp) < 2 or len(gap_free(samples.stamp, samples.period)) > 1:
@@ -151,10 +162,10 @@ def share_seen(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> floa
     origin = float(joint_stamp[0])
     table = (joint_stamp - origin) * 1e-9
     _, index = np.unique(np.floor(table / _CELL_SECONDS), return_index=True)
-    index = np.append(index, len(table) - 1)
+    index = np.unique(np.append(index, len(table) - 1))
     steps = np.einsum('nij,nij->n', attitudes[index[1:]], attitudes[index[:-1]])
-    way = float(np.arccos(np.clip((steps - 1) / 2, -1.0, 1.0)).sum())
-    if way < _LEAST_TRAVEL:
+    ways = np.arccos(np.clip((steps - 1) / 2, -1.0, 1.0))
+    if ways.sum() < _LEAST_TRAVEL:
         return None
     time = (samples.stamp - origin) * 1e-9
     edges = np.arange(float(time[0]), float(time[-1]), _CELL_SECONDS)
@@ -162,8 +173,14 @@ def share_seen(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> floa
     angle = np.column_stack([np.interp(edges, time, column) for column in turned.T])
     passed = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(angle, axis=0), axis=1)))
     shifts = np.arange(-_LARGEST_OFFSET, _LARGEST_OFFSET + _CELL_SECONDS, _CELL_SECONDS)
-    ways = np.interp(table[-1] + shifts, edges, passed) - np.interp(shifts, edges, passed)
-    return float(ways.max()) / way
+    by_gyros = np.diff(np.interp(table[index] + shifts[:, None], edges, passed), axis=1)
+    lasting = np.diff(table[index])
+    moving = ways > _MOVING * ways.max()
+    least = np.minimum(_MOVING * ways, _SURELY_MOVING * lasting)
+    return Seen(
+        float(by_gyros.sum(axis=1).max() / ways.sum()),
+        float((by_gyros > least)[:, moving].mean(axis=1).max()),
+    )
 
 
 def fit_clock(samples: Sequence[ClockSample]) -> ClockFit:

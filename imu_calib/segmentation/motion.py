@@ -67,6 +67,11 @@ class JointTracker:
         return int(self._stamp[-1]) if len(self._stamp) else None
 
     @property
+    def silent(self) -> bool:
+        """Whether no joint state has come yet."""
+        return not len(self._stamp)
+
+    @property
     def rest_since(self) -> int | None:
         """Start of the rest that goes on, ns; None in motion."""
         return None if self._moving else self._start

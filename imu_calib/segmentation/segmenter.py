@@ -15,7 +15,7 @@ from ..stream import Block, Floats, ImuBlock, JointBlock, Setpoint, SetpointBloc
 from ..turntable import TURN, Table
 from .buffer import RowBuffer
 from .cleaning import Sound, find_step, sound_part
-from .clock import ClockFit, ClockSample, clock_sample, fit_clock, share_seen
+from .clock import ClockFit, ClockSample, Seen, clock_sample, fit_clock, seen_by_gyros
 from .motion import JointTracker, Motion, Rest, WholeTurns, find_turns
 from .order import Ordered, StampOrder
 from .segment import Segment, Statistics, Turn
@@ -141,7 +141,7 @@ class Segmenter:
         self._motions: list[FreeMotion] = []
         self._rejected: list[Rejected] = []
         self._slips: list[Slip] = []
-        self._shares: list[tuple[float, float]] = []
+        self._seen_motions: list[tuple[float, Seen]] = []
         self._dropped: dict[str, tuple[int, int]] = {}
 
     @property
@@ -390,9 +390,10 @@ class Segmenter:
         self._compare_clocks(motion, samples)
         if not self._saturated(values, samples).any():
             attitudes = self._table.attitude(motion.position)
-            seen = share_seen(samples, motion.stamp + self._offset_ns, attitudes)
+            seen = seen_by_gyros(samples, motion.stamp + self._offset_ns, attitudes)
             if seen is not None:
-                self._shares.append(((motion.start + motion.end) / 2 + self._offset_ns, seen))
+                middle = (motion.start + motion.end) / 2 + self._offset_ns
+                self._seen_motions.append((middle, seen))
         found = find_turns(motion)
         for turns in found:
             self._turn(turns, motion, samples, values)
@@ -463,12 +464,14 @@ class Segmenter:
 
     def _drop_unseen(self) -> None:
         """Drop rests beside a motion of the table that the gyros did not see: clocks are apart."""
-        instants = np.array([instant for instant, _ in self._shares])
-        shares = np.array([share for _, share in self._shares])
+        instants = np.array([instant for instant, _ in self._seen_motions])
+        angles = np.array([seen.angle for _, seen in self._seen_motions])
+        times = np.array([seen.time for _, seen in self._seen_motions])
         # Where all motions look alike in size, it is the scale factor that is wrong.
-        if not len(shares) or shares.max() < _ALIKE * shares.min():
+        if not len(angles) or angles.max() < _ALIKE * angles.min():
             return
-        unseen = np.concatenate([[False], shares < _SEEN, [False]])
+        # A motion beyond the range looks small, but is seen from its beginning to its end.
+        unseen = np.concatenate([[False], np.maximum(angles, times) < _SEEN, [False]])
 
         def beside_unseen(instant: float) -> bool:
             after = int(np.searchsorted(instants, instant))
@@ -479,8 +482,8 @@ class Segmenter:
         for segment in self._segments:
             if beside_unseen((segment.start + segment.end) / 2):
                 self._rejector(segment.start, segment.end)(
-                    'the gyros do not see the motion beside it as the joint states tell it (clocks '
-                    'that jump or are more than a second apart, or a range below its rate)'
+                    'the gyros do not see the motion beside it that the joint states tell of '
+                    '(clocks that jump, or are more than a second apart)'
                 )
             else:
                 kept.append(segment)
@@ -519,10 +522,13 @@ class Segmenter:
         return np.asarray(clipped.any(axis=1))
 
     def _losses(self) -> tuple[str, ...]:
-        return tuple(
+        lost = [
             f'{count} samples left out for {what}, the first at {first * 1e-9:.3f} s'
             for what, (count, first) in self._dropped.items()
-        )
+        ]
+        if self._table is not None and self._joints is not None and self._joints.silent:
+            lost.append(f'There are no joint states of table {self._table.name}')
+        return tuple(lost)
 
 
 def _expected_walk(spec: ImuSpec) -> Floats:

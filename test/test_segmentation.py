@@ -1,0 +1,495 @@
+"""The pieces of segmentation on hand-made arrays, and sessions at the edge of what tables send."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sessions import calibrate, paper_imu, quick_plan, session, stand, truth
+
+from imu_calib.calibrator import Result
+from imu_calib.errors import NotObservable
+from imu_calib.imu import ImuSpec, load_imu
+from imu_calib.plan import Plan
+from imu_calib.segmentation.cleaning import find_step, sound_part
+from imu_calib.segmentation.clock import ClockSample, fit_clock, seen_by_gyros
+from imu_calib.segmentation.motion import JointTracker, Motion, Rest, find_turns
+from imu_calib.segmentation.order import StampOrder
+from imu_calib.segmentation.segment import Statistics
+from imu_calib.segmentation.statistics import (
+    Samples,
+    gap_free,
+    sample_period,
+    statistics_at_rest,
+    statistics_between,
+)
+from imu_calib.simulation.options import Vibration
+from imu_calib.stream import Floats, JointBlock, SetpointBlock, Stamps
+from imu_calib.turntable import load_table, rotation
+from imu_calib.units import DEG, DEG_H, PPM
+
+NS = 1_000_000_000
+PULSE = 1e-3
+NO_WALK = np.zeros(6)
+
+
+def seconds(times: Any) -> Stamps:
+    return np.rint(np.asarray(times) * 1e9).astype(np.int64)
+
+
+def samples(increments: Floats, period: float, quantum: float = 0.0, grid: float = 0.0) -> Samples:
+    """Gap-free samples from 0 on, one column for all six channels or six columns."""
+    columns = increments if increments.ndim == 2 else np.tile(increments[:, None], 6)
+    stamp = seconds((np.arange(len(columns)) + 1) * period)
+    return Samples(stamp, columns, np.full(6, quantum), period, np.full(6, grid))
+
+
+# Stamps.
+
+
+def test_runs_are_cut_where_a_sample_is_missing() -> None:
+    # 4 is missing, and so are 8 and 9; half a period of jitter at 12 is no gap.
+    stamp = seconds([1.0, 2, 3, 5, 6, 7, 10, 11, 12.4, 13])
+    assert gap_free(stamp, 1.0) == [(0, 3), (3, 6), (6, 10)]
+    assert gap_free(stamp[:1], 1.0) == [(0, 1)]
+
+
+def test_the_period_is_that_of_the_line_through_the_longest_run() -> None:
+    # The end points of the long run err by +-0.2 s; a line by a fraction: 0.4 * 6 / 100 / 100.
+    stamp = np.arange(100.0)
+    stamp[0], stamp[-1] = -0.2, 99.2
+    stamp = np.concatenate([stamp, 200 + 1.5 * np.arange(20)])
+    assert sample_period(seconds(stamp)) == pytest.approx(1.0, abs=0.4 * 6 / 100**2)
+    assert sample_period(seconds([5.0, 7.0])) == 2.0
+
+
+@pytest.mark.parametrize(
+    ('stamps', 'kept'),
+    [
+        ([1, 2, 3, 4], [1, 2, 3, 4]),
+        ([1, 2, 900, 3, 4], [1, 2, 3, 4]),  # one wild stamp ahead
+        ([1, 2, -900, 3, 4], [1, 2, 3, 4]),  # one wild stamp behind
+        ([10, 11, 12, 4, 5, 6, 13], [10, 11, 12, 13]),  # a jump back for a while
+        ([1, 2, 2, 3], [1, 2, 3]),  # a repeated stamp
+        ([1, 2, 3, 900], [1, 2, 3, 900]),  # nothing contradicts the last one
+    ],
+)
+def test_stamps_that_jump_are_dropped(stamps: list[int], kept: list[int]) -> None:
+    order = StampOrder(1)
+    taken = order.take(np.array(stamps), np.array(stamps, dtype=float)[:, None])
+    last = order.finish()
+    assert [*taken.stamp.tolist(), *last.stamp.tolist()] == kept
+    assert [*taken.values[:, 0].tolist(), *last.values[:, 0].tolist()] == kept
+    assert len(taken.lost) + len(last.lost) == len(stamps) - len(kept)
+
+
+@given(st.lists(st.integers(0, 30), max_size=20), st.lists(st.integers(0, 20), max_size=3))
+def test_the_order_of_stamps_does_not_depend_on_block_boundaries(
+    stamps: list[int], cuts: list[int]
+) -> None:
+    def kept(edges: list[int]) -> list[int]:
+        order, result = StampOrder(1), []
+        for a, b in pairwise(edges):
+            part = np.array(stamps[a:b], dtype=np.int64)
+            result += order.take(part, part[:, None].astype(float)).stamp.tolist()
+        return [*result, *order.finish().stamp.tolist()]
+
+    whole = kept([0, len(stamps)])
+    assert kept([0, *sorted(min(c, len(stamps)) for c in cuts), len(stamps)]) == whole
+    assert all(b > a for a, b in pairwise(whole))
+
+
+# Rests and motions of the table.
+
+
+def ramp(rate: float, before: float, turning: float, after: float, step: float) -> Motion:
+    """A joint that stands, turns at a constant rate from one instant to the next, and stands."""
+    time = np.arange(0.0, before + turning + after + step / 2, step)
+    angle = rate * np.clip(time - before, 0.0, turning)
+    return Motion(0, int(time[-1] * NS), seconds(time), angle[:, None])
+
+
+def test_the_tracker_tells_rests_from_motions() -> None:
+    # Still from 0 to 3 s, 10 deg/s from 3 to 5 s, still to 8 s, sampled at 20 Hz.
+    motion = ramp(10 * DEG, 3.0, 2.0, 3.0, 0.05)
+    tracker = JointTracker()
+    found = [*tracker.feed(motion.stamp, motion.position), *tracker.finish()]
+    assert [type(f) for f in found] == [Rest, Motion, Rest]
+    first, between, last = found
+    assert first.start == 0
+    # What counts as rest is rest through and through: within a window of 0.25 s and a sample.
+    assert 2.7 * NS <= first.end <= 3.0 * NS
+    assert first.end == between.start
+    assert between.end == last.start
+    assert 5.0 * NS < last.start <= 5.3 * NS
+    assert isinstance(first, Rest)
+    assert isinstance(last, Rest)
+    assert first.angles == pytest.approx([0.0])
+    assert last.angles == pytest.approx([20 * DEG])
+    assert isinstance(between, Motion)
+    assert np.ptp(between.position) == pytest.approx(20 * DEG)
+
+
+@given(st.lists(st.integers(0, 160), max_size=6))
+def test_the_tracker_does_not_depend_on_block_boundaries(cuts: list[int]) -> None:
+    motion = ramp(10 * DEG, 3.0, 2.0, 3.0, 0.05)
+    tracker, found = JointTracker(), []
+    for a, b in pairwise([0, *sorted(cuts), len(motion.stamp)]):
+        if b > a:
+            found += tracker.feed(motion.stamp[a:b], motion.position[a:b])
+    found += tracker.finish()
+    whole = JointTracker()
+    expected = [*whole.feed(motion.stamp, motion.position), *whole.finish()]
+    assert [(f.start, f.end) for f in found] == [(f.start, f.end) for f in expected]
+
+
+def test_wrapped_angles_are_unwrapped_across_blocks() -> None:
+    motion = ramp(100 * DEG, 1.0, 7.0, 1.0, 0.05)
+    wrapped = np.mod(motion.position + np.pi, 2 * np.pi) - np.pi
+    tracker, found = JointTracker(), []
+    for k in range(0, len(motion.stamp), 7):
+        found += tracker.feed(motion.stamp[k : k + 7], wrapped[k : k + 7])
+    found += tracker.finish()
+    turned = [f for f in found if isinstance(f, Motion)]
+    assert len(turned) == 1
+    assert np.ptp(turned[0].position) == pytest.approx(700 * DEG)
+
+
+def test_whole_turns_lie_in_the_middle_of_the_constant_rate() -> None:
+    # 40 deg/s from 2 s to 22 s is 800 deg: two turns of 9 s each, 1 s to spare at either end.
+    (turns,) = find_turns(ramp(40 * DEG, 2.0, 20.0, 2.0, 0.01))
+    assert turns.angle == pytest.approx(4 * np.pi)
+    assert turns.seconds == pytest.approx(18.0, rel=1e-9)
+    # The encoder is read every 10 ms and the rate is known after a window of 0.25 s.
+    assert turns.start * 1e-9 == pytest.approx(3.0, abs=0.3)
+    assert turns.start * 1e-9 + turns.seconds < 22.0
+    (back,) = find_turns(ramp(-40 * DEG, 2.0, 20.0, 2.0, 0.01))
+    assert back.angle == pytest.approx(-4 * np.pi)
+
+
+def test_less_than_a_turn_is_none() -> None:
+    assert find_turns(ramp(40 * DEG, 2.0, 8.9, 2.0, 0.01)) == []
+
+
+@pytest.mark.parametrize('jitter', [0.0005, 0.002, 0.004])
+def test_turns_are_found_under_jitter_of_the_stamps(jitter: float) -> None:
+    exact = ramp(30 * DEG, 2.0, 23.0, 2.0, 0.01)
+    noise = np.random.default_rng(1).normal(0, jitter, len(exact.stamp)).clip(-0.0045, 0.0045)
+    (turns,) = find_turns(replace(exact, stamp=exact.stamp + seconds(noise)))
+    # A line through the n angles of 22.5 s or so: jitter * sqrt(12 / n) / T of the rate.
+    deviation = min(jitter, 0.0032) * np.sqrt(12 / 2250) / 22.5
+    assert turns.seconds == pytest.approx(12.0, rel=5 * deviation)
+    assert turns.rate_error == pytest.approx(deviation, rel=0.3)
+
+
+def test_straddling_samples_are_shared_in_proportion() -> None:
+    # Increments 1, 2, 3, 4 over a second each; from 0.5 s to 2.25 s: 1/2 of 1, 2, 1/4 of 3.
+    found = statistics_between(samples(np.array([1.0, 2, 3, 4]), 1.0), 0.5, 2.25)
+    assert found.mean == pytest.approx(np.full(6, (0.5 + 2 + 0.75) / 1.75))
+    assert found.duration == 1.75
+    assert found.samples == 3
+
+
+# What of a rest is sound.
+
+
+def still(count: int, rng: np.random.Generator, noise: float = 0.1) -> Floats:
+    return rng.normal(0.0, noise, (count, 6)) * PULSE
+
+
+def test_settling_is_cut_as_long_as_the_data_shows_it() -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(2000) * 0.01
+    for decay in (0.3, 1.0):
+        rows = still(2000, rng)
+        rows[:, 1] += 50 * PULSE * np.exp(-time / decay) * np.cos(2 * np.pi * 3 * time)
+        sound = sound_part(samples(rows, 0.01), NO_WALK)
+        first = int(np.argmax(sound.mask))
+        # From 50 it falls below the noise of 0.1 after ln(500) = 6.2 time constants.
+        assert 3 * decay < time[first] < 7 * decay + 0.5
+        assert sound.mask[first:].all()
+        assert sound.knock is None
+        assert sound.notes == ()
+
+
+def test_a_quiet_stretch_is_sound_throughout() -> None:
+    rows = still(2000, np.random.default_rng(0))
+    rows[:, 3] += np.linspace(0, 0.5, 2000) * PULSE  # a drift is no disturbance
+    sound = sound_part(samples(rows, 0.01), NO_WALK)
+    assert sound.mask.all()
+    assert sound.notes == ()
+
+
+def test_a_bump_is_cut_and_a_knock_is_told_from_it() -> None:
+    rows = still(2000, np.random.default_rng(0))
+    rows[1000:1010, 0] += 20 * PULSE
+    knocked = sound_part(samples(rows, 0.01), NO_WALK)
+    assert knocked.knock is not None
+    assert (knocked.knock.start, knocked.knock.stop) == (1000, 1050)
+    assert knocked.knock.angle == pytest.approx(200 * PULSE, rel=0.05)
+    rows[1020:1030, 0] -= 20 * PULSE
+    bumped = sound_part(samples(rows, 0.01), NO_WALK)
+    assert bumped.knock is None
+    assert np.flatnonzero(~bumped.mask).tolist() == list(range(1000, 1050))
+    assert bumped.notes == ('disturbed 10.0 s after it came to rest; 0.5 s left out',)
+
+
+def test_saturated_samples_are_cut_with_their_half_second() -> None:
+    rows = still(2000, np.random.default_rng(0))
+    spoilt = np.zeros(2000, dtype=bool)
+    spoilt[1010:1030] = True
+    sound = sound_part(samples(rows, 0.01), NO_WALK, spoilt)
+    assert np.flatnonzero(~sound.mask).tolist() == list(range(1000, 1050))
+
+
+def test_an_adc_that_wavers_between_two_codes_is_no_disturbance() -> None:
+    rows = np.zeros((2000, 6))
+    rows[800::37] = PULSE
+    assert sound_part(samples(rows, 0.01, grid=PULSE), NO_WALK).mask.all()
+
+
+def blocks(means: list[float], middles: list[float], gain: float = 0.1) -> Statistics:
+    """Statistics whose blocks of all channels have these means."""
+    row = np.array([[m, gain, 0.0, t] for m, t in zip(means, middles, strict=True)])
+    zeros = np.zeros(6)
+    return Statistics(1, 0, 1.0, zeros, zeros, zeros, zeros, (row,) * 6, zeros, zeros)
+
+
+MIDDLES = [5.0, 15, 25, 35, 45, 55, 65, 75]
+
+
+def test_a_step_lies_in_the_two_blocks_beside_the_cut() -> None:
+    found = find_step(blocks([0, 1, 0, 1, 0, 100, 101, 100], MIDDLES), np.ones(6))
+    assert found is not None
+    between, words = found
+    assert between == (40.0, 60.0)
+    assert words.startswith('the mean of gx steps by')
+
+
+@pytest.mark.parametrize(
+    'means',
+    [
+        [0, 1, 0, 1, 0, 1, 0, 1],  # scatter
+        [0, 10, 20, 30, 40, 50, 60, 70],  # drift
+        [0, 1, 0, 100, 0, 1, 0, 1],  # one that stands out is no step
+    ],
+)
+def test_scatter_and_drift_are_no_step(means: list[float]) -> None:
+    assert find_step(blocks(means, MIDDLES), np.ones(6)) is None
+
+
+def test_short_blocks_after_a_gap_are_no_step() -> None:
+    # A block's mean of a counter errs by up to a pulse over its length: 0.5 s against 10 s.
+    rng = np.random.default_rng(4)
+    rows = np.diff(np.floor(np.cumsum(np.full(2000, 9.7) + rng.normal(0, 0.02, 2000))), prepend=0)
+    whole = samples(np.maximum(rows, 0.0) * PULSE, 0.01, quantum=PULSE)
+    kept = np.ones(2000, dtype=bool)
+    kept[120:300] = kept[301:310] = False
+    walk = np.full(6, 0.2 * PULSE)
+    statistics = statistics_at_rest(whole.at(kept), walk)
+    assert statistics.missing == 2000 - kept.sum()
+    assert statistics.samples == kept.sum()
+    assert find_step(statistics, walk) is None
+    # The run of a single sample has no block of its own.
+    assert all(len(b) and np.isfinite(b).all() for b in statistics.blocks)
+    # Over 1.2 s and 16.9 s a pulse is 0.83 and 0.06 per second.
+    assert statistics.mean / PULSE == pytest.approx(np.full(6, 970.0), abs=0.1)
+
+
+def test_what_an_adc_rounds_away_stays_in_the_variance() -> None:
+    rng = np.random.default_rng(2)
+    true = 0.3
+    for noise in (0.02, 1.0):
+        codes = np.rint(rng.normal(true, noise, 20000))
+        found = statistics_at_rest(samples(codes, 0.01, grid=1.0), NO_WALK)
+        error = abs(float(found.mean[0]) * 0.01 - true)
+        floor = float(np.sqrt(found.quantum[0])) * 0.01
+        if noise < 0.1:
+            assert error == pytest.approx(0.3, abs=0.001)
+            assert floor == pytest.approx(np.sqrt(1 / 12), rel=1e-3)
+        else:
+            assert error < 4.5 * noise / np.sqrt(20000)
+            assert floor < 1e-6
+
+
+# Clocks.
+
+
+def offsets(values: list[float]) -> list[ClockSample]:
+    return [ClockSample(k * 50e9, v) for k, v in enumerate(values)]
+
+
+def test_the_clocks_are_a_line() -> None:
+    fit = fit_clock(offsets([0.01 + 50e-6 * 50 * k for k in range(8)]))
+    assert fit.rate == pytest.approx(50e-6)
+    assert fit.offset == pytest.approx(0.01 + 50e-6 * 175)
+    assert fit.jumps == ()
+
+
+def test_clocks_that_jump_are_parallel_lines() -> None:
+    line = [0.01 + 50e-6 * 50 * k for k in range(8)]
+    fit = fit_clock(offsets([*line[:4], *(v + 0.2 for v in line[4:])]))
+    assert fit.rate == pytest.approx(50e-6)
+    assert fit.jumps == pytest.approx((0.2,))
+
+
+def test_a_motion_that_stands_alone_is_an_outlier() -> None:
+    line = [0.01 + 50e-6 * 50 * k for k in range(8)]
+    line[3] += 0.2
+    fit = fit_clock(offsets(line))
+    assert fit.motions == 7
+    assert fit.rate == pytest.approx(50e-6)
+
+
+@pytest.mark.parametrize(
+    ('delay', 'share'), [(0.0, 1.0), (0.8, 1.0), (-0.8, 1.0), (5.0, 0.0), (2.0, 0.5)]
+)
+def test_how_much_of_a_motion_the_gyros_saw(delay: float, share: float) -> None:
+    # 90 deg about Y in 2 s; the IMU sees it `delay` later, a second before to a second after.
+    time = np.arange(0.0, 2.001, 0.01)
+    angle = 45 * DEG * time
+    attitudes = rotation(np.array([0.0, 1.0, 0.0]), angle)
+    stamps = np.arange(-100, 301) * 0.01
+    rows = np.zeros((401, 6))
+    rows[:, 1] = np.diff(45 * DEG * np.clip(stamps - delay, 0, 2), prepend=0.0)
+    imu = Samples(seconds(10 + stamps), rows, np.zeros(6), 0.01, np.zeros(6))
+    found = seen_by_gyros(imu, seconds(10 + time), attitudes)
+    assert found is not None
+    assert found.angle == pytest.approx(share, abs=0.06)
+    assert found.time == pytest.approx(share, abs=0.06)
+    # A unit whose range ends at a third of the rate sees the motion for all of its time.
+    clipped = seen_by_gyros(replace(imu, increments=rows / 3), seconds(10 + time), attitudes)
+    assert clipped is not None
+    assert clipped.angle == pytest.approx(share / 3, abs=0.02)
+    assert clipped.time == pytest.approx(share, abs=0.06)
+
+
+# Whole sessions at the edge.
+
+PLAN = quick_plan('twelve_position', 20.0)
+TEST = PLAN.positions[0].rate_test
+assert TEST is not None
+SHORT = replace(TEST, rates=(30 * DEG, -30 * DEG, 60 * DEG, -60 * DEG))
+PLAN = replace(
+    PLAN,
+    positions=tuple(replace(p, rate_test=SHORT if p.rate_test else None) for p in PLAN.positions),
+)
+
+
+def mems(noise: float) -> ImuSpec:
+    """A unit of ADC codes whose noise is a multiple of its data sheet's."""
+    spec = load_imu('mems_counts')
+    return replace(
+        spec,
+        gyro=replace(spec.gyro, random_walk=noise * spec.gyro.random_walk),
+        accel=replace(spec.accel, random_walk=noise * spec.accel.random_walk),
+    )
+
+
+def si() -> ImuSpec:
+    """The paper's unit behind a driver that publishes SI: noise, no pulses."""
+    spec = paper_imu()
+    return replace(
+        load_imu('si'),
+        gyro=replace(spec.gyro, scale_factor=1.0),
+        accel=replace(spec.accel, scale_factor=1.0),
+    )
+
+
+def normalised(result: Result) -> Floats:
+    errors = result.calibration.model.vector() - truth().model.vector()
+    return np.asarray(errors / result.calibration.std)
+
+
+@pytest.mark.parametrize(
+    ('options', 'spec', 'scale_ppm', 'bias_deg_h'),
+    [
+        ({'joint_state_rate': 1.0}, None, 60, 0.5),
+        ({'joint_state_rate': 7.0, 'wrapped': True}, None, 20, 0.5),
+        ({'wrapped': True}, None, 6, 0.5),
+        ({'encoder_resolution': 0.01 * DEG}, None, 6, 0.5),
+        ({'sample_rate': 4000.0}, None, 6, 0.5),
+        ({'sample_rate': 10.0}, None, 6, 0.5),
+        ({'imu_stamp_jitter': 0.002, 'joint_stamp_jitter': 0.002}, None, 20, 0.5),
+        ({'lead': 1000.0}, None, 6, 0.5),
+        ({'servo_error': 0.002 * DEG}, None, 6, 0.5),
+        ({'vibration': Vibration(0.005, 0.05, 3.0, 3.0)}, None, 10, 0.5),
+        ({}, si(), 6, 0.5),
+        ({}, mems(1.0), 30, 2.0),
+        # Less noise than an ADC's step of 220 deg/h: the mean keeps a part of a step.
+        ({}, mems(0.01), 300, 30.0),
+    ],
+)
+def test_what_tables_and_units_send(
+    options: dict[str, Any], spec: ImuSpec | None, scale_ppm: float, bias_deg_h: float
+) -> None:
+    result = calibrate(
+        session(PLAN, stand(azimuth=0.3, **options), seed=1, spec=spec), PLAN, spec=spec
+    )
+    assert len(result.labelled.segments) == 12
+    assert len(result.labelled.turns) == 12
+    assert np.abs(normalised(result)).max() < 4.5
+    assert result.calibration.std[:3].max() < scale_ppm * PPM
+    assert result.calibration.std[9:12].max() < bias_deg_h * DEG_H
+
+
+def test_si_units_need_no_noise_figures() -> None:
+    result = calibrate(
+        session(PLAN, stand(azimuth=0.3), seed=1, spec=si()), PLAN, spec=load_imu('si')
+    )
+    assert np.abs(normalised(result)).max() < 4.5
+    assert result.calibration.std[9:12].max() < 0.5 * DEG_H
+
+
+def test_clocks_that_are_not_compared_are_no_secret() -> None:
+    options = stand(azimuth=0.3, joint_state_rate=1.0, clock_rate_error=100e-6)
+    result = calibrate(session(PLAN, options, seed=1), PLAN)
+    assert np.abs(normalised(result)[:9]).max() < 4.5
+    assert any('known to 50 ppm only' in finding for finding in result.calibration.findings)
+
+
+def test_turns_that_leave_their_line_widen_what_rests_on_them() -> None:
+    # Nobody stated that the range ends just below the fastest turn.
+    narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=59.99 * DEG))
+    blocks = session(PLAN, stand(azimuth=0.3), seed=1, spec=narrow)
+    result = calibrate(blocks, PLAN, spec=paper_imu())
+    assert any('Between turns the gyros scatter' in f for f in result.calibration.findings)
+    assert result.calibration.std[:3].max() > 20 * PPM
+    assert result.calibration.std[9:12].max() < 0.5 * DEG_H
+
+
+def without_7() -> Plan:
+    return replace(PLAN, positions=tuple(p for p in PLAN.positions if p.id != '7'))
+
+
+def test_the_imu_alone_does_not_guess_which_of_two_positions_is_missing() -> None:
+    kept = [
+        b
+        for b in session(without_7(), stand(azimuth=0.3), seed=2)
+        if not isinstance(b[1], (SetpointBlock, JointBlock))
+    ]
+    sentence = 'only some of positions 7, 8 were found, and the IMU alone cannot tell which'
+    with pytest.raises(NotObservable, match=sentence):
+        calibrate(kept, PLAN, imu_only=True)
+
+
+def test_joint_states_tell_which_position_is_missing() -> None:
+    kept = [
+        b
+        for b in session(without_7(), stand(azimuth=0.3), seed=2)
+        if not isinstance(b[1], SetpointBlock)
+    ]
+    result = calibrate(kept, PLAN)
+    assert 'Missing from the recording: position 7.' in result.calibration.findings
+    assert np.abs(normalised(result)).max() < 4.5
+
+
+def test_a_table_without_joint_states_is_named() -> None:
+    kept = [b for b in session(PLAN, stand(), seed=2) if not isinstance(b[1], JointBlock)]
+    with pytest.raises(NotObservable, match='There are no joint states of table three_axis'):
+        calibrate(kept, PLAN, table=load_table('three_axis'))
