@@ -98,4 +98,5 @@ def _show_segments(session: Segmented, setup: Setup) -> None:
     missing = [p.id for p in setup.plan.positions if p.dwell > 0 and p.id not in found]
     text = f'missing of plan {setup.plan.name}: {", ".join(missing)}' if missing else 'complete'
     OUTPUT.print(f'plan {setup.plan.name}: {text}')
-    sentence_list('Left out', [f'{r.position or "?"}: {r.reason}' for r in labelled.rejected])
+    left_out = [f'{r.position or "?"}: {r.reason}' for r in labelled.rejected]
+    sentence_list('Left out', [*left_out, *labelled.notes])
