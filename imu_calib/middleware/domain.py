@@ -10,7 +10,6 @@ LAST_DOMAIN = 232
 """The ports of a higher one do not exist (RTPS: 7400 + 250 * domain)."""
 
 _REACHES = ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT')
-_NO_MULTICAST = '<General><AllowMulticast>false</AllowMulticast></General>'
 _LOOPBACK = 'localhost'
 
 
