@@ -1,0 +1,92 @@
+"""What a node says of itself on /diagnostics and in the log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from ..middleware import Clock, ClockType, Node, messages
+
+_PERIOD = 1.0
+
+
+class Level(IntEnum):
+    """As in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True)
+class _Report:
+    level: Level
+    text: str
+    figures: dict[str, str] = field(default_factory=dict)
+
+
+class Diagnostics:
+    """Publishes the last report of each part of a node every second, and at once what changes.
+
+    Args:
+        node: Whose.
+        hardware_id: What it deals with, for instance the IMU's id.
+
+    """
+
+    def __init__(self, node: Node, hardware_id: str) -> None:
+        self._node = node
+        self.hardware_id = hardware_id
+        self._reports: dict[str, _Report] = {}
+        self._publisher = node.create_publisher(messages.DiagnosticArray, '/diagnostics', 10)
+        # On the steady clock: a simulation that stands still is worth a word.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(_PERIOD, self.publish, clock=steady)
+
+    def report(self, part: str, level: Level, text: str, **figures: str) -> None:
+        """Replace what is said of a part of the node.
+
+        Args:
+            part: For instance 'stream' or 'table'.
+            level: How bad it is.
+            text: One sentence for a person.
+            **figures: Values with their units, by name.
+
+        """
+        before = self._reports.get(part)
+        self._reports[part] = _Report(level, text, figures)
+        if before is not None and (before.level, before.text) == (level, text):
+            return
+        logger = self._node.get_logger()
+        # One line of code each: ROS fixes the severity of a line at its first call.
+        if level >= Level.ERROR:
+            logger.error(text)
+        elif level == Level.WARN:
+            logger.warning(text)
+        else:
+            logger.info(text)
+        if before is None or before.level != level:
+            self.publish()
+
+    def publish(self) -> None:
+        """Publish all reports."""
+        array = messages.DiagnosticArray()
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        name = self._node.get_fully_qualified_name()[1:]
+        array.status = [
+            messages.DiagnosticStatus(
+                level=bytes([report.level]),
+                name=f'{name}: {part}',
+                message=report.text,
+                hardware_id=self.hardware_id,
+                values=[messages.KeyValue(key=k, value=v) for k, v in report.figures.items()],
+            )
+            for part, report in self._reports.items()
+        ]
+        self._publisher.publish(array)
+
+    @property
+    def publisher(self) -> object:
+        """The publisher, for those who wait until the last word was heard."""
+        return self._publisher

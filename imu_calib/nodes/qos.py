@@ -1,0 +1,21 @@
+"""The quality of service of the suite's topics; each call makes a profile of its own."""
+
+from __future__ import annotations
+
+from ..middleware import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+
+def stream(*, reliable: bool = True) -> QoSProfile:
+    """Return the profile of sample streams: keep all on both ends loses nothing."""
+    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    return QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=reliability)
+
+
+def command() -> QoSProfile:
+    """Return the profile of setpoints: the last counts, and a table that starts late gets none."""
+    return QoSProfile(depth=1)
+
+
+def latched() -> QoSProfile:
+    """Return the profile of states and results: late subscribers get the last one."""
+    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
