@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +16,12 @@ from .imu import ImuSpec
 from .methods import method
 from .methods.evidence import Evidence, noise
 from .methods.solution import Solution
+from .model import PARAMETERS
 from .plan import Plan
+from .progress import unsupported_steps
 from .segmentation.labelling import Labelled, label
 from .segmentation.segmenter import Segmented, Segmenter
-from .stream import Block
+from .stream import Block, Floats
 from .turntable import Table
 from .units import DEG
 
@@ -66,6 +69,26 @@ class Result:
     labelled: Labelled
 
 
+@dataclass(frozen=True, eq=False)
+class Review:
+    """How far a session has come.
+
+    Attributes:
+        session: What the streams contain.
+        std: (24,) standard deviations reached, SI units; NaN for what is not determined.
+        unsupported: Steps of the plan seen so far that left too little.
+        result: The calibration, where the data determines all of it.
+        refusal: Why there is none, else empty.
+
+    """
+
+    session: Segmented
+    std: Floats
+    unsupported: tuple[int, ...]
+    result: Result | None
+    refusal: str
+
+
 class Calibrator:
     """Takes blocks in as they come and solves when asked.
 
@@ -99,12 +122,44 @@ class Calibrator:
             NotObservable: The data cannot give all parameters; says which and why.
 
         """
-        setup = self._setup
+        return self._solve(self._segmenter.finish())
+
+    def snapshot(self) -> Calibrator:
+        """Return a calibrator with all that came in so far; this one goes on by itself.
+
+        What the snapshot finishes with is what a session that ended here would give.
+        """
+        return copy.deepcopy(self)
+
+    def review(self) -> Review:
+        """End of the session, or of a snapshot: solve, or say how far it has come.
+
+        Raises:
+            InputError: The data is not what the set-up says it is.
+
+        """
         session = self._segmenter.finish()
-        labelled = label(session, setup.plan, setup.table)
-        if not labelled.segments:
-            raise NotObservable(_nothing_found(session, labelled, setup))
-        evidence = Evidence(
+        labelled = label(session, self._setup.plan, self._setup.table)
+        unsupported = unsupported_steps(session, labelled, self._setup.plan, self._setup.table)
+        try:
+            result = self._solve(session)
+        except NotObservable as error:
+            std = self._reached(labelled, session)
+            return Review(session, std, unsupported, None, str(error))
+        return Review(session, result.solution.std, unsupported, result, '')
+
+    def _reached(self, labelled: Labelled, session: Segmented) -> Floats:
+        """Return the standard deviations of what is determined already, NaN for the rest."""
+        from .methods.information import reached
+
+        try:
+            return reached(self._evidence(labelled, session))
+        except NotObservable:
+            return np.full(len(PARAMETERS), np.nan)
+
+    def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
+        setup = self._setup
+        return Evidence(
             labelled.segments,
             labelled.turns,
             setup.plan,
@@ -114,6 +169,13 @@ class Calibrator:
             noise(labelled.segments, setup.imu),
             setup.table.positioning if setup.table is not None else 0.0,
         )
+
+    def _solve(self, session: Segmented) -> Result:
+        setup = self._setup
+        labelled = label(session, setup.plan, setup.table)
+        if not labelled.segments:
+            raise NotObservable(_nothing_found(session, labelled, setup))
+        evidence = self._evidence(labelled, session)
         try:
             solution = self._solver(evidence)
         except NotObservable as error:

@@ -1,11 +1,13 @@
 """Recordings of rosbag2, in and out: storage only, the bytes of the messages go to `cdr`."""
 
 from .definitions import definition
+from .journal import Journal
 from .recording import Recording, open_recording
 from .storage import RecordingError, Topic
 from .writer import RecordingWriter
 
 __all__ = [
+    'Journal',
     'Recording',
     'RecordingError',
     'RecordingWriter',

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from dataclasses import dataclass, field
@@ -68,14 +69,14 @@ class McapWriter:
         self._compression = compression
         self._chunk_bytes = chunk_bytes
         self._chunk_ns = chunk_ns
-        self._file = path.open('xb')
+        # Unbuffered: what a full disk refuses is known at once, and is written again later.
+        self._file = path.open('xb', buffering=0)
         self._chunk = _Open()
         self._schemas: dict[str, bytes] = {}
         self._channels: list[bytes] = []
         self._chunk_index: list[bytes] = []
         self._metadata_index: list[bytes] = []
-        self._file.write(MAGIC + record(Op.HEADER, string('ros2') + string('imu_calib')))
-        self._file.flush()
+        self._put(MAGIC + record(Op.HEADER, string('ros2') + string('imu_calib')))
         self.counts: dict[int, int] = {}
         self.start_ns = 2**63 - 1
         self.end_ns = 0
@@ -100,23 +101,35 @@ class McapWriter:
         """Write a metadata record at once."""
         content = record(Op.METADATA, string(name) + strings(pairs))
         place = struct.pack('<QQ', self._file.tell(), len(content)) + string(name)
+        self._put(content)
         self._metadata_index.append(record(Op.METADATA_INDEX, place))
-        self._file.write(content)
-        self._file.flush()
 
     def write(self, channel: int, messages: Messages, log_time: Indices) -> None:
-        """Append messages, closing chunks as they fill."""
+        """Append messages, closing chunks as they fill.
+
+        Raises:
+            OSError: The disk takes no more; the messages are held, and `flush` tries again.
+
+        """
         start = 0
+        trouble: OSError | None = None
         ends = np.cumsum(messages.size + _HEAD)
         while start < len(messages):
             done = int(ends[start - 1]) if start else 0
             room = max(self._chunk_bytes - self._chunk.size, 1)
             stop = max(int(np.searchsorted(ends, done + room, 'right')), start + 1)
+            if trouble is not None:
+                stop = len(messages)
             some = slice(start, stop)
             self._append(channel, messages.select(some), log_time[some])
-            if stop < len(messages) or self._is_full():
-                self.flush()
+            if trouble is None and (stop < len(messages) or self._is_full()):
+                try:
+                    self.flush()
+                except OSError as error:
+                    trouble = error
             start = stop
+        if trouble is not None:
+            raise trouble
 
     def _is_full(self) -> bool:
         span = self._chunk.end_ns - self._chunk.start_ns
@@ -154,9 +167,8 @@ class McapWriter:
         place = times + struct.pack('<QQI', start, len(chunk_record), len(offsets)) + offsets
         place += struct.pack('<Q', len(indexes)) + string(self._compression)
         place += struct.pack('<QQ', len(packed), len(content))
+        self._put(chunk_record + indexes)
         self._chunk_index.append(record(Op.CHUNK_INDEX, place))
-        self._file.write(chunk_record + indexes)
-        self._file.flush()
         self.start_ns = min(self.start_ns, chunk.start_ns)
         self.end_ns = max(self.end_ns, chunk.end_ns)
         self._chunk = _Open()
@@ -164,12 +176,29 @@ class McapWriter:
     def close(self) -> None:
         """Write the summary and the footer, and close the file."""
         self.flush()
-        self._file.write(b''.join(self._chunk.parts))
-        self._file.write(record(Op.DATA_END, struct.pack('<I', 0)))
+        self._put(b''.join(self._chunk.parts))
+        self._put(record(Op.DATA_END, struct.pack('<I', 0)))
         summary = self._summary(self._file.tell())
         crc = zlib.crc32(summary[:-12])
-        self._file.write(summary[:-12] + struct.pack('<I', crc) + MAGIC)
+        self._put(summary[:-12] + struct.pack('<I', crc) + MAGIC)
         self._file.close()
+
+    @property
+    def held(self) -> int:
+        """Bytes that wait for their chunk to be closed."""
+        return self._chunk.size
+
+    def _put(self, content: bytes) -> None:
+        """Write all of it or none of it."""
+        start = self._file.tell()
+        left = memoryview(content)
+        try:
+            while left:
+                left = left[self._file.write(left) or 0 :]
+        except OSError:
+            os.ftruncate(self._file.fileno(), start)
+            self._file.seek(start)
+            raise
 
     def _summary(self, start: int) -> bytes:
         """Build everything from the summary section to the end of the file, the CRC still zero."""

@@ -115,34 +115,52 @@ def dump(value: Any) -> str:
     return yaml.safe_dump(value, sort_keys=False, default_flow_style=False)
 
 
+@dataclass(frozen=True)
+class FileSpan:
+    """One storage file: its name, its first and last log time in ns, how many messages it holds."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    count: int
+
+    def entry(self) -> dict[str, Any]:
+        """Return the file's entry in the metadata."""
+        return {
+            'path': self.name,
+            'starting_time': {'nanoseconds_since_epoch': self.start_ns},
+            'duration': {'nanoseconds': self.end_ns - self.start_ns},
+            'message_count': self.count,
+        }
+
+
 def information(
-    file: str,
+    files: Sequence[FileSpan],
     topics: Sequence[Topic],
     profiles: Mapping[str, dict[str, Any]],
-    span: tuple[int, int],
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Build the metadata of a recording in one mcap file, as ROS 2 Jazzy writes it.
+    """Build the metadata of a recording in mcap files, as ROS 2 Jazzy writes it.
 
     Args:
-        file: Name of the storage file.
+        files: The storage files, in order.
         topics: Topics with their counts.
         profiles: Offered QoS by topic name.
-        span: First and last log time, ns.
         custom_data: The user's own entries.
 
     Returns:
         The content below `rosbag2_bagfile_information`.
 
     """
-    start, duration = {'nanoseconds_since_epoch': span[0]}, {'nanoseconds': span[1] - span[0]}
-    count = sum(topic.count or 0 for topic in topics)
+    filled = [file for file in files if file.count]
+    start = min((file.start_ns for file in filled), default=0)
+    end = max((file.end_ns for file in filled), default=0)
     return {
         'version': VERSION,
         'storage_identifier': 'mcap',
-        'duration': duration,
-        'starting_time': start,
-        'message_count': count,
+        'duration': {'nanoseconds': end - start},
+        'starting_time': {'nanoseconds_since_epoch': start},
+        'message_count': sum(topic.count or 0 for topic in topics),
         'topics_with_message_count': [
             {
                 'topic_metadata': {
@@ -158,15 +176,8 @@ def information(
         ],
         'compression_format': '',
         'compression_mode': '',
-        'relative_file_paths': [file],
-        'files': [
-            {
-                'path': file,
-                'starting_time': dict(start),
-                'duration': dict(duration),
-                'message_count': count,
-            }
-        ],
+        'relative_file_paths': [file.name for file in files],
+        'files': [file.entry() for file in files],
         'custom_data': dict(custom_data) or None,
         'ros_distro': 'jazzy',
     }

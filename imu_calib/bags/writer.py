@@ -1,8 +1,9 @@
-"""Writes recordings that rosbag2, rosbags and this suite read."""
+"""Writes recordings that rosbag2, rosbags and this suite read, and goes on with unfinished ones."""
 
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,9 @@ import numpy as np
 from . import metadata
 from .codec import compressor
 from .definitions import definition
+from .files import Scratch, find_files, open_storage
 from .mcap_writer import McapWriter
-from .storage import RecordingError, Topic
+from .storage import Cache, Losses, RecordingError, Storage, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -28,7 +30,7 @@ _RECORD = 'imu_calib'
 
 
 class RecordingWriter:
-    """A recording that is being written: a folder with one mcap file and metadata.yaml.
+    """A recording that is being written: a folder with mcap files and metadata.yaml.
 
     Messages are held back until a chunk of them is full, until it spans five seconds of log time,
     or until `flush`; from then on a killed program does not lose them.
@@ -38,9 +40,12 @@ class RecordingWriter:
         custom_data: Entries for the metadata, for instance plan and IMU.
         compression: '', 'lz4' or 'zstd', applied chunk by chunk.
         chunk_bytes: Size at which a chunk is closed.
+        resume: Go on with the recording that is there: another file beside its files, which stay
+            as they are.
 
     Raises:
-        InputError: The folder exists already or cannot be made, or the compression is unknown.
+        InputError: The folder exists already or cannot be made, the compression is unknown, or
+            what is to be gone on with cannot be read.
 
     """
 
@@ -50,19 +55,28 @@ class RecordingWriter:
         custom_data: Mapping[str, str] | None = None,
         compression: str = '',
         chunk_bytes: int = CHUNK_BYTES,
+        *,
+        resume: bool = False,
     ) -> None:
         self.path = Path(path).expanduser()
         self._custom_data = dict(custom_data or {})
+        self._former: list[_Former] = []
         self._topics: dict[str, tuple[int, str]] = {}
         self._profiles: dict[str, dict[str, Any]] = {}
         self._open = True
         pack = compressor(compression)
-        if self.path.exists():
+        if resume:
+            self._former = _former_files(self.path)
+        elif self.path.exists():
             raise RecordingError(f'{self.path} exists already; recordings are not overwritten.')
         with _in_words(self.path):
-            self.path.mkdir(parents=True)
-            file = self.path / f'{self.path.name}_0.mcap'
-            self._file = McapWriter(file, compression, pack, chunk_bytes, CHUNK_NS)
+            self.path.mkdir(parents=True, exist_ok=resume)
+            self._name = _free_name(self.path)
+            self._file = McapWriter(
+                self.path / self._name, compression, pack, chunk_bytes, CHUNK_NS
+            )
+            # Until `close` the metadata would leave the new file out.
+            (self.path / metadata.NAME).unlink(missing_ok=True)
         if self._custom_data:
             # At the start, so that it is there even if the program is killed.
             self._file.add_metadata(_RECORD, self._custom_data)
@@ -137,31 +151,81 @@ class RecordingWriter:
         with _in_words(self.path):
             self._file.flush()
 
+    @property
+    def held(self) -> int:
+        """Bytes that are in memory alone."""
+        return self._file.held
+
     def close(self) -> None:
         """Finish the file and write metadata.yaml."""
         if not self._open:
             return
-        self._open = False
         with _in_words(self.path):
             self._finish()
+        self._open = False
 
     def _finish(self) -> None:
         self._file.flush()
-        topics = [
-            Topic(name, kind, self._file.counts[channel])
+        counts = {
+            name: Topic(name, kind, self._file.counts[channel])
             for name, (channel, kind) in self._topics.items()
-        ]
-        span = (self._file.start_ns, self._file.end_ns)
+        }
+        own = sum(self._file.counts.values())
+        span = (self._file.start_ns, self._file.end_ns) if own else (0, 0)
+        files = [former.span for former in self._former]
+        files.append(metadata.FileSpan(self._name, *span, own))
+        for topic in (topic for former in self._former for topic in former.topics):
+            counts[topic.name] = counts[topic.name].merged(topic) if topic.name in counts else topic
+            self._profiles.setdefault(topic.name, metadata.qos_profile())
         content = metadata.information(
-            f'{self.path.name}_0.mcap',
-            topics,
-            self._profiles,
-            span if span[0] <= span[1] else (0, 0),
-            self._custom_data,
+            files, [counts[name] for name in sorted(counts)], self._profiles, self._custom_data
         )
         self._file.add_metadata('rosbag2', {'serialized_metadata': metadata.dump(content)})
         self._file.close()
         metadata.write_metadata(self.path, content)
+
+
+@dataclass(frozen=True)
+class _Former:
+    """A file of the recording that is gone on with."""
+
+    span: metadata.FileSpan
+    topics: tuple[Topic, ...]
+
+
+def _former_files(path: Path) -> list[_Former]:
+    """Count what the files of a recording hold, the damaged ones too."""
+    losses, scratch = Losses(), Scratch()
+    try:
+        found = find_files(path, losses)
+        return [_counted(open_storage(p, scratch, losses)) for p in found.paths]
+    except OSError as error:
+        raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
+    finally:
+        scratch.remove()
+
+
+def _counted(storage: Storage) -> _Former:
+    names = frozenset(storage.topics)
+    topics, starts = [], []
+    for name, cursor in storage.cursors(names, Cache(CHUNK_BYTES)).items():
+        count = 0
+        for stretch in cursor:
+            count += len(stretch.messages)
+            starts.append(stretch.log_ns)
+        topics.append(Topic(name, storage.topics[name].type, count))
+    start = min(starts, default=0) if storage.start_ns is None else storage.start_ns
+    end = max(starts, default=0) if storage.end_ns is None else storage.end_ns
+    held = sum(topic.count or 0 for topic in topics)
+    return _Former(metadata.FileSpan(storage.path.name, start, end, held), tuple(topics))
+
+
+def _free_name(path: Path) -> str:
+    """Return the name of the recording's next file."""
+    number = 0
+    while (path / f'{path.name}_{number}.mcap').exists():
+        number += 1
+    return f'{path.name}_{number}.mcap'
 
 
 @contextmanager

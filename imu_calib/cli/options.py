@@ -51,18 +51,6 @@ def add_session_options(parser: argparse.ArgumentParser) -> None:
     add_site_options(parser)
 
 
-def describe(plan: str, imu: str, table: str, site: Site) -> dict[str, str]:
-    """Return what a recording is to say of itself: full texts, so that it needs no other file."""
-    return {
-        'imu_calib.plan': named_file('plans', plan).read_text(encoding='utf-8'),
-        'imu_calib.imu': named_file('imus', imu).read_text(encoding='utf-8'),
-        'imu_calib.table': named_file('tables', table).read_text(encoding='utf-8'),
-        'imu_calib.latitude_deg': repr(site.latitude / DEG),
-        'imu_calib.gravity': repr(site.gravity),
-        'imu_calib.gravity_source': site.gravity_source,
-    }
-
-
 @dataclass(frozen=True)
 class Streams:
     """Names of the topics to read; None where the recording has none."""

@@ -14,6 +14,7 @@ from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, e
 from ..earth import Site
 from ..imu import load_imu
 from ..plan import load_plan
+from ..session import describe
 from ..share import named_file
 from ..simulation import SimulatedStand, StandOptions
 from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, Stamps
@@ -83,7 +84,7 @@ def run(arguments: argparse.Namespace) -> None:
         ),
         arguments.seed,
     )
-    data = options.describe(arguments.plan, arguments.imu, arguments.table, site)
+    data = describe(arguments.plan, arguments.imu, arguments.table, site)
     target = Path(arguments.output)
     with (
         RecordingWriter(target, data, arguments.compression) as writer,

@@ -1,0 +1,148 @@
+"""The journal of a live session: a recording that survives the program that writes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..cdr import Messages
+from ..errors import InputError
+from .recording import Recording, open_recording
+from .storage import RecordingError
+from .writer import RecordingWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from ..cdr import Kind
+    from ..stream import Block
+
+FINISHED = 'imu_calib.finished'
+"""Entry of a journal whose session came to its end."""
+
+_HELD = 512 << 20
+
+
+class Journal:
+    """Writes what comes in, as it comes in, and reads it back after a crash.
+
+    Args:
+        path: Folder; one that holds an unfinished session is gone on with.
+        description: What the recording is to say of itself (plan, IMU, table, site).
+        topics: What each topic carries that the session is calibrated from.
+
+    Raises:
+        InputError: The folder holds something else: a finished session, one of another plan, IMU,
+            table or site, or no recording.
+
+    """
+
+    def __init__(
+        self, path: Path, description: Mapping[str, str], topics: Mapping[str, Kind]
+    ) -> None:
+        self.path = path
+        self.losses: list[str] = []
+        self._topics = dict(topics)
+        self._last: dict[str, int] = {}
+        resumed = path.is_dir() and any(path.iterdir())
+        # Opened before the writer adds its file, so that only what was left is read.
+        self._former = _unfinished(path, description) if resumed else None
+        self._writer = RecordingWriter(path, description, resume=resumed)
+        for topic, kind in topics.items():
+            self._writer.add_topic(topic, kind.type_name)
+
+    @property
+    def resumed(self) -> bool:
+        """Whether there is something to `replay`."""
+        return self._former is not None
+
+    def replay(self) -> Iterator[Block]:
+        """Yield what the session before the crash left, to be read before the first `write`."""
+        if self._former is None:
+            return
+        with self._former as recording:
+            filled = {t.name for t in recording.topics if t.count != 0}
+            topics = {name: kind for name, kind in self._topics.items() if name in filled}
+            if topics:
+                yield from (block for _, block in recording.read(topics))
+            self.losses = recording.losses
+
+    def write(self, topic: str, type_name: str, payloads: Sequence[bytes], now: int) -> Messages:
+        """Append serialised messages of a topic.
+
+        Args:
+            topic: Full name.
+            type_name: Message type.
+            payloads: At least one message.
+            now: When they came in, ns; no message is logged before its predecessor.
+
+        Returns:
+            The messages in one buffer.
+
+        Raises:
+            InputError: The disk takes no more. The messages are held in memory, and the next
+                `flush` tries again.
+
+        """
+        messages = Messages.join(payloads)
+        first = max(now, self._last.get(topic, 0) + 1)
+        log_time = first + np.arange(len(messages), dtype=np.int64)
+        self._last[topic] = int(log_time[-1])
+        self._writer.write(topic, type_name, messages, log_time)
+        return messages
+
+    def add_latched_topic(self, topic: str, type_name: str) -> None:
+        """Describe a topic whose last message late subscribers get."""
+        self._writer.add_topic(topic, type_name, transient_local=True)
+
+    def flush(self) -> None:
+        """Bring everything to where a killed program does not lose it.
+
+        Raises:
+            InputError: The disk takes no more.
+
+        """
+        self._writer.flush()
+
+    @property
+    def overfull(self) -> bool:
+        """Whether more is held in memory than a machine should be asked to hold."""
+        return self._writer.held > _HELD
+
+    def close(self, *, finished: bool) -> None:
+        """Finish the file.
+
+        Args:
+            finished: Whether the session came to its end, so that nothing is to be added.
+
+        Raises:
+            InputError: The disk takes no more.
+
+        """
+        if finished:
+            self._writer.add_custom_data({FINISHED: 'true'})
+        self._writer.close()
+
+
+def _unfinished(path: Path, description: Mapping[str, str]) -> Recording | None:
+    """Open an unfinished session of the same kind; None where nothing had come in yet."""
+    try:
+        recording = open_recording(path)
+    except RecordingError:
+        # A file that holds no message names no topic either; the writer refuses anything else.
+        return None
+    held = recording.custom_data
+    if FINISHED in held:
+        raise InputError(
+            f'{path} holds a session that is finished; name another folder for the journal.'
+        )
+    for key, text in description.items():
+        if held.get(key) != text:
+            what = key.removeprefix('imu_calib.').removesuffix('_deg')
+            raise InputError(
+                f'{path} holds a session with another {what}; '
+                'name another folder for the journal, or give the same.'
+            )
+    return recording

@@ -1,0 +1,68 @@
+"""Which steps of a plan have been seen, and which of them left too little to be worth anything."""
+
+from __future__ import annotations
+
+from .plan import Plan, Step
+from .segmentation.labelling import Labelled
+from .segmentation.segment import Turn
+from .segmentation.segmenter import Segmented
+from .stream import Mode
+from .turntable import Table
+
+_ENOUGH = 0.5
+"""Share of a dwell that must be sound: less costs more than a factor 1.4 in its noise."""
+
+_SAME_RATE = 0.2
+
+
+def unsupported_steps(
+    session: Segmented, labelled: Labelled, plan: Plan, table: Table | None
+) -> tuple[int, ...]:
+    """Return the steps whose setpoints were seen and whose data is not there.
+
+    Args:
+        session: What the streams contain.
+        labelled: Its segments by name.
+        plan: What is run.
+        table: On what; without one nothing can be repeated.
+
+    Returns:
+        Indices of steps, ascending; the step that is being run is among them until it is done.
+
+    """
+    if table is None:
+        return ()
+    seen = {s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD}
+    steps = plan.steps(table)
+    rates = _rates_about_up(plan, steps)
+    lost = [
+        step.index
+        for step in steps
+        if step.index in seen and not _is_supported(step, labelled, rates.get(step.index))
+    ]
+    return tuple(lost)
+
+
+def _is_supported(step: Step, labelled: Labelled, rate: float | None) -> bool:
+    if step.mode is Mode.RATE:
+        return any(_is_turn_of(turn, step.position, rate) for turn in labelled.turns)
+    if not step.dwell:
+        return True
+    quiet = sum(
+        segment.statistics.duration
+        for segment in labelled.segments
+        if segment.position == step.position
+    )
+    return quiet >= _ENOUGH * step.dwell
+
+
+def _is_turn_of(turn: Turn, position: str, rate: float | None) -> bool:
+    if turn.position != position or rate is None:
+        return False
+    return abs(turn.rate() - rate) < _SAME_RATE * abs(rate)
+
+
+def _rates_about_up(plan: Plan, steps: tuple[Step, ...]) -> dict[int, float]:
+    """Return the signed rate about up of every RATE step: those of its position, in order."""
+    left = {p.id: list(p.rate_test.rates) for p in plan.positions if p.rate_test is not None}
+    return {step.index: left[step.position].pop(0) for step in steps if step.mode is Mode.RATE}
