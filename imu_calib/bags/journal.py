@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..cdr import Messages
 from ..errors import InputError
 from .recording import Recording, open_recording
 from .storage import RecordingError
 from .writer import RecordingWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
 
-    from ..cdr import Kind
+    from ..cdr import Kind, Messages
     from ..stream import Block
 
 FINISHED = 'imu_calib.finished'
@@ -69,29 +68,24 @@ class Journal:
                 yield from (block for _, block in recording.read(topics))
             self.losses = recording.losses
 
-    def write(self, topic: str, type_name: str, payloads: Sequence[bytes], now: int) -> Messages:
-        """Append serialised messages of a topic.
+    def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
+        """Append messages of a topic.
 
         Args:
             topic: Full name.
             type_name: Message type.
-            payloads: At least one message.
+            messages: Serialised messages, at least one.
             now: When they came in, ns; no message is logged before its predecessor.
-
-        Returns:
-            The messages in one buffer.
 
         Raises:
             InputError: The disk takes no more. The messages are held in memory, and the next
                 `flush` tries again.
 
         """
-        messages = Messages.join(payloads)
         first = max(now, self._last.get(topic, 0) + 1)
         log_time = first + np.arange(len(messages), dtype=np.int64)
         self._last[topic] = int(log_time[-1])
         self._writer.write(topic, type_name, messages, log_time)
-        return messages
 
     def add_latched_topic(self, topic: str, type_name: str) -> None:
         """Describe a topic whose last message late subscribers get."""

@@ -20,19 +20,17 @@ _UNITS = {
 }
 
 
-def calibration_message(
-    calibration: Calibration, status: int, text: str, frame_id: str, stamp: Any
-) -> Any:
+def calibration_message(calibration: Calibration, status: int, frame_id: str, stamp: Any) -> Any:
     """Return imu_calib_msgs/ImuCalibration.
 
     Args:
         calibration: The result.
         status: VALID or PROVISIONAL.
-        text: One sentence for a person.
         frame_id: The IMU's frame.
         stamp: builtin_interfaces/Time of now.
 
     """
+    text = ' '.join(calibration.findings)
     message = _empty(calibration.imu, status, text, frame_id, stamp)
     where = calibration.provenance
     message.plan = str(where['plan'])

@@ -1,0 +1,377 @@
+"""calibrator_node: listens, journals, and publishes the 24 parameters as they become known."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from .. import middleware as ros
+from ..bags import Journal
+from ..calibration import Calibration
+from ..calibrator import Setup
+from ..cdr import Kind
+from ..earth import Site
+from ..errors import InputError
+from ..imu import load_imu
+from ..middleware import messages
+from ..model import PARAMETER_NAMES
+from ..plan import load_plan
+from ..session import describe
+from ..turntable import load_table
+from ..units import DEG
+from . import qos
+from .convert import calibration_message, refusal_message
+from .diagnostics import Diagnostics, Level
+from .entry import entry_point
+from .live import LiveSession, Phase
+from .parameters import declare
+
+_TICK = 0.005
+_SECOND = 1.0
+_MOST = 4096
+_GHOST = 15.0
+_STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
+_TOPICS = {
+    Kind.SETPOINTS: ('turntable/setpoint', messages.TurntableSetpoint),
+    Kind.JOINTS: ('turntable/joint_states', messages.JointState),
+    Kind.TEMPERATURES: ('imu/temperature', messages.Temperature),
+    Kind.IMU: ('imu/pulses', messages.Imu),
+}
+
+
+class CalibratorNode(ros.Node):
+    """Feeds the `Calibrator` that `imu-calib calibrate` feeds, and says what it finds."""
+
+    def __init__(self) -> None:
+        super().__init__('calibrator_node')
+        self._setup = self._read_setup()
+        self._output = Path(
+            declare(self, 'output', 'calibration.yaml', 'file that takes the result')
+        ).expanduser()
+        self._journal_path = Path(
+            declare(self, 'journal', 'journal', 'folder of the recording; resumed if unfinished')
+        ).expanduser()
+        self._imu_timeout = declare(
+            self, 'imu_timeout', 0.5, 'longest silence of the IMU against the table, s', lower=0.01
+        )
+        steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
+        self._diagnostics = Diagnostics(self, self._setup.imu.id)
+        self._result_publisher = self.create_publisher(
+            messages.ImuCalibration, 'calibration', qos.latched()
+        )
+        self._progress_publisher = self.create_publisher(
+            messages.CalibrationProgress, 'calibration/progress', qos.latched()
+        )
+        self._drains = {kind: self._open_drain(kind, reliable=True) for kind in _TOPICS}
+        self._unreliable: set[Kind] = set()
+        self._state_topic = self.resolve_topic_name('turntable/state')
+        self._seconds_left = math.nan
+        self.create_subscription(
+            messages.TurntableState, 'turntable/state', self._on_state, qos.latched(), raw=True
+        )
+        self.create_service(ros.Trigger, '~/solve', self._on_solve)
+        self.create_service(ros.Trigger, '~/reset', self._on_reset)
+        self.create_service(ros.Trigger, '~/save', self._on_save)
+        self._sessions = 0
+        self._session = self._new_session()
+        self.create_timer(_TICK, self._on_tick, clock=steady)
+        self.create_timer(_SECOND, self._on_second, clock=steady)
+
+    def stop(self) -> list[Any]:
+        """Leave the journal such that the next start goes on with it."""
+        self._take_all()
+        self._session.close()
+        self._publish_progress()
+        return [self._progress_publisher, self._result_publisher]
+
+    def _read_setup(self) -> Setup:
+        plan = declare(self, 'plan', 'twelve_position', 'name or file of the plan that is run')
+        imu = declare(self, 'imu', 'fog_medium', "name or file: what the IMU's numbers mean")
+        table = declare(self, 'table', 'three_axis', 'name or file of the turntable')
+        latitude = declare(self, 'latitude', math.nan, 'deg, negative in the south; required')
+        height = declare(self, 'height', 0.0, 'm above the ellipsoid')
+        gravity = declare(
+            self, 'gravity', math.nan, 'local gravity as measured, m/s^2; nan: normal gravity'
+        )
+        azimuth = declare(
+            self, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
+        )
+        method = declare(self, 'method', '', "the estimator; empty: the plan's own")
+        if math.isnan(latitude):
+            raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
+        site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
+        described = load_table(table)
+        if not math.isnan(azimuth):
+            described = replace(described, azimuth=azimuth * DEG)
+        self._description = describe(plan, imu, table, site)
+        return Setup(load_imu(imu), load_plan(plan), described, site, method or None)
+
+    def _open_drain(self, kind: Kind, *, reliable: bool) -> Any:
+        topic, message = _TOPICS[kind]
+
+        def incompatible(_: Any) -> None:
+            self._unreliable.add(kind)
+
+        return ros.open_drain(
+            self,
+            message,
+            topic,
+            qos.stream(reliable=reliable),
+            event_callbacks=ros.SubscriptionEventCallbacks(incompatible_qos=incompatible),
+        )
+
+    def _new_session(self) -> LiveSession:
+        """Begin a session, or go on with the one that the journal holds."""
+        path = self._journal_path
+        if self._sessions:
+            path = path.with_name(f'{path.name}_{self._sessions + 1}')
+        self._sessions += 1
+        topics = {kind: self.resolve_topic_name(topic) for kind, (topic, _) in _TOPICS.items()}
+        journal = Journal(path, self._description, {t: kind for kind, t in topics.items()})
+        journal.add_latched_topic(self._state_topic, _STATE_TYPE)
+        self._two_since: float | None = None
+        self._shown: Calibration | None = None
+        session = LiveSession(self._setup, journal, topics)
+        held = sum(intake.count for intake in session.intakes.values())
+        text = f'goes on from {path}, which holds {held} messages' if held else f'writes {path}'
+        self._diagnostics.report('journal', Level.WARN if held else Level.OK, text)
+        return session
+
+    def _on_tick(self) -> None:
+        self._take_all()
+        if self._session.poll():
+            self._publish()
+
+    def _take_all(self) -> None:
+        now = self.get_clock().now().nanoseconds
+        for kind, subscription in self._drains.items():
+            payloads = ros.drain(subscription, _MOST)
+            if not payloads or self._session.over:
+                continue
+            if kind is Kind.IMU and self._mixed(payloads):
+                self._two_publishers()
+            else:
+                self._session.take(kind, payloads, now)
+
+    def _on_second(self) -> None:
+        self._subscribe_anew()
+        self._count_publishers()
+        self._session.flush()
+        self._session.solve()
+        self._report()
+        self._publish_progress()
+
+    def _mixed(self, payloads: list[bytes]) -> bool:
+        """Say whether a second device publishes: its samples cannot be told from the first's."""
+        if self.count_publishers(_TOPICS[Kind.IMU][0]) < 2:
+            return False
+        return self._session.backwards(Kind.IMU, payloads)
+
+    def _count_publishers(self) -> None:
+        """Refuse two publishers that stay; one that was killed is seen for ten seconds more."""
+        if self.count_publishers(_TOPICS[Kind.IMU][0]) < 2:
+            self._two_since = None
+        elif self._two_since is None:
+            self._two_since = time.monotonic()
+        elif time.monotonic() - self._two_since > _GHOST and not self._session.over:
+            self._two_publishers()
+
+    def _two_publishers(self) -> None:
+        topic = self._session.intakes[Kind.IMU].topic
+        self._session.fail(f'Two publishers on {topic}: stop one of them, then call ~/reset.')
+        self._publish()
+
+    def _subscribe_anew(self) -> None:
+        """Take what a publisher offers that does not send again what is lost, and say so."""
+        for kind in self._unreliable:
+            self.destroy_subscription(self._drains[kind])
+            self._drains[kind] = self._open_drain(kind, reliable=False)
+            topic = self._session.intakes[kind].topic
+            self._diagnostics.report(
+                'quality of service',
+                Level.WARN,
+                f'{topic} is published best effort: messages can be lost on the way',
+            )
+        self._unreliable.clear()
+
+    def _on_state(self, payload: bytes) -> None:
+        state = ros.deserialize_message(payload, messages.TurntableState)
+        self._session.record(
+            self._state_topic, _STATE_TYPE, payload, self.get_clock().now().nanoseconds
+        )
+        if state.plan and state.plan != self._setup.plan.name:
+            self._session.fail(
+                f'The table runs plan {state.plan}, this calibrator expects '
+                f'{self._setup.plan.name}.'
+            )
+            self._publish()
+            return
+        self._seconds_left = float(state.seconds_left)
+        if state.phase == messages.TurntableState.DONE:
+            stamp = state.header.stamp
+            self._session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
+        else:
+            self._session.table_running()
+
+    def _publish(self) -> None:
+        """Publish the calibration where there is news of it, and the progress."""
+        session = self._session
+        now = self.get_clock().now().to_msg()
+        if session.phase is Phase.FAILED:
+            self._result_publisher.publish(
+                refusal_message(
+                    self._setup.imu, self._setup.plan.name, session.failure, session.frame_id, now
+                )
+            )
+        elif session.calibration is not None and self._is_news(session.calibration):
+            self._shown = session.calibration
+            final = session.phase is Phase.FINISHED
+            status = messages.ImuCalibration.VALID if final else messages.ImuCalibration.PROVISIONAL
+            self._result_publisher.publish(
+                calibration_message(session.calibration, status, session.frame_id, now)
+            )
+            if final:
+                self._save()
+        self._report()
+        self._publish_progress()
+
+    def _is_news(self, calibration: Calibration) -> bool:
+        return (
+            self._shown is None
+            or self._session.phase is Phase.FINISHED
+            or calibration.provenance['samples'] != self._shown.provenance['samples']
+        )
+
+    def _publish_progress(self) -> None:
+        session = self._session
+        review = session.review
+        stamp = messages.TimeMsg(
+            sec=session.worked_until // 1_000_000_000, nanosec=session.worked_until % 1_000_000_000
+        )
+        message = messages.CalibrationProgress(
+            plan=self._setup.plan.name,
+            step=session.steps_seen,
+            steps=self._steps,
+            # A full disk stops the table: what it would do now could not be kept.
+            state=int(Phase.FAILED if session.trouble else session.phase),
+            text=self._sentence(),
+            parameter_names=list(PARAMETER_NAMES),
+            standard_deviations=[math.nan] * 24 if review is None else review.std.tolist(),
+            seconds_left=self._seconds_left,
+            repeat_steps=[] if review is None else list(review.unsupported),
+        )
+        message.header.stamp = stamp
+        self._progress_publisher.publish(message)
+
+    @property
+    def _steps(self) -> int:
+        table = self._setup.table
+        assert table is not None
+        return len(self._setup.plan.steps(table))
+
+    def _sentence(self) -> str:
+        session = self._session
+        if session.failure or session.trouble:
+            return session.failure or session.trouble
+        known = 0 if session.review is None else int((session.review.std > 0).sum())
+        imu = session.intakes[Kind.IMU]
+        words = {
+            Phase.WAITING: f'waiting for {imu.topic}',
+            Phase.COLLECTING: f'{known} of 24 parameters are determined',
+            Phase.DETERMINED: 'all 24 parameters are determined, and still improve',
+            Phase.FINISHED: 'all 24 parameters are determined',
+            Phase.FAILED: session.failure,
+        }
+        return words[session.phase]
+
+    def _report(self) -> None:
+        """Say on /diagnostics how the streams and the calibration are."""
+        session = self._session
+        self._report_imu()
+        level = Level.OK
+        if session.phase is Phase.FAILED:
+            level = Level.ERROR
+        elif session.phase is Phase.FINISHED and session.calibration is not None:
+            level = Level.WARN if session.calibration.findings else Level.OK
+        figures = {} if session.review is None else _worst(session.review.std)
+        self._diagnostics.report('calibration', level, self._sentence(), **figures)
+        if session.trouble:
+            self._diagnostics.report('journal', Level.ERROR, session.trouble)
+        elif not session.over:
+            self._diagnostics.report('journal', Level.OK, f'writes {session.journal.path}')
+
+    def _report_imu(self) -> None:
+        imu, joints = self._session.intakes[Kind.IMU], self._session.intakes[Kind.JOINTS]
+        figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
+        level, text = Level.OK, f'{imu.topic} comes in'
+        if imu.newest is None:
+            level, text = Level.WARN, f'nothing has come in on {imu.topic} yet'
+        elif joints.newest is not None and not self._session.over:
+            behind = (joints.newest - imu.newest) * 1e-9
+            figures['behind the table'] = f'{behind:.3f} s'
+            silent = time.monotonic() - imu.heard
+            if behind > self._imu_timeout and silent > self._imu_timeout:
+                level, text = Level.ERROR, f'{imu.topic} is silent while the table is not'
+        if imu.malformed.count:
+            level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
+        self._diagnostics.report('stream', level, text, **figures)
+
+    def _save(self) -> str:
+        """Write the result; return why not, or nothing."""
+        calibration = self._session.calibration
+        if calibration is None:
+            return self._sentence()
+        try:
+            calibration.save(self._output)
+        except InputError as error:
+            self._diagnostics.report('file', Level.ERROR, str(error))
+            return str(error)
+        self._diagnostics.report('file', Level.OK, f'{self._output} is written')
+        return ''
+
+    def _on_solve(self, _: Any, response: Any) -> Any:
+        """End the session with what is here."""
+        response.success = not self._session.over
+        response.message = self._sentence()
+        if response.success:
+            self._session.end()
+            response.message = 'solving; the result comes on calibration'
+        return response
+
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        """Begin a new session, with a journal of its own."""
+        self._session.close()
+        try:
+            self._session = self._new_session()
+        except InputError as error:
+            response.success, response.message = False, str(error)
+        else:
+            response.success = True
+            response.message = f'a new session is written to {self._session.journal.path}'
+        self._publish_progress()
+        return response
+
+    def _on_save(self, _: Any, response: Any) -> Any:
+        """Write what is determined so far."""
+        problem = self._save()
+        response.success, response.message = not problem, problem or f'written to {self._output}'
+        return response
+
+
+def _worst(std: Any) -> dict[str, str]:
+    return {
+        name: ('not determined' if math.isnan(value) else f'{value:.3g} (SI)')
+        for name, value in zip(PARAMETER_NAMES, std.tolist(), strict=True)
+    }
+
+
+def main() -> int:
+    """Run the node; return the exit code."""
+    return entry_point(CalibratorNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
