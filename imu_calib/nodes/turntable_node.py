@@ -1,0 +1,382 @@
+"""turntable_node: leads the table through a plan, and stops it whatever happens."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from ..cdr import Malformed, Messages, decode_joints, encode_setpoints
+from ..errors import ImuCalibError, InputError
+from ..middleware import (
+    Clock,
+    ClockType,
+    Node,
+    Time,
+    Trigger,
+    drain,
+    messages,
+    open_drain,
+    run,
+)
+from ..plan import load_plan
+from ..sequencing import Lead, Overtaken, Phase, Rules, Sequencer, State
+from ..sequencing.trajectory import Piece
+from ..stream import Setpoint, SetpointBlock
+from ..turntable import load_table
+from ..units import DEG
+from . import qos
+from .diagnostics import Diagnostics, Level
+from .parameters import declare
+
+_DRAIN_PERIOD = 0.003
+_STATE_PERIOD = 0.5
+_LAST_HOLDS = 3
+_NS = 1_000_000_000
+_LEVELS = {Phase.PAUSED: Level.WARN, Phase.ABORTED: Level.ERROR}
+
+
+class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
+    """Runs a plan on a table: see `sequencing.Sequencer` for what it does when.
+
+    Time of the table is that of its joint states: setpoints keep pace with their stamps, and with
+    the steady clock when none come.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('turntable_node')
+        plan = load_plan(declare(self, 'plan', 'twelve_position', 'Name or file of the plan.'))
+        table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
+        self._autostart = declare(self, 'autostart', False, 'Start as soon as all are there.')
+        self._watchdog = declare(
+            self,
+            'watchdog_timeout',
+            0.5,
+            'Longest wait for a joint state on the steady clock, s.',
+            lower=0.01,
+        )
+        self._calibrator_timeout = declare(
+            self,
+            'calibrator_timeout',
+            5.0,
+            'Longest silence of the calibrator on the steady clock, s.',
+            lower=0.1,
+        )
+        rate = declare(
+            self, 'setpoint_rate', 10.0, 'How often setpoints are sent, Hz.', lower=10.0, upper=1e3
+        )
+        self._period = 1 / rate
+        rules = self._declare_rules()
+        self._sequencer = Sequencer(plan, table, rules)
+        self._lead = self._declare_output()
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._malformed = Malformed()
+        self._revision = -1
+        self._sent_stamp = 0
+        self._sent_at = -math.inf
+        self._fed_at = self._heard_at = -math.inf
+        self._published: tuple[Any, ...] = ()
+        self._published_at = -math.inf
+
+        self._diagnostics = Diagnostics(self, table.name)
+        self._setpoints = self.create_publisher(
+            messages.TurntableSetpoint, 'turntable/setpoint', qos.command()
+        )
+        self._states = self.create_publisher(
+            messages.TurntableState, 'turntable/state', qos.latched()
+        )
+        self._joints = open_drain(self, messages.JointState, 'turntable/joint_states', qos.stream())
+        self.create_subscription(
+            messages.CalibrationProgress,
+            'calibration/progress',
+            self._on_progress,
+            qos.latched(),
+        )
+        self.create_subscription(messages.Bool, 'estop', self._on_estop, 10)
+        self.create_service(Trigger, '~/start', self._on_start)
+        self.create_service(Trigger, '~/pause', self._on_pause)
+        self.create_service(Trigger, '~/abort', self._on_abort)
+        self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
+        self._tell()
+
+    def stop(self) -> Sequence[Any]:
+        """Hold the table, as the last word; return the publishers that must be heard."""
+        if self._sequencer.running:
+            self._sequencer.abort('The turntable node ends.')
+        for _ in range(_LAST_HOLDS):
+            self._send(self._sequencer.hold(self._stamp()))
+        self._publish_state(self._sequencer.state())
+        outputs = [self._setpoints, self._states]
+        return outputs if self._lead is None else [*outputs, self._trajectories]
+
+    def _declare_rules(self) -> Rules:
+        default = Rules()
+        return Rules(
+            settle=declare(
+                self,
+                'settle',
+                default.settle,
+                'From the arrival to the start of the dwell, s of the joint states.',
+                lower=0.0,
+            ),
+            arrival=DEG
+            * declare(
+                self,
+                'arrival_tolerance',
+                default.arrival / DEG,
+                'A joint has arrived that stands so close to its goal, deg.',
+                lower=1e-6,
+                upper=1.0,
+            ),
+            overshoot=DEG
+            * declare(
+                self,
+                'overshoot_tolerance',
+                default.overshoot / DEG,
+                'How far a joint may pass its goal or stray from its way, deg.',
+                lower=1e-5,
+                upper=10.0,
+            ),
+            feedback_timeout=declare(
+                self,
+                'feedback_timeout',
+                default.feedback_timeout,
+                'Longest gap between the stamps of joint states, s.',
+                lower=0.001,
+            ),
+            supervised=declare(
+                self,
+                'supervised',
+                default.supervised,
+                'Whether a calibrator must be heard; it says what is to be repeated.',
+            ),
+            repeats=declare(
+                self,
+                'repeats',
+                default.repeats,
+                'How often a step is repeated at most if the calibrator asks for it.',
+                lower=0,
+            ),
+            repeat_wait=declare(
+                self,
+                'repeat_wait',
+                default.repeat_wait,
+                'How long the end of the plan waits for the calibrator, s of the joint states.',
+                lower=0.0,
+            ),
+        )
+
+    def _declare_output(self) -> Lead | None:
+        output = declare(
+            self,
+            'output',
+            'setpoint',
+            'setpoint: turntable/setpoint alone; trajectory: to a ros2_control controller too.',
+        )
+        topic = declare(
+            self,
+            'trajectory_topic',
+            'joint_trajectory_controller/joint_trajectory',
+            'Where the joint_trajectory_controller listens.',
+        )
+        if output not in {'setpoint', 'trajectory'}:
+            raise InputError(
+                f"Parameter output: found {output!r}, expected 'setpoint' or 'trajectory'."
+            )
+        if output == 'setpoint':
+            return None
+        self._trajectories = self.create_publisher(messages.JointTrajectory, topic, 10)
+        return Lead(self._sequencer.table)
+
+    def _work(self) -> None:
+        """Take what has come, go on, and send what is due."""
+        now = self._steady.now().nanoseconds * 1e-9
+        payloads = drain(self._joints)
+        if payloads:
+            self._take(payloads, now)
+        self._watch(now)
+        if self._autostart:
+            self._start_by_itself()
+        self._send_what_is_due(now)
+        self._tell()
+
+    def _take(self, payloads: list[bytes], now: float) -> None:
+        left_out = self._malformed.count
+        for block in decode_joints(Messages.join(payloads), self._malformed):
+            if self._sequencer.take(block):
+                self._fed_at = now
+        if self._malformed.count > left_out:
+            self._diagnostics.report(
+                'joint states',
+                Level.WARN,
+                f'Joint states that cannot be read: {self._malformed.reason}.',
+                count=str(self._malformed.count),
+            )
+
+    def _watch(self, now: float) -> None:
+        """Hold table and calibrator to the steady clock: stamps may stand still."""
+        silence = now - self._fed_at
+        if silence > self._watchdog and self._sequencer.feedback is not None:
+            self._sequencer.lose_feedback(
+                f'No joint state from the table for {self._watchdog:g} s.'
+            )
+        silence = now - self._heard_at
+        self._sequencer.attend(
+            silence <= self._calibrator_timeout,
+            f'The calibrator is silent for {self._calibrator_timeout:g} s.',
+        )
+
+    def _start_by_itself(self) -> None:
+        if self._sequencer.obstacle:
+            return
+        self._autostart = False
+        try:
+            self._sequencer.start()
+        except InputError as error:
+            self._diagnostics.report('start', Level.ERROR, f'The plan does not start: {error}')
+
+    def _send_what_is_due(self, now: float) -> None:
+        sequencer = self._sequencer
+        feedback = sequencer.feedback
+        news = sequencer.revision != self._revision
+        ahead = feedback is not None and feedback.stamp - self._sent_stamp >= self._period * _NS
+        if not (news or ahead or now - self._sent_at >= self._period):
+            return
+        setpoint = sequencer.setpoint(self._stamp())
+        if setpoint is None:
+            return
+        self._revision = sequencer.revision
+        self._send(setpoint)
+        self._sent_at = now
+        self._sent_stamp = setpoint.stamp if feedback is None else feedback.stamp
+
+    def _stamp(self) -> int:
+        """Return ROS time, but no time before the newest joint state: /clock may lag behind."""
+        now = int(self.get_clock().now().nanoseconds)
+        feedback = self._sequencer.feedback
+        return now if feedback is None else max(now, feedback.stamp)
+
+    def _send(self, setpoint: Setpoint) -> None:
+        """Publish a setpoint; the calibrator reads it where a trajectory moves the table, too."""
+        (payload,) = encode_setpoints(SetpointBlock((setpoint,))).payloads()
+        self._setpoints.publish(payload)
+        feedback = self._sequencer.feedback
+        if self._lead is None or feedback is None:
+            return
+        try:
+            piece = self._lead.piece(setpoint, feedback)
+        except Overtaken as error:
+            self._sequencer.fail(str(error))
+            piece = self._lead.piece(self._sequencer.hold(setpoint.stamp), feedback)
+        if piece is not None:
+            self._trajectories.publish(_trajectory(piece, setpoint.joints))
+
+    def _tell(self) -> None:
+        """Publish the state when it changes, and now and then."""
+        now = self._steady.now().nanoseconds * 1e-9
+        sequencer = self._sequencer
+        due = now - self._published_at >= _STATE_PERIOD
+        if not due and sequencer.summary == self._published:
+            return
+        self._publish_state(sequencer.state())
+
+    def _publish_state(self, state: State) -> None:
+        self._published = self._sequencer.summary
+        self._published_at = self._steady.now().nanoseconds * 1e-9
+        message = messages.TurntableState(
+            plan=state.plan,
+            step=state.step,
+            steps=state.steps,
+            position_id=state.position,
+            phase=int(state.phase),
+            reason=state.reason,
+            joint_names=list(self._sequencer.table.names),
+            positions=list(state.angles),
+            rates=list(state.rates),
+            turns_done=float(state.turns_done),
+            seconds_left=float(state.seconds_left),
+        )
+        message.header.stamp = Time(nanoseconds=self._stamp()).to_msg()
+        self._states.publish(message)
+        self._diagnostics.report(
+            'table',
+            _LEVELS.get(state.phase, Level.OK),
+            _sentence(state),
+            step=f'{state.step + 1} of {state.steps}' if state.steps else 'none',
+            seconds_left=f'{state.seconds_left:.0f} s',
+        )
+
+    def _on_progress(self, message: Any) -> None:
+        self._heard_at = self._steady.now().nanoseconds * 1e-9
+        stamp = Time.from_msg(message.header.stamp).nanoseconds
+        self._sequencer.review(stamp, [int(step) for step in message.repeat_steps])
+
+    def _on_estop(self, message: Any) -> None:
+        self._sequencer.emergency(bool(message.data))
+        if message.data:
+            self._autostart = False
+        self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
+        self._tell()
+
+    def _on_start(self, request: Any, response: Any) -> Any:  # noqa: ARG002
+        return self._answer(response, self._sequencer.start)
+
+    def _on_pause(self, request: Any, response: Any) -> Any:  # noqa: ARG002
+        return self._answer(response, self._sequencer.pause)
+
+    def _on_abort(self, request: Any, response: Any) -> Any:  # noqa: ARG002
+        return self._answer(response, self._sequencer.abort)
+
+    def _answer(self, response: Any, command: Any) -> Any:
+        """Carry out a command at once; a refusal is an answer too."""
+        self._autostart = False
+        try:
+            response.message = command() or self._sequencer.state().reason
+            response.success = True
+        except InputError as error:
+            response.success, response.message = False, str(error)
+        self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
+        self._tell()
+        return response
+
+
+def _sentence(state: State) -> str:
+    """Say in a sentence what goes on; it changes with step and phase alone."""
+    if state.waits_for:
+        return f'Waits for {state.waits_for}.'
+    if state.reason:
+        return state.reason
+    if state.phase in {Phase.IDLE, Phase.DONE}:
+        return {Phase.IDLE: 'Nothing is started.', Phase.DONE: 'The plan is done.'}[state.phase]
+    where = f'position {state.position}' if state.position else 'back to the start'
+    return f'{state.phase.name.capitalize()}: step {state.step + 1} of {state.steps}, {where}.'
+
+
+def _trajectory(piece: Piece, names: tuple[str, ...]) -> Any:
+    """Return a piece as trajectory_msgs/JointTrajectory."""
+    message = messages.JointTrajectory(joint_names=list(names))
+    message.header.stamp = Time(nanoseconds=piece.stamp).to_msg()
+    course = piece.course
+    for time, angles, rates in zip(course.time, course.angles, course.rates, strict=True):
+        point = messages.JointTrajectoryPoint(
+            positions=[float(a) for a in angles], velocities=[float(r) for r in rates]
+        )
+        sec, nanosec = divmod(round(float(time) * _NS), _NS)
+        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
+        message.points.append(point)
+    return message
+
+
+def main() -> int:
+    """Run the node; return its exit code."""
+    try:
+        run(TurntableNode)
+    except ImuCalibError as error:
+        sys.stderr.write(f'turntable_node: {error}\n')
+        return error.exit_code
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,18 @@
+"""A turntable led through a plan: joint states and commands in, setpoints and the state out."""
+
+from .encoders import Encoders, Feedback, FeedbackError
+from .rules import Phase, Rules, State
+from .sequencer import Sequencer
+from .trajectory import Lead, Overtaken
+
+__all__ = [
+    'Encoders',
+    'Feedback',
+    'FeedbackError',
+    'Lead',
+    'Overtaken',
+    'Phase',
+    'Rules',
+    'Sequencer',
+    'State',
+]

@@ -1,0 +1,130 @@
+"""Joint states to angles in the table's order, continuous, with rates."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ..errors import InputError
+from ..stream import JointBlock
+from ..turntable import TURN, Table
+
+_WINDOW = 100_000_000
+"""Over which a table has to stand to be at rest, ns; rates that are derived are its mean."""
+
+
+class FeedbackError(InputError):
+    """Joint states that say nothing of this table."""
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """One joint state.
+
+    Attributes:
+        stamp: ns.
+        gap: Since the joint state before, s; 0 for the first one.
+        angles: (k,) in the table's order, continuous, rad.
+        rates: (k,) rad/s, as reported, else derived from the angles.
+        still: Whether no joint has moved over the last tenth of a second.
+
+    """
+
+    stamp: int
+    gap: float
+    angles: tuple[float, ...]
+    rates: tuple[float, ...]
+    still: bool
+
+
+class Encoders:
+    """Follows the joint states of a table.
+
+    Args:
+        table: Whose.
+        quiet: What counts as no motion, rad.
+        patience: A stamp that lies further back than this starts the stream anew, s.
+
+    """
+
+    def __init__(self, table: Table, quiet: float, patience: float) -> None:
+        self._table = table
+        self._quiet = quiet
+        self._patience = round(patience * 1e9)
+        self._fastest = [joint.max_rate for joint in table.joints]
+        self._columns: dict[tuple[str, ...], list[int]] = {}
+        self._past: deque[tuple[int, tuple[float, ...]]] = deque()
+        self._turns = [0.0] * len(table.joints)
+
+    def take(self, block: JointBlock) -> Iterator[Feedback]:
+        """Yield the joint states of a block whose stamps advance.
+
+        Raises:
+            FeedbackError: A joint is missing, an angle is no number, or the stamps jump back.
+
+        """
+        columns = self._columns_of(block.names)
+        stamps = block.stamp.tolist()
+        positions = block.position[:, columns].tolist()
+        velocities = block.velocity[:, columns].tolist()
+        for stamp, angles, rates in zip(stamps, positions, velocities, strict=True):
+            if self._past and stamp <= self._past[-1][0]:
+                self._check_order(stamp)
+                continue
+            yield self._follow(stamp, angles, rates)
+
+    def _columns_of(self, names: tuple[str, ...]) -> list[int]:
+        known = self._columns.get(names)
+        if known is None:
+            missing = [name for name in self._table.names if name not in names]
+            if missing:
+                raise FeedbackError(
+                    f'The joint states name {", ".join(names) or "no joints"}; '
+                    f'table {self._table.name} has {", ".join(self._table.names)}.'
+                )
+            known = self._columns[names] = [names.index(name) for name in self._table.names]
+        return known
+
+    def _check_order(self, stamp: int) -> None:
+        back = self._past[-1][0] - stamp
+        if back > self._patience:
+            self._past.clear()
+            raise FeedbackError(f'The stamps of the joint states jump back by {back * 1e-9:.3g} s.')
+
+    def _follow(self, stamp: int, angles: list[float], rates: list[float]) -> Feedback:
+        for name, angle in zip(self._table.names, angles, strict=True):
+            if not math.isfinite(angle):
+                raise FeedbackError(f'The joint states give {angle} as the angle of joint {name}.')
+        past = self._past
+        if not past:
+            angles = [angle + turns for angle, turns in zip(angles, self._turns, strict=True)]
+            past.append((stamp, tuple(angles)))
+            first = tuple(0.0 if math.isnan(rate) else rate for rate in rates)
+            return Feedback(stamp, 0.0, tuple(angles), first, False)
+        gap = (stamp - past[-1][0]) * 1e-9
+        angles = self._unwrapped(angles, past[-1][1], gap)
+        while len(past) > 1 and past[1][0] <= stamp - _WINDOW:
+            past.popleft()
+        since, before = past[0]
+        span = (stamp - since) * 1e-9
+        changes = [now - then for now, then in zip(angles, before, strict=True)]
+        still = stamp - since >= _WINDOW and all(abs(c) <= self._quiet for c in changes)
+        told = tuple(
+            change / span if math.isnan(rate) else rate
+            for rate, change in zip(rates, changes, strict=True)
+        )
+        past.append((stamp, tuple(angles)))
+        return Feedback(stamp, gap, tuple(angles), told, still)
+
+    def _unwrapped(self, angles: list[float], last: tuple[float, ...], gap: float) -> list[float]:
+        """Add whole turns where an angle jumps further than the joint can have turned."""
+        result = []
+        for k, (angle, before) in enumerate(zip(angles, last, strict=True)):
+            change = angle + self._turns[k] - before
+            reach = min(1.1 * self._fastest[k] * gap, 1e6)
+            if abs(change) > math.pi and (abs(change) > reach or math.isinf(self._fastest[k])):
+                self._turns[k] -= TURN * round(change / TURN)
+            result.append(angle + self._turns[k])
+        return result

@@ -1,0 +1,119 @@
+"""Setpoints as finite trajectories, for controllers that follow points in time.
+
+joint_trajectory_controller replaces the trajectory it follows by the one that comes, samples it
+by the time since its header's stamp, and holds the last point. A zero stamp starts it now, from
+where the joints are, on a cubic to the first point.
+
+So all pieces of one motion carry the stamp of its start and coincide up to where the earlier one
+brakes: that they take a while to arrive does no harm, and a table whose node has died brakes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ImuCalibError
+from ..profile import Course, moving
+from ..stream import Mode, Setpoint
+from ..turntable import TURN, Table
+from .encoders import Feedback
+
+_LEAD = 0.1
+"""A motion starts so long after its first piece is sent, s."""
+
+_PIECE = 3.0
+_RENEWAL = 1.0
+_SOONEST_STOP = 0.1
+
+
+class Overtaken(ImuCalibError):
+    """The next piece comes when the table brakes already: it would have to jump."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One trajectory.
+
+    Attributes:
+        stamp: Its start, ns; 0: now.
+        course: Knots; without the one at time zero it starts from where the table is.
+
+    """
+
+    stamp: int
+    course: Course
+
+
+class Lead:
+    """Turns the setpoints that are sent over and over into pieces of trajectories."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+        self._rates = [joint.max_rate for joint in table.joints]
+        self._accelerations = [joint.max_acceleration for joint in table.joints]
+        self._content: tuple[object, ...] | None = None
+        self._course: Course | None = None
+        self._start = 0
+        self._covered = 0.0
+        self._told = -math.inf
+
+    def piece(self, setpoint: Setpoint, at: Feedback) -> Piece | None:
+        """Return the trajectory to send with a setpoint, None while the last one will do.
+
+        Args:
+            setpoint: As it is sent, checked against the table's limits; its stamp is now.
+            at: The last joint state.
+
+        Raises:
+            Overtaken: Too late to go on with the motion without a jump.
+
+        """
+        if setpoint.mode is Mode.HOLD:
+            return self._hold(setpoint, at)
+        content = (setpoint.step, setpoint.mode, setpoint.angles, setpoint.rates)
+        if content != self._content:
+            self._begin(setpoint, at)
+            self._content = content
+        course = self._course
+        if course is None:
+            return None
+        now = (setpoint.stamp - self._start) * 1e-9
+        if self._covered >= course.end or now < self._covered - _PIECE + _RENEWAL:
+            return None
+        if now > self._covered - _LEAD and self._covered > 0:
+            raise Overtaken(
+                f'A motion of {course.end:.1f} s was led on for {self._covered:.1f} s, and the '
+                f'next piece comes after {now:.1f} s: the table brakes already.'
+            )
+        self._covered = max(now, 0.0) + _PIECE
+        return Piece(self._start, course.until(self._covered, self._accelerations))
+
+    def stop(self, at: Feedback) -> Piece:
+        """Return the way to the nearest stopping point, from where the table is."""
+        times = [abs(r) / a for r, a in zip(at.rates, self._accelerations, strict=True)]
+        # In a little more than the shortest time: the joint state is some milliseconds old.
+        time = max(times) + _SOONEST_STOP
+        goal = np.array(at.angles) + np.array(at.rates) * time / 2
+        return Piece(0, Course(np.array([time]), goal[None], np.zeros((1, len(goal)))))
+
+    def _begin(self, setpoint: Setpoint, at: Feedback) -> None:
+        goal, rates = list(setpoint.angles), list(self._rates)
+        for k, rate in enumerate(setpoint.rates):
+            if setpoint.mode is Mode.RATE and rate:
+                goal[k] += math.copysign(TURN * (setpoint.turns + 1), rate)
+                rates[k] = abs(rate)
+        self._course = moving(at.angles, goal, rates, self._accelerations)
+        self._start = setpoint.stamp + round(_LEAD * 1e9)
+        self._covered = 0.0
+
+    def _hold(self, setpoint: Setpoint, at: Feedback) -> Piece | None:
+        content = (setpoint.mode,)
+        now = setpoint.stamp * 1e-9
+        # Once at rest the controller holds by itself.
+        if content == self._content and (at.still or now < self._told + _RENEWAL):
+            return None
+        self._content, self._course, self._told = content, None, now
+        return self.stop(at)

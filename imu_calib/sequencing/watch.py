@@ -1,0 +1,233 @@
+"""Does the table do what it was told? One object per motion, fed with joint states."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ..plan import Step
+from ..profile import distance_from_rest, travel_time
+from ..stream import Mode
+from ..turntable import TURN, Joint, Table
+from ..units import DEG
+from .encoders import Feedback
+from .rules import Rules
+
+_LAG = 1.0
+"""From a setpoint to the first motion, s, at most."""
+
+_SLACK = 2.0
+"""How much longer than at its limits a motion may take."""
+
+_PROGRESS = 0.1
+"""Share of the expected way below which a joint counts as stalled."""
+
+_RATE_SPAN = 0.3
+"""Over which the rate of a turn is taken, s: jitter of two stamps must not count."""
+
+_RATE_TOLERANCE = 0.1
+
+_STRAY = 5.0
+"""How many times the arrival tolerance a joint may stray that is to stand."""
+
+
+@dataclass
+class _Way:
+    """One joint on its way."""
+
+    joint: Joint
+    goal: float
+    sign: float
+    distance: float
+    patience: float
+    progress: float
+    best: float
+    mark: tuple[int, float]
+
+
+class Watch:
+    """Watches a motion to its end.
+
+    Attributes:
+        begin: Stamp of the joint state before the first setpoint, ns.
+        expected: How long the motion takes at the table's limits, s.
+
+    """
+
+    def __init__(self, table: Table, rules: Rules, step: Step, at: Feedback) -> None:
+        self._rules = rules
+        self.begin = at.stamp
+        self.expected = 0.0
+        self._ways = []
+        self._turn: _TurnRate | None = None
+        for k, joint in enumerate(table.joints):
+            rate, goal = joint.max_rate, float(step.angles[k])
+            if step.mode is Mode.RATE and step.rates[k]:
+                rate = abs(float(step.rates[k]))
+                goal += math.copysign(TURN * (step.turns + 1), step.rates[k])
+            distance = abs(goal - at.angles[k])
+            self.expected = max(self.expected, travel_time(distance, rate, joint.max_acceleration))
+            patience = _LAG + rate / joint.max_acceleration
+            way = distance_from_rest(patience, rate, joint.max_acceleration)
+            self._ways.append(
+                _Way(
+                    joint,
+                    goal,
+                    math.copysign(1.0, goal - at.angles[k]),
+                    distance,
+                    patience,
+                    _PROGRESS * way,
+                    distance,
+                    (at.stamp, distance),
+                )
+            )
+            if step.mode is Mode.RATE and step.rates[k]:
+                self._turn = _TurnRate(self._ways[-1], rate, step.turns)
+
+    @property
+    def turns_done(self) -> float:
+        """Turns at rate so far; 0 where nothing turns."""
+        return 0.0 if self._turn is None else self._turn.done
+
+    def look(self, now: Feedback) -> tuple[bool, str]:
+        """Return whether the table has arrived, and what is wrong, in a sentence, if anything."""
+        arrived = now.still
+        for way, angle in zip(self._ways, now.angles, strict=True):
+            fault = self._astray(way, angle) or self._stalled(way, angle, now.stamp)
+            if fault:
+                return False, fault
+            arrived &= abs(way.goal - angle) <= self._rules.arrival
+        if self._turn is not None:
+            fault = self._turn.look(now.stamp)
+            if fault:
+                return False, fault
+        elapsed = (now.stamp - self.begin) * 1e-9
+        if not arrived and elapsed > _SLACK * self.expected + 2 * _LAG:
+            return False, self._late(now, elapsed)
+        return arrived, ''
+
+    def _astray(self, way: _Way, angle: float) -> str:
+        """Say which way the joint goes wrong; empty where it does not."""
+        joint, allowed = way.joint, self._rules.overshoot
+        where = f'Joint {joint.name} is at {angle / DEG:.3f} deg'
+        if not joint.lower - allowed <= angle <= joint.upper + allowed:
+            return (
+                f'{where}, beyond its limits of {joint.lower / DEG:g} to {joint.upper / DEG:g} deg.'
+            )
+        left = (way.goal - angle) * way.sign
+        if way.distance <= self._rules.arrival:
+            stray = min(_STRAY * self._rules.arrival, allowed)
+            return _strays(joint, angle, way.goal) if abs(left) > stray else ''
+        if left < -allowed:
+            return f'{where}, it has passed its goal of {way.goal / DEG:.3f} deg.'
+        if left > way.best + allowed:
+            return f'{where} and moves away from its goal of {way.goal / DEG:.3f} deg.'
+        way.best = min(way.best, left)
+        return ''
+
+    def _stalled(self, way: _Way, angle: float, stamp: int) -> str:
+        left = abs(way.goal - angle)
+        since, then = way.mark
+        if left <= self._rules.arrival or then - left >= min(way.progress, then / 2):
+            way.mark = stamp, left
+        elif (stamp - since) * 1e-9 > way.patience:
+            return (
+                f'Joint {way.joint.name} stalls at {angle / DEG:.3f} deg on its way to '
+                f'{way.goal / DEG:.3f} deg: {(then - left) / DEG:.3f} deg in '
+                f'{(stamp - since) * 1e-9:.1f} s.'
+            )
+        return ''
+
+    def _late(self, now: Feedback, elapsed: float) -> str:
+        off = [abs(w.goal - a) for w, a in zip(self._ways, now.angles, strict=True)]
+        k = off.index(max(off))
+        return (
+            f'Joint {self._ways[k].joint.name} is {off[k] / DEG:.4f} deg off its goal of '
+            f'{self._ways[k].goal / DEG:.3f} deg after {elapsed:.1f} s; at its limits the table '
+            f'needs {self.expected:.1f} s, and {self._rules.arrival / DEG:g} deg counts as there.'
+        )
+
+
+class _TurnRate:
+    """The rate of a turn, held against the one that was asked for.
+
+    The turn beyond those asked for is for running up and down, half of it at each end: in between
+    the joint must be at rate, whatever its acceleration.
+    """
+
+    def __init__(self, way: _Way, rate: float, turns: int) -> None:
+        self._way = way
+        self._rate = rate
+        self._turns = turns
+        self._mark: tuple[int, float] | None = None
+
+    @property
+    def done(self) -> float:
+        turned = (self._way.distance - self._way.best - TURN / 2) / TURN
+        return min(max(turned, 0.0), float(self._turns))
+
+    def look(self, stamp: int) -> str:
+        if not 0 < self.done < self._turns:
+            return ''
+        if self._mark is None:
+            self._mark = stamp, self.done
+        since, then = self._mark
+        span = (stamp - since) * 1e-9
+        if span < _RATE_SPAN:
+            return ''
+        rate = (self.done - then) * TURN / span
+        self._mark = stamp, self.done
+        if abs(rate / self._rate - 1) <= _RATE_TOLERANCE:
+            return ''
+        return (
+            f'Joint {self._way.joint.name} turns at {rate / DEG:.4g} deg/s, '
+            f'commanded is {self._rate / DEG:g} deg/s.'
+        )
+
+
+class Standing:
+    """Watches that a table comes to rest, and stays there.
+
+    Args:
+        table: The table that was told to hold.
+        rules: Tolerances.
+        at: The last joint state before the command, None if there is none.
+
+    """
+
+    def __init__(self, table: Table, rules: Rules, at: Feedback | None) -> None:
+        self._table = table
+        self._rules = rules
+        self._begin = None if at is None else at.stamp
+        self._rest: tuple[float, ...] | None = None
+        stop = max(joint.max_rate / joint.max_acceleration for joint in table.joints)
+        self._allowed = _LAG + _SLACK * stop
+
+    def keep(self, goal: tuple[float, ...]) -> None:
+        """Take it that the table stands at (k,) angles by now, rad."""
+        self._rest = goal
+
+    def look(self, now: Feedback) -> tuple[bool, str]:
+        """Return whether the table stands, and what is wrong, in a sentence, if anything."""
+        if self._begin is None:
+            self._begin = now.stamp
+        if self._rest is not None:
+            stray = min(_STRAY * self._rules.arrival, self._rules.overshoot)
+            for joint, angle, rest in zip(self._table.joints, now.angles, self._rest, strict=True):
+                if abs(angle - rest) > stray:
+                    return False, _strays(joint, angle, rest)
+            return True, ''
+        if now.still:
+            self._rest = now.angles
+            return True, ''
+        elapsed = (now.stamp - self._begin) * 1e-9
+        if elapsed > self._allowed:
+            return False, f'The table still moves {elapsed:.1f} s after it was told to stand.'
+        return False, ''
+
+
+def _strays(joint: Joint, angle: float, goal: float) -> str:
+    return (
+        f'Joint {joint.name} moves while it is to stand at {goal / DEG:.3f} deg: '
+        f'it is at {angle / DEG:.3f} deg.'
+    )
