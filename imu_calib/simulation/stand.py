@@ -191,7 +191,7 @@ class SimulatedStand:
 
     def _joint_states(self, begin: float, end: float) -> JointBlock:
         rate = self.options.joint_state_rate
-        times = _instants(begin, end, rate, self._joint_phase)
+        times = instants(begin, end, rate, self._joint_phase)
         angles, rates = self._table.read(times)
         stamped = times
         if self.options.joint_stamp_jitter:
@@ -201,7 +201,7 @@ class SimulatedStand:
         return JointBlock(self._stamps(stamped), self._table.table.names, angles, rates)
 
     def _temperatures(self, begin: float, end: float) -> TemperatureBlock:
-        times = _instants(begin, end, self.options.temperature_rate, 0.0)
+        times = instants(begin, end, self.options.temperature_rate, 0.0)
         celsius = self.options.warming.celsius(times)
         return TemperatureBlock(self._imu.device_stamps(times), celsius)
 
@@ -239,7 +239,7 @@ def simulate(
     return SimulatedStand(plan, table, imu_spec, model, site, options, seed).blocks()
 
 
-def _instants(begin: float, end: float, rate: float, phase: float) -> Floats:
+def instants(begin: float, end: float, rate: float, phase: float) -> Floats:
     """Return the times (k + phase) / rate within [begin, end)."""
     first = max(math.floor(begin * rate - phase), 0)
     ticks = np.arange(first, math.ceil(end * rate - phase) + 1, dtype=np.float64)

@@ -1,0 +1,281 @@
+"""stand_node: a simulated table and IMU, at the level of hardware, paced by those who use them.
+
+The table takes setpoints and answers joint states; the IMU sends frames over a TCP socket, as a
+device would. Simulated time goes as fast as turntable_node sends setpoints and the socket takes
+frames, and at the pace of the wall clock while nobody leads the table.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+import threading
+import time
+from collections import deque
+from typing import Any
+
+from .. import middleware as ros
+from ..calibration import Calibration
+from ..cdr import Messages, decode_setpoints, encode_joints
+from ..earth import Site
+from ..errors import ImuCalibError, InputError
+from ..imu import load_imu
+from ..middleware import messages
+from ..share import named_file
+from ..simulation import StandOptions
+from ..simulation.hardware import SimulatedHardware
+from ..stream import Setpoint
+from ..turntable import load_table
+from ..units import DEG
+from . import qos
+from .diagnostics import Diagnostics, Level
+from .entry import entry_point
+from .parameters import declare
+
+_STEP = 0.1
+_AHEAD = 0.25
+_ALIVE = 2.0
+_REST = 0.0005
+_STUCK = 20.0
+_LUOYANG = 34.65
+
+
+class StandNode(ros.Node):
+    """Publishes turntable/joint_states and /clock, follows turntable/setpoint, serves frames."""
+
+    def __init__(self) -> None:
+        super().__init__('stand_node')
+        self._hardware = self._read_hardware()
+        speed = declare(
+            self, 'speed', 0.0, 'times the wall clock at most; 0: as fast as is followed', lower=0.0
+        )
+        self._pace = _Pace(speed)
+        port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
+        self._line = _Line(port)
+        self._diagnostics = Diagnostics(self, 'simulated stand')
+        self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
+        self._joint_publisher = self.create_publisher(
+            messages.JointState, 'turntable/joint_states', qos.stream()
+        )
+        self._setpoints: deque[Setpoint] = deque()
+        self._faults: deque[str] = deque()
+        self.create_subscription(
+            messages.TurntableSetpoint,
+            'turntable/setpoint',
+            self._on_setpoint,
+            qos.command(),
+            raw=True,
+        )
+        self.create_subscription(
+            messages.String, '~/fault', lambda message: self._faults.append(message.data), 10
+        )
+        self.create_timer(0.1, self._report, clock=ros.Clock(clock_type=ros.ClockType.STEADY_TIME))
+        self._ending = threading.Event()
+        # In a thread of its own: publishing waits for subscribers that lag.
+        self._life = threading.Thread(target=self._live, name='hardware', daemon=True)
+        self._life.start()
+
+    def stop(self) -> list[Any]:
+        """Switch off."""
+        self._ending.set()
+        self._life.join(timeout=1.0)
+        self._line.close()
+        return []
+
+    def _read_hardware(self) -> SimulatedHardware:
+        table = load_table(declare(self, 'table', 'three_axis', 'name or file of the turntable'))
+        imu = load_imu(declare(self, 'imu', 'fog_medium', 'name or file of the IMU'))
+        truth = declare(
+            self, 'truth', 'cao2022_table1', "name or file of the unit's true parameters"
+        )
+        latitude = declare(self, 'latitude', _LUOYANG, 'deg, negative in the south')
+        height = declare(self, 'height', 0.0, 'm above the ellipsoid')
+        gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
+        azimuth = declare(self, 'azimuth', 0.0, "true heading of the table's zero, deg")
+        wander = declare(self, 'bias_instability', False, 'whether the biases wander')
+        offset = declare(self, 'clock_offset', 0.0, 'device clock minus host clock, s')
+        drift = declare(self, 'clock_drift', 0.0, 'how much faster the device clock runs, ppm')
+        joints = declare(self, 'joint_state_rate', 100.0, 'Hz', lower=0.1, upper=10_000.0)
+        rate = declare(self, 'sample_rate', 0.0, 'of the IMU, Hz; 0: its own', lower=0.0)
+        options = StandOptions(
+            azimuth=azimuth * DEG,
+            # A uniform error of this half width has the standard deviation that the table states.
+            positioning_error=math.sqrt(3) * table.positioning,
+            bias_instability=wander,
+            clock_offset=offset,
+            clock_rate_error=drift * 1e-6,
+            joint_state_rate=joints,
+            sample_rate=rate or None,
+        )
+        site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
+        model = Calibration.load(named_file('truths', truth)).model
+        seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
+        self._epoch = options.start_time
+        return SimulatedHardware(table, imu, model, site, options, seed)
+
+    def _on_setpoint(self, payload: bytes) -> None:
+        for block in decode_setpoints(Messages.join([payload])):
+            self._setpoints.extend(block.setpoints)
+
+    def _live(self) -> None:
+        """Let simulated time pass until the node ends."""
+        while not self._ending.is_set():
+            self._take_commands()
+            self._line.tend()
+            if self._line.idle and self._pace.may_go_on(self._hardware.time, self._line.connected):
+                try:
+                    self._advance()
+                except ImuCalibError as error:
+                    self.get_logger().fatal(f'the simulation ends: {error}')
+                    return
+            else:
+                time.sleep(_REST)
+
+    def _take_commands(self) -> None:
+        while self._setpoints:
+            setpoint = self._setpoints.popleft()
+            self._hardware.command(setpoint)
+            self._pace.lead((setpoint.stamp - self._epoch) * 1e-9)
+        while self._faults:
+            text = self._faults.popleft()
+            try:
+                self._hardware.faults.command(text)
+                self.get_logger().warning(f'fault: {text}')
+            except InputError as error:
+                self.get_logger().error(str(error))
+
+    def _advance(self) -> None:
+        output = self._hardware.advance(_STEP)
+        self._line.send(output.line)
+        now = self._epoch + round(self._hardware.time * 1e9)
+        clock = messages.Clock()
+        clock.clock.sec, clock.clock.nanosec = divmod(now, 1_000_000_000)
+        self._clock_publisher.publish(clock)
+        for payload in encode_joints(output.joints).payloads():
+            self._joint_publisher.publish(payload)
+
+    def _report(self) -> None:
+        refusals, self._hardware.refusals = self._hardware.refusals, []
+        if refusals:
+            self._diagnostics.report('table', Level.ERROR, refusals[-1])
+        else:
+            self._diagnostics.report('table', Level.OK, 'follows its setpoints')
+        text = (
+            'is read' if self._line.connected else f'waits for a reader on port {self._line.port}'
+        )
+        self._diagnostics.report(
+            'IMU',
+            Level.OK if self._line.connected else Level.WARN,
+            text,
+            frames=str(self._hardware.frames),
+            dropped=f'{self._line.dropped} bytes',
+        )
+
+
+class _Pace:
+    """How fast simulated time may go."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._newest = -math.inf
+        self._heard = -math.inf
+        self._anchor: tuple[float, float, float] | None = None
+
+    def lead(self, stamp: float) -> None:
+        """Note a setpoint with a stamp in s of simulated time."""
+        self._newest, self._heard = stamp, time.monotonic()
+
+    def may_go_on(self, now: float, connected: bool) -> bool:
+        """Say whether the next step may be made at a simulated time.
+
+        Led by setpoints, time keeps close to the newest of them: who leads has then seen all
+        that happened before. Else it keeps to the wall clock.
+        """
+        wall = time.monotonic()
+        led = connected and wall - self._heard < _ALIVE
+        if led and now > self._newest + _AHEAD:
+            return False
+        speed = self._speed if led else (self._speed or 1.0)
+        if not speed:
+            self._anchor = None
+            return True
+        if self._anchor is None or self._anchor[2] != speed:
+            self._anchor = (now, wall, speed)
+        return now - self._anchor[0] <= (wall - self._anchor[1]) * speed
+
+
+class _Line:
+    """A TCP server with one reader at a time; what nobody reads is lost, as on a serial line."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self.dropped = 0
+        self._server = socket.create_server(('127.0.0.1', port))
+        self._server.setblocking(False)
+        self._reader: socket.socket | None = None
+        self._left = memoryview(b'')
+        self._moved = time.monotonic()
+
+    @property
+    def connected(self) -> bool:
+        """Whether somebody reads."""
+        return self._reader is not None
+
+    @property
+    def idle(self) -> bool:
+        """Whether the reader has taken all that was sent."""
+        return not self._left
+
+    def tend(self) -> None:
+        """Accept a reader, and send on what the last one has not taken."""
+        with contextlib.suppress(BlockingIOError):
+            reader, _ = self._server.accept()
+            reader.setblocking(False)
+            self._drop()
+            self._reader = reader
+        self._push()
+        if self._left and time.monotonic() - self._moved > _STUCK:
+            self._drop()
+
+    def send(self, line: bytes) -> None:
+        """Send bytes, or lose them where nobody reads."""
+        if self._reader is None:
+            self.dropped += len(line)
+            return
+        self._left = memoryview(line)
+        self._push()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._drop()
+        self._server.close()
+
+    def _push(self) -> None:
+        while self._left and self._reader is not None:
+            try:
+                sent = self._reader.send(self._left)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._drop()
+                return
+            self._left = self._left[sent:]
+            self._moved = time.monotonic()
+
+    def _drop(self) -> None:
+        self.dropped += len(self._left)
+        self._left = memoryview(b'')
+        if self._reader is not None:
+            self._reader.close()
+        self._reader = None
+        self._moved = time.monotonic()
+
+
+def main() -> int:
+    """Run the node; return the exit code."""
+    return entry_point(StandNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
