@@ -85,11 +85,15 @@ class Messages:
             size: Bytes to take; no message may be shorter.
 
         Returns:
-            (n, size) bytes, contiguous.
+            (n, size) bytes, contiguous; the buffer's own where it holds nothing in between.
 
         """
         if len(self) == 0:
             return np.empty((0, size), np.uint8)
+        first, end = int(self.offset[0]), int(self.offset[-1]) + size
+        if end - first == len(self) * size and (self.offset[1:] - self.offset[:-1] == size).all():
+            # One after the other, as `join` lays them: they are the matrix already.
+            return self.buffer[first:end].reshape(-1, size)
         last = len(self.buffer) - size + 1
         # Every possible position of a message is one element of this overlapping view, so that
         # one indexed copy gathers them all, whatever lies between them.
