@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..cdr import Malformed, Messages, decode_joints, encode_setpoints
@@ -34,7 +34,6 @@ _DRAIN_PERIOD = 0.003
 _STATE_PERIOD = 0.5
 _LAST_HOLDS = 3
 _NS = 1_000_000_000
-_LEVELS = {Phase.PAUSED: Level.WARN, Phase.ABORTED: Level.ERROR}
 
 
 class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
@@ -202,17 +201,9 @@ class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
         self._tell()
 
     def _take(self, payloads: list[bytes], now: float) -> None:
-        left_out = self._malformed.count
         for block in decode_joints(Messages.join(payloads), self._malformed):
             if self._sequencer.take(block):
                 self._fed_at = now
-        if self._malformed.count > left_out:
-            self._diagnostics.report(
-                'joint states',
-                Level.WARN,
-                f'Joint states that cannot be read: {self._malformed.reason}.',
-                count=str(self._malformed.count),
-            )
 
     def _watch(self, now: float) -> None:
         """Hold table and calibrator to the steady clock: stamps may stand still."""
@@ -299,12 +290,25 @@ class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
         )
         message.header.stamp = Time(nanoseconds=self._stamp()).to_msg()
         self._states.publish(message)
+        level = Level.WARN if state.reason else Level.OK
         self._diagnostics.report(
-            'table',
-            _LEVELS.get(state.phase, Level.OK),
+            'plan',
+            Level.ERROR if state.fault else level,
             _sentence(state),
             step=f'{state.step + 1} of {state.steps}' if state.steps else 'none',
             seconds_left=f'{state.seconds_left:.0f} s',
+        )
+        self._report_joint_states()
+
+    def _report_joint_states(self) -> None:
+        fault = self._sequencer.feedback_fault
+        if self._malformed.count:
+            fault = fault or f'{self._malformed.count} cannot be read: {self._malformed.reason}.'
+        self._diagnostics.report(
+            'joint states',
+            Level.WARN if fault else Level.OK,
+            fault or 'Joint states come in.',
+            malformed=str(self._malformed.count),
         )
 
     def _on_progress(self, message: Any) -> None:
@@ -323,17 +327,22 @@ class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
         return self._answer(response, self._sequencer.start)
 
     def _on_pause(self, request: Any, response: Any) -> Any:  # noqa: ARG002
-        return self._answer(response, self._sequencer.pause)
+        return self._answer(response, self._call_off or self._sequencer.pause)
 
     def _on_abort(self, request: Any, response: Any) -> Any:  # noqa: ARG002
-        return self._answer(response, self._sequencer.abort)
+        return self._answer(response, self._call_off or self._sequencer.abort)
 
-    def _answer(self, response: Any, command: Any) -> Any:
+    @property
+    def _call_off(self) -> Callable[[], str] | None:
+        """What pause and abort mean while the plan is yet to start by itself."""
+        return (lambda: 'The plan does not start by itself any more.') if self._autostart else None
+
+    def _answer(self, response: Any, command: Callable[[], str | None]) -> Any:
         """Carry out a command at once; a refusal is an answer too."""
-        self._autostart = False
         try:
             response.message = command() or self._sequencer.state().reason
             response.success = True
+            self._autostart = False
         except InputError as error:
             response.success, response.message = False, str(error)
         self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)

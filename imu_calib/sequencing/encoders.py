@@ -119,12 +119,17 @@ class Encoders:
         return Feedback(stamp, gap, tuple(angles), told, still)
 
     def _unwrapped(self, angles: list[float], last: tuple[float, ...], gap: float) -> list[float]:
-        """Add whole turns where an angle jumps further than the joint can have turned."""
+        """Add whole turns where an angle jumps further than the joint can have turned.
+
+        After a gap in the joint states only where the encoder is known to wrap: the table may have
+        gone anywhere, or begun anew.
+        """
         result = []
         for k, (angle, before) in enumerate(zip(angles, last, strict=True)):
             change = angle + self._turns[k] - before
-            reach = min(1.1 * self._fastest[k] * gap, 1e6)
-            if abs(change) > math.pi and (abs(change) > reach or math.isinf(self._fastest[k])):
+            reach = 1.1 * self._fastest[k] * gap
+            sound = self._turns[k] != 0 or gap * 1e9 <= self._patience
+            if sound and abs(change) > max(math.pi, reach):
                 self._turns[k] -= TURN * round(change / TURN)
             result.append(angle + self._turns[k])
         return result

@@ -56,6 +56,7 @@ class State:
         position: Id of the plan's position, empty on the way back to the start.
         phase: What it does.
         reason: Why it is PAUSED or ABORTED, else empty.
+        fault: Whether something went wrong, and nobody asked for the stop.
         waits_for: What a start that was accepted waits for, else empty.
         angles: (k,) measured, unwrapped, rad; empty before the first joint state.
         rates: (k,) measured, rad/s.
@@ -70,6 +71,7 @@ class State:
     position: str
     phase: Phase
     reason: str
+    fault: bool
     waits_for: str
     angles: tuple[float, ...]
     rates: tuple[float, ...]

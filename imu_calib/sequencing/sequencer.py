@@ -12,12 +12,11 @@ import numpy as np
 
 from ..errors import InputError
 from ..plan import Plan, Step
-from ..profile import travel_time
-from ..stream import Floats, JointBlock, Mode, Setpoint
-from ..turntable import TURN, Table
-from ..units import DEG
+from ..stream import JointBlock, Mode, Setpoint
+from ..turntable import Table
 from .encoders import Encoders, Feedback, FeedbackError
 from .rules import Phase, Rules, State
+from .steps import check, end_of, laid_out, motion_time, setpoint_of, way_to
 from .watch import Standing, Watch
 
 _CALIBRATOR = 'the calibrator (calibration/progress)'
@@ -92,7 +91,7 @@ class Sequencer:
         self._feedback: Feedback | None = None
         self._feedback_fault = _NO_FEEDBACK
         self._stage = self._waits_from = _Stage.IDLE
-        self._reason = ''
+        self._reason, self._fault = '', False
         self._emergency = False
         self._heard = not self.rules.supervised
         self._steps: tuple[Step, ...] = ()
@@ -103,6 +102,7 @@ class Sequencer:
         self._motion: Step | None = None
         self._sent = False
         self._watch: Watch | Standing = Standing(table, self.rules, None)
+        self._defied = False
         self._since = 0
         self._ended = 0
         self._place_is_known = False
@@ -142,7 +142,7 @@ class Sequencer:
         resumes = stage is _Stage.PAUSED
         if not resumes:
             self._lay_out()
-        self._reason = ''
+        self._reason, self._fault = '', False
         if not self._heard:
             self._waits_from = _Stage.PAUSED if resumes else _Stage.IDLE
             self._enter(_Stage.WAITING)
@@ -175,13 +175,13 @@ class Sequencer:
     def emergency(self, on: bool) -> None:
         """Take the emergency stop's state; its release alone moves nothing."""
         if on and not self._emergency and self._stage is not _Stage.DONE:
-            self._halt(_Stage.ABORTED, 'Emergency stop.')
+            self._halt(_Stage.ABORTED, 'Emergency stop.', fault=True)
         self._emergency = on
 
     def fail(self, reason: str) -> None:
         """Stop and pause, if the table is led."""
         if self.running:
-            self._halt(_Stage.PAUSED, reason)
+            self._halt(_Stage.PAUSED, reason, fault=True)
 
     def lose_feedback(self, reason: str) -> None:
         """Take it that joint states do not come any more, or say nothing of the table."""
@@ -197,7 +197,7 @@ class Sequencer:
             self.fail(reason or 'The calibrator is silent.')
         elif self._stage is _Stage.WAITING:
             if self._feedback_fault:
-                self._halt(_Stage.PAUSED, self._feedback_fault)
+                self._halt(_Stage.PAUSED, self._feedback_fault, fault=True)
             else:
                 self._go()
 
@@ -275,12 +275,18 @@ class Sequencer:
             position='' if self._current is None else self._current.position,
             phase=phase,
             reason=reason,
+            fault=self._fault,
             waits_for=waits,
             angles=() if at is None else at.angles,
             rates=() if at is None else at.rates,
             turns_done=self._turns_done,
             seconds_left=self._seconds_left(),
         )
+
+    @property
+    def feedback_fault(self) -> str:
+        """What is wrong with the joint states; empty while they are sound."""
+        return self._feedback_fault
 
     @property
     def summary(self) -> tuple[object, ...]:
@@ -292,61 +298,15 @@ class Sequencer:
         """Make the steps from where the table stands; refuse what it cannot do."""
         at = self._feedback
         assert at is not None  # a start without joint states is refused
-        start = np.array(at.angles)
-        still = np.zeros(len(start))
-        self.table.check(start, still, 'Where the table stands')
-        steps = self.plan.steps(self.table, start)
-        for step in steps:
-            self._check(step)
-        last = steps[-1]
-        self._home = Step(last.index, '', Mode.POSITION, start, still, 0, 0.0)
-        self._steps = steps
-        self._queue = deque(steps)
-        self._current = steps[0]
+        before = np.array(at.angles)
+        self._steps, self._home = laid_out(self.plan, self.table, before)
+        self._queue = deque(self._steps)
+        self._current = self._steps[0]
         self._repeated.clear()
-        self._ended = 0
-        self._times = self._durations(start)
-
-    def _durations(self, start: Floats) -> dict[str | int, float]:
-        """Return the expected time of every step by its index, and of the way home, s."""
-        assert self._home is not None
-        times: dict[str | int, float] = {}
-        before = start
         for step in (*self._steps, self._home):
-            end = _end_of(step)
-            time = max(
-                travel_time(
-                    float(way),
-                    abs(float(rate)) if rate else joint.max_rate,
-                    joint.max_acceleration,
-                )
-                for way, rate, joint in zip(
-                    end - before, step.rates, self.table.joints, strict=True
-                )
-            )
-            key = 'home' if step is self._home else step.index
-            times[key] = time + self.rules.settle + step.dwell
-            before = end
-        return times
-
-    def _check(self, step: Step) -> None:
-        """Refuse what lies beyond the table's limits of angle, rate and acceleration.
-
-        Raises:
-            InputError: Names joint, value and limit.
-
-        """
-        where = f'Plan {self.plan.name}, step {step.index}, position {step.position or "start"}'
-        self.table.check(step.angles, step.rates, where)
-        self.table.check(_end_of(step), step.rates, where)
-        for joint, rate in zip(self.table.joints, step.rates, strict=True):
-            needed = float(rate) ** 2 / TURN
-            if step.mode is Mode.RATE and needed > joint.max_acceleration * (1 + 1e-9):
-                raise InputError(
-                    f'{where}: to {rate / DEG:g} deg/s and back within a turn joint {joint.name} '
-                    f'needs {needed / DEG:.4g} deg/s^2, table {self.table.name} allows '
-                    f'{joint.max_acceleration / DEG:g} deg/s^2.'
-                )
+            time = motion_time(step, before, self.table) + self.rules.settle + step.dwell
+            self._times['home' if step is self._home else step.index] = time
+            before = end_of(step)
 
     def _index(self) -> int:
         return 0 if self._current is None else self._current.index
@@ -369,29 +329,29 @@ class Sequencer:
             min(max(a, joint.lower), joint.upper) for a, joint in zip(at, joints, strict=True)
         )
         position = '' if self._current is None else self._current.position
-        still = (0.0,) * len(joints)
         return Setpoint(
-            0,
-            self.plan.name,
-            self._index(),
-            position,
-            Mode.HOLD,
-            self.table.names,
-            angles,
-            still,
-            0.0,
-            0.0,
+            stamp=0,
+            plan=self.plan.name,
+            step=self._index(),
+            position=position,
+            mode=Mode.HOLD,
+            joints=self.table.names,
+            angles=angles,
+            rates=(0.0,) * len(joints),
+            turns=0.0,
+            dwell=0.0,
         )
 
-    def _halt(self, stage: _Stage, reason: str) -> None:
+    def _halt(self, stage: _Stage, reason: str, *, fault: bool = False) -> None:
         """Hold, and do not go on by itself."""
         if self._stage in _WITHIN_A_STEP and self._current is not None:
             self._queue.appendleft(self._current)
-        self._reason = reason
+        self._reason, self._fault = reason, fault
         self._enter(stage)
         self._hold_table()
 
     def _hold_table(self) -> None:
+        self._defied = False
         self._send(self._holding(), None)
         self._watch = Standing(self.table, self.rules, self._feedback)
 
@@ -422,14 +382,13 @@ class Sequencer:
         assert at is not None
         off = np.abs(step.angles - np.array(at.angles)).max()
         if step.mode is Mode.RATE and not (self._place_is_known and off <= self.rules.arrival):
-            still = np.zeros(len(step.rates))
-            self._move(replace(step, mode=Mode.POSITION, rates=still, turns=0, dwell=0.0))
+            self._move(way_to(step))
         else:
             self._move(step)
 
     def _move(self, motion: Step) -> None:
         try:
-            self._check(motion)
+            check(motion, self.table)
         except InputError as error:
             self._enter(_Stage.MOVING)
             self.fail(str(error))
@@ -437,19 +396,7 @@ class Sequencer:
         self._place_is_known = True
         self._turns_done = 0.0
         self._enter(_Stage.MOVING)
-        command = Setpoint(
-            0,
-            self.plan.name,
-            motion.index,
-            motion.position,
-            motion.mode,
-            self.table.names,
-            tuple(motion.angles.tolist()),
-            tuple(motion.rates.tolist()),
-            float(motion.turns),
-            float(motion.dwell),
-        )
-        self._send(command, motion)
+        self._send(setpoint_of(motion, self.plan.name, self.table.names), motion)
 
     def _follow(self, now: Feedback) -> None:
         """Go on by one joint state."""
@@ -487,12 +434,12 @@ class Sequencer:
 
     def _see_it_stand(self, now: Feedback) -> None:
         """Say so if a table that was told to hold moves all the same."""
-        if self._command is None or not isinstance(self._watch, Standing):
+        if self._stage not in {_Stage.PAUSED, _Stage.ABORTED} or self._defied:
             return
         _, fault = self._watch.look(now)
-        if fault and fault not in self._reason:
-            self._reason = f'{self._reason} {fault}'.strip()
-            self._watch = Standing(self.table, self.rules, now)
+        if fault:
+            self._reason, self._fault = f'{self._reason} {fault}'.strip(), True
+            self._defied = True
 
     def _arrive(self) -> None:
         motion, current = self._motion, self._current
@@ -503,7 +450,7 @@ class Sequencer:
             return
         self._enter(_Stage.SETTLING)
         self._watch = Standing(self.table, self.rules, self._feedback)
-        self._watch.keep(tuple(_end_of(current).tolist()))
+        self._watch.keep(tuple(end_of(current).tolist()))
 
     def _dwell(self) -> float:
         return 0.0 if self._current is None else self._current.dwell
@@ -536,9 +483,3 @@ class Sequencer:
 
     def _time_of(self, step: Step) -> float:
         return self._times['home' if step is self._home else step.index]
-
-
-def _end_of(step: Step) -> Floats:
-    """Return the (k,) angles at which a step comes to rest, rad."""
-    travel = np.where(step.rates == 0, 0.0, np.copysign(TURN * (step.turns + 1), step.rates))
-    return np.asarray(step.angles + travel)

@@ -1,0 +1,94 @@
+"""Steps of a plan as setpoints: where they end, how long they take, what the table allows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..plan import Plan, Step
+from ..profile import travel_time
+from ..stream import Floats, Mode, Setpoint
+from ..turntable import TURN, Table
+from ..units import DEG
+
+
+def laid_out(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, ...], Step]:
+    """Return the steps of a plan from where the table stands, and the way back there.
+
+    Args:
+        plan: What is to be run.
+        table: On what.
+        start: (k,) angles where the table stands, rad.
+
+    Raises:
+        InputError: The table cannot do it: names joint, value and limit.
+
+    """
+    still = np.zeros(len(start))
+    table.check(start, still, 'Where the table stands')
+    steps = plan.steps(table, start)
+    for step in steps:
+        check(step, table)
+    return steps, Step(steps[-1].index, '', Mode.POSITION, start, still, 0, 0.0)
+
+
+def check(step: Step, table: Table) -> None:
+    """Refuse what lies beyond the table's limits of angle, rate and acceleration.
+
+    Raises:
+        InputError: Names joint, value and limit.
+
+    """
+    where = f'Step {step.index}, position {step.position or "of the start"}'
+    table.check(step.angles, step.rates, where)
+    table.check(end_of(step), step.rates, where)
+    for joint, rate in zip(table.joints, step.rates, strict=True):
+        # One turn is spare to run up and down in: v^2 / a of it is used.
+        needed = float(rate) ** 2 / TURN
+        if needed > joint.max_acceleration * (1 + 1e-9):
+            raise InputError(
+                f'{where}: to {rate / DEG:g} deg/s and back within a turn joint {joint.name} '
+                f'needs {needed / DEG:.4g} deg/s^2, table {table.name} allows '
+                f'{joint.max_acceleration / DEG:g} deg/s^2.'
+            )
+
+
+def end_of(step: Step) -> Floats:
+    """Return the (k,) angles at which a step comes to rest, rad."""
+    travel = np.where(step.rates == 0, 0.0, np.copysign(TURN * (step.turns + 1), step.rates))
+    return np.asarray(step.angles + travel)
+
+
+def way_to(step: Step) -> Step:
+    """Return the step that goes where a turn starts."""
+    still = np.zeros(len(step.rates))
+    return replace(step, mode=Mode.POSITION, rates=still, turns=0, dwell=0.0)
+
+
+def motion_time(step: Step, before: Floats, table: Table) -> float:
+    """Return how long a step moves at the table's limits from (k,) angles before it, s."""
+    ways = end_of(step) - before
+    return max(
+        travel_time(
+            float(way), abs(float(rate)) if rate else joint.max_rate, joint.max_acceleration
+        )
+        for way, rate, joint in zip(ways, step.rates, table.joints, strict=True)
+    )
+
+
+def setpoint_of(step: Step, plan: str, joints: tuple[str, ...]) -> Setpoint:
+    """Return the setpoint of a step, not yet stamped."""
+    return Setpoint(
+        stamp=0,
+        plan=plan,
+        step=step.index,
+        position=step.position,
+        mode=step.mode,
+        joints=joints,
+        angles=tuple(step.angles.tolist()),
+        rates=tuple(step.rates.tolist()),
+        turns=float(step.turns),
+        dwell=float(step.dwell),
+    )
