@@ -150,11 +150,10 @@ class Calibrator:
 
     def _reached(self, labelled: Labelled, session: Segmented) -> Floats:
         """Return the standard deviations of what is determined already, NaN for the rest."""
-        from .methods.information import reached
-
         try:
+            from .methods.information import reached
             return reached(self._evidence(labelled, session))
-        except NotObservable:
+        except (NotObservable, ModuleNotFoundError):
             return np.full(len(PARAMETERS), np.nan)
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+
+class Show(Protocol):
+    """Takes what is done, the total, and perhaps another text."""
+
+    def __call__(self, done: int, total: int, changed: str = ...) -> None:
+        """Show it."""
+
 
 _WIDTH_OF_A_FILE = 160
 OUTPUT = Console(soft_wrap=True, highlight=False)
@@ -16,11 +25,11 @@ ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
 
 
 @contextmanager
-def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(text: str) -> Iterator[Show]:
     """Show a bar on stderr, gone when done; nothing where stderr is no terminal.
 
     Yields:
-        A function to call with what is done and the total.
+        A function to call with what is done and the total, and another text where it changes.
 
     """
     columns = (
@@ -32,8 +41,8 @@ def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=ERRORS, transient=True, disable=not ERRORS.is_terminal) as bar:
         task = bar.add_task(text, total=None)
 
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
+        def show(done: int, total: int, changed: str = text) -> None:
+            bar.update(task, completed=done, total=total, description=changed)
 
         yield show
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..errors import ImuCalibError
 from ..middleware import run
+from ..parent import end_with_parent
 
 
 def entry_point(node: Callable[[], Any]) -> int:
@@ -15,6 +16,7 @@ def entry_point(node: Callable[[], Any]) -> int:
 
     What a person did wrong is told in a sentence: 2 for wrong usage or unreadable input.
     """
+    end_with_parent()
     try:
         run(node)
     except ImuCalibError as error:

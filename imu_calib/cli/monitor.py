@@ -1,0 +1,106 @@
+"""What the command line sees of a running stand."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from .. import middleware as ros
+from ..middleware import messages
+from ..nodes import qos
+
+
+class Monitor:
+    """Listens to turntable/state, calibration/progress and calibration.
+
+    Attributes:
+        outcome: Whether there is a calibration, and what was said of it; None while it runs.
+        stopped: Why the table stopped short of its plan, else empty.
+
+    """
+
+    def __init__(self) -> None:
+        self._node = ros.Node('imu_calib_stand')
+        self._state: Any = None
+        self._progress: Any = None
+        self._first: float | None = None
+        self._last = 0.0
+        self.outcome: tuple[bool, str] | None = None
+        self.stopped = ''
+        subscribe = self._node.create_subscription
+        subscribe(messages.TurntableState, 'turntable/state', self._on_state, qos.latched())
+        subscribe(
+            messages.CalibrationProgress, 'calibration/progress', self._on_progress, qos.latched()
+        )
+        subscribe(messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched())
+
+    def spin(self, seconds: float) -> None:
+        """Listen for a while."""
+        ros.spin_once(self._node, timeout_sec=seconds)
+
+    @property
+    def begun(self) -> bool:
+        """Whether the table runs its plan."""
+        return self._first is not None
+
+    @property
+    def duration(self) -> float:
+        """Time that the plan has run, s of the stand's time."""
+        return 0.0 if self._first is None else self._last - self._first
+
+    @property
+    def remaining(self) -> float:
+        """Time that the plan still needs, s of the stand's time."""
+        return 0.0 if self._state is None else float(self._state.seconds_left)
+
+    @property
+    def text(self) -> str:
+        """One line on what goes on."""
+        if self._state is None:
+            return 'turntable_node has not been heard'
+        state, progress = self._state, self._progress
+        words = [f'step {state.step + 1} of {state.steps}'] if state.steps else ['waiting']
+        if state.position_id:
+            words.append(f'position {state.position_id}')
+        if progress is not None:
+            known = sum(value > 0 for value in progress.standard_deviations)
+            words.append(f'{known} of {len(progress.parameter_names)} parameters')
+        return ', '.join(words)
+
+    def close(self) -> None:
+        """Leave."""
+        self._node.destroy_node()
+
+    def _on_state(self, message: Any) -> None:
+        self._state = message
+        now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        stopped = message.phase in {message.PAUSED, message.ABORTED}
+        self.stopped = message.reason if stopped else ''
+        if message.phase in {message.IDLE, message.DONE}:
+            return
+        self._first = now if self._first is None else self._first
+        self._last = now
+
+    def _on_progress(self, message: Any) -> None:
+        self._progress = message
+
+    def _on_calibration(self, message: Any) -> None:
+        if message.status == message.VALID:
+            self.outcome = True, message.status_text
+        elif message.status == message.REFUSED:
+            self.outcome = False, message.status_text
+
+
+@contextmanager
+def watching(environment: dict[str, str]) -> Iterator[Monitor]:
+    """Join a stand's network with a monitor; leave it at the end of the block."""
+    os.environ.update(environment)
+    ros.init(args=[])
+    monitor = Monitor()
+    try:
+        yield monitor
+    finally:
+        monitor.close()
+        ros.try_shutdown()

@@ -1,0 +1,140 @@
+"""Nodes as processes of their own, which end when this one ends, however it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+import yaml
+
+from ..errors import InputError
+from ..parent import ENDS_WITH
+
+_LOOPBACK = (
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    '</General></Domain></CycloneDDS>'
+)
+_DOMAINS = range(1, 102)
+"""Those whose ports lie below what Linux gives to other programs."""
+
+_PATIENCE = 6.0
+
+
+class Processes:
+    """The nodes that were started; leaving the block ends them, the table's leader first.
+
+    Args:
+        folder: Takes parameter files and logs, in its folder `nodes`.
+        environment: Variables on top of this process's own.
+
+    """
+
+    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
+        self._folder = folder / 'nodes'
+        self._folder.mkdir()
+        own = {'PYTHONUNBUFFERED': '1', ENDS_WITH: str(os.getpid())}
+        self._environment = {**os.environ, **own, **environment}
+        self._running: dict[str, tuple[subprocess.Popen[bytes], IO[bytes]]] = {}
+
+    def __enter__(self) -> Processes:
+        """Return the processes; leaving the block ends them."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End what was started last first: who leads the table stops it."""
+        for name in reversed(self._running):
+            process, log = self._running[name]
+            _end(process)
+            log.close()
+        self._running.clear()
+
+    def start(self, node: str, parameters: dict[str, Any]) -> None:
+        """Start a node of the suite with its parameters."""
+        file = self._folder / f'{node}.yaml'
+        file.write_text(yaml.safe_dump({node: {'ros__parameters': parameters}}), encoding='utf-8')
+        log = (self._folder / f'{node}.log').open('wb')
+        module = f'{__package__.rpartition(".")[0]}.nodes.{node}'
+        process = subprocess.Popen(
+            [sys.executable, '-m', module, '--ros-args', '--params-file', str(file)],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=self._environment,
+            # Ctrl-C is for this process alone, which ends them in order.
+            start_new_session=True,
+        )
+        self._running[node] = process, log
+
+    def check(self) -> None:
+        """Make sure that all still run.
+
+        Raises:
+            InputError: One has ended; its last words.
+
+        """
+        for node, (process, _) in self._running.items():
+            if process.poll() is not None:
+                raise InputError(
+                    f'{node} has ended ({_how(process.returncode)}): {self.last_words(node)}'
+                )
+
+    def last_words(self, node: str) -> str:
+        """Return the last line that a node wrote."""
+        text = (self._folder / f'{node}.log').read_text(encoding='utf-8', errors='replace')
+        lines = [line for line in text.splitlines() if line.strip()]
+        return lines[-1] if lines else 'it said nothing'
+
+
+def private_network() -> dict[str, str]:
+    """Return the variables of a domain that nobody else uses, on the loopback interface."""
+    own = {'ROS_DOMAIN_ID': str(_free_domain()), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    if 'CYCLONEDDS_URI' not in os.environ:
+        own['CYCLONEDDS_URI'] = _LOOPBACK
+    return own
+
+
+def free_port() -> int:
+    """Return a TCP port of the loopback interface that nobody listens on."""
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def _free_domain() -> int:
+    """Return a domain whose first participant's port is free (RTPS: 7410 + 250 * domain)."""
+    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
+            contextlib.suppress(OSError),
+        ):
+            probe.bind(('127.0.0.1', 7410 + 250 * domain))
+            return domain
+    raise InputError('All ROS domains from 1 to 101 are in use on this machine.')
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    deadline = time.monotonic() + _PATIENCE
+    while process.poll() is None:
+        if time.monotonic() > deadline:
+            process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=0.5)
+
+
+def _how(code: int) -> str:
+    return f'signal {-code}' if code < 0 else f'exit code {code}'

@@ -1,0 +1,204 @@
+"""imu-calib stand: run a plan live, with the suite's nodes as processes of their own."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..calibration import Calibration
+from ..errors import InputError, NotObservable
+from ..imu import load_imu
+from ..plan import load_plan
+from ..report.parameters import parameter_table
+from ..share import named_file
+from ..turntable import load_table
+from . import options
+from .processes import Processes, free_port, private_network
+from .simulate import LUOYANG
+from .terminal import OUTPUT, progress_bar, sentence_list
+
+_ORDER = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
+_JOURNAL = 'journal'
+_RESULT = 'calibration.yaml'
+_START = 30.0
+"""Longest wait for the nodes to find each other, s."""
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser('stand', help='run a stand live', description=__doc__)
+    parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
+    parser.add_argument(
+        '-o', '--output', default='stand', metavar='DIR', help='folder to create (default: stand)'
+    )
+    parser.add_argument(
+        '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument('--method', default='', metavar='NAME', help="default: the plan's own")
+    options.add_site_options(parser)
+    real = parser.add_argument_group(
+        'real hardware', 'The table is then led by setpoints in the ROS domain of the environment.'
+    )
+    real.add_argument('--port', metavar='URL', help='where the IMU is, for instance /dev/ttyUSB0')
+    real.add_argument(
+        '--device', default='simulated', metavar='NAME|FILE', help="format of the IMU's frames"
+    )
+    simulated = parser.add_argument_group('simulated hardware')
+    simulated.add_argument(
+        '--truth', default='cao2022_table1', metavar='NAME|FILE', help="the unit's true parameters"
+    )
+    simulated.add_argument(
+        '--azimuth', type=float, default=0.0, metavar='DEG', help="true heading of the table's zero"
+    )
+    simulated.add_argument(
+        '--sample-rate', type=float, default=0.0, metavar='HZ', help="default: the IMU's own"
+    )
+    simulated.add_argument('--seed', type=int, default=0, help='same seed, same errors')
+    simulated.add_argument(
+        '--speed',
+        type=float,
+        default=0.0,
+        metavar='X',
+        help='times real time at most (default: as fast as the nodes follow)',
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Run the stand to its end and print what came out.
+
+    Raises:
+        InputError: Wrong usage, or a node does not start.
+        NotObservable: The session gives no calibration; says why.
+
+    """
+    folder = Path(arguments.output).expanduser()
+    truth = _check(arguments, folder)
+    folder.mkdir(parents=True)
+    environment = {} if arguments.port else private_network()
+    parameters = _parameters(arguments, folder)
+    began = time.monotonic()
+    with Processes(folder, environment) as processes:
+        for node in _ORDER:
+            if node in parameters:
+                processes.start(node, parameters[node])
+        outcome = _follow(processes, environment)
+    if not outcome.finished:
+        raise NotObservable(outcome.text)
+    calibration = Calibration.load(folder / _RESULT)
+    if truth is not None:
+        truth.save(folder / 'truth.yaml')
+    OUTPUT.print(parameter_table(calibration, truth))
+    seconds = time.monotonic() - began
+    OUTPUT.print(
+        f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '
+        f'{seconds:.0f} s; recording: {folder / _JOURNAL}, result: {folder / _RESULT}'
+    )
+    sentence_list('Worth knowing', calibration.findings)
+
+
+def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
+    """Refuse what cannot work before anything moves; return the truth of a simulation."""
+    if folder.exists():
+        raise InputError(f'{folder} exists already; recordings are not overwritten.')
+    plan = load_plan(arguments.plan)
+    plan.steps(load_table(arguments.table))
+    load_imu(arguments.imu)
+    if arguments.port:
+        if arguments.latitude is None:
+            raise InputError('--port: a real stand needs --latitude.')
+        return None
+    return Calibration.load(named_file('truths', arguments.truth))
+
+
+def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the parameters of every node that is to run."""
+    simulated = not arguments.port
+    site = {
+        'latitude': LUOYANG if arguments.latitude is None else arguments.latitude,
+        'height': arguments.height or 0.0,
+        'gravity': math.nan if arguments.gravity is None else arguments.gravity,
+    }
+    clock = {'use_sim_time': simulated}
+    port = free_port() if simulated else 0
+    described = {'imu': arguments.imu, 'table': arguments.table}
+    nodes: dict[str, dict[str, Any]] = {
+        'imu_node': {
+            **clock,
+            'imu': arguments.imu,
+            'device': arguments.device,
+            'port': arguments.port or f'socket://127.0.0.1:{port}',
+        },
+        'calibrator_node': {
+            **clock,
+            **described,
+            **site,
+            'plan': arguments.plan,
+            'method': arguments.method,
+            'journal': str(folder / _JOURNAL),
+            'output': str(folder / _RESULT),
+        },
+        'turntable_node': {
+            **clock,
+            'plan': arguments.plan,
+            'table': arguments.table,
+            'autostart': True,
+        },
+    }
+    if simulated:
+        # Simulated time stands still while a busy machine catches up: that is no silence.
+        nodes['turntable_node'] |= {'watchdog_timeout': 10.0, 'calibrator_timeout': 10.0}
+        nodes['stand_node'] = {
+            **described,
+            **site,
+            'truth': arguments.truth,
+            'azimuth': arguments.azimuth,
+            'sample_rate': arguments.sample_rate,
+            'seed': arguments.seed,
+            'speed': arguments.speed,
+            'port': port,
+        }
+    return nodes
+
+
+@dataclass
+class Outcome:
+    """How a session ended.
+
+    Attributes:
+        finished: Whether there is a calibration.
+        text: What the calibrator said last, or why it came to nothing.
+        duration: What the plan took, s of the stand's time.
+
+    """
+
+    finished: bool
+    text: str
+    duration: float
+
+
+def _follow(processes: Processes, environment: dict[str, str]) -> Outcome:
+    """Watch the session until it ends, with a progress bar."""
+    # Which runtime there is, is asked here alone: the other commands need none.
+    from .monitor import watching
+
+    with watching(environment) as monitor, progress_bar('starting') as show:
+        deadline = time.monotonic() + _START
+        while True:
+            monitor.spin(0.1)
+            processes.check()
+            done = round(monitor.duration)
+            show(done, done + round(monitor.remaining), monitor.text)
+            if monitor.outcome is not None:
+                return Outcome(*monitor.outcome, monitor.duration)
+            if monitor.stopped:
+                return Outcome(False, f'The table has stopped. {monitor.stopped}', monitor.duration)
+            if not monitor.begun and time.monotonic() > deadline:
+                raise InputError(f'The stand does not start: {monitor.text}.')
