@@ -1,20 +1,20 @@
 """The sequencer leads the simulated table: whatever goes wrong, the table stands at the end."""
 
+from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sessions import quick_plan
 
 from imu_calib.errors import InputError
-from imu_calib.plan import Plan, Position, RateTest, load_plan
-from imu_calib.profile import moving
-from imu_calib.sequencing import Lead, Overtaken, Phase, Rules, Sequencer
+from imu_calib.plan import RateTest, load_plan
+from imu_calib.sequencing import Feedback, Lead, Overtaken, Phase, Rules, Sequencer
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stream import JointBlock, Mode
+from imu_calib.stream import JointBlock, Mode, Setpoint
 from imu_calib.turntable import TURN, load_table
 from imu_calib.units import DEG
 
@@ -22,8 +22,6 @@ TABLE = load_table('three_axis')
 ALONE = Rules(supervised=False)
 EPOCH = 1_700_000_000_000_000_000
 PERIOD = 0.01
-Z_UP = np.eye(3)
-X_UP = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]).T[[1, 2, 0]].T
 
 
 def small_plan(dwell=2.0, rates=(60 * DEG, -60 * DEG)):
@@ -41,7 +39,7 @@ class Stand:
     setpoint on its way to the table by returning None.
     """
 
-    def __init__(self, plan=None, rules=ALONE, table=TABLE, start=None, block=1, **options):
+    def __init__(self, plan=None, rules=ALONE, table=TABLE, start=None, block=5, **options):
         options = {'positioning_error': 0.0, **options}
         self.table = SimulatedTable(
             table, TableOptions(**options), np.random.default_rng(1), epoch=EPOCH, start=start
@@ -57,7 +55,7 @@ class Stand:
         self.sent = []
         self.phases = []
         self.refusals = []
-        self.last_sent = -1.0
+        self.last_sent, self.sent_at = -1, -1.0
 
     def tick(self):
         times = self.time + PERIOD * np.arange(1, self.block + 1)
@@ -75,8 +73,6 @@ class Stand:
         if not self.phases or self.phases[-1] != (state.step, state.phase):
             self.phases.append((state.step, state.phase))
         return state
-
-    sent_at = -1.0
 
     def send(self):
         self.last_sent, self.sent_at = self.sequencer.revision, self.time
@@ -127,6 +123,52 @@ def assert_within_limits(table, setpoint):
         assert rate**2 / joint.max_acceleration <= TURN * (1 + 1e-9)
 
 
+def modes(stand, step):
+    """Modes that were sent for a step, one after the other."""
+    sent = [s.mode for s in stand.sent if s.step == step]
+    return [m for k, m in enumerate(sent) if k == 0 or m is not sent[k - 1]]
+
+
+def turning(stand, turns=0.5):
+    """Bring a stand into the middle of its first turn."""
+    stand.started()
+    stand.run(lambda state: state.phase is Phase.TURNING and state.turns_done > turns)
+    return stand
+
+
+def moving(stand):
+    """Bring a stand half way to its second position."""
+    stand.started()
+    stand.run(lambda state: state.position == '10' and abs(state.rates[0]) > 20 * DEG)
+    return stand
+
+
+def pauses(stand, *words, seconds=20.0):
+    """Hold that the table is paused for a reason and stands; return the reason."""
+    state = stand.phase(Phase.PAUSED, seconds)
+    assert state.fault
+    assert all(word in state.reason for word in words), state.reason
+    assert stand.sent[-1].mode is Mode.HOLD
+    assert stand.stands()
+    assert stand.sequencer.state().phase is Phase.PAUSED
+    return state.reason
+
+
+def shifted(middle):
+    """Return a plant whose middle joint has jumped."""
+    return lambda time, angles, rates: (angles + np.array([0.0, middle, 0.0]), rates)
+
+
+def recovers(stand):
+    """Resume; the plan runs to its end and the table stands."""
+    stand.plant = lambda time, angles, rates: (angles, rates)
+    stand.link = lambda setpoint: setpoint
+    stand.tick()
+    stand.sequencer.start()
+    stand.phase(Phase.DONE)
+    assert stand.stands()
+
+
 def test_a_plan_runs_to_its_end_and_the_table_goes_back_to_where_it_began():
     start = np.array([20.0, 5.0, -30.0]) * DEG
     stand = Stand(start=start).started()
@@ -134,9 +176,464 @@ def test_a_plan_runs_to_its_end_and_the_table_goes_back_to_where_it_began():
     assert stand.refusals == []
     assert stand.stands()
     assert np.abs(np.array(state.angles) - start).max() < 0.01 * DEG
-    modes = [s.mode for s in stand.sent if s.mode is not Mode.HOLD]
-    assert modes.count(Mode.RATE) > 0
-    told = [p for _, p in stand.phases]
-    assert told[0] is Phase.IDLE
-    assert [p for p in told if p is Phase.TURNING] == [Phase.TURNING] * 2
-    assert [p for p in told if p is Phase.DWELLING].count(Phase.DWELLING) >= 2
+    assert [step for step, phase in stand.phases if phase is Phase.TURNING] == [1, 2]
+    assert [step for step, phase in stand.phases if phase is Phase.DWELLING] == [3, 4]
+    assert all(modes(stand, step) == [Mode.RATE] for step in (1, 2))
+
+
+def test_a_dwell_lasts_as_long_as_the_plan_says_by_the_stamps():
+    stand = Stand(small_plan(dwell=7.0)).started()
+    begin = stand.phase(Phase.DWELLING) and stand.time
+    stand.run(lambda state: state.phase is not Phase.DWELLING)
+    assert 7.0 - PERIOD <= stand.time - begin <= 7.0 + 2 * stand.block * PERIOD
+
+
+def test_the_time_that_is_left_runs_down_to_nothing():
+    stand = Stand().started()
+    told = stand.run(lambda state: state.phase is Phase.MOVING).seconds_left
+    begin = stand.time
+    assert stand.phase(Phase.DONE).seconds_left == 0
+    assert stand.time - begin == pytest.approx(told, rel=0.15)
+
+
+@pytest.mark.parametrize('options', [{'wrapped': True}, {'servo_error': 0.005 * DEG}])
+def test_turns_are_counted_through(options):
+    stand = Stand(small_plan(rates=(200 * DEG, -30 * DEG)), **options).started()
+    most = {}
+    while (state := stand.tick()).phase is not Phase.DONE:
+        most[state.step] = max(most.get(state.step, 0.0), state.turns_done)
+        assert state.phase is not Phase.PAUSED, state.reason
+    assert (most[1], most[2]) == (1.0, 1.0)
+    assert stand.stands()
+
+
+def test_joint_states_may_name_their_joints_in_another_order_and_carry_no_rates():
+    stand = Stand()
+    stand.names, stand.columns = ('inner', 'outer', 'middle'), [2, 0, 1]
+    stand.plant = lambda time, angles, rates: (angles, np.full_like(rates, np.nan))
+    turning(stand)
+    assert stand.sequencer.state().rates[0] == pytest.approx(60 * DEG, rel=0.01)
+    stand.phase(Phase.DONE)
+    assert stand.stands()
+
+
+@pytest.mark.parametrize('bring', [moving, turning])
+def test_a_table_that_stalls_is_stopped(bring):
+    stand = bring(Stand())
+    frozen = np.array(stand.sequencer.state().angles)
+    stand.plant = lambda time, angles, rates: (np.broadcast_to(frozen, angles.shape), 0 * rates)
+    pauses(stand, 'outer', 'stalls' if bring is moving else 'commanded is 60 deg/s')
+    recovers(stand)
+
+
+def test_a_table_that_passes_its_goal_is_stopped():
+    stand = moving(Stand())
+    goal = np.array(stand.sent[-1].angles)
+    begin = np.array(stand.sequencer.state().angles)
+    stand.plant = lambda time, angles, rates: (angles + 0.02 * (angles - begin), rates)
+    assert abs(goal - begin)[0] > 30 * DEG
+    pauses(stand, 'outer', 'passed its goal')
+
+
+def test_a_joint_beyond_its_limits_is_stopped():
+    outer, middle, inner = TABLE.joints
+    middle = replace(middle, lower=-100 * DEG, upper=100 * DEG)
+    stand = moving(Stand(table=replace(TABLE, joints=(outer, middle, inner))))
+    stand.plant = shifted(middle=170 * DEG)
+    pauses(stand, 'middle', 'is at 170.000 deg, beyond its limits of -100 to 100 deg')
+
+
+@pytest.mark.parametrize('bring', [moving, turning])
+def test_a_table_that_goes_the_wrong_way_is_stopped(bring):
+    stand = bring(Stand())
+    begin = np.array(stand.sequencer.state().angles)
+    stand.plant = lambda time, angles, rates: (2 * begin - angles, -rates)
+    pauses(stand, 'outer', 'moves away from its goal')
+
+
+def test_a_turn_at_another_rate_is_stopped():
+    stand = turning(Stand(), turns=0.1)
+    begin = np.array(stand.sequencer.state().angles)
+    stand.plant = lambda time, angles, rates: (begin + 0.8 * (angles - begin), 0.8 * rates)
+    assert float(pauses(stand, 'commanded is 60 deg/s').split()[4]) == pytest.approx(48, rel=0.1)
+    recovers(stand)
+
+
+def test_a_table_that_moves_while_it_is_to_stand_is_stopped():
+    stand = Stand().started()
+    stand.phase(Phase.DWELLING)
+    stand.plant = shifted(middle=0.06 * DEG)
+    pauses(stand, 'middle', 'moves while it is to stand')
+    recovers(stand)
+    assert modes(stand, 3) == [Mode.POSITION, Mode.HOLD, Mode.POSITION]
+
+
+def test_a_table_that_stops_short_of_its_goal_is_said():
+    stand = Stand(servo_error=0.3 * DEG).started()
+    pauses(stand, 'off its goal', '0.01 deg counts as there')
+
+
+def test_a_table_that_is_told_to_hold_and_moves_is_said():
+    stand = moving(Stand())
+    stand.sequencer.pause()
+    stand.link = lambda setpoint: None
+    drift = stand.time
+    stand.plant = lambda time, angles, rates: (
+        angles + 5 * DEG * np.maximum(time - drift, 0)[:, None],
+        rates,
+    )
+    state = stand.run(lambda state: state.fault, seconds=20.0)
+    assert 'Paused on request' in state.reason
+    assert 'still moves' in state.reason
+
+
+def test_stamps_with_a_gap_stop_the_table_and_it_does_not_go_on_by_itself():
+    stand = turning(Stand())
+    stand.silent = True
+    for _ in range(14):
+        stand.tick()
+    stand.silent = False
+    pauses(stand, 'No joint state for 0.7', '0.5 s')
+    recovers(stand)
+
+
+def test_without_joint_states_the_table_is_held_and_a_start_is_refused():
+    stand = turning(Stand())
+    stand.silent = True
+    stand.sequencer.lose_feedback('No joint state from the table for 0.5 s.')
+    with pytest.raises(InputError, match='No joint state'):
+        stand.sequencer.start()
+    assert stand.stands()
+    stand.silent = False
+    recovers(stand)
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'words'),
+    [('name', 'The joint states name outer, middle, tilt'), ('nan', 'nan as the angle of joint')],
+)
+def test_joint_states_that_say_nothing_of_the_table_stop_it(wrong, words):
+    stand = moving(Stand())
+    if wrong == 'name':
+        stand.names = ('outer', 'middle', 'tilt')
+    else:
+        stand.plant = lambda time, angles, rates: (angles * np.nan, rates)
+    pauses(stand, words)
+    stand.names = TABLE.names
+    recovers(stand)
+
+
+def test_stamps_that_jump_back_stop_the_table():
+    stand = moving(Stand())
+    block = JointBlock(np.array([EPOCH - 10**9]), TABLE.names, np.zeros((1, 3)), np.zeros((1, 3)))
+    assert not stand.sequencer.take(block)
+    pauses(stand, 'jump back')
+    recovers(stand)
+
+
+def test_setpoints_that_the_table_refuses_are_noticed():
+    stand = Stand()
+    stand.link = lambda setpoint: replace(setpoint, stamp=setpoint.stamp - 10**9)
+    stand.started()
+    pauses(stand, 'stalls')
+    assert 'stamp is 1 s old' in stand.refusals[0]
+    assert np.abs(stand.table.angles(np.array([stand.time]))).max() == 0
+    recovers(stand)
+
+
+def test_an_interrupted_turn_is_repeated_from_where_it_starts():
+    stand = turning(Stand())
+    stand.sequencer.pause()
+    assert stand.phase(Phase.PAUSED).reason == 'Paused on request.'
+    assert not stand.sequencer.state().fault
+    assert stand.stands()
+    assert stand.sequencer.start() == 'Resumes with step 1.'
+    stand.phase(Phase.DONE)
+    assert modes(stand, 1) == [Mode.RATE, Mode.HOLD, Mode.POSITION, Mode.RATE]
+    assert stand.refusals == []
+    assert stand.stands()
+
+
+def test_a_pause_while_the_table_still_brakes_may_be_taken_back_at_once():
+    stand = turning(Stand())
+    stand.sequencer.pause()
+    stand.tick()
+    stand.sequencer.start()
+    stand.phase(Phase.DONE)
+    assert stand.refusals == []
+    assert stand.stands()
+
+
+def test_many_pauses_lose_no_step():
+    stand = Stand(small_plan(dwell=0.5)).started()
+    done = []
+    for k in range(500):
+        state = stand.tick()
+        if k % 50 == 49:
+            stand.sequencer.pause()
+            stand.tick()
+            stand.sequencer.start()
+        done.append(state.step)
+    stand.phase(Phase.DONE)
+    turns = [s for s in stand.sent if s.mode is Mode.RATE]
+    assert {s.step for s in turns} == {1, 2}
+    assert [step for step, phase in stand.phases if phase is Phase.DWELLING] == [3, 4]
+
+
+def test_after_an_abort_the_plan_starts_anew():
+    stand = turning(Stand())
+    stand.sequencer.abort()
+    assert stand.phase(Phase.ABORTED).reason == 'Aborted on request.'
+    assert stand.stands()
+    with pytest.raises(InputError, match='Nothing is running'):
+        stand.sequencer.pause()
+    assert stand.sequencer.start() == 'Runs small.'
+    assert stand.run(lambda state: state.phase is Phase.TURNING).step == 1
+    stand.phase(Phase.DONE)
+
+
+def test_the_emergency_stop_holds_and_its_release_moves_nothing():
+    stand = turning(Stand())
+    stand.sequencer.emergency(True)
+    assert stand.tick().phase is Phase.ABORTED
+    assert stand.stands()
+    with pytest.raises(InputError, match='The emergency stop is on'):
+        stand.sequencer.start()
+    stand.sequencer.emergency(False)
+    assert stand.stands()
+    assert stand.sequencer.state().phase is Phase.ABORTED
+    stand.sequencer.start()
+    stand.phase(Phase.DONE)
+    assert stand.stands()
+
+
+def test_a_start_while_it_runs_or_without_joint_states_is_refused():
+    stand = Stand()
+    with pytest.raises(InputError, match='no joint states'):
+        stand.sequencer.start()
+    stand.started()
+    with pytest.raises(InputError, match='is running, at step 0'):
+        stand.sequencer.start()
+
+
+@pytest.mark.parametrize(
+    ('change', 'rates', 'words'),
+    [
+        ({'max_rate': 50 * DEG}, (60 * DEG,), 'outer at 60 deg/s.*allows 50 deg/s'),
+        ({'max_acceleration': 9 * DEG}, (60 * DEG,), 'outer.*needs 400 deg, a turn'),
+        ({'lower': -10 * DEG, 'upper': 170 * DEG}, (), 'limits'),
+    ],
+)
+def test_a_plan_beyond_the_limits_is_refused_at_the_start(change, rates, words):
+    joints = tuple(replace(j, **change) for j in TABLE.joints)
+    plan = small_plan(rates=rates)
+    if not rates:
+        plan = replace(plan, positions=tuple(replace(p, rate_test=None) for p in plan.positions))
+    table = replace(TABLE, joints=joints)
+    sequencer = Sequencer(plan, table, ALONE)
+    stamp = np.array([EPOCH])
+    sequencer.take(JointBlock(stamp, table.names, np.array([[0.0, 175 * DEG, 0]]) * (not rates),
+                              np.zeros((1, 3))))  # fmt: skip
+    with pytest.raises(InputError, match=words if rates else '175 deg.*allows -10 to 170 deg'):
+        sequencer.start()
+    assert sequencer.setpoint(EPOCH) is None
+
+
+SUPERVISED = Rules(repeats=2, repeat_wait=20.0)
+
+
+def supervised(rules=SUPERVISED):
+    stand = Stand(rules=rules)
+    stand.sequencer.attend(True)
+    return stand.started()
+
+
+def test_a_start_waits_for_the_calibrator():
+    stand = Stand(rules=SUPERVISED)
+    stand.tick()
+    assert 'calibrator' in stand.sequencer.start()
+    for _ in range(20):
+        assert stand.tick().phase is Phase.IDLE
+    assert stand.sent == []
+    stand.sequencer.attend(True)
+    stand.run(lambda state: state.phase is Phase.MOVING, 1.0)
+
+
+def test_a_silent_calibrator_stops_the_table():
+    stand = turning_supervised()
+    stand.sequencer.attend(False, 'The calibrator is silent for 5 s.')
+    pauses(stand, 'The calibrator is silent for 5 s.')
+    stand.sequencer.start()
+    assert 'Waits for the calibrator' in stand.tick().reason
+    stand.sequencer.attend(True)
+    stand.run(lambda state: state.phase is Phase.TURNING, 20.0)
+
+
+def turning_supervised():
+    stand = supervised()
+    stand.run(lambda state: state.phase is Phase.TURNING and state.turns_done > 0.5)
+    return stand
+
+
+def test_the_calibrator_has_steps_repeated_but_not_for_ever():
+    stand = supervised()
+    state = stand.run(lambda state: stand.sequencer.reviewing)
+    assert state.phase is Phase.DWELLING
+    now = EPOCH + round(stand.time * 1e9)
+    stand.sequencer.review(now - 10 * 10**9, [0, 1, 2, 3, 4])
+    assert stand.sequencer.reviewing, 'what was said before the end of the plan does not count'
+    for _ in range(2):
+        stand.sequencer.review(now, [2, 4])
+        stand.run(lambda state: stand.sequencer.reviewing)
+        now = EPOCH + round(stand.time * 1e9)
+    stand.sequencer.review(now, [2, 4])
+    stand.phase(Phase.DONE)
+    assert modes(stand, 2) == [Mode.RATE, Mode.POSITION, Mode.RATE, Mode.POSITION, Mode.RATE]
+    assert modes(stand, 1) == [Mode.RATE]
+    assert [step for step, phase in stand.phases if phase is Phase.TURNING] == [1, 2, 2, 2]
+    dwells = [step for step, phase in stand.phases if phase is Phase.DWELLING]
+    assert dwells.count(4) >= 3
+    assert stand.stands()
+
+
+def test_the_way_home_does_not_wait_for_ever_for_the_calibrators_word():
+    stand = supervised()
+    stand.run(lambda state: stand.sequencer.reviewing)
+    begin = stand.time
+    stand.phase(Phase.DONE)
+    assert 20.0 <= stand.time - begin <= 30.0
+
+
+def test_a_pause_while_the_calibrator_is_awaited_repeats_nothing():
+    stand = supervised()
+    stand.run(lambda state: stand.sequencer.reviewing)
+    stand.sequencer.pause()
+    stand.phase(Phase.PAUSED)
+    stand.sequencer.start()
+    stand.run(lambda state: stand.sequencer.reviewing)
+    stand.sequencer.review(EPOCH + round(stand.time * 1e9), [])
+    stand.phase(Phase.DONE)
+    assert [step for step, phase in stand.phases if phase is Phase.TURNING] == [1, 2]
+
+
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(['pause', 'start', 'abort', 'estop', 'freeze', 'jump', 'silence', 'deaf']),
+        st.floats(0.0, 6.0),
+    ),
+    max_size=6,
+)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    EVENTS,
+    st.lists(st.floats(-180.0, 180.0), min_size=3, max_size=3),
+    st.floats(20.0, 200.0),
+    st.booleans(),
+)
+def test_no_setpoint_ever_leaves_that_the_table_does_not_allow(events, start, rate, wrapped):
+    """`Stand.send` checks each; and whatever happened, an abort leaves the table at rest."""
+    stand = Stand(
+        small_plan(dwell=0.3, rates=(rate * DEG, -rate * DEG)),
+        start=np.array(start) * DEG,
+        wrapped=wrapped,
+        block=10,
+    )
+    stand.started()
+    for event, seconds in events:
+        happen(stand, event)
+        end = stand.time + seconds
+        while stand.time < end:
+            stand.tick()
+    try:
+        stand.sequencer.abort()
+    except InputError:
+        assert not stand.sequencer.running
+    stand.silent, stand.link = False, lambda setpoint: setpoint
+    assert stand.stands(3.0)
+
+
+def happen(stand, event):
+    frozen = stand.sequencer.state().angles
+    if event in {'pause', 'start', 'abort'}:
+        with suppress(InputError):
+            getattr(stand.sequencer, event)()
+    elif event == 'estop':
+        stand.sequencer.emergency(True)
+        stand.tick()
+        stand.sequencer.emergency(False)
+    elif event == 'freeze':
+        stand.plant = lambda time, angles, rates: (np.broadcast_to(frozen, angles.shape), 0 * rates)
+    elif event == 'jump':
+        stand.plant = lambda time, angles, rates: (angles + 0.3, rates)
+    elif event == 'silence':
+        stand.silent = not stand.silent
+    else:
+        stand.link = lambda setpoint: None
+
+
+def setpoint(mode, angles=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), stamp=0, turns=1.0):
+    return Setpoint(EPOCH + stamp, 'p', 0, '1', mode, TABLE.names, angles, rates, turns, 0.0)
+
+
+def at(angles=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), still=True):
+    return Feedback(EPOCH, 0.01, angles, rates, still)
+
+
+def test_a_turn_is_led_by_pieces_that_coincide_and_each_end_at_rest():
+    lead = Lead(TABLE)
+    pieces = []
+    for tick in range(1000):
+        turn = setpoint(Mode.RATE, rates=(30 * DEG, 0.0, 0.0), stamp=tick * 50_000_000)
+        if (piece := lead.piece(turn, at())) is not None:
+            pieces.append((tick * 0.05, piece))
+    seconds = 2 * TURN / (30 * DEG)
+    assert seconds - 3 <= len(pieces) <= seconds
+    whole = pieces[-1][1].course
+    assert whole.angles[-1, 0] == pytest.approx(2 * TURN)
+    assert len({piece.stamp for _, piece in pieces}) == 1
+    for (_, piece), (sent, following) in pairwise(pieces):
+        course = piece.course
+        assert (course.rates[-1] == 0).all()
+        assert (np.diff(course.time) > 0).all()
+        assert len(course.time) <= 5
+        times = np.linspace(0.0, sent + 0.2, 50)
+        assert np.allclose(course.at(times)[0], following.course.at(times)[0])
+        assert course.end < sent + 3.5
+    times = np.linspace(0.0, whole.end, 2000)
+    rates = whole.at(times)[1][:, 0]
+    assert rates.max() <= 30 * DEG * (1 + 1e-9)
+    assert np.abs(np.diff(rates) / np.diff(times)).max() <= 200 * DEG * (1 + 1e-6)
+
+
+def test_a_move_is_one_trajectory_within_the_limits_of_every_joint():
+    goal = (90 * DEG, -90 * DEG, 10 * DEG)
+    piece = Lead(TABLE).piece(setpoint(Mode.POSITION, angles=goal), at())
+    assert np.allclose(piece.course.angles[-1], goal)
+    assert piece.stamp > EPOCH
+    times = np.linspace(0.0, piece.course.end, 5000)
+    rates = piece.course.at(times)[1]
+    for k, joint in enumerate(TABLE.joints):
+        accelerations = np.abs(np.diff(rates[:, k]) / np.diff(times))
+        assert accelerations.max() <= joint.max_acceleration * (1 + 1e-6)
+        assert np.abs(rates[:, k]).max() <= joint.max_rate
+
+
+def test_a_hold_is_the_way_to_the_nearest_stopping_point():
+    lead = Lead(TABLE)
+    lead.piece(setpoint(Mode.RATE, rates=(60 * DEG, 0.0, 0.0)), at())
+    fast = at(angles=(1.0, 0.0, 0.0), rates=(60 * DEG, 0.0, 0.0), still=False)
+    piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), fast)
+    assert piece.stamp == 0
+    assert piece.course.time.tolist() == pytest.approx([60 / 200 + 0.1])
+    assert piece.course.angles[0, 0] == pytest.approx(1.0 + 60 * DEG * 0.4 / 2)
+    assert lead.piece(setpoint(Mode.HOLD, stamp=int(3e9)), at()) is None
+
+
+def test_a_piece_that_comes_too_late_is_no_jump():
+    lead = Lead(TABLE)
+    rates = (30 * DEG, 0.0, 0.0)
+    lead.piece(setpoint(Mode.RATE, rates=rates), at())
+    with pytest.raises(Overtaken, match='brakes already'):
+        lead.piece(setpoint(Mode.RATE, rates=rates, stamp=int(3.5e9)), at())

@@ -116,6 +116,11 @@ class Sequencer:
         return self._stage in _RUNNING
 
     @property
+    def reviewing(self) -> bool:
+        """Whether the plan has been run and the calibrator is to say what is to be repeated."""
+        return self._stage is _Stage.REVIEWING
+
+    @property
     def feedback(self) -> Feedback | None:
         """The last joint state."""
         return self._feedback

@@ -131,6 +131,12 @@ class Watch:
         if left <= self._rules.arrival or then - left >= min(way.progress, then / 2):
             way.mark = stamp, left
         elif (stamp - since) * 1e-9 > way.patience:
+            if left <= self._rules.overshoot:
+                return (
+                    f'Joint {way.joint.name} stops at {angle / DEG:.4f} deg, '
+                    f'{left / DEG:.4f} deg off its goal; '
+                    f'{self._rules.arrival / DEG:g} deg counts as there.'
+                )
             return (
                 f'Joint {way.joint.name} stalls at {angle / DEG:.3f} deg on its way to '
                 f'{way.goal / DEG:.3f} deg: {(then - left) / DEG:.3f} deg in '
