@@ -1,4 +1,7 @@
-"""One end of an exchange, run by either runtime: `talk` sends every message, `hear` prints them."""
+"""One end of an exchange, run by either runtime.
+
+`talk` sends every message, `hear` prints them, `stream` sends a session's streams in a burst.
+"""
 
 import json
 import sys
@@ -40,6 +43,8 @@ def value(now, name, spelled, number):
         return True
     if spelled == 'octet':
         return bytes([number % 4])
+    if 'sequence' in spelled and 'int' in spelled:
+        return [number, 0, number + 1]
     if '[' in spelled:
         return [number + k / 8 for k in range(len(now))]
     if 'sequence' in spelled:
@@ -96,8 +101,33 @@ def hear(node):
     print(json.dumps({'got': got, 'expected': expected, 'nodes': nodes}))
 
 
+def stream(node):
+    """Latch a state, then send every stream of a session as fast as it goes, once it is heard."""
+    count = int(sys.argv[2])
+    keep_all = ros.QoSProfile(history=ros.HistoryPolicy.KEEP_ALL)
+    state = node.create_publisher(M.TurntableState, 'turntable/state', QOS)
+    state.publish(filled(M.TurntableState))
+    kinds = {'imu/pulses': M.Imu, 'imu/skew': M.Imu, 'turntable/joint_states': M.JointState}
+    publishers, payloads = [], []
+    for topic, kind in kinds.items():
+        publishers.append(node.create_publisher(kind, topic, keep_all))
+        message = filled(kind)
+        for message.header.stamp.sec in range(count):
+            payloads.append((publishers[-1], ros.serialize_message(message)))
+    payloads.sort(key=lambda p: p[1][4:8][::-1])
+    print('ready', flush=True)
+    while any(p.get_subscription_count() == 0 for p in [state, *publishers]):
+        ros.spin_once(node, timeout_sec=0.1)
+    for publisher, payload in payloads:
+        publisher.publish(payload)
+    print(all(ros.acknowledged(p, 30.0) for p in [state, *publishers]), flush=True)
+    sys.stdin.read()
+
+
 if __name__ == '__main__':
-    role = {'talk': talk, 'hear': hear}[sys.argv[1]]
-    ros.init(args=['--ros-args', '-r', '__ns:=/stand'])
+    role = {'talk': talk, 'hear': hear, 'stream': stream}[sys.argv[1]]
+    # The streams have the names that config/record_qos.yaml knows.
+    namespace = '/' if role is stream else '/stand'
+    ros.init(args=['--ros-args', '-r', f'__ns:={namespace}'])
     role(ros.Node(f'{sys.argv[1]}er'.replace('hearer', 'listener')))
     ros.shutdown()

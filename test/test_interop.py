@@ -3,13 +3,19 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from loopback import CHECKOUT, environment
+
+from imu_calib.bags import open_recording
+from imu_calib.cdr import Kind
 
 ROS = Path('/opt/ros/jazzy/setup.bash')
 PEER = CHECKOUT / 'test' / 'interop_peer.py'
@@ -58,9 +64,8 @@ def side(runtime, domain):
 
 
 @contextmanager
-def talker(runtime, domain, seconds=40):
-    """Run a peer that sends every message."""
-    words = ([] if runtime == 'dds' else ['python3']) + [str(PEER), 'talk', str(seconds)]
+def started(runtime, domain, *words):
+    """Run a command until the block ends."""
     process = subprocess.Popen(
         command(runtime, *words),
         stdin=subprocess.PIPE,
@@ -70,11 +75,30 @@ def talker(runtime, domain, seconds=40):
         env=side(runtime, domain),
     )
     try:
-        assert process.stdout.readline() == 'ready\n', process.stderr.read()
         yield process
     finally:
         process.kill()
         process.communicate()
+
+
+@contextmanager
+def peer(runtime, domain, role, number):
+    """Run a peer until the block ends, which begins when the peer is ready."""
+    python = [] if runtime == 'dds' else ['python3']
+    with started(runtime, domain, *python, str(PEER), role, str(number)) as process:
+        assert process.stdout.readline() == 'ready\n', process.stderr.read()
+        yield process
+
+
+def talker(runtime, domain):
+    """Run a peer that sends every message."""
+    return peer(runtime, domain, 'talk', 40)
+
+
+def interrupted(process):
+    """End a tool as a user does; return all that it wrote."""
+    process.send_signal(signal.SIGINT)
+    return '\n'.join(process.communicate(timeout=15))
 
 
 def ask(runtime, domain, *words, seconds=30):
@@ -138,6 +162,44 @@ def test_the_tools_of_ros_see_a_node_on_dds(rmw):
         echo = ('topic', 'echo', '--no-daemon', '--once', '/stand/count', 'std_msgs/msg/String')
         echoed = ros2(domain, *echo)
         assert echoed.startswith('data: tick')
+
+
+@pytest.mark.parametrize('rmw', RMWS)
+def test_the_rate_of_a_topic_on_dds_is_measured(rmw):
+    domain = environment(RMW_IMPLEMENTATION=rmw)
+    hz = ('ros2', 'topic', 'hz', '--spin-time', '2', '/stand/count')
+    with talker('dds', domain), started('rclpy', domain, *hz) as tool:
+        lines = []
+        while not lines or not lines[-1].startswith('average rate:'):
+            lines.append(tool.stdout.readline())
+            assert lines[-1], tool.stderr.read()
+        written = ''.join(lines) + interrupted(tool)
+    assert float(lines[-1].split()[-1]) == pytest.approx(20.0, rel=0.2)
+    assert not re.search('warn|error|traceback|incompatible', written, re.IGNORECASE)
+
+
+@pytest.mark.parametrize('rmw', RMWS)
+def test_every_message_of_a_session_is_recorded(rmw, tmp_path):
+    domain, count = environment(RMW_IMPLEMENTATION=rmw), 8000
+    streams = ['/imu/pulses', '/imu/skew', '/turntable/joint_states']
+    options = ['-o', str(tmp_path / 'bag'), '--disable-keyboard-controls']
+    options += ['--qos-profile-overrides-path', str(CHECKOUT / 'config' / 'record_qos.yaml')]
+    topics = ['--topics', *streams, '/turntable/state']
+    with (
+        peer('dds', domain, 'stream', count) as source,
+        started('rclpy', domain, 'ros2', 'bag', 'record', *options, *topics) as recorder,
+    ):
+        assert source.stdout.readline() == 'True\n'
+        time.sleep(3.0)  # acknowledged is what has arrived, not what is written
+        written = interrupted(recorder)
+    assert 'Recording stopped' in written
+    assert not re.search('warn|error|lost', written, re.IGNORECASE)
+    with open_recording(tmp_path / 'bag') as recording:
+        recorded = {topic.name: topic.count for topic in recording.topics}
+        blocks = [block for _, block in recording.read({'/imu/pulses': Kind.IMU})]
+    assert recorded == {**dict.fromkeys(streams, count), '/turntable/state': 1}
+    stamps = np.concatenate([b.stamp for b in blocks])
+    assert (stamps // 1_000_000_000 == np.arange(count)).all()
 
 
 def test_the_announced_hashes_are_those_of_ros():
