@@ -500,8 +500,9 @@ def test_the_way_home_does_not_wait_for_ever_for_the_calibrators_word():
     stand = supervised()
     stand.run(lambda state: stand.sequencer.reviewing)
     begin = stand.time
-    stand.phase(Phase.DONE)
+    state = stand.phase(Phase.DONE)
     assert 20.0 <= stand.time - begin <= 30.0
+    assert 'did not say within 20 s' in state.reason
 
 
 def test_a_pause_while_the_calibrator_is_awaited_repeats_nothing():
@@ -525,7 +526,7 @@ EVENTS = st.lists(
 )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     EVENTS,
     st.lists(st.floats(-180.0, 180.0), min_size=3, max_size=3),
@@ -577,8 +578,8 @@ def setpoint(mode, angles=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), stamp=0, turns
     return Setpoint(EPOCH + stamp, 'p', 0, '1', mode, TABLE.names, angles, rates, turns, 0.0)
 
 
-def at(angles=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), still=True):
-    return Feedback(EPOCH, 0.01, angles, rates, still)
+def at(angles=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), still=True, stamp=0):
+    return Feedback(EPOCH + stamp, 0.01, angles, rates, still)
 
 
 def test_a_turn_is_led_by_pieces_that_coincide_and_each_end_at_rest():
@@ -623,7 +624,7 @@ def test_a_move_is_one_trajectory_within_the_limits_of_every_joint():
 def test_a_hold_is_the_way_to_the_nearest_stopping_point():
     lead = Lead(TABLE)
     lead.piece(setpoint(Mode.RATE, rates=(60 * DEG, 0.0, 0.0)), at())
-    fast = at(angles=(1.0, 0.0, 0.0), rates=(60 * DEG, 0.0, 0.0), still=False)
+    fast = at(angles=(1.0, 0.0, 0.0), rates=(60 * DEG, 0.0, 0.0), still=False, stamp=10**9)
     piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), fast)
     assert piece.stamp == 0
     assert piece.course.time.tolist() == pytest.approx([60 / 200 + 0.1])
@@ -637,3 +638,98 @@ def test_a_piece_that_comes_too_late_is_no_jump():
     lead.piece(setpoint(Mode.RATE, rates=rates), at())
     with pytest.raises(Overtaken, match='brakes already'):
         lead.piece(setpoint(Mode.RATE, rates=rates, stamp=int(3.5e9)), at())
+
+
+def test_a_hold_without_joint_states_brakes_on_the_way():
+    lead = Lead(TABLE)
+    turn = lead.piece(setpoint(Mode.RATE, rates=(60 * DEG, 0.0, 0.0)), at())
+    piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), at(still=False))
+    assert piece.stamp == turn.stamp
+    times = np.linspace(0.0, 1.0, 50)
+    assert np.allclose(piece.course.at(times)[0], turn.course.at(times)[0])
+    assert piece.course.end == pytest.approx(1.0 + 60 / 200)
+
+
+class Controller:
+    """joint_trajectory_controller, as far as it moves joints: stands in for the table."""
+
+    def __init__(self):
+        self.time, self.angles, self.rates = 0.0, np.zeros(3), np.zeros(3)
+        self.piece, self.start = None, 0.0
+        self.lead = Lead(TABLE)
+
+    def follow(self, setpoint, feedback):
+        piece = self.lead.piece(setpoint, feedback)
+        if piece is None:
+            return
+        course, self.start = piece.course, (piece.stamp - EPOCH) * 1e-9
+        if piece.stamp == 0:
+            self.start = self.time
+            # Cubic from the state at the start to the only point; at rest there, it is a parabola.
+            course = replace(
+                course,
+                time=np.array([0.0, *course.time]),
+                angles=np.vstack([self.angles, course.angles]),
+                rates=np.vstack([self.rates, course.rates]),
+            )
+        self.piece = course
+
+    def at(self, time):
+        self.time = time
+        if self.piece is not None:
+            angles, rates = self.piece.at(np.array([time - self.start]))
+            jump = np.abs(angles[0] - self.angles).max()
+            assert jump < 10 * DEG, 'the controller would jump'
+            self.angles, self.rates = angles[0], rates[0]
+        return self.angles, self.rates
+
+
+def led(until, seconds=120.0, act=None):
+    """Lead a controller through the small plan; return it and the sequencer."""
+    controller, sequencer = Controller(), Sequencer(small_plan(rates=(30 * DEG,)), TABLE, ALONE)
+    time, revision = 0.0, -1
+    while not until(sequencer.state()):
+        time += PERIOD
+        assert time < seconds, sequencer.state()
+        angles, rates = controller.at(time)
+        stamp = EPOCH + round(time * 1e9)
+        block = JointBlock(np.array([stamp]), TABLE.names, angles[None], rates[None])
+        sequencer.take(block)
+        if sequencer.state().phase is Phase.IDLE:
+            sequencer.start()
+        if act is not None:
+            act(sequencer)
+        if sequencer.revision != revision or round(time / PERIOD) % 10 == 0:
+            revision = sequencer.revision
+            controller.follow(sequencer.setpoint(stamp), sequencer.feedback)
+    return controller, sequencer
+
+
+def test_a_trajectory_controller_is_led_through_a_plan():
+    controller, _ = led(lambda state: state.phase is Phase.DONE)
+    assert np.abs(controller.angles).max() < 0.01 * DEG
+    assert np.abs(controller.rates).max() == 0
+
+
+def test_a_trajectory_controller_whose_node_dies_stops_by_itself():
+    controller, _ = led(lambda state: state.turns_done > 0.5)
+    assert controller.rates[0] == pytest.approx(30 * DEG)
+    for _ in range(350):
+        controller.at(controller.time + PERIOD)
+    assert np.abs(controller.rates).max() == 0
+
+
+def test_a_trajectory_controller_is_paused_in_a_turn_and_goes_on():
+    paused = []
+
+    def act(sequencer):
+        if not paused and sequencer.state().turns_done > 0.5:
+            sequencer.pause()
+            paused.append(sequencer)
+        elif sequencer.state().phase is Phase.PAUSED and sequencer.feedback.still:
+            sequencer.start()
+
+    controller, sequencer = led(lambda state: state.phase is Phase.DONE, act=act)
+    assert paused
+    assert sequencer.state().reason == ''
+    assert np.abs(controller.angles).max() < 0.01 * DEG

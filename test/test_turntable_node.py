@@ -1,5 +1,6 @@
 """turntable_node against a simulated table as a second node, on the wire."""
 
+import math
 import os
 import signal
 import time
@@ -40,7 +41,7 @@ title: One turn and one dwell
 source: here
 method: twelve_position
 dwell: 0.2 s
-rate_test: {rates: [720 deg/s], turns: 1}
+rate_test: {rates: [RATE deg/s], turns: 1}
 positions:
   - {id: first, axes: [E, N, U], rate_test: true}
   - {id: second, axes: [W, S, U]}
@@ -54,7 +55,8 @@ class FakeTable(ros.Node):
         super().__init__('table')
         self.epoch = time.time_ns()
         self.table = SimulatedTable(load_table(table), TableOptions(), epoch=self.epoch)
-        self.silent = self.still = False
+        self.silent = False
+        self.simulated = None
         self.refusals, self.setpoints = [], []
         self.create_subscription(
             ros.messages.TurntableSetpoint, 'turntable/setpoint', self.take, qos.command(), raw=True
@@ -64,7 +66,14 @@ class FakeTable(ros.Node):
         )
         self.create_timer(0.01, self.tick, clock=STEADY)
 
+    def run_ahead(self, factor):
+        """Go on in simulated time, never further ahead of the setpoints than they may be old."""
+        self.factor, self.simulated = factor, self.now()
+        self.clock = self.create_publisher(ros.messages.Clock, '/clock', 10)
+
     def now(self):
+        if self.simulated is not None:
+            return self.simulated
         return (time.time_ns() - self.epoch) * 1e-9
 
     def take(self, payload):
@@ -78,12 +87,27 @@ class FakeTable(ros.Node):
     def tick(self):
         if self.silent:
             return
-        now = self.now()
-        angles, rates = self.table.read(np.array([now]))
-        stamp = np.array([self.epoch + round(now * 1e9)])
-        block = JointBlock(stamp, self.table.table.names, angles, rates)
+        times = np.array([self.now()])
+        if self.simulated is not None:
+            times = self.pass_time()
+        angles, rates = self.table.read(times)
+        stamps = self.epoch + np.rint(times * 1e9).astype(np.int64)
+        block = JointBlock(stamps, self.table.table.names, angles, rates)
         for payload in encode_joints(block).payloads():
             self.joints.publish(payload)
+
+    def pass_time(self):
+        last = (self.setpoints[-1].stamp - self.epoch) * 1e-9 if self.setpoints else math.inf
+        if self.simulated - last > 0.25:
+            return np.empty(0)
+        times = self.simulated + 0.01 * np.arange(1, self.factor + 1)
+        if math.floor(times[-1] * 10) > math.floor(self.simulated * 10):
+            message = ros.messages.Clock()
+            told = ros.Time(nanoseconds=self.epoch + math.floor(times[-1] * 10) * 100_000_000)
+            message.clock = told.to_msg()
+            self.clock.publish(message)
+        self.simulated = float(times[-1])
+        return times
 
     def at_rest(self):
         return self.table.advance(self.now()).at_rest
@@ -125,10 +149,27 @@ class Watcher(ros.Node):
         self.progress.publish(message)
 
 
+MAIN = 'import sys\nfrom imu_calib.nodes.turntable_node import main\nsys.exit(main())'
+BROKEN = """
+import sys
+from imu_calib.middleware import run
+from imu_calib.nodes import turntable_node
+class Broken(turntable_node.TurntableNode):
+    def _take(self, payloads, now):
+        super()._take(payloads, now)
+        if self._sequencer.state().turns_done > 0.1:
+            raise RuntimeError('a fault in a callback')
+run(Broken)
+"""
+
+
 class Session:
+    """Table, person and node on one executor, or the node in a process of its own."""
+
     def __init__(self, folder):
+        self.folder = folder
         (folder / 'table.yaml').write_text(TABLE)
-        (folder / 'plan.yaml').write_text(PLAN)
+        self.turn_at(1440)
         self.parameters = {
             'plan': str(folder / 'plan.yaml'),
             'table': str(folder / 'table.yaml'),
@@ -137,6 +178,10 @@ class Session:
         }
         self.executor = ros.SingleThreadedExecutor()
         self.node = None
+
+    def turn_at(self, rate):
+        (self.folder / 'plan.yaml').write_text(PLAN.replace('RATE', str(rate)))
+        return self
 
     def arguments(self, **changes):
         pairs = {**self.parameters, **changes}
@@ -169,7 +214,17 @@ class Session:
         assert self.until(lambda: self.watcher.phase is phase, seconds), self.watcher.states[-1:]
 
     def ends_stopped(self):
-        return self.until(lambda: self.table.at_rest(), 3.0)
+        """Whether the table itself comes to rest, and stays there."""
+        return self.until(self.table.at_rest, 3.0) and not self.until(
+            lambda: not self.table.at_rest(), 0.3
+        )
+
+    def process(self, code=MAIN, **changes):
+        """Start the node as a process; return it when it drives the table through a turn."""
+        self.open(with_node=False)
+        process = start(code, *self.arguments(autostart=True, **changes))
+        assert self.until(lambda: self.watcher.phase is Phase.TURNING), process.poll()
+        return process
 
 
 @pytest.fixture
@@ -186,6 +241,152 @@ def test_a_session_starts_by_itself_and_ends_with_the_table_at_rest_where_it_beg
     session.reaches(Phase.DONE)
     assert session.table.refusals == []
     assert session.ends_stopped()
-    assert max(abs(session.watcher.states[-1].positions[k]) for k in range(3)) < 1e-4
+    assert max(abs(a) for a in session.watcher.states[-1].positions) < 1e-4
     phases = {Phase(s.phase) for s in session.watcher.states}
     assert {Phase.MOVING, Phase.TURNING, Phase.SETTLING, Phase.DWELLING} <= phases
+    stamps = np.array([s.stamp for s in session.table.setpoints])
+    assert np.diff(stamps).max() < 0.2e9
+
+
+def test_the_services_start_pause_resume_and_abort(session):
+    session.turn_at(90).open()
+    session.table.silent = True
+    assert session.press('start') == (False, 'There are no joint states from the table.')
+    session.table.silent = False
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    assert session.press('pause')[0] is False
+    assert session.press('start') == (True, 'Runs tiny.')
+    assert session.press('start')[0] is False
+    session.reaches(Phase.TURNING)
+    assert session.press('pause') == (True, 'Paused on request.')
+    session.reaches(Phase.PAUSED)
+    assert session.ends_stopped()
+    assert session.press('start') == (True, 'Resumes with step 1.')
+    session.reaches(Phase.TURNING)
+    assert session.press('abort') == (True, 'Aborted on request.')
+    session.reaches(Phase.ABORTED)
+    assert session.ends_stopped()
+    assert session.table.setpoints[-1].mode is Mode.HOLD
+
+
+def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(session):
+    session.turn_at(90).open(autostart=True)
+    session.reaches(Phase.TURNING)
+    session.watcher.estop.publish(ros.messages.Bool(data=True))
+    session.reaches(Phase.ABORTED)
+    assert session.ends_stopped()
+    assert session.press('start') == (False, 'The emergency stop is on.')
+    session.watcher.estop.publish(ros.messages.Bool(data=False))
+    assert session.until(lambda: session.press('start')[0])
+    session.reaches(Phase.TURNING)
+
+
+def test_joint_states_that_cease_stop_the_table(session):
+    session.turn_at(90).open(autostart=True)
+    session.reaches(Phase.TURNING)
+    session.table.silent = True
+    session.reaches(Phase.PAUSED)
+    assert session.ends_stopped()
+    assert 'No joint state from the table for 0.5 s' in session.watcher.states[-1].reason
+    told = [s for d in session.watcher.diagnostics for s in d.status if s.level == b'\x02']
+    assert any('No joint state' in s.message and s.name == 'turntable_node: plan' for s in told)
+    session.table.silent = False
+    assert not session.until(lambda: session.watcher.phase is not Phase.PAUSED, 0.5)
+    assert session.until(lambda: session.press('start')[0])
+    session.reaches(Phase.TURNING)
+
+
+def test_a_calibrator_is_waited_for_and_has_steps_repeated(session):
+    session.open(supervised=True, autostart=True)
+    assert not session.until(lambda: session.watcher.phase is Phase.MOVING, 1.0)
+    session.watcher.calibrate()
+    assert session.until(lambda: session.node._sequencer.reviewing)
+    session.watcher.calibrate([1])
+    assert session.until(lambda: not session.node._sequencer.reviewing)
+    assert session.until(lambda: session.node._sequencer.reviewing)
+    session.watcher.calibrate()
+    session.reaches(Phase.DONE)
+    turns = [s.step for s in session.watcher.states if s.phase == Phase.TURNING]
+    assert set(turns) == {1}
+    assert session.ends_stopped()
+
+
+def test_a_calibrator_that_falls_silent_stops_the_table(session):
+    session.turn_at(90).open(supervised=True, autostart=True, calibrator_timeout=1.5)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    session.watcher.calibrate()
+    session.reaches(Phase.PAUSED)
+    assert session.watcher.states[-1].reason == 'The calibrator is silent for 1.5 s.'
+    assert session.ends_stopped()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_table_before_the_node_ends(session, number):
+    process = session.turn_at(60).process()
+    process.send_signal(number)
+    assert session.until(lambda: process.poll() is not None)
+    _, err = process.communicate()
+    assert process.returncode == 0, err
+    assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD, 1.0)
+    assert session.table.table.advance(session.table.now()).stopped == ''
+    assert session.ends_stopped()
+    assert session.watcher.states[-1].reason == 'The turntable node ends.'
+
+
+def test_an_error_in_a_callback_stops_the_table(session):
+    process = session.turn_at(180).process(BROKEN)
+    assert session.until(lambda: process.poll() is not None)
+    assert 'a fault in a callback' in process.communicate()[1]
+    assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD, 1.0)
+    assert session.ends_stopped()
+
+
+def test_a_node_that_is_killed_leaves_a_table_that_stops(session):
+    process = session.turn_at(60).process()
+    process.kill()
+    process.communicate()
+    assert session.ends_stopped()
+    assert 'no setpoint for' in session.table.table.advance(session.table.now()).stopped
+
+
+@pytest.mark.parametrize(
+    ('changes', 'words'),
+    [
+        ({'plan': 'none'}, "No plan is called 'none'"),
+        ({'plan': 'six_position_by_hand'}, 'turned by hand'),
+        ({'setpoint_rate': 5.0}, 'setpoint_rate'),
+        ({'output': 'light'}, "found 'light', expected 'setpoint' or 'trajectory'"),
+    ],
+)
+def test_what_cannot_work_is_a_sentence_and_an_exit_code(session, changes, words):
+    process = start(MAIN, *session.arguments(**changes))
+    _, err = process.communicate(timeout=10.0)
+    assert process.returncode == 2
+    assert words in err
+    assert 'Traceback' not in err
+
+
+def test_a_trajectory_controller_gets_finite_trajectories(session):
+    session.open(autostart=True, output='trajectory')
+    session.reaches(Phase.TURNING)
+    session.press('pause')
+    assert session.until(lambda: len(session.watcher.trajectories) >= 2)
+    turn, stop = session.watcher.trajectories[-2:]
+    assert list(turn.joint_names) == ['outer', 'middle', 'inner']
+    assert turn.points[-1].positions[0] == pytest.approx(4 * np.pi)
+    assert max(p.velocities[0] for p in turn.points) == pytest.approx(8 * np.pi)
+    for trajectory in session.watcher.trajectories:
+        assert max(map(abs, trajectory.points[-1].velocities)) == 0
+    assert (stop.header.stamp.sec, stop.header.stamp.nanosec, len(stop.points)) == (0, 0, 1)
+
+
+def test_simulated_time_may_run_ahead_of_the_wall_clock(session):
+    """Twenty times faster, /clock in steps of 0.1 s, and no setpoint is ever too old."""
+    session.open(autostart=True, use_sim_time=True, watchdog_timeout=5.0)
+    session.table.run_ahead(20)
+    begin = time.monotonic()
+    session.reaches(Phase.DONE)
+    assert session.table.simulated > 3.0
+    assert time.monotonic() - begin < session.table.simulated / 2
+    assert session.table.refusals == []
+    assert session.ends_stopped()

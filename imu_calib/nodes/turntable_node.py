@@ -74,7 +74,8 @@ class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
         self._revision = -1
         self._sent_stamp = 0
         self._sent_at = -math.inf
-        self._fed_at = self._heard_at = -math.inf
+        self._fed_at = self._steady.now().nanoseconds * 1e-9
+        self._heard_at = -math.inf
         self._published: tuple[Any, ...] = ()
         self._published_at = -math.inf
 
@@ -302,6 +303,8 @@ class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
 
     def _report_joint_states(self) -> None:
         fault = self._sequencer.feedback_fault
+        if self._sequencer.feedback is None and self._published_at - self._fed_at < self._watchdog:
+            return
         if self._malformed.count:
             fault = fault or f'{self._malformed.count} cannot be read: {self._malformed.reason}.'
         self._diagnostics.report(

@@ -201,10 +201,10 @@ class Sequencer:
         if not heard:
             self.fail(reason or 'The calibrator is silent.')
         elif self._stage is _Stage.WAITING:
-            if self._feedback_fault:
-                self._halt(_Stage.PAUSED, self._feedback_fault, fault=True)
-            else:
+            if not self._feedback_fault:
                 self._go()
+            elif self._waits_from is _Stage.PAUSED:
+                self._halt(_Stage.PAUSED, self._feedback_fault, fault=True)
 
     def review(self, stamp: int, repeat_steps: Sequence[int]) -> None:
         """Take the calibrator's word.
@@ -435,6 +435,10 @@ class Sequencer:
         elif self._stage is _Stage.DWELLING and elapsed >= self._dwell():
             self._finish(now)
         elif self._stage is _Stage.REVIEWING and elapsed > self.rules.repeat_wait:
+            self._reason = (
+                f'The calibrator did not say within {self.rules.repeat_wait:g} s '
+                'whether steps are to be repeated.'
+            )
             self._go_home()
 
     def _see_it_stand(self, now: Feedback) -> None:

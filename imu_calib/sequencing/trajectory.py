@@ -27,6 +27,8 @@ _LEAD = 0.1
 _PIECE = 3.0
 _RENEWAL = 1.0
 _SOONEST_STOP = 0.1
+_OLD = 0.2
+"""A joint state of this age does not say any more where the table is, s."""
 
 
 class Overtaken(ImuCalibError):
@@ -91,7 +93,7 @@ class Lead:
         self._covered = max(now, 0.0) + _PIECE
         return Piece(self._start, course.until(self._covered, self._accelerations))
 
-    def stop(self, at: Feedback) -> Piece:
+    def _stop(self, at: Feedback) -> Piece:
         """Return the way to the nearest stopping point, from where the table is."""
         times = [abs(r) / a for r, a in zip(at.rates, self._accelerations, strict=True)]
         # In a little more than the shortest time: the joint state is some milliseconds old.
@@ -115,5 +117,16 @@ class Lead:
         # Once at rest the controller holds by itself.
         if content == self._content and (at.still or now < self._told + _RENEWAL):
             return None
-        self._content, self._course, self._told = content, None, now
-        return self.stop(at)
+        self._content, self._told = content, now
+        if (setpoint.stamp - at.stamp) * 1e-9 > _OLD:
+            return self._cut_short(setpoint)
+        self._course = None
+        return self._stop(at)
+
+    def _cut_short(self, setpoint: Setpoint) -> Piece | None:
+        """Brake on the course that is followed: nobody knows where the table is."""
+        course, end = self._course, (setpoint.stamp - self._start) * 1e-9 + _LEAD
+        if course is None or end >= self._covered:
+            return None
+        self._course = None
+        return Piece(self._start, course.until(max(end, 0.0), self._accelerations))
