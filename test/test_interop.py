@@ -31,21 +31,31 @@ def built_messages():
     return None
 
 
-SETUP = built_messages() if ROS.is_file() else None
-pytestmark = [
-    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
-    pytest.mark.skipif(
-        SETUP is None, reason='imu_calib_msgs is not built: colcon build, source install/setup.bash'
-    ),
-]
-
-
 def without_ros():
     """Return the environment as it is where no ROS was sourced."""
     hidden = {'PYTHONPATH', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'CMAKE_PREFIX_PATH'}
     kept = {k: v for k, v in os.environ.items() if k not in hidden}
     kept['PATH'] = os.pathsep.join(p for p in kept['PATH'].split(os.pathsep) if '/ros/' not in p)
     return kept
+
+
+def has_wheel():
+    """Tell whether this Python has Cyclone DDS where no ROS is sourced."""
+    probe = [sys.executable, '-c', 'import cyclonedds._clayer']
+    done = subprocess.run(probe, env=without_ros(), capture_output=True, check=False)
+    return done.returncode == 0
+
+
+SETUP = built_messages() if ROS.is_file() else None
+pytestmark = [
+    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
+    pytest.mark.skipif(
+        SETUP is None, reason='imu_calib_msgs is not built: colcon build, source install/setup.bash'
+    ),
+    pytest.mark.skipif(
+        ROS.is_file() and not has_wheel(), reason='the wheel cyclonedds is not in this Python'
+    ),
+]
 
 
 def command(runtime, *words):
