@@ -1,0 +1,357 @@
+"""A session as equations: what every stretch and turn should read, its derivatives, its noise.
+
+One state vector holds the parameters of the sensors and, after them, what the session does not
+care for but must allow for (`Nuisance`). The table stands turned by the azimuth about up and
+tilted by two small angles, R_nb = Rz(azimuth) Rx(tilt) Ry(tilt) A with A by the encoders, so that
+the Earth's rate and gravity are constant vectors in the frame of A.
+
+Sources: Cao 2022, eqs. (1)-(2), and Luo 2018, section 6.2, for what the channels answer;
+methods.md, section 11, for what goes into the state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from ..earth import Site
+from ..model import PARAMETERS, SensorModel
+from ..stream import Floats
+from ..units import ARCMIN, ARCSEC, DEG
+from .evidence import SMALLEST_VARIANCE, Evidence
+
+SENSORS = len(PARAMETERS)
+G_SENSITIVITIES = 9
+
+
+class Nuisance(IntEnum):
+    """What the state holds besides the sensors, in this order after them."""
+
+    AZIMUTH = 0
+    TILT_X = 1
+    TILT_Y = 2
+    CLOCK = 3
+
+
+ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
+"""Standard deviation of a heading that may be any."""
+
+GIVEN_AZIMUTH = 1 * ARCMIN
+"""How well a table's azimuth is known where its configuration states it."""
+
+LEVELLED = 20 * ARCSEC
+"""How well a table stands level, about either axis."""
+
+_SAME_UP = 0.01
+_GENERATORS = np.array(
+    [
+        [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
+        [[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]],
+        [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
+    ]
+)
+
+
+def _pattern() -> Floats:
+    """Return which of a triad's 12 parameters meets which input: (3 rows, 12, 4 of [u, 1])."""
+    pattern = np.zeros((3, 12, 4))
+    for index, parameter in enumerate(PARAMETERS[:12]):
+        column = 3 if parameter.column is None else parameter.column
+        pattern[parameter.row, index, column] = 1.0
+    return pattern
+
+
+_PATTERN = _pattern()
+
+
+def _turn(axis: int, angle: float) -> Floats:
+    """Return the rotation by `angle` about a coordinate axis."""
+    g = _GENERATORS[axis]
+    return np.asarray(np.eye(3) + np.sin(angle) * g + (1 - np.cos(angle)) * (g @ g))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Earth rate and gravity in the frame of the attitudes, with derivatives by azimuth and tilts.
+
+    Attributes:
+        rate: (3,) rad/s.
+        force: (3,) m/s^2.
+        rate_slopes: (3, 3) d rate, one column for each of azimuth and tilts.
+        force_slopes: (3, 3) d force.
+
+    """
+
+    rate: Floats
+    force: Floats
+    rate_slopes: Floats
+    force_slopes: Floats
+
+    @classmethod
+    def at(cls, site: Site, azimuth: float, tilt_x: float, tilt_y: float) -> Surroundings:
+        """Turn a site's vectors into the frame of a table that is turned and tilted."""
+        gx, gy, gz = _GENERATORS
+        about_x, about_y = _turn(0, -tilt_x), _turn(1, -tilt_y)
+        both = about_y @ about_x
+        vectors, slopes = [], []
+        for world in (site.earth_rate, site.specific_force):
+            headed = _turn(2, -azimuth) @ world
+            level = both @ headed
+            vectors.append(level)
+            by_azimuth = both @ (-gz @ headed)
+            by_x = about_y @ (-gx @ (about_x @ headed))
+            slopes.append(np.column_stack([by_azimuth, by_x, -gy @ level]))
+        return cls(vectors[0], vectors[1], slopes[0], slopes[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """The equations of a session; rows are six for each stretch at rest, then three for each turn.
+
+    Attributes:
+        evidence: The session.
+        with_g: Whether the nine g-sensitivities are parameters too (33 in all).
+        levelled: Standard deviation of the table's tilt about either axis, rad.
+        positioning: Standard deviation of an arrival that the encoder does not show, rad; None
+            for what the table states.
+        extra: (6 s, 6 s) covariance of the outputs at rest beyond that of their own noise, or None.
+        inflation: (6 s + 3 t,) factors on the variance of each output's own noise, or None.
+
+    """
+
+    evidence: Evidence
+    with_g: bool = False
+    levelled: float = LEVELLED
+    positioning: float | None = None
+    extra: Floats | None = field(default=None, repr=False)
+    inflation: Floats | None = field(default=None, repr=False)
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters of the sensors: 24 or 33."""
+        return SENSORS + (G_SENSITIVITIES if self.with_g else 0)
+
+    @property
+    def size(self) -> int:
+        """Length of the state."""
+        return self.parameters + len(Nuisance)
+
+    @cached_property
+    def outputs(self) -> Floats:
+        """What was read, (6 s + 3 t,) rad/s and m/s^2."""
+        turned = [t.statistics.mean[:3] for t in self.evidence.turns]
+        return np.concatenate([self.evidence.outputs().ravel(), np.array(turned).ravel()])
+
+    @cached_property
+    def prior(self) -> tuple[Floats, Floats]:
+        """What is known of the nuisances beforehand: means and standard deviations, (4,) each."""
+        evidence = self.evidence
+        azimuth = ANY_AZIMUTH if evidence.azimuth is None else GIVEN_AZIMUTH
+        clock, clock_std = evidence.clock_rate()
+        # A clock that has no say still needs a width above zero to be whitened by.
+        deviations = [azimuth, self.levelled, self.levelled, max(clock_std, 1e-15)]
+        return np.array([0.0, 0.0, 0.0, clock]), np.array(deviations)
+
+    def nominal(self) -> Floats:
+        """Return the state of ideal sensors on the table as it is described."""
+        return np.concatenate([np.zeros(self.parameters), self.prior[0]])
+
+    def model(self, state: Floats) -> SensorModel:
+        """Return the sensors that a state describes."""
+        plain = SensorModel.from_vector(state[:SENSORS])
+        if not self.with_g:
+            return plain
+        g = state[SENSORS : SENSORS + G_SENSITIVITIES].reshape(3, 3)
+        return SensorModel(plain.gyro, plain.accel, g)
+
+    def surroundings(self, state: Floats) -> Surroundings:
+        """Return Earth rate and gravity in the frame of the attitudes.
+
+        An azimuth that is given is already in the attitudes: the state holds what is left of it.
+        """
+        azimuth, tilt_x, tilt_y, _ = state[self.parameters :]
+        return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
+
+    @cached_property
+    def _attitudes(self) -> Floats:
+        return self.evidence.attitudes()
+
+    @cached_property
+    def _turning(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Up in body axes (t, 3), rate by the table's own clock (t,), whether that clock counts."""
+        turns = self.evidence.turns
+        ups = np.array([t.up for t in turns]).reshape(-1, 3)
+        timed = np.array([t.seconds is not None for t in turns], dtype=bool)
+        return ups, np.array([t.rate() for t in turns]), timed
+
+    def _inputs(self, state: Floats) -> tuple[Surroundings, Floats, Floats, Floats, Floats]:
+        """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 3)."""
+        around = self.surroundings(state)
+        ups, rates, timed = self._turning
+        rates = rates / np.where(timed, 1 + state[-1], 1.0)
+        turning = ups * (rates + around.rate[2])[:, None]
+        # Over whole turns all but the part along the axis of turning averages to zero.
+        return (
+            around,
+            around.rate @ self._attitudes,
+            around.force @ self._attitudes,
+            turning,
+            ups * around.force[2],
+        )
+
+    def predict(self, state: Floats) -> Floats:
+        """Return what a state says that should be read, (6 s + 3 t,)."""
+        _, rate, force, turning, felt = self._inputs(state)
+        model = self.model(state)
+        at_rest = np.hstack(model.predict(rate, force))
+        turned = model.predict(turning, felt)[0]
+        return np.asarray(np.concatenate([at_rest.ravel(), turned.ravel()]))
+
+    def jacobian(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict`, (6 s + 3 t, n)."""
+        around, rate, force, turning, felt = self._inputs(state)
+        model = self.model(state)
+        s, t = len(rate), len(turning)
+        at_rest, turned = np.zeros((s, 6, self.size)), np.zeros((t, 3, self.size))
+        at_rest[:, :3, :12] = _by_parameters(rate)
+        at_rest[:, 3:, 12:24] = _by_parameters(force)
+        turned[:, :, :12] = _by_parameters(turning)
+        if self.with_g:
+            g = slice(SENSORS, SENSORS + G_SENSITIVITIES)
+            at_rest[:, :3, g] = np.einsum('ij,sk->sijk', np.eye(3), force).reshape(s, 3, 9)
+            turned[:, :, g] = np.einsum('ij,tk->tijk', np.eye(3), felt).reshape(t, 3, 9)
+        world = slice(self.parameters, self.parameters + 3)
+        body = np.transpose(self._attitudes, (0, 2, 1))
+        by_rate, by_force = body @ around.rate_slopes, body @ around.force_slopes
+        at_rest[:, :3, world] = model.gyro.response @ by_rate + model.g_sensitivity @ by_force
+        at_rest[:, 3:, world] = model.accel.response @ by_force
+        ups, rates, timed = self._turning
+        answers = ups @ model.gyro.response.T
+        turned[:, :, world] = answers[:, :, None] * around.rate_slopes[2]
+        turned[:, :, world] += (ups @ model.g_sensitivity.T)[:, :, None] * around.force_slopes[2]
+        turned[:, :, -1] = -answers * (np.where(timed, rates, 0.0) / (1 + state[-1]) ** 2)[:, None]
+        return np.vstack([at_rest.reshape(6 * s, self.size), turned.reshape(3 * t, self.size)])
+
+    @cached_property
+    def own_variances(self) -> Floats:
+        """Variances of the outputs by random walk and quantisation, (6 s + 3 t,)."""
+        walk = self.evidence.walk
+        turned = [t.statistics.variance(walk)[:3] for t in self.evidence.turns]
+        own = np.concatenate([self.evidence.variances().ravel(), np.array(turned).ravel()])
+        own = np.maximum(own, SMALLEST_VARIANCE)
+        return own if self.inflation is None else own * self.inflation
+
+    def covariance(self, state: Floats) -> Floats:
+        """Return the covariance of the outputs, (6 s + 3 t,) square.
+
+        Beyond their own noise the outputs of one turn share the error of the encoder's rate, and
+        those of neighbours the error of the table's arrival.
+        """
+        model = self.model(state)
+        result = np.diag(self.own_variances)
+        rest = 6 * len(self.evidence.segments)
+        ups, rates, _ = self._turning
+        for k, turn in enumerate(self.evidence.turns):
+            rows = slice(rest + 3 * k, rest + 3 * k + 3)
+            error = turn.rate_error * rates[k] * (model.gyro.response @ ups[k])
+            result[rows, rows] += np.outer(error, error)
+        if self.extra is not None:
+            result[:rest, :rest] += self.extra
+        stated = self.evidence.positioning if self.positioning is None else self.positioning
+        if stated:
+            arrivals = self.arrivals(state) * stated
+            result += arrivals @ arrivals.T
+        if self.evidence.plan.by_hand:
+            self._add_unknown_north(result, model)
+        return result
+
+    def arrivals(self, state: Floats) -> Floats:
+        """Return how errors of arrival enter the outputs: (6 s + 3 t, errors), per rad.
+
+        While up stays the same in body axes only the vertical joint moves: the error of the others
+        is one and the same for all stretches and turns of such a group, about both level axes.
+        The vertical joint's own is another for each stretch, and whole turns do not feel it.
+        """
+        _, rate, force, turning, felt = self._inputs(state)
+        model = self.model(state)
+        s = len(rate)
+        ups = np.vstack([self._attitudes[:, 2], self._turning[0]])
+        groups = self._groups(ups)
+        count = int(groups.max(initial=-1)) + 1
+        result = np.zeros((len(self.outputs), 2 * count + s))
+        for k, up in enumerate(ups):
+            first = groups == groups[k]
+            level = _level_axes(ups[first][0])
+            columns = [2 * groups[k], 2 * groups[k] + 1]
+            axes = [*level]
+            if k < s:
+                columns.append(2 * count + k)
+                axes.append(up)
+            w, f = (rate[k], force[k]) if k < s else (turning[k - s], felt[k - s])
+            about = np.array(axes).T
+            w_moved, f_moved = np.cross(w, about.T).T, np.cross(f, about.T).T
+            gyro = model.gyro.response @ w_moved + model.g_sensitivity @ f_moved
+            if k < s:
+                result[6 * k : 6 * k + 3, columns] = gyro
+                result[6 * k + 3 : 6 * k + 6, columns] = model.accel.response @ f_moved
+            else:
+                row = 6 * s + 3 * (k - s)
+                result[row : row + 3, columns] = gyro
+        return result
+
+    def _groups(self, ups: Floats) -> NDArray[np.intp]:
+        """Number stretches and turns by runs in time of one and the same direction of up."""
+        starts = [s.start for s in self.evidence.segments]
+        starts += [t.start for t in self.evidence.turns]
+        groups = np.zeros(len(starts), dtype=np.intp)
+        current, last = -1, None
+        for k in np.argsort(starts, kind='stable').tolist():
+            if last is None or np.linalg.norm(ups[k] - last) > _SAME_UP:
+                current, last = current + 1, ups[k]
+            groups[k] = current
+        return groups
+
+    def _add_unknown_north(self, covariance: Floats, model: SensorModel) -> None:
+        """Count the horizontal Earth rate as noise of its own size: by hand, north is anywhere."""
+        level = self.evidence.site.north_rate / np.sqrt(2) * np.diag([1.0, 1.0, 0.0])
+        for k, attitude in enumerate(self._attitudes):
+            felt = model.gyro.response @ attitude.T @ level
+            rows = slice(6 * k, 6 * k + 3)
+            covariance[rows, rows] += felt @ felt.T
+
+    def whitened(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return derivatives and residuals in standard deviations, the priors' rows last.
+
+        Returns:
+            (m + 4, n) derivatives and (m + 4,) outputs less prediction.
+
+        """
+        factor = np.linalg.cholesky(self.covariance(state))
+        columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
+        if len(columns):
+            columns = solve_triangular(factor, columns, lower=True, check_finite=False)
+        mean, deviation = self.prior
+        rows = np.zeros((len(Nuisance), self.size + 1))
+        rows[:, self.parameters : self.size] = np.diag(1 / deviation)
+        rows[:, -1] = (mean - state[self.parameters :]) / deviation
+        columns = np.vstack([columns, rows])
+        return columns[:, :-1], columns[:, -1]
+
+
+def _by_parameters(inputs: Floats) -> Floats:
+    """Return the derivatives of three channels by their 12 parameters: (k, 3, 12)."""
+    extended = np.column_stack([inputs, np.ones(len(inputs))])
+    return np.asarray(np.einsum('ipc,kc->kip', _PATTERN, extended))
+
+
+def _level_axes(up: Floats) -> tuple[Floats, Floats]:
+    """Return two unit vectors at right angles to `up` and to each other."""
+    other = np.eye(3)[int(np.argmin(np.abs(up)))]
+    first = np.cross(up, other)
+    first /= np.linalg.norm(first)
+    return first, np.cross(up, first)

@@ -1,0 +1,214 @@
+"""What a session tells before it is solved, against variances worked out by hand."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imu_calib.earth import Site
+from imu_calib.methods.evidence import Evidence
+from imu_calib.methods.information import reached, unobserved
+from imu_calib.model import PARAMETER_NAMES, SensorModel
+from imu_calib.plan import Plan, load_plan
+from imu_calib.segmentation.clock import ClockFit
+from imu_calib.segmentation.segment import Segment, Statistics, Turn
+from imu_calib.stream import Floats
+from imu_calib.turntable import TURN
+from imu_calib.units import ARCSEC, DEG
+
+SITE = Site.at(34.65 * DEG)
+CLOCK = ClockFit(0.0, 0.0, 1e-6, 0.0, 0.0, 30)
+GYRO_WALK = 0.05 * DEG / 60
+ACCEL_WALK = 0.012 / 60
+WALK = np.repeat([GYRO_WALK, ACCEL_WALK], 3)
+SECOND = 1_000_000_000
+
+
+def statistics(mean: Floats, seconds: float, blocks: tuple[Floats, ...] = ()) -> Statistics:
+    """What unquantised samples with a random walk give."""
+    nothing = np.full(6, np.nan)
+    gain = np.full(6, 1 / seconds)
+    return Statistics(
+        int(seconds * 100), 0, seconds, mean, gain, np.zeros(6), mean, blocks, nothing, nothing
+    )
+
+
+def evidence_of(
+    plan: Plan | str = 'twelve_position',
+    model: SensorModel | None = None,
+    *,
+    azimuth: float = 0.0,
+    known: bool = False,
+    noise: np.random.Generator | None = None,
+) -> Evidence:
+    """Run a plan on an ideal table, by the sensor model alone."""
+    plan = load_plan(plan) if isinstance(plan, str) else plan
+    model = model or SensorModel()
+    turned = np.array(
+        [[np.cos(azimuth), -np.sin(azimuth), 0], [np.sin(azimuth), np.cos(azimuth), 0], [0, 0, 1]]
+    )
+    segments, turns, now = [], [], 0
+
+    def noisy(gyro: Floats, accel: Floats, seconds: float) -> Statistics:
+        mean = np.concatenate([gyro, accel])
+        if noise is not None:
+            mean = mean + WALK / np.sqrt(seconds) * noise.standard_normal(6)
+        return statistics(mean, seconds)
+
+    for position in plan.positions:
+        rates = position.rate_test.rates if position.rate_test else ()
+        for rate in rates:
+            spin = position.up * (rate + SITE.up_rate)
+            found = noisy(*model.predict(spin, position.up * SITE.gravity), TURN / abs(rate))
+            angle = float(np.copysign(TURN, rate))
+            seconds = TURN / abs(rate)
+            turns.append(Turn(now, now + 1, found, angle, seconds, position.up, position.id))
+            now += 100 * SECOND
+        true = turned @ position.attitude
+        found = noisy(
+            *model.predict(true.T @ SITE.earth_rate, true.T @ SITE.specific_force), position.dwell
+        )
+        attitude = true if known else position.attitude
+        segments.append(Segment(now, now + 1, found, attitude, position.id))
+        now += 200 * SECOND
+    north = azimuth if known else None
+    return Evidence(tuple(segments), tuple(turns), plan, SITE, CLOCK, north, WALK)
+
+
+WHOLE = evidence_of()
+
+
+def by_name(deviations: Floats) -> dict[str, float]:
+    return dict(zip(PARAMETER_NAMES, deviations.tolist(), strict=True))
+
+
+def determined(evidence: Evidence) -> set[str]:
+    return {name for name, std in by_name(reached(evidence)).items() if np.isfinite(std)}
+
+
+def part(evidence: Evidence, segments: int, turns: int) -> Evidence:
+    return replace(evidence, segments=evidence.segments[:segments], turns=evidence.turns[:turns])
+
+
+def test_nothing_tells_nothing() -> None:
+    assert np.isnan(reached(part(evidence_of(), 0, 0))).all()
+
+
+def test_twelve_positions_give_what_their_means_and_differences_give() -> None:
+    # Twelve dwells of 120 s: a bias is the mean of all; a response half a difference of two and
+    # two over g. Tilts, found by the same session, take next to nothing from them.
+    found = by_name(reached(evidence_of()))
+    dwell = ACCEL_WALK / np.sqrt(120)
+    for axis in 'xyz':
+        assert found[f'D_a{axis}'] == pytest.approx(dwell / np.sqrt(12), rel=0.01)
+        assert found[f'K_a{axis}'] == pytest.approx(dwell / np.sqrt(4) / SITE.gravity, rel=0.01)
+    # A turn of T seconds says M to N / (2 pi) sqrt(T), and turns of 36, 12, 6 s there are two of.
+    square = 2 * TURN**2 / GYRO_WALK**2 * (1 / 36 + 1 / 12 + 1 / 6)
+    assert found['K_gx'] == pytest.approx(1 / np.sqrt(square), rel=0.02)
+    assert found['E_gyx'] == pytest.approx(1 / np.sqrt(square), rel=0.02)
+    # Six turns of 108 s in all about each axis add 324 s to 1440 s at rest.
+    assert found['D_gx'] == pytest.approx(GYRO_WALK / np.sqrt(1440 + 324), rel=0.02)
+
+
+def test_an_axis_that_has_not_turned_leaves_its_responses_to_the_earth_rate() -> None:
+    # methods.md, section 11: static alone, M_g to 1 %.
+    found = by_name(reached(part(evidence_of(), 12, 12)))
+    assert found['K_gx'] < 1e-5
+    assert found['K_gy'] < 1e-5
+    assert 0.002 < found['K_gz'] < 0.02
+
+
+def test_one_attitude_tells_no_accelerometer_and_its_turns_their_axis_alone() -> None:
+    found = determined(part(evidence_of(), 1, 6))
+    assert {'K_gx', 'E_gyx', 'E_gzx'} <= found
+    assert not {name for name in found if name[2] == 'a'}
+
+
+def test_x_up_and_down_determine_the_responses_to_x() -> None:
+    found = determined(part(evidence_of(), 4, 6))
+    assert {n for n in found if n[2] == 'a'} == {'K_ax', 'E_ayx', 'E_azx', 'D_ax', 'D_ay', 'D_az'}
+
+
+def test_six_positions_without_north_lean_on_the_levelling() -> None:
+    # The middle joint's zero and the tilt about its axis are one and the same to six positions.
+    found = by_name(reached(evidence_of('six_position')))
+    widest = max(found[n] for n in PARAMETER_NAMES if n.startswith('E_a'))
+    assert widest == pytest.approx(20 * ARCSEC, rel=0.05)
+
+
+def test_more_data_never_makes_a_parameter_less_sure() -> None:
+    evidence = evidence_of()
+    last = np.full(24, np.inf)
+    for segments in range(13):
+        now = reached(part(evidence, segments, 18))
+        assert np.all(np.nan_to_num(now, nan=np.inf) <= last * (1 + 1e-6))
+        last = np.nan_to_num(now, nan=np.inf)
+
+
+@given(st.sets(st.integers(0, 11)), st.sets(st.integers(0, 17)))
+@settings(max_examples=100, deadline=None)
+def test_any_part_of_a_session_is_fit_to_be_asked(rests: set[int], turns: set[int]) -> None:
+    whole = WHOLE
+    some = replace(
+        whole,
+        segments=tuple(whole.segments[k] for k in sorted(rests)),
+        turns=tuple(whole.turns[k] for k in sorted(turns)),
+    )
+    found = reached(some)
+    assert found.shape == (24,)
+    best = reached(whole)
+    assert np.all(np.isnan(found) | (found >= best * (1 - 1e-6)))
+
+
+def test_what_is_lost_does_not_depend_on_how_attitudes_miss_their_marks() -> None:
+    # Encoders that differ by their last digits turn nothing observable that was not.
+    rng = np.random.default_rng(0)
+    evidence = part(evidence_of(), 3, 6)
+    near = []
+    for s in evidence.segments:
+        x, y, z = 1e-6 * rng.standard_normal(3)
+        small = np.array([[1, -z, y], [z, 1, -x], [-y, x, 1]])
+        near.append(replace(s, attitude=small @ s.attitude))
+    assert determined(replace(evidence, segments=tuple(near))) == determined(evidence)
+
+
+def test_the_positioning_of_the_table_bounds_what_turns_tell() -> None:
+    # One arrival for all turns about an axis: the error of its direction does not average out. Of
+    # it and that of the arrival upside down the accelerometers see the sum, not the difference.
+    found = by_name(reached(replace(evidence_of(), positioning=10 * ARCSEC)))
+    assert found['E_gyx'] == pytest.approx(10 * ARCSEC / np.sqrt(2), rel=0.05)
+    assert found['E_ayx'] == pytest.approx(10 * ARCSEC / np.sqrt(2), rel=0.05)
+    assert found['K_gx'] < 1e-5
+
+
+def test_the_words_say_what_is_missing() -> None:
+    evidence = part(evidence_of(), 8, 12)
+    lost = np.array([n in {'K_gz', 'E_gxz', 'E_gyz', 'K_az'} for n in PARAMETER_NAMES])
+    words = unobserved(evidence, lost)
+    assert words.startswith('No position turns Z: K_gz, E_gxz, E_gyz not observable; ')
+    assert 'no position has Z vertical: K_az not observable' in words
+    assert 'missing: position 9, 10, 11, 12' in words
+
+
+def test_a_live_node_can_ask_every_second() -> None:
+    evidence = evidence_of()
+    spent = []
+    for _ in range(20):
+        begin = time.perf_counter()
+        reached(evidence)
+        spent.append(time.perf_counter() - begin)
+    assert min(spent) < 0.005
+
+
+def test_every_pair_of_positions_is_judged_alike_whatever_its_order() -> None:
+    evidence = evidence_of()
+    for a, b in combinations(range(0, 12, 3), 2):
+        forth = replace(evidence, segments=(evidence.segments[a], evidence.segments[b]))
+        back = replace(evidence, segments=(evidence.segments[b], evidence.segments[a]))
+        assert determined(forth) == determined(back)
