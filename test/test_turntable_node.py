@@ -40,7 +40,7 @@ name: tiny
 title: One turn and one dwell
 source: here
 method: twelve_position
-dwell: 0.2 s
+dwell: 0.05 s
 rate_test: {rates: [RATE deg/s], turns: 1}
 positions:
   - {id: first, axes: [E, N, U], rate_test: true}
@@ -173,7 +173,7 @@ class Session:
         self.parameters = {
             'plan': str(folder / 'plan.yaml'),
             'table': str(folder / 'table.yaml'),
-            'settle': 0.1,
+            'settle': 0.02,
             'supervised': False,
         }
         self.executor = ros.SingleThreadedExecutor()
@@ -298,7 +298,7 @@ def test_joint_states_that_cease_stop_the_table(session):
 
 def test_a_calibrator_is_waited_for_and_has_steps_repeated(session):
     session.open(supervised=True, autostart=True)
-    assert not session.until(lambda: session.watcher.phase is Phase.MOVING, 1.0)
+    assert not session.until(lambda: session.watcher.phase is Phase.MOVING, 0.5)
     session.watcher.calibrate()
     assert session.until(lambda: session.node._sequencer.reviewing)
     session.watcher.calibrate([1])

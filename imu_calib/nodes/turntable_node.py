@@ -13,6 +13,7 @@ from ..middleware import (
     Clock,
     ClockType,
     Node,
+    QoSOverridingOptions,
     Time,
     Trigger,
     drain,
@@ -30,7 +31,7 @@ from . import qos
 from .diagnostics import Diagnostics, Level
 from .parameters import declare
 
-_DRAIN_PERIOD = 0.003
+_DRAIN_PERIOD = 0.002
 _STATE_PERIOD = 0.5
 _LAST_HOLDS = 3
 _NS = 1_000_000_000
@@ -86,7 +87,13 @@ class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
         self._states = self.create_publisher(
             messages.TurntableState, 'turntable/state', qos.latched()
         )
-        self._joints = open_drain(self, messages.JointState, 'turntable/joint_states', qos.stream())
+        self._joints = open_drain(
+            self,
+            messages.JointState,
+            'turntable/joint_states',
+            qos.stream(),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
         self.create_subscription(
             messages.CalibrationProgress,
             'calibration/progress',

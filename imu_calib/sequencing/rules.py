@@ -42,7 +42,7 @@ class Rules:
     feedback_timeout: float = 0.5
     supervised: bool = True
     repeats: int = 2
-    repeat_wait: float = 120.0
+    repeat_wait: float = 600.0
 
 
 @dataclass(frozen=True)

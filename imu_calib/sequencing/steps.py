@@ -29,6 +29,8 @@ def laid_out(plan: Plan, table: Table, start: Floats) -> tuple[tuple[Step, ...],
     still = np.zeros(len(start))
     table.check(start, still, 'Where the table stands')
     steps = plan.steps(table, start)
+    if not steps:
+        raise InputError(f'Plan {plan.name} has no positions.')
     for step in steps:
         check(step, table)
     return steps, Step(steps[-1].index, '', Mode.POSITION, start, still, 0, 0.0)
