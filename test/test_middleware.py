@@ -240,6 +240,11 @@ def test_a_parameter_overrides_the_quality_of_service(init):
     assert node.get_parameter('qos_overrides./imu.subscription.history').value == 'keep_all'
 
 
+def test_a_profile_without_a_length_is_refused():
+    with pytest.raises(Exception, match='depth'):
+        ros.QoSProfile(reliability=ros.ReliabilityPolicy.BEST_EFFORT)
+
+
 def test_a_timer_keeps_its_period_and_can_be_stopped(node):
     times = []
     timer = node.create_timer(0.05, lambda: times.append(time.monotonic()), clock=STEADY)
@@ -291,6 +296,28 @@ def test_a_best_effort_publisher_is_told_to_a_reliable_subscription(node):
     assert int(told[0].last_policy_kind) == int(ros.QoSPolicyKind.RELIABILITY)
 
 
+MISMATCH = """
+import sys, time
+from imu_calib.middleware import *
+init(args=[]); node = Node('driver')
+qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+ends = [node.create_publisher(messages.Imu, 'imu', qos)]
+ends.append(node.create_subscription(messages.Imu, 'imu', print, 10))
+end = time.monotonic() + 2.0
+while time.monotonic() < end: spin_once(node, timeout_sec=0.05)
+shutdown()
+"""
+
+
+def test_a_mismatch_that_no_callback_takes_is_logged(domain):
+    _, err = finish(start(MISMATCH))
+    for peer in ('New publisher', 'New subscription'):
+        (line,) = (line for line in err.splitlines() if peer in line)
+        assert line.startswith('[WARN]')
+        assert "imu'" in line
+        assert line.endswith('Last incompatible policy: RELIABILITY')
+
+
 def test_the_graph_names_nodes_and_counts_publishers(node):
     node.create_publisher(ros.messages.Imu, 'imu/pulses', KEEP_ALL)
     second = ros.Node('second', namespace='/stand')
@@ -329,6 +356,23 @@ def test_a_wrong_type_is_refused_with_the_field(field, value):
     message = ros.messages.TurntableSetpoint(**CHECKED)
     with pytest.raises(AssertionError, match=field):
         setattr(message, field, value)
+
+
+def test_a_list_with_a_wrong_element_is_refused_with_the_field(node):
+    if ros.RUNTIME == 'rclpy':
+        pytest.skip('ROS looks at assignments only')
+    publisher = node.create_publisher(ros.messages.JointState, 'joints', 10)
+    message = ros.messages.JointState()
+    message.name.append(3)
+    with pytest.raises(TypeError, match='JointState: name is'):
+        publisher.publish(message)
+
+
+def test_publishing_after_shutdown_is_refused(node):
+    publisher = node.create_publisher(ros.messages.String, 'text', 10)
+    ros.shutdown()
+    with pytest.raises(Exception, match='context'):
+        publisher.publish(ros.messages.String())
 
 
 def test_an_unknown_field_is_refused():

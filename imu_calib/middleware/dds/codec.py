@@ -38,6 +38,9 @@ def serialize_message(message: Any, prefix: bytes = b'') -> bytes:
         message: A message object.
         prefix: Bytes between the header and the message; a multiple of eight.
 
+    Raises:
+        TypeError: A list holds an element of another type, which no assignment has checked.
+
     """
     out = bytearray(prefix)
     _write(out, message)
@@ -73,10 +76,11 @@ def _align(out: bytearray, size: int) -> None:
 def _write(out: bytearray, message: Any) -> None:
     for field in interface(message.TYPE_NAME).fields:
         value = getattr(message, field.name)
-        if field.many:
-            _write_many(out, field, value)
-        else:
-            _write_one(out, field, value)
+        write = _write_many if field.many else _write_one
+        try:
+            write(out, field, value)
+        except (AttributeError, UnicodeError, struct.error) as error:
+            raise TypeError(f'{message.TYPE_NAME}: {field.name} is {value!r}: {error}.') from error
 
 
 def _write_many(out: bytearray, field: Field, values: Any) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from .clock import Duration
 from .codec import deserialize_message, serialize_message
 from .messages import Message
+from .qos import QoSPolicyKind
 from .wire import Reader, Writer
 
 if TYPE_CHECKING:
@@ -16,8 +17,52 @@ if TYPE_CHECKING:
     from .qos import PublisherEventCallbacks, QoSProfile, SubscriptionEventCallbacks
 
 
-class Publisher:
+class _TopicEnd:
+    """What a publisher and a subscription have in common."""
+
+    MISMATCH: ClassVar[str]
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: type[Message],
+        topic: str,
+        qos: QoSProfile,
+        events: PublisherEventCallbacks | SubscriptionEventCallbacks | None,
+        end: Reader | Writer,
+    ) -> None:
+        self.node = node
+        self.msg_type = msg_type
+        self.topic_name = topic
+        self.qos_profile = qos
+        self._end = end
+        self._tell = None if events is None else events.incompatible_qos
+
+    def tend(self) -> None:
+        """Report what does not match: to the callback, else in the log."""
+        info = self._end.incompatible()
+        if info is None:
+            return
+        if self._tell is not None:
+            self._tell(info)
+        else:
+            kinds = {int(kind): kind.name for kind in QoSPolicyKind}
+            policy = kinds.get(info.last_policy_kind, 'another')
+            found = self.MISMATCH.format(self.topic_name)
+            self.node.get_logger().warning(f'{found} Last incompatible policy: {policy}')
+
+    def destroy(self) -> None:
+        """Leave the topic."""
+        self._end.delete()
+
+
+class Publisher(_TopicEnd):
     """Publishes messages of one type on one topic."""
+
+    MISMATCH = (
+        "New subscription discovered on topic '{}', requesting incompatible QoS. "
+        'No messages will be sent to it.'
+    )
 
     def __init__(
         self,
@@ -27,12 +72,8 @@ class Publisher:
         qos: QoSProfile,
         events: PublisherEventCallbacks | None,
     ) -> None:
-        self.msg_type = msg_type
-        self.topic_name = topic
-        self.qos_profile = qos
-        self.node = node
         self.writer = Writer(node.context, f'rt{topic}', msg_type.TYPE_NAME, qos)
-        self._events = events
+        super().__init__(node, msg_type, topic, qos, events, self.writer)
 
     def publish(self, msg: Message | bytes) -> None:
         """Send a message, or the bytes of a serialised one.
@@ -69,20 +110,14 @@ class Publisher:
         nanoseconds = 2**63 - 1 if timeout is None else timeout.nanoseconds
         return self.writer.acknowledged(nanoseconds)
 
-    def tend(self) -> None:
-        """Report what does not match."""
-        if self._events is not None and self._events.incompatible_qos is not None:
-            info = self.writer.incompatible()
-            if info is not None:
-                self._events.incompatible_qos(info)
 
-    def destroy(self) -> None:
-        """Leave the topic."""
-        self.writer.delete()
-
-
-class Subscription:
+class Subscription(_TopicEnd):
     """Receives messages of one type from one topic."""
+
+    MISMATCH = (
+        "New publisher discovered on topic '{}', offering incompatible QoS. "
+        'No messages will be received from it.'
+    )
 
     def __init__(
         self,
@@ -94,14 +129,10 @@ class Subscription:
         events: SubscriptionEventCallbacks | None,
         raw: bool,
     ) -> None:
-        self.msg_type = msg_type
-        self.topic_name = topic
-        self.qos_profile = qos
         self.raw = raw
         self.callback = callback
-        self.node = node
         self.reader = Reader(node.context, f'rt{topic}', msg_type.TYPE_NAME, qos)
-        self._events = events
+        super().__init__(node, msg_type, topic, qos, events, self.reader)
 
     def get_publisher_count(self) -> int:
         """Return how many publishers match."""
@@ -122,14 +153,3 @@ class Subscription:
     def destroyed(self) -> bool:
         """Whether a callback has destroyed it in the meantime."""
         return self not in self.node.subscriptions_
-
-    def tend(self) -> None:
-        """Report what does not match."""
-        if self._events is not None and self._events.incompatible_qos is not None:
-            info = self.reader.incompatible()
-            if info is not None:
-                self._events.incompatible_qos(info)
-
-    def destroy(self) -> None:
-        """Leave the topic."""
-        self.reader.delete()

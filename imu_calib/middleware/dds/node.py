@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any
 
 from ...errors import ImuCalibError
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 _PER_ROUND = 64
 """Messages of one subscription before the others and the timers have their turn."""
+
+_TEND_PERIOD = 0.1
+"""Seconds between two looks at peers whose quality of service does not match."""
 
 
 class Node:
@@ -67,6 +71,7 @@ class Node:
         self.subscriptions_: list[Subscription] = []
         self.timers_: list[Timer] = []
         self.services_: list[Service | Client] = []
+        self._tended = 0.0
         self.context.nodes.append(self)
         self._follow_clock()
         self.context.graph.announce()
@@ -312,9 +317,7 @@ class Node:
     def execute(self) -> bool:
         """Run all callbacks that are ready; return whether there were any."""
         ready = False
-        endpoints: list[Publisher | Subscription] = [*self.publishers_, *self.subscriptions_]
-        for endpoint in endpoints:
-            endpoint.tend()
+        self._tend()
         for subscription in list(self.subscriptions_):
             if not subscription.destroyed:
                 ready |= subscription.execute(_PER_ROUND)
@@ -323,6 +326,15 @@ class Node:
         for timer in list(self.timers_):
             ready |= timer in self.timers_ and timer.execute()
         return ready
+
+    def _tend(self) -> None:
+        now = time.monotonic()
+        if now < self._tended + _TEND_PERIOD:
+            return
+        self._tended = now
+        endpoints: list[Publisher | Subscription] = [*self.publishers_, *self.subscriptions_]
+        for endpoint in endpoints:
+            endpoint.tend()
 
     def _follow_clock(self) -> None:
         """Listen to /clock where use_sim_time says so."""

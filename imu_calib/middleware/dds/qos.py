@@ -40,13 +40,19 @@ class QoSProfile:
     """The subset of rclpy's profile: history, depth, reliability and durability."""
 
     history: HistoryPolicy = HistoryPolicy.KEEP_LAST
-    depth: int = 10
+    depth: int = 0
     reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE
     durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
 
+    def __post_init__(self) -> None:
+        """Refuse what rclpy refuses: a history without a length."""
+        if self.history == HistoryPolicy.KEEP_LAST and self.depth < 1:
+            raise InputError(
+                f'A QoSProfile has the depth {self.depth}, expected 1 or more, or KEEP_ALL.'
+            )
+
 
 qos_profile_sensor_data = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-qos_profile_services_default = QoSProfile()
 
 
 class QoSPolicyKind(IntEnum):
@@ -138,6 +144,7 @@ def overridden(
         return qos
     if options.entity_id:
         prefix = f'{prefix}_{options.entity_id}'
+    values: dict[str, Any] = {}
     for kind in options.policy_kinds:
         name = kind.name.lower()
         known = _ENUMS.get(name)
@@ -148,7 +155,8 @@ def overridden(
                 words = ', '.join(m.lower() for m in known.__members__)
                 raise InputError(f'Parameter {prefix}.{name} is {value!r}, expected {words}.')
             value = known[value.upper()]
-        qos = replace(qos, **{name: value})
+        values[name] = value
+    qos = replace(qos, **values)
     if options.callback is not None and not getattr(options.callback(qos), 'successful', True):
         raise InputError(f'The overrides {prefix}.* are refused.')
     return qos
@@ -165,7 +173,7 @@ def to_dds(qos: QoSProfile, user_data: str) -> Any:
     from cyclonedds.qos import Policy, Qos
 
     keep_all = qos.history is HistoryPolicy.KEEP_ALL
-    history = Policy.History.KeepAll if keep_all else Policy.History.KeepLast(max(1, qos.depth))
+    history = Policy.History.KeepAll if keep_all else Policy.History.KeepLast(qos.depth)
     policies = [
         history,
         # A reliable writer waits for a lagging reader for as long as it takes, as in ROS.

@@ -38,7 +38,7 @@ def _ends(node: Node, srv_type: Any, name: str, serves: bool, gid: bytes) -> tup
     """Make the two DDS endpoints of one side of a service."""
     identity = _identity(gid, 'service' if serves else 'client')
     request, reply = f'rq{name}Request', f'rr{name}Reply'
-    qos = QoSProfile()
+    qos = QoSProfile(depth=10)
     asked, answered = srv_type.Request.TYPE_NAME, srv_type.Response.TYPE_NAME
     if serves:
         reader = Reader(node.context, request, asked, qos, identity, 'service')

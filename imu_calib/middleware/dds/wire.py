@@ -75,6 +75,7 @@ class Endpoint:
         prefix: str = '',
     ) -> None:
         self.context = context
+        self.name = topic
         self.topic = context.topic(topic, idl_type(type_name, prefix))
         self._qos = to_dds(qos, f'{user_data}typehash={type_hash(type_name)};')
         self.entity: Any = None
@@ -109,7 +110,8 @@ class Writer(Endpoint):
         """
         code = self._write(self.entity._ref, payload + bytes(-len(payload) % 4))
         if code < 0:
-            raise ImuCalibError(f'{self.topic.name}: Cyclone DDS refuses to send ({code}).')
+            gone = '' if self.context.ok() else ': the context is shut down'
+            raise ImuCalibError(f'{self.name}: Cyclone DDS refuses to send ({code}){gone}.')
 
     def acknowledged(self, timeout_ns: int) -> bool:
         """Wait until every reliable reader has everything; return whether it came to that."""
@@ -151,7 +153,7 @@ class Reader(Endpoint):
             room = _BULK if most is None else min(_BULK, most - len(payloads))
             taken = self._take(self.entity._ref, _ANY, room)
             if isinstance(taken, int):
-                raise ImuCalibError(f'{self.topic.name}: Cyclone DDS cannot take ({taken}).')
+                raise ImuCalibError(f'{self.name}: Cyclone DDS cannot take ({taken}).')
             if not taken:
                 break
             # A writer that leaves is told by a sample without data.
