@@ -49,6 +49,7 @@ class Stand:
         self.block = block
         self.plant = lambda time, angles, rates: (angles, rates)
         self.link = lambda setpoint: setpoint
+        self.jitter = lambda n: 0.0
         self.silent = False
         self.names = table.names
         self.columns = list(range(len(self.names)))
@@ -62,7 +63,7 @@ class Stand:
         self.time = float(times[-1])
         angles, rates = self.table.read(times)
         angles, rates = self.plant(times, angles.copy(), rates.copy())
-        stamps = EPOCH + np.rint(times * 1e9).astype(np.int64)
+        stamps = EPOCH + np.rint((times + self.jitter(len(times))) * 1e9).astype(np.int64)
         if not self.silent:
             block = JointBlock(stamps, self.names, angles[:, self.columns], rates[:, self.columns])
             self.sequencer.take(block)
@@ -215,6 +216,60 @@ def test_joint_states_may_name_their_joints_in_another_order_and_carry_no_rates(
     assert stand.sequencer.state().rates[0] == pytest.approx(60 * DEG, rel=0.01)
     stand.phase(Phase.DONE)
     assert stand.stands()
+
+
+def test_a_table_that_is_slower_than_its_file_says_is_no_fault():
+    joints = tuple(
+        replace(j, max_rate=0.6 * j.max_rate, max_acceleration=0.6 * j.max_acceleration)
+        for j in TABLE.joints
+    )
+    stand = Stand()
+    stand.table = SimulatedTable(replace(TABLE, joints=joints), epoch=EPOCH)
+    state = stand.started().run(lambda s: s.phase in {Phase.DONE, Phase.PAUSED})
+    assert state.phase is Phase.DONE, state.reason
+
+
+def test_noise_of_encoder_and_stamps_is_no_fault():
+    noise = np.random.default_rng(2)
+    stand = Stand(small_plan(rates=(10 * DEG, 200 * DEG)))
+    stand.jitter = lambda n: 0.003 * noise.uniform(-1, 1, n)
+    stand.plant = lambda time, angles, rates: (
+        angles + 0.001 * DEG * noise.standard_normal(angles.shape),
+        rates + 0.1 * DEG * noise.standard_normal(rates.shape),
+    )
+    state = stand.started().run(lambda s: s.phase in {Phase.DONE, Phase.PAUSED}, 300.0)
+    assert state.phase is Phase.DONE, state.reason
+
+
+@pytest.mark.parametrize('rate', [5.0, 20.0])
+def test_joint_states_may_come_seldom(rate):
+    stand = Stand(small_plan(rates=(200 * DEG,)), wrapped=True)
+    take, last = stand.sequencer.take, [-1.0]
+
+    def thinned(block):
+        now = (block.stamp[-1] - EPOCH) * 1e-9
+        if now - last[0] >= 1 / rate - 1e-9:
+            last[0] = now
+            take(
+                JointBlock(block.stamp[-1:], block.names, block.position[-1:], block.velocity[-1:])
+            )
+
+    stand.sequencer.take = thinned
+    state = stand.started().run(lambda s: s.phase in {Phase.DONE, Phase.PAUSED})
+    assert state.phase is Phase.DONE, state.reason
+    assert stand.stands()
+
+
+def test_joint_states_at_a_hundredth_of_their_rate_do_not_move_the_table():
+    sequencer = Sequencer(small_plan(), TABLE, ALONE)
+    for second in range(5):
+        stamp = np.array([EPOCH + second * 10**9])
+        sequencer.take(JointBlock(stamp, TABLE.names, np.zeros((1, 3)), np.zeros((1, 3))))
+        if second == 1:
+            sequencer.start()
+        sent = sequencer.setpoint(int(stamp[0]))
+        assert sent is None or sent.mode is Mode.HOLD
+    assert 'No joint state for 1.00 s' in sequencer.state().reason
 
 
 @pytest.mark.parametrize('bring', [moving, turning])

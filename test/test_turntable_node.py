@@ -254,6 +254,7 @@ def test_a_session_starts_by_itself_and_ends_with_the_table_at_rest_where_it_beg
     assert {Phase.MOVING, Phase.TURNING, Phase.SETTLING, Phase.DWELLING} <= phases
     stamps = np.array([s.stamp for s in session.table.setpoints])
     assert np.diff(stamps).max() < 0.2e9
+    assert np.diff(stamps).mean() < 0.1e9
 
 
 def test_the_services_start_pause_resume_and_abort(session):

@@ -37,7 +37,7 @@ _LAST_HOLDS = 3
 _NS = 1_000_000_000
 
 
-class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
+class TurntableNode(Node):
     """Runs a plan on a table: see `sequencing.Sequencer` for what it does when.
 
     Time of the table is that of its joint states: setpoints keep pace with their stamps, and with
@@ -66,15 +66,15 @@ class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
         rate = declare(
             self, 'setpoint_rate', 10.0, 'How often setpoints are sent, Hz.', lower=10.0, upper=1e3
         )
-        self._period = 1 / rate
+        self._period = round(_NS / rate)
         rules = self._declare_rules()
         self._sequencer = Sequencer(plan, table, rules)
         self._lead = self._declare_output()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._malformed = Malformed()
         self._revision = -1
-        self._sent_stamp = 0
-        self._sent_at = -math.inf
+        self._due_stamp = 0
+        self._due = -math.inf
         self._fed_at = self._steady.now().nanoseconds * 1e-9
         self._heard_at = -math.inf
         self._published: tuple[Any, ...] = ()
@@ -238,17 +238,23 @@ class TurntableNode(Node):  # type: ignore[misc,unused-ignore]
     def _send_what_is_due(self, now: float) -> None:
         sequencer = self._sequencer
         feedback = sequencer.feedback
-        news = sequencer.revision != self._revision
-        ahead = feedback is not None and feedback.stamp - self._sent_stamp >= self._period * _NS
-        if not (news or ahead or now - self._sent_at >= self._period):
+        table_time = 0 if feedback is None else feedback.stamp
+        if self._due_stamp > table_time + 2 * self._period:
+            # The table's time began anew.
+            self._due_stamp = table_time
+        ahead = table_time >= self._due_stamp and feedback is not None
+        if not (ahead or now >= self._due or sequencer.revision != self._revision):
             return
         setpoint = sequencer.setpoint(self._stamp())
         if setpoint is None:
             return
+        if ahead:
+            # From when it was due: late by a joint state each time would be too slow on average.
+            late = table_time - self._due_stamp
+            self._due_stamp = table_time + self._period - (late if late < self._period else 0)
+        self._due = now + self._period * 1e-9
         self._revision = sequencer.revision
         self._send(setpoint)
-        self._sent_at = now
-        self._sent_stamp = setpoint.stamp if feedback is None else feedback.stamp
 
     def _stamp(self) -> int:
         """Return ROS time, but no time before the newest joint state: /clock may lag behind."""
