@@ -15,6 +15,7 @@ from .errors import NotObservable
 from .imu import ImuSpec
 from .methods import method
 from .methods.evidence import Evidence, noise
+from .methods.information import reached
 from .methods.solution import Solution
 from .model import PARAMETERS
 from .plan import Plan
@@ -151,9 +152,8 @@ class Calibrator:
     def _reached(self, labelled: Labelled, session: Segmented) -> Floats:
         """Return the standard deviations of what is determined already, NaN for the rest."""
         try:
-            from .methods.information import reached
             return reached(self._evidence(labelled, session))
-        except (NotObservable, ModuleNotFoundError):
+        except NotObservable:
             return np.full(len(PARAMETERS), np.nan)
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:

@@ -36,11 +36,15 @@ class Processes:
         folder: Takes parameter files and logs, in its folder `nodes`.
         environment: Variables on top of this process's own.
 
+    Attributes:
+        environment: As given.
+
     """
 
     def __init__(self, folder: Path, environment: dict[str, str]) -> None:
         self._folder = folder / 'nodes'
         self._folder.mkdir()
+        self.environment = environment
         own = {'PYTHONUNBUFFERED': '1', ENDS_WITH: str(os.getpid())}
         self._environment = {**os.environ, **own, **environment}
         self._running: dict[str, tuple[subprocess.Popen[bytes], IO[bytes]]] = {}
@@ -66,7 +70,7 @@ class Processes:
         """Start a node of the suite with its parameters."""
         file = self._folder / f'{node}.yaml'
         file.write_text(yaml.safe_dump({node: {'ros__parameters': parameters}}), encoding='utf-8')
-        log = (self._folder / f'{node}.log').open('wb')
+        log = (self._folder / f'{node}.log').open('ab')
         module = f'{__package__.rpartition(".")[0]}.nodes.{node}'
         process = subprocess.Popen(
             [sys.executable, '-m', module, '--ros-args', '--params-file', str(file)],
@@ -78,6 +82,17 @@ class Processes:
             start_new_session=True,
         )
         self._running[node] = process, log
+
+    def kill(self, node: str, number: int = signal.SIGKILL) -> None:
+        """Send a node a signal, and wait until it has ended; it may be started anew."""
+        process, log = self._running.pop(node)
+        process.send_signal(number)
+        process.wait()
+        log.close()
+
+    def number(self, node: str) -> int:
+        """Return the process number of a node."""
+        return self._running[node][0].pid
 
     def check(self) -> None:
         """Make sure that all still run.

@@ -85,6 +85,9 @@ def run(arguments: argparse.Namespace) -> None:
     environment = {} if arguments.port else private_network()
     parameters = _parameters(arguments, folder)
     began = time.monotonic()
+    if environment:
+        joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
+        OUTPUT.print(f'to look on: export {joined}', markup=False)
     with Processes(folder, environment) as processes:
         for node in _ORDER:
             if node in parameters:

@@ -38,7 +38,9 @@ _AHEAD = 0.25
 _ALIVE = 2.0
 _REST = 0.0005
 _STUCK = 20.0
+_PATIENCE = 5.0
 _LUOYANG = 34.65
+_EPOCH = 1_700_000_000_000_000_000
 
 
 class StandNode(ros.Node):
@@ -77,10 +79,16 @@ class StandNode(ros.Node):
         self._life.start()
 
     def stop(self) -> list[Any]:
-        """Switch off."""
+        """Switch off, but not before the table stands: it brakes without setpoints."""
         self._ending.set()
-        self._life.join(timeout=1.0)
+        self._life.join(timeout=_PATIENCE)
         self._line.close()
+        state = self._hardware.state
+        angles = ', '.join(
+            f'{name} {angle / DEG:.3f} deg'
+            for name, angle in zip(self._hardware.names, state.angles, strict=True)
+        )
+        self.get_logger().info(f'the table {"stands" if state.at_rest else "moves"}: {angles}')
         return []
 
     def _read_hardware(self) -> SimulatedHardware:
@@ -98,6 +106,7 @@ class StandNode(ros.Node):
         drift = declare(self, 'clock_drift', 0.0, 'how much faster the device clock runs, ppm')
         joints = declare(self, 'joint_state_rate', 100.0, 'Hz', lower=0.1, upper=10_000.0)
         rate = declare(self, 'sample_rate', 0.0, 'of the IMU, Hz; 0: its own', lower=0.0)
+        start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
         options = StandOptions(
             azimuth=azimuth * DEG,
             # A uniform error of this half width has the standard deviation that the table states.
@@ -107,6 +116,7 @@ class StandNode(ros.Node):
             clock_rate_error=drift * 1e-6,
             joint_state_rate=joints,
             sample_rate=rate or None,
+            start_time=round(start * 1e9) + _EPOCH,
         )
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
         model = Calibration.load(named_file('truths', truth)).model
@@ -120,10 +130,12 @@ class StandNode(ros.Node):
 
     def _live(self) -> None:
         """Let simulated time pass until the node ends."""
-        while not self._ending.is_set():
+        while not (self._ending.is_set() and self._hardware.state.at_rest):
             self._take_commands()
             self._line.tend()
-            if self._line.idle and self._pace.may_go_on(self._hardware.time, self._line.connected):
+            if self._ending.is_set():
+                self._advance()
+            elif self._may_go_on():
                 try:
                     self._advance()
                 except ImuCalibError as error:
@@ -131,6 +143,9 @@ class StandNode(ros.Node):
                     return
             else:
                 time.sleep(_REST)
+
+    def _may_go_on(self) -> bool:
+        return self._line.idle and self._pace.may_go_on(self._hardware.time, self._line.connected)
 
     def _take_commands(self) -> None:
         while self._setpoints:

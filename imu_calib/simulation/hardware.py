@@ -21,11 +21,19 @@ from .stand import instants
 from .table import SimulatedTable, TableState
 
 _MEMORY = 5.0
+_NUMBERS = {
+    'overshoot': 'DEG',
+    'delay': 'S',
+    'joint_rate': 'HZ',
+    'silence': 'S',
+    'garbage': 'BYTES',
+    'clock_jump': 'S',
+}
 
 
 @dataclass
 class Faults:
-    """What is broken at the moment; commands as a person gives them.
+    """What is broken at the moment.
 
     Attributes:
         stalled: The table stands and hears nothing.
@@ -49,7 +57,7 @@ class Faults:
     clock_jump: float = 0.0
 
     def command(self, text: str) -> None:
-        """Take a command: a name of `COMMANDS`, with a number where it needs one.
+        """Take a command as a person gives it: a fault, with a number where it needs one.
 
         Raises:
             InputError: There is no such fault, or its number is missing.
@@ -65,8 +73,9 @@ class Faults:
             self.__dict__.update(vars(Faults(clock_jump=self.clock_jump)))
         elif name in {'stall', 'refuse'}:
             self.stalled, self.refusing = self.stalled or name == 'stall', True
-        elif name not in COMMANDS or value is None:
-            raise InputError(f'Fault {text!r}: expected one of {", ".join(COMMANDS)}.')
+        elif name not in _NUMBERS or value is None:
+            expected = ', '.join(f'{name} {unit}' for name, unit in _NUMBERS.items())
+            raise InputError(f'Fault {text!r}: expected one of clear, stall, refuse, {expected}.')
         elif name == 'overshoot':
             self.overshoot = value * DEG
         elif name == 'garbage':
@@ -75,19 +84,6 @@ class Faults:
             self.clock_jump += value
         else:
             setattr(self, name, value)
-
-
-COMMANDS = (
-    'clear',
-    'stall',
-    'refuse',
-    'overshoot DEG',
-    'delay S',
-    'joint_rate HZ',
-    'silence S',
-    'garbage BYTES',
-    'clock_jump S',
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +133,11 @@ class SimulatedHardware:
         self.faults = Faults()
         self.frames = 0
         self.refusals: list[str] = []
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The table's joints."""
+        return self._table.table.names
 
     @property
     def state(self) -> TableState:

@@ -1,0 +1,202 @@
+"""A running stand for the tests: real processes, simulated hardware, and ears on the loopback."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import yaml
+
+from imu_calib import middleware as ros
+from imu_calib.bags import open_recording
+from imu_calib.calibration import Calibration
+from imu_calib.cli import calibrate, main, stand
+from imu_calib.cli.processes import Processes, private_network
+from imu_calib.middleware import messages
+from imu_calib.nodes import qos
+from imu_calib.share import named_file
+
+HERE = Path(__file__).resolve().parent
+NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
+LIMIT = 4.5
+State = messages.TurntableState
+Progress = messages.CalibrationProgress
+
+
+def short_plan(folder, dwell=6.0, rates=(60, -60), positions=None):
+    """Write the twelve positions with short dwells and one rate as a plan of its own."""
+    plan = yaml.safe_load(named_file('plans', 'twelve_position').read_text())
+    plan['name'] = 'short'
+    plan['dwell'] = f'{dwell} s'
+    plan['rate_test']['rates'] = [f'{rate} deg/s' for rate in rates]
+    plan['positions'] = plan['positions'][: positions or 12]
+    path = folder / 'short.yaml'
+    path.write_text(yaml.safe_dump(plan))
+    return path
+
+
+class Stand:
+    """The nodes of `imu-calib stand`, one by one, and what they say."""
+
+    def __init__(self, folder, *options, plan=None, nodes=NODES, **changed):
+        self.folder = folder / 'stand'
+        arguments = ['stand', str(plan or short_plan(folder)), '-o', str(self.folder), *options]
+        self.parameters = stand._parameters(main.build_parser().parse_args(arguments), self.folder)
+        for name, more in changed.items():
+            self.parameters[name] |= more
+        self.folder.mkdir()
+        self.environment = private_network()
+        self.processes = Processes(self.folder, self.environment)
+        self.states, self.progress, self.calibrations, self.words = [], [], [], []
+        self.setpoints = []
+        self.joints = None
+        self._environ = dict(os.environ)
+        os.environ.update(self.environment)
+        ros.init(args=[])
+        self.node = ros.Node('listener')
+        listen = self.node.create_subscription
+        listen(State, 'turntable/state', self.states.append, qos.latched())
+        listen(Progress, 'calibration/progress', self.progress.append, qos.latched())
+        listen(messages.ImuCalibration, 'calibration', self.calibrations.append, qos.latched())
+        listen(messages.DiagnosticArray, '/diagnostics', self._on_words, 100)
+        listen(messages.TurntableSetpoint, 'turntable/setpoint', self.setpoints.append, 1)
+        listen(messages.JointState, 'turntable/joint_states', self._on_joints, 1)
+        self._faults = self.node.create_publisher(messages.String, 'stand_node/fault', 10)
+        self._estop = self.node.create_publisher(messages.Bool, 'estop', 10)
+        for name in nodes:
+            self.start(name)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.processes.__exit__(None, None, None)
+        self.node.destroy_node()
+        ros.try_shutdown()
+        os.environ.clear()
+        os.environ.update(self._environ)
+
+    def start(self, name):
+        if name == 'stand_node':
+            self.joints = None
+        self.processes.start(name, self.parameters[name])
+
+    def kill(self, name, number=signal.SIGKILL):
+        self.processes.kill(name, number)
+
+    def fault(self, text):
+        log = self.folder / 'nodes' / 'stand_node.log'
+        before = log.read_text().count('fault:')
+
+        def ordered():
+            # A publisher that sees its subscription may be seen by it only a moment later.
+            if self._faults.get_subscription_count():
+                self._faults.publish(messages.String(data=text))
+            return self.wait(lambda: log.read_text().count('fault:') > before, 0.5)
+
+        assert any(ordered() for _ in range(10)), log.read_text()
+
+    def estop(self, *, pressed):
+        assert self.wait(lambda: self._estop.get_subscription_count() > 0)
+        self._estop.publish(messages.Bool(data=pressed))
+
+    def call(self, service):
+        """Call a Trigger service; return (success, message)."""
+        client = self.node.create_client(ros.Trigger, service)
+        assert client.wait_for_service(timeout_sec=10)
+        future = client.call_async(ros.Trigger.Request())
+        assert self.wait(future.done, 10), f'{service} does not answer'
+        self.node.destroy_client(client)
+        return future.result().success, future.result().message
+
+    def wait(self, condition, seconds=60.0):
+        end = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            ros.spin_once(self.node, timeout_sec=0.02)
+        return True
+
+    @property
+    def state(self):
+        return self.states[-1] if self.states else State()
+
+    def reaches(self, *phases, step=None, seconds=60.0):
+        """Wait until the table's leader is in one of the phases, at a step or beyond."""
+        return self.wait(
+            lambda: self.state.phase in phases and (step is None or self.state.step >= step),
+            seconds,
+        )
+
+    def table_stands(self, seconds=15.0):
+        """Whether the table itself, by its encoders, comes to rest and stays there for a second."""
+        since = None
+
+        def stands():
+            nonlocal since
+            now = self.joints
+            if now is None or np.any(now.velocity):
+                since = None
+            elif since is None or not np.array_equal(since.position, now.position):
+                since = now
+            return since is not None and _seconds(now) > _seconds(since) + 1.0
+
+        return self.wait(stands, seconds)
+
+    def said(self, *words):
+        """Whether one sentence on /diagnostics held all of the words."""
+        return any(all(word in text for word in words) for text in self.words)
+
+    def ended(self, seconds=90.0):
+        """Wait for the final word of the calibrator; return its message."""
+        final = {messages.ImuCalibration.VALID, messages.ImuCalibration.REFUSED}
+        assert self.wait(lambda: any(c.status in final for c in self.calibrations), seconds), (
+            self.state,
+            self.progress[-1:],
+            self.words[-5:],
+        )
+        return next(c for c in self.calibrations if c.status in final)
+
+    def check_numbers(self, clock_rate=0.0):
+        """Hold every number that was ever published against the truth.
+
+        A device clock that is fast by `clock_rate` counts fewer pulses a second: gravity is the
+        same, and the scale factor of the accelerometers is by so much smaller in its time.
+        """
+        truth = Calibration.load(named_file('truths', 'cao2022_table1')).model.vector()
+        truth[12:15] = (1 + truth[12:15]) / (1 + clock_rate) - 1
+        for message in self.calibrations:
+            if message.status != messages.ImuCalibration.REFUSED:
+                values = [getattr(message, name.lower()) for name in message.parameter_names]
+                error = np.abs(np.array(values) - truth) / np.array(message.standard_deviations)
+                assert error.max() < LIMIT, (message.status, error.round(1), message.status_text)
+
+    def check_reprocessing(self):
+        """Reprocess the journal, and find the live result in it, bit for bit."""
+        assert self.wait((self.folder / 'calibration.yaml').exists, 10)
+        live = Calibration.load(self.folder / 'calibration.yaml')
+        arguments = ['calibrate', str(self.folder / 'journal')]
+        offline = calibrate.open_offline(main.build_parser().parse_args(arguments))
+        with offline.recording:
+            again = calibrate.calibrate(offline).calibration
+        assert np.array_equal(again.model.vector(), live.model.vector())
+        assert np.array_equal(again.covariance, live.covariance)
+        return SimpleNamespace(live=live, again=again)
+
+    def recorded_samples(self):
+        with open_recording(self.folder / 'journal') as recording:
+            return {topic.name: topic.count for topic in recording.topics}
+
+    def _on_joints(self, message):
+        self.joints = message
+
+    def _on_words(self, message):
+        self.words += [f'{s.name}: {s.message}' for s in message.status]
+
+
+def _seconds(message):
+    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
