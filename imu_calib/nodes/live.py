@@ -119,9 +119,9 @@ class LiveSession:
         return self.phase in {Phase.FINISHED, Phase.FAILED}
 
     @property
-    def ending(self) -> bool:
-        """Whether the last review is being waited for."""
-        return self._ending and not self.over
+    def _closed(self) -> bool:
+        """Whether nothing more is taken in: the recording is to hold what the result rests on."""
+        return self.over or (self._pending is not None and self._pending_is_final)
 
     def take(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
         """Take serialised messages of a topic in.
@@ -132,7 +132,7 @@ class LiveSession:
             now: Host time, ns.
 
         """
-        if self.over:
+        if self._closed:
             return
         intake = self.intakes[kind]
         messages = Messages.join(payloads)
@@ -147,7 +147,7 @@ class LiveSession:
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
         """Keep a message that is not calibrated from."""
-        if self.over:
+        if self._closed:
             return
         try:
             self.journal.write(topic, type_name, Messages.join([payload]), now)
