@@ -48,7 +48,7 @@ def named_file(kind: str, name: str | Path) -> Path:
     """Return the YAML file that a name or a path of the user means.
 
     Args:
-        kind: Folder below config: 'plans', 'imus' or 'tables'.
+        kind: Folder below config: 'plans', 'imus', 'tables', 'truths' or 'devices'.
         name: A shipped name ('twelve_position'), or a path to a file of the user's.
 
     Raises:
