@@ -1,0 +1,246 @@
+"""Bytes of a line to columns of samples: finds the frames, drops what is none, counts the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats
+from .checksum import Bytes
+from .format import FrameFormat
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples of n consecutive frames.
+
+    Attributes:
+        gyro: (n, 3) counts.
+        accel: (n, 3) counts.
+        skew: (n,) counts of the skewed gyro, None without one.
+        celsius: (n,) temperature, None without one.
+        counter: (n,) frame counter as sent, None without one.
+        time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
+        faults: (n,) bit k is set where the format's fault k is there.
+        end: (n,) how many bytes had come since the start when the frame was complete.
+
+    """
+
+    gyro: Floats
+    accel: Floats
+    skew: Floats | None
+    celsius: Floats | None
+    counter: Indices | None
+    time: Indices | None
+    faults: Indices
+    end: Indices
+
+    def __len__(self) -> int:
+        return len(self.end)
+
+
+@dataclass
+class Counts:
+    """What has come over the line.
+
+    Attributes:
+        frames: Frames that were decoded.
+        bad: Frames whose checksum is wrong.
+        skipped: Bytes that belong to no good frame, those of bad frames included.
+        lost: Frames that are missing by the counter.
+        repeated: Frames that came twice and were taken once.
+        restarts: How often the counter went back.
+        unusable: Frames with a channel that is no number.
+
+    """
+
+    frames: int = 0
+    bad: int = 0
+    skipped: int = 0
+    lost: int = 0
+    repeated: int = 0
+    restarts: int = 0
+    unusable: int = 0
+
+
+class Decoder:
+    """Finds frames in a stream of bytes; how the stream is cut into pieces does not matter.
+
+    Reading from left to right, a frame is where the constant bytes stand and the checksum holds;
+    reading goes on behind it, and else at the next byte.
+
+    Attributes:
+        counts: What has come so far.
+
+    """
+
+    def __init__(self, frames: FrameFormat) -> None:
+        self._format = frames
+        self._checksums = frames.checksums()
+        self._tail = b''
+        self._begin = 0
+        self._taken = 0
+        self._bad_until = 0
+        self._last_frame: Bytes | None = None
+        self._last_counter = 0
+        self.counts = Counts()
+
+    def feed(self, data: bytes) -> Samples:
+        """Take the next bytes; return the samples of the frames that are complete with them."""
+        buffer = np.frombuffer(self._tail + data, np.uint8)
+        length = self._format.length
+        step = self._in_step(buffer)
+        starts = length * np.arange(step)
+        if (step + 1) * length <= len(buffer):
+            starts = np.concatenate([starts, self._search(buffer, step * length)])
+        rows = _frames(buffer, starts, length)
+        end = self._begin + starts + length
+        self._keep_tail(buffer, int(starts[-1]) + length if len(starts) else 0)
+        self.counts.skipped = self._begin - length * (self._taken + len(starts))
+        self._taken += len(starts)
+        rows, end = self._without_repetitions(rows, end)
+        return self._columns(rows, end)
+
+    def _in_step(self, buffer: Bytes) -> int:
+        """Return how many good frames follow each other from the beginning."""
+        length = self._format.length
+        count = len(buffer) // length
+        good = self._good(buffer[: count * length].reshape(count, length))
+        return count if good.all() else int(good.argmin())
+
+    def _search(self, buffer: Bytes, first: int) -> Indices:
+        """Return where good frames start that do not begin before `first`."""
+        length = self._format.length
+        candidates = self._candidates(buffer, first)
+        good = self._holds(_frames(buffer, candidates, length))
+        starts = _apart(candidates[good], length)
+        self._count_bad(candidates[~good], starts)
+        return starts
+
+    def _candidates(self, buffer: Bytes, first: int) -> Indices:
+        """Return where the constant bytes stand."""
+        last = len(buffer) - self._format.length + 1
+        (at, value), *others = self._format.constant
+        found = first + np.flatnonzero(buffer[first + at : last + at] == value)
+        for at, value in others:
+            found = found[buffer[found + at] == value]
+        return found
+
+    def _good(self, rows: Bytes) -> NDArray[np.bool_]:
+        """Return which rows are frames."""
+        good = np.ones(len(rows), bool)
+        for at, value in self._format.constant:
+            good &= rows[:, at] == value
+        good[good] = self._holds(rows[good] if not good.all() else rows)
+        return good
+
+    def _holds(self, rows: Bytes) -> NDArray[np.bool_]:
+        """Return in which rows the checksum holds."""
+        check = self._format.check
+        if check is None or self._checksums is None:
+            return np.ones(len(rows), bool)
+        return np.asarray(
+            self._checksums.of(rows[:, check.first : check.end]) == check.number.read(rows)
+        )
+
+    def _count_bad(self, bad: Indices, starts: Indices) -> None:
+        """Count frames that are damaged, each once, though sync bytes may stand within it."""
+        length = self._format.length
+        before = np.searchsorted(starts, bad, side='right') - 1
+        outside = before < 0
+        outside[~outside] = bad[~outside] >= starts[before[~outside]] + length
+        for start in (self._begin + bad[outside]).tolist():
+            if start >= self._bad_until:
+                self.counts.bad += 1
+                self._bad_until = start + length
+
+    def _keep_tail(self, buffer: Bytes, end: int) -> None:
+        """Keep what may belong to a frame that is not complete."""
+        cut = max(end, len(buffer) - self._format.length + 1)
+        self._tail = buffer[cut:].tobytes()
+        self._begin += cut
+
+    def _without_repetitions(self, rows: Bytes, end: Indices) -> tuple[Bytes, Indices]:
+        """Look at the steps of the counter; leave out frames that repeat the one before."""
+        counter = self._format.counter
+        if counter is None or len(rows) == 0:
+            self.counts.frames += len(rows)
+            return rows, end
+        values = counter.number.read(rows)
+        last = self._last_frame
+        previous = values[0] - counter.step if last is None else self._last_counter
+        steps = np.mod(np.diff(values, prepend=previous), counter.modulus)
+        same = steps == 0
+        if same.any():
+            former = np.concatenate([rows[:1] if last is None else last[None], rows[:-1]])
+            same &= (rows == former).all(axis=1)
+            rows, end, steps = rows[~same], end[~same], steps[~same]
+            self.counts.repeated += int(same.sum())
+        self._count_lost(steps)
+        self.counts.frames += len(rows)
+        if len(rows):
+            self._last_frame, self._last_counter = rows[-1].copy(), int(values[-1])
+        return rows, end
+
+    def _count_lost(self, steps: Indices) -> None:
+        counter = self._format.counter
+        assert counter is not None
+        if counter.tells_direction:
+            back = (steps > counter.modulus // 2) | (steps == 0)
+            self.counts.restarts += int(back.sum())
+            steps = steps[~back]
+        else:
+            steps = np.where(steps == 0, counter.modulus, steps)
+        self.counts.lost += int((steps // counter.step - 1).clip(min=0).sum())
+
+    def _columns(self, rows: Bytes, end: Indices) -> Samples:
+        """Return the columns of frames that are known to be good."""
+        form = self._format
+        gyro = np.column_stack([channel.read(rows) for channel in form.gyro])
+        accel = np.column_stack([channel.read(rows) for channel in form.accel])
+        usable = np.isfinite(gyro).all(axis=1) & np.isfinite(accel).all(axis=1)
+        faults = np.zeros(len(rows), np.int64)
+        for bit, fault in enumerate(form.faults):
+            faults |= fault.read(rows).astype(np.int64) << bit
+        samples = Samples(
+            gyro=gyro,
+            accel=accel,
+            skew=None if form.skew is None else form.skew.read(rows),
+            celsius=None if form.temperature is None else form.temperature.read(rows),
+            counter=None if form.counter is None else form.counter.number.read(rows),
+            time=None if form.time is None else form.time.read(rows),
+            faults=faults,
+            end=end,
+        )
+        if usable.all():
+            return samples
+        self.counts.unusable += int((~usable).sum())
+        kept: dict[str, Any] = {k: v if v is None else v[usable] for k, v in vars(samples).items()}
+        return Samples(**kept)
+
+
+def _frames(buffer: Bytes, starts: Indices, length: int) -> Bytes:
+    """Return (n, length) contiguous frames; the buffer's own bytes where they lie in a row."""
+    if len(starts) == 0:
+        return np.empty((0, length), np.uint8)
+    first, end = int(starts[0]), int(starts[-1]) + length
+    if end - first == len(starts) * length:
+        return buffer[first:end].reshape(-1, length)
+    return np.lib.stride_tricks.sliding_window_view(buffer, length)[starts]
+
+
+def _apart(starts: Indices, length: int) -> Indices:
+    """Drop starts that lie within the frame before: those bytes are taken."""
+    if len(starts) < 2 or (np.diff(starts) >= length).all():
+        return starts
+    kept, free = [], 0
+    for start in starts.tolist():
+        if start >= free:
+            kept.append(start)
+            free = start + length
+    return np.array(kept, np.int64)

@@ -1,0 +1,224 @@
+"""What is to be said of a device, its line and its clock: a level, a sentence, the figures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+import numpy as np
+
+from ..stream import Stamps
+from .decoder import Counts, Samples
+from .device_clock import DeviceClock
+from .format import FrameFormat
+from .source import State
+
+_REMEMBERED = 10.0
+_RATE_SPAN = 2.0
+_RATE_TOLERANCE = 0.02
+_DRIFT_TOLERANCE = 500.0
+_STRANGE = 20
+_NS = 1_000_000_000
+
+
+class Severity(IntEnum):
+    """As in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass(frozen=True)
+class Word:
+    """What is said of one part."""
+
+    part: str
+    severity: Severity
+    text: str
+    figures: dict[str, str] = field(default_factory=dict)
+
+
+class Health:
+    """Watches what comes from a device. Host times are in ns, steady times in s.
+
+    Args:
+        frames: The format of its frames.
+        nominal: Sample rate, Hz; None where it is not known.
+        gap_timeout: Longest time without a frame, s.
+
+    """
+
+    def __init__(self, frames: FrameFormat, nominal: float | None, gap_timeout: float) -> None:
+        self._format = frames
+        self._nominal = nominal
+        self._gap_timeout = gap_timeout
+        self._bytes = 0
+        self._heard: int | None = None
+        self._seen = Counts()
+        self._events: dict[str, tuple[str, float]] = {}
+        self._rate: float | None = None
+        self._rate_from: tuple[int, int] | None = None
+        self._last_elapsed: int | None = None
+        self._gap: float | None = None
+        self._jumps = 0
+        self._faults: Counter[str] = Counter()
+        self._faults_new: set[str] = set()
+
+    def take(self, samples: Samples, elapsed: Stamps, received: int, now: int) -> None:
+        """Take note of what has come.
+
+        Args:
+            samples: n samples, possibly none.
+            elapsed: (n,) ns after the first sample.
+            received: Bytes they were found in.
+            now: Host time.
+
+        """
+        self._bytes += received
+        if len(samples) == 0:
+            return
+        self._heard = now
+        self._look_for_faults(samples)
+        self._measure_rate(elapsed, now)
+        before = elapsed[0] if self._last_elapsed is None else self._last_elapsed
+        self._last_elapsed = int(elapsed[-1])
+        longest = float(np.diff(elapsed, prepend=before).max()) / _NS
+        if longest > self._gap_timeout:
+            self._gap = longest
+
+    def _look_for_faults(self, samples: Samples) -> None:
+        if not samples.faults.any():
+            return
+        for bit, fault in enumerate(self._format.faults):
+            count = int((samples.faults >> bit & 1).sum())
+            if count:
+                self._faults[fault.words] += count
+                self._faults_new.add(fault.words)
+
+    def _measure_rate(self, elapsed: Stamps, now: int) -> None:
+        """Count samples per second of the device's clock, of the host's where it has none."""
+        time = int(elapsed[-1]) if self._format.time is not None else now
+        if self._rate_from is None:
+            self._rate_from = time, 0
+            return
+        begin, count = self._rate_from
+        count += len(elapsed)
+        self._rate_from = begin, count
+        if time - begin >= _RATE_SPAN * _NS:
+            self._rate = count * _NS / (time - begin)
+            self._rate_from = time, 0
+
+    def silent(self, now: int) -> bool:
+        """Say whether no frame has come for too long."""
+        return self._heard is not None and now - self._heard > self._gap_timeout * _NS
+
+    def words(
+        self, state: State, counts: Counts, clock: DeviceClock, now: int, steady: float
+    ) -> list[Word]:
+        """Return what is to be said now."""
+        self._note_events(counts, steady)
+        return [
+            Word('port', _port_severity(state), state.text, {'bytes': str(self._bytes)}),
+            self._stream(state, counts, clock, now),
+            self._clock(clock, steady),
+            *self._status(steady),
+        ]
+
+    def _note_events(self, counts: Counts, steady: float) -> None:
+        seen, self._seen = self._seen, replace(counts)
+        if seen.frames:
+            # What comes before the first frame is the rest of one that was cut.
+            happened = {
+                'lost': (counts.lost > seen.lost, 'Frames are lost on the way.'),
+                'bad': (counts.bad > seen.bad, 'Frames are damaged on the way.'),
+                'skipped': (counts.skipped > seen.skipped, 'Bytes come that are no frames.'),
+                'repeated': (counts.repeated > seen.repeated, 'Frames come twice.'),
+                'unusable': (
+                    counts.unusable > seen.unusable,
+                    'Frames come with channels that are no numbers.',
+                ),
+            }
+            for name, (new, text) in happened.items():
+                if new:
+                    self._events[name] = text, steady
+        if self._gap is not None:
+            self._events['gap'] = f'No frame was made for {self._gap:.3g} s.', steady
+            self._gap = None
+        self._events = {k: v for k, v in self._events.items() if steady - v[1] < _REMEMBERED}
+
+    def _stream(self, state: State, counts: Counts, clock: DeviceClock, now: int) -> Word:
+        figures = {
+            'rate': 'unknown' if self._rate is None else f'{self._rate:.2f} Hz',
+            'nominal rate': 'unknown' if self._nominal is None else f'{self._nominal:g} Hz',
+            'frames': str(counts.frames),
+            'lost frames': str(counts.lost + clock.unseen),
+            'bad frames': str(counts.bad),
+            'repeated frames': str(counts.repeated),
+            'unusable frames': str(counts.unusable),
+            'counter restarts': str(counts.restarts),
+            'bytes skipped': str(counts.skipped),
+        }
+        return Word('stream', *self._stream_sentence(state, now), figures)
+
+    def _stream_sentence(self, state: State, now: int) -> tuple[Severity, str]:
+        if self._heard is None:
+            if self._bytes < _STRANGE * self._format.length:
+                return Severity.WARN, 'The first frame has not come yet.'
+            return Severity.ERROR, (
+                f'Bytes come, but no frame of the format {self._format.name}: check the device '
+                'and its baud rate.'
+            )
+        if self.silent(now) and not state.ended:
+            return Severity.ERROR, f'No frame has come since {self._heard / _NS:.3f} s.'
+        order = ('gap', 'bad', 'skipped', 'unusable', 'lost', 'repeated')
+        texts = [self._events[name][0] for name in order if name in self._events]
+        if texts:
+            return Severity.WARN, ' '.join(texts)
+        rate, nominal = self._rate, self._nominal
+        if rate and nominal and abs(rate / nominal - 1) > _RATE_TOLERANCE:
+            return Severity.WARN, 'The sample rate is not the nominal one.'
+        return Severity.OK, 'Frames come in.'
+
+    def _clock(self, clock: DeviceClock, steady: float) -> Word:
+        drift = clock.drift
+        figures = {'jumps': str(clock.jumps)}
+        if clock.offset is not None:
+            figures['stamp of the first sample'] = f'{clock.offset / _NS:.6f} s'
+        if clock.ahead is not None:
+            figures['stamps ahead of arrival'] = f'{clock.ahead:.6f} s'
+        if drift is not None:
+            figures['drift'] = f'{drift.ppm:.1f} ppm +- {drift.std:.1f} ppm'
+        last = clock.last_jump
+        if clock.jumps > self._jumps:
+            self._jumps = clock.jumps
+            self._events['jump'] = '', steady
+        if last is not None:
+            by = '' if last.seconds is None else f' By {last.seconds:.3g} s.'
+            when = f' {last.elapsed / _NS:.3f} s after the first sample.'
+            severity = Severity.ERROR if 'jump' in self._events else Severity.WARN
+            return Word('clock', severity, f'{last.reason}{by}{when}', figures)
+        if drift is not None and abs(drift.ppm) - 3 * drift.std > _DRIFT_TOLERANCE:
+            text = 'The device counts time or samples otherwise than the host.'
+            return Word('clock', Severity.WARN, text, figures)
+        settled = clock.offset is not None
+        text = 'Stamps follow the device.' if settled else 'The offset of the clock is not known.'
+        return Word('clock', Severity.OK, text, figures)
+
+    def _status(self, steady: float) -> list[Word]:
+        if not self._format.faults:
+            return []
+        for words in self._faults_new:
+            self._events[f'fault {words}'] = words, steady
+        self._faults_new.clear()
+        now = [text for name, (text, _) in self._events.items() if name.startswith('fault ')]
+        figures = {words: f'{count} frames' for words, count in self._faults.items()}
+        if now:
+            text = f'The device reports: {", ".join(sorted(now))}.'
+            return [Word('status', Severity.ERROR, text, figures)]
+        return [Word('status', Severity.OK, 'The device reports no fault.', figures)]
+
+
+def _port_severity(state: State) -> Severity:
+    return Severity.OK if state.open or state.ended else Severity.ERROR

@@ -1,0 +1,292 @@
+"""Where a device's bytes come from: a serial port, a TCP or UDP socket, a file."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import stat
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+from urllib.parse import urlsplit
+
+from ..errors import InputError
+
+_CHUNK = 16384
+_POLL = 0.1
+_CONNECT = 2.0
+_RETRY = 0.5
+_CAPACITY = 1 << 18
+_UDP_BUFFER = 1 << 20
+_TCP_BUFFER = 1 << 16
+_SERIAL_NAME = re.compile(r'^(/dev/|COM\d+$|\\\\.\\)')
+
+
+class Chunk(NamedTuple):
+    """Bytes that were read at once, and the host's time just after, ns."""
+
+    data: bytes
+    arrival: int
+
+
+@dataclass(frozen=True)
+class State:
+    """How a source is.
+
+    Attributes:
+        open: Whether bytes can come.
+        ended: Whether none will ever come again: the end of a file.
+        text: A sentence.
+
+    """
+
+    open: bool
+    ended: bool
+    text: str
+
+
+class Line(Protocol):
+    """Something open that bytes are read from."""
+
+    def read(self) -> bytes | None:
+        """Return what has come, nothing after a while without, None at the end."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class Source:
+    """Reads a device in a thread of its own, and opens it again when it breaks.
+
+    What was read waits in a bounded queue. While that is full nothing is read: over TCP the
+    device has to wait, a serial port or UDP loses bytes, which the frame counter shows.
+
+    Args:
+        url: /dev/ttyUSB0 or another name or URL of pyserial's; socket://host:port for TCP;
+            udp://host:port, the address at which datagrams arrive; or a file.
+        now: The host's time, ns; called in the reading thread.
+        baud: Of a serial port.
+        capacity: Bytes that may wait.
+
+    Attributes:
+        url: As given.
+        state: How it is at the moment.
+
+    Raises:
+        InputError: The URL is none of these, or the file does not exist.
+
+    """
+
+    def __init__(
+        self, url: str, now: Callable[[], int], baud: int = 115200, capacity: int = _CAPACITY
+    ) -> None:
+        self._kind, self._where = _parse(url, baud)
+        self.url = url
+        self._now = now
+        self._capacity = capacity
+        self._chunks: deque[Chunk] = deque()
+        self._waiting = 0
+        self._changed = threading.Condition()
+        self._stopping = threading.Event()
+        self.state = State(False, False, f'{url} is not open yet.')
+        self._thread = threading.Thread(target=self._run, name=f'read {url}', daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def take(self, most: int = _CAPACITY) -> list[Chunk]:
+        """Return what has come since, oldest first, of about `most` bytes; do not wait."""
+        taken: list[Chunk] = []
+        with self._changed:
+            while self._chunks and most > 0:
+                chunk = self._chunks.popleft()
+                most -= len(chunk.data)
+                self._waiting -= len(chunk.data)
+                taken.append(chunk)
+            self._changed.notify()
+        return taken
+
+    @property
+    def live(self) -> bool:
+        """Whether bytes come when they are made; those of a file are all there at once."""
+        return self._kind is not _File
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing waits to be taken."""
+        return not self._chunks
+
+    def stop(self) -> None:
+        """Close it and end the thread."""
+        self._stopping.set()
+        with self._changed:
+            self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join(timeout=2 * _CONNECT)
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                line = self._kind(*self._where)
+            except (OSError, ValueError, InputError) as error:
+                self.state = State(False, False, f'{self.url} does not open: {_reason(error)}')
+            else:
+                with contextlib.closing(line):
+                    self.state = State(True, False, f'{self.url} is open.')
+                    self._read(line)
+            if self.state.ended:
+                return
+            self._stopping.wait(_RETRY)
+
+    def _read(self, line: Line) -> None:
+        try:
+            while not self._stopping.is_set():
+                data = line.read()
+                if data is None:
+                    break
+                if data:
+                    self._put(Chunk(data, self._now()))
+        except OSError as error:
+            self.state = State(False, False, f'{self.url} broke: {_reason(error)}')
+            return
+        if self._kind is _File:
+            self.state = State(False, True, f'{self.url} was read to its end.')
+        else:
+            self.state = State(False, False, f'{self.url} was closed by the other end.')
+
+    def _put(self, chunk: Chunk) -> None:
+        with self._changed:
+            while self._waiting >= self._capacity and not self._stopping.is_set():
+                self._changed.wait(_POLL)
+            self._chunks.append(chunk)
+            self._waiting += len(chunk.data)
+
+
+def _reason(error: Exception) -> str:
+    text = getattr(error, 'strerror', None) or str(error) or type(error).__name__
+    return text if text.endswith('.') else f'{text}.'
+
+
+class _Tcp:
+    """A TCP connection."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(_family(host), socket.SOCK_STREAM)
+        try:
+            # A small buffer: a device that is simulated goes no faster than its samples are used.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _TCP_BUFFER)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            self._socket.settimeout(_CONNECT)
+            self._socket.connect((host, port))
+            self._socket.settimeout(_POLL)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def read(self) -> bytes | None:
+        try:
+            return self._socket.recv(_CHUNK) or None
+        except TimeoutError:
+            return b''
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Udp:
+    """Datagrams that arrive at an address of this host."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(_family(host), socket.SOCK_DGRAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _UDP_BUFFER)
+            self._socket.bind((host, port))
+            self._socket.settimeout(_POLL)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def read(self) -> bytes | None:
+        try:
+            return self._socket.recv(1 << 16)
+        except TimeoutError:
+            return b''
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Serial:
+    """A serial port, or whatever else pyserial opens."""
+
+    def __init__(self, url: str, baud: int) -> None:
+        try:
+            import serial
+        except ImportError:
+            raise InputError(
+                'pyserial is missing: python3-serial on Ubuntu, pyserial on PyPI.'
+            ) from None
+        self._port: Any = serial.serial_for_url(url, baudrate=baud, timeout=_POLL)
+        # What has waited there since somebody else closed it would arrive far too late.
+        self._port.reset_input_buffer()
+
+    def read(self) -> bytes | None:
+        data = self._port.read(max(1, min(self._port.in_waiting, _CHUNK)))
+        return bytes(data)
+
+    def close(self) -> None:
+        self._port.close()
+
+
+class _File:
+    """Bytes that were recorded."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open('rb')
+
+    def read(self) -> bytes | None:
+        return self._file.read(_CHUNK) or None
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ':' in host else socket.AF_INET
+
+
+def _parse(url: str, baud: int) -> tuple[Callable[..., Line], tuple[Any, ...]]:
+    """Return what opens a URL, and its arguments."""
+    if not url:
+        raise InputError(
+            "The device's port is missing: /dev/ttyUSB0, socket://host:port, udp://host:port or a "
+            'file.'
+        )
+    scheme, separator, _ = url.partition('://')
+    if separator and scheme in {'socket', 'tcp', 'udp'}:
+        try:
+            parts = urlsplit(url)
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host = port = None
+        if not host or not port:
+            raise InputError(f'{url}: expected {scheme}://host:port.')
+        return (_Udp if scheme == 'udp' else _Tcp), (host, port)
+    if separator or _SERIAL_NAME.match(url) or _is_device(Path(url)):
+        return _Serial, (url, baud)
+    path = Path(url).expanduser()
+    if not path.is_file():
+        raise InputError(f'{url}: there is no such file or device.')
+    return _File, (path,)
+
+
+def _is_device(path: Path) -> bool:
+    try:
+        return stat.S_ISCHR(path.stat().st_mode)
+    except OSError:
+        return False

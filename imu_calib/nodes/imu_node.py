@@ -1,0 +1,184 @@
+"""imu_node: frames of a device in, pulses with the host's stamps out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..cdr import PULSES, RATES, encode_imu, encode_temperatures
+from ..devices import Chunk, Decoder, DeviceClock, Health, Samples, Source, load_format
+from ..imu import load_imu
+from ..middleware import Clock, ClockType, Node, messages
+from ..stream import ImuBlock, Stamps, TemperatureBlock, Units
+from . import qos
+from .diagnostics import Diagnostics, Level
+from .entry import entry_point
+from .parameters import declare
+
+_DRAIN_PERIOD = 0.004
+_MOST_BYTES = 1 << 16
+_REPORT_PERIOD = 0.25
+_NS = 1_000_000_000
+
+
+class ImuNode(Node):  # type: ignore[misc,unused-ignore]
+    """Publishes imu/pulses, imu/skew and imu/temperature from a device."""
+
+    def __init__(self) -> None:
+        super().__init__('imu_node')
+        imu = load_imu(declare(self, 'imu', 'fog_medium', 'Name or file of the IMU.'))
+        self._format = load_format(
+            declare(self, 'device', 'simulated', "Name or file of the frames' format.")
+        )
+        self._source = self._declare_source()
+        self._frame_id = declare(self, 'frame_id', 'imu_link', 'Frame of all messages.')
+        rate = declare(
+            self, 'sample_rate', 0.0, "Nominal, Hz; 0: the IMU's own.", lower=0.0, upper=1e5
+        )
+        gap_timeout = declare(
+            self, 'gap_timeout', 0.5, 'Longest time without a frame, s.', lower=0.01
+        )
+        nominal = rate or imu.sample_rate
+        # Simulated time comes in steps, far too coarse to judge the device's clock by it.
+        self._simulated = bool(self.get_parameter('use_sim_time').value)
+        self._decoder = Decoder(self._format)
+        self._line = DeviceClock(
+            self._format.time,
+            self._format.counter,
+            None if nominal is None else 1 / nominal,
+            tolerance=None if self._simulated else 0.05,
+            live=self._source.live,
+        )
+        self._health = Health(self._format, nominal, gap_timeout)
+        self._covariances = RATES if imu.units is Units.SI else PULSES
+        self._diagnostics = Diagnostics(self, imu.id)
+        self._pulses = self.create_publisher(messages.Imu, 'imu/pulses', qos.stream())
+        self._temperatures = self.create_publisher(messages.Temperature, 'imu/temperature', 10)
+        self._skews = None
+        if self._format.skew is not None:
+            self._skews = self.create_publisher(messages.Imu, 'imu/skew', qos.stream())
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._held: list[tuple[Samples, Stamps]] = []
+        self._received = 0
+        self._second = 0
+        self._started = self._silent = False
+        self._reported_at = 0.0
+        self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
+
+    def stop(self) -> Sequence[Any]:
+        """Let go of the device; return the publishers that must be heard."""
+        self._source.stop()
+        self._take(self._source.take())
+        self._line.settle()
+        self._release()
+        return [self._pulses] if self._skews is None else [self._pulses, self._skews]
+
+    def destroy_node(self) -> None:
+        """Let go of the device, if that was not done yet."""
+        self._source.stop()
+        super().destroy_node()
+
+    def _declare_source(self) -> Source:
+        port = declare(
+            self, 'port', '', 'Serial port, socket://host:port, udp://host:port, or a file.'
+        )
+        baud = declare(self, 'baud', 115200, 'Of a serial port, bit/s.', lower=50)
+        buffer = declare(
+            self, 'buffer', 1 << 18, 'Bytes that may wait before reading pauses.', lower=1 << 12
+        )
+        return Source(port, self._now, baud, buffer)
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _work(self) -> None:
+        """Take what has come, publish it, and say how it goes."""
+        if not self._started:
+            if self._now() == 0:
+                self._diagnostics.report('clock', Level.WARN, 'Nothing has come on /clock yet.')
+                return
+            self._source.start()
+            self._started = True
+            self._reported_at = self._steady.now().nanoseconds / _NS
+        chunks = self._source.take(_MOST_BYTES)
+        if chunks:
+            self._take(chunks)
+        elif self._held and (self._source.state.ended or self._health.silent(self._now())):
+            self._line.settle()
+        self._release()
+        self._report()
+
+    def _take(self, chunks: list[Chunk]) -> None:
+        """Decode bytes; their samples wait until the clock's offset is known."""
+        data = b''.join(chunk.data for chunk in chunks)
+        samples = self._decoder.feed(data)
+        now = self._now()
+        ends = self._received + np.cumsum([len(chunk.data) for chunk in chunks], dtype=np.int64)
+        self._received += len(data)
+        if self._simulated:
+            # The thread that reads is ahead of /clock, which this thread takes.
+            arrival = np.full(len(samples), now)
+        else:
+            arrivals = np.array([chunk.arrival for chunk in chunks], np.int64)
+            arrival = np.maximum.accumulate(arrivals)[np.searchsorted(ends, samples.end)]
+        elapsed = self._line.feed(samples.time, samples.counter, arrival)
+        self._health.take(samples, elapsed, len(data), now)
+        if len(samples):
+            self._held.append((samples, elapsed))
+
+    def _release(self) -> None:
+        """Publish the samples that wait, as soon as they can be stamped."""
+        if self._line.offset is None:
+            return
+        for samples, elapsed in self._held:
+            self._publish(samples, self._line.offset + elapsed)
+        self._held.clear()
+
+    def _publish(self, samples: Samples, stamp: Stamps) -> None:
+        block = ImuBlock(stamp, samples.gyro, samples.accel, self._frame_id)
+        for payload in encode_imu(block, self._covariances).payloads():
+            self._pulses.publish(payload)
+        if self._skews is not None and samples.skew is not None:
+            nothing = np.zeros((len(samples), 3))
+            gyro = nothing.copy()
+            gyro[:, 0] = samples.skew
+            skew = ImuBlock(stamp, gyro, nothing, self._frame_id)
+            for payload in encode_imu(skew, self._covariances).payloads():
+                self._skews.publish(payload)
+        if samples.celsius is not None:
+            self._publish_temperature(stamp, samples.celsius)
+
+    def _publish_temperature(self, stamp: Stamps, celsius: Any) -> None:
+        """Publish the first temperature of every second."""
+        second = stamp // _NS
+        first = np.diff(second, prepend=self._second) != 0
+        first &= np.isfinite(celsius)
+        self._second = int(second[-1])
+        block = TemperatureBlock(stamp[first], celsius[first])
+        for payload in encode_temperatures(block, self._frame_id).payloads():
+            self._temperatures.publish(payload)
+
+    def _report(self) -> None:
+        """Say how port, stream, clock and device are; at once when the stream falls silent."""
+        steady = self._steady.now().nanoseconds / _NS
+        now = self._now()
+        silent = self._source.empty and self._health.silent(now)
+        if steady - self._reported_at < _REPORT_PERIOD and silent == self._silent:
+            return
+        self._reported_at, self._silent = steady, silent
+        words = self._health.words(
+            self._source.state, self._decoder.counts, self._line, now, steady
+        )
+        for word in words:
+            self._diagnostics.report(word.part, Level(word.severity), word.text, **word.figures)
+
+
+def main() -> int:
+    """Run the node; return the exit code."""
+    return entry_point(ImuNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
