@@ -581,7 +581,7 @@ EVENTS = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     EVENTS,
     st.lists(st.floats(-180.0, 180.0), min_size=3, max_size=3),
@@ -608,6 +608,27 @@ def test_no_setpoint_ever_leaves_that_the_table_does_not_allow(events, start, ra
         assert not stand.sequencer.running
     stand.silent, stand.link = False, lambda setpoint: setpoint
     assert stand.stands(3.0)
+
+
+@settings(max_examples=12, deadline=None)
+@given(EVENTS, st.floats(20.0, 200.0))
+def test_whatever_happened_a_start_leads_to_the_end(events, rate):
+    stand = Stand(small_plan(dwell=0.3, rates=(rate * DEG,)), block=10).started()
+    for event, seconds in events:
+        happen(stand, event)
+        end = stand.time + seconds
+        while stand.time < end:
+            stand.tick()
+    stand.silent, stand.link = False, lambda setpoint: setpoint
+    stand.plant = lambda time, angles, rates: (angles, rates)
+    for _ in range(60):
+        stand.tick()
+    with suppress(InputError):
+        stand.sequencer.start()
+    stand.refusals.clear()
+    stand.phase(Phase.DONE)
+    assert stand.refusals == []
+    assert stand.stands()
 
 
 def happen(stand, event):

@@ -10,9 +10,13 @@ from dataclasses import dataclass
 from ..errors import InputError
 from ..stream import JointBlock
 from ..turntable import TURN, Table
+from ..units import DEG
 
 _WINDOW = 100_000_000
 """Over which a table has to stand to be at rest, ns; rates that are derived are its mean."""
+
+_JITTER = 5 * DEG
+"""What the jitter of the stamps may add to the way between two joint states."""
 
 
 class FeedbackError(InputError):
@@ -119,17 +123,19 @@ class Encoders:
         return Feedback(stamp, gap, tuple(angles), told, still)
 
     def _unwrapped(self, angles: list[float], last: tuple[float, ...], gap: float) -> list[float]:
-        """Add whole turns where an angle jumps further than the joint can have turned.
+        """Add whole turns where an angle jumps by about a turn, further than it can have turned.
 
         After a gap in the joint states only where the encoder is known to wrap: the table may have
-        gone anywhere, or begun anew.
+        gone anywhere, or begun anew. Other jumps are left as they are, for the watch to see.
         """
         result = []
         for k, (angle, before) in enumerate(zip(angles, last, strict=True)):
             change = angle + self._turns[k] - before
-            reach = 1.1 * self._fastest[k] * gap
-            sound = self._turns[k] != 0 or gap * 1e9 <= self._patience
-            if sound and abs(change) > max(math.pi, reach):
-                self._turns[k] -= TURN * round(change / TURN)
+            if abs(change) > math.pi:
+                whole = TURN * round(change / TURN)
+                reach = 1.1 * self._fastest[k] * gap
+                sound = self._turns[k] != 0 or gap * 1e9 <= self._patience
+                if sound and abs(change - whole) <= reach + _JITTER < abs(change):
+                    self._turns[k] -= whole
             result.append(angle + self._turns[k])
         return result
