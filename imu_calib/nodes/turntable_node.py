@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..cdr import Malformed, Messages, decode_joints, encode_setpoints
-from ..errors import ImuCalibError, InputError
+from ..errors import InputError
 from ..middleware import (
     Clock,
     ClockType,
@@ -19,7 +19,6 @@ from ..middleware import (
     drain,
     messages,
     open_drain,
-    run,
 )
 from ..plan import load_plan
 from ..sequencing import Lead, Overtaken, Phase, Rules, Sequencer, State
@@ -29,6 +28,7 @@ from ..turntable import load_table
 from ..units import DEG
 from . import qos
 from .diagnostics import Diagnostics, Level
+from .entry import entry_point
 from .parameters import declare
 
 _DRAIN_PERIOD = 0.002
@@ -331,6 +331,8 @@ class TurntableNode(Node):
         self._heard_at = self._steady.now().nanoseconds * 1e-9
         stamp = Time.from_msg(message.header.stamp).nanoseconds
         self._sequencer.review(stamp, [int(step) for step in message.repeat_steps])
+        if message.state == message.FAILED and self._sequencer.running:
+            self._sequencer.fail(f'The calibrator cannot go on: {message.text}')
 
     def _on_estop(self, message: Any) -> None:
         self._sequencer.emergency(bool(message.data))
@@ -394,13 +396,8 @@ def _trajectory(piece: Piece, names: tuple[str, ...]) -> Any:
 
 
 def main() -> int:
-    """Run the node; return its exit code."""
-    try:
-        run(TurntableNode)
-    except ImuCalibError as error:
-        sys.stderr.write(f'turntable_node: {error}\n')
-        return error.exit_code
-    return 0
+    """Run the node; return the exit code."""
+    return entry_point(TurntableNode)
 
 
 if __name__ == '__main__':
