@@ -449,6 +449,7 @@ class Table(Node):
         super().__init__('table')
         self.publisher = self.create_publisher(messages.String, 'state', latched)
         self.create_timer(0.02, lambda: self.publisher.publish(messages.String(data='moving')))
+        print('ready', flush=True)
     def stop(self):
         self.publisher.publish(messages.String(data='stopped'))
         return [self.publisher]
@@ -469,13 +470,14 @@ def test_a_signal_ends_a_node_after_its_last_message(node, number):
 
 def test_a_node_that_nobody_hears_ends_all_the_same(domain):
     process = start(LAST_WORD)
-    time.sleep(1.0)
+    assert process.stdout.readline() == 'ready\n'
     process.send_signal(signal.SIGTERM)
     finish(process, 5.0)
 
 
 def test_two_nodes_of_one_name_are_said(domain):
     processes = [start(LAST_WORD) for _ in range(2)]
+    assert [p.stdout.readline() for p in processes] == ['ready\n'] * 2
     time.sleep(4.0)
     for process in processes:
         process.send_signal(signal.SIGINT)

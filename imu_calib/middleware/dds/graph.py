@@ -72,14 +72,6 @@ class Graph:
         """Return how many readers a DDS topic has."""
         return sum(e.topic_name == topic for e in self._endpoints(self._subscriptions))
 
-    def topics(self) -> dict[str, set[str]]:
-        """Return the types of every DDS topic that is there."""
-        found: dict[str, set[str]] = {}
-        for reader in (self._publications, self._subscriptions):
-            for endpoint in self._endpoints(reader):
-                found.setdefault(endpoint.topic_name, set()).add(endpoint.type_name)
-        return found
-
     def close(self) -> None:
         """Leave the discovery topics."""
         self._writer.delete()

@@ -5,6 +5,10 @@ from __future__ import annotations
 import sys
 import time
 from enum import IntEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class LoggingSeverity(IntEnum):
@@ -26,6 +30,21 @@ _throttled: dict[tuple[str, str], float] = {}
 def set_logger_level(name: str, level: LoggingSeverity) -> None:
     """Set the lowest level that a logger writes."""
     _levels[name] = LoggingSeverity(level)
+
+
+def _writes(severity: LoggingSeverity) -> Callable[..., bool]:
+    """Return the method of one level; arguments and result are those of `Logger.log`."""
+
+    def method(
+        logger: Logger,
+        message: str,
+        *,
+        once: bool = False,
+        throttle_duration_sec: float | None = None,
+    ) -> bool:
+        return logger.log(message, severity, once=once, throttle_duration_sec=throttle_duration_sec)
+
+    return method
 
 
 class Logger:
@@ -91,49 +110,11 @@ class Logger:
         _throttled[key] = now
         return False
 
-    def debug(
-        self, message: str, *, once: bool = False, throttle_duration_sec: float | None = None
-    ) -> bool:
-        """Write a line of level DEBUG."""
-        return self.log(
-            message,
-            LoggingSeverity.DEBUG,
-            once=once,
-            throttle_duration_sec=throttle_duration_sec,
-        )
-
-    def info(
-        self, message: str, *, once: bool = False, throttle_duration_sec: float | None = None
-    ) -> bool:
-        """Write a line of level INFO."""
-        return self.log(
-            message, LoggingSeverity.INFO, once=once, throttle_duration_sec=throttle_duration_sec
-        )
-
-    def warning(
-        self, message: str, *, once: bool = False, throttle_duration_sec: float | None = None
-    ) -> bool:
-        """Write a line of level WARN."""
-        return self.log(
-            message, LoggingSeverity.WARN, once=once, throttle_duration_sec=throttle_duration_sec
-        )
-
-    def error(
-        self, message: str, *, once: bool = False, throttle_duration_sec: float | None = None
-    ) -> bool:
-        """Write a line of level ERROR."""
-        return self.log(
-            message, LoggingSeverity.ERROR, once=once, throttle_duration_sec=throttle_duration_sec
-        )
-
-    def fatal(
-        self, message: str, *, once: bool = False, throttle_duration_sec: float | None = None
-    ) -> bool:
-        """Write a line of level FATAL."""
-        return self.log(
-            message, LoggingSeverity.FATAL, once=once, throttle_duration_sec=throttle_duration_sec
-        )
-
+    debug = _writes(LoggingSeverity.DEBUG)
+    info = _writes(LoggingSeverity.INFO)
+    warning = _writes(LoggingSeverity.WARN)
+    error = _writes(LoggingSeverity.ERROR)
+    fatal = _writes(LoggingSeverity.FATAL)
     warn = warning
 
 

@@ -209,10 +209,6 @@ class Node:
         """Return a declared parameter."""
         return self._parameters.get(name)
 
-    def get_parameter_or(self, name: str, alternative_value: Parameter) -> Parameter:
-        """Return a parameter, or another where it is not declared."""
-        return self._parameters.get(name) if self.has_parameter(name) else alternative_value
-
     def set_parameters(self, parameter_list: Iterable[Parameter]) -> list[SetParametersResult]:
         """Change parameters; each result says whether, or why not."""
         results = self._parameters.set(parameter_list)
@@ -246,15 +242,6 @@ class Node:
     def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
         """Return (name, namespace) of all nodes that are there."""
         return self.context.graph.nodes()
-
-    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
-        """Return the topics that are there and their types."""
-        found = sorted(self.context.graph.topics().items())
-        return [
-            (topic[2:], sorted(t.replace('::dds_::', '/').replace('::', '/')[:-1] for t in kinds))
-            for topic, kinds in found
-            if topic.startswith('rt/')
-        ]
 
     def destroy_publisher(self, publisher: Publisher) -> bool:
         """Remove a publisher; return whether it was this node's."""

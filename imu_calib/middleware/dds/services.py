@@ -56,8 +56,7 @@ class Service:
         self.srv_type = srv_type
         self.srv_name = srv_name
         self.callback = callback
-        self.reader, self._writer = _ends(node, srv_type, srv_name, True, secrets.token_bytes(16))
-        self.writer = self._writer
+        self.reader, self.writer = _ends(node, srv_type, srv_name, True, secrets.token_bytes(16))
 
     def execute(self) -> bool:
         """Answer what has been asked; return whether there was anything."""
@@ -70,13 +69,13 @@ class Service:
                     f'The callback of {self.srv_name} returned {type(response).__name__}, '
                     f'expected {self.srv_type.Response.__name__}.'
                 )
-            self._writer.write(serialize_message(response, _request_id(payload)))
+            self.writer.write(serialize_message(response, _request_id(payload)))
         return bool(payloads)
 
     def destroy(self) -> None:
         """Leave the service's topics."""
         self.reader.delete()
-        self._writer.delete()
+        self.writer.delete()
 
 
 def _request_id(payload: bytes) -> bytes:
@@ -94,12 +93,11 @@ class Client:
         self._guid = int.from_bytes(gid[:8], 'little')
         self._sequence = 0
         self._pending: dict[int, Future] = {}
-        self.reader, self._writer = _ends(node, srv_type, srv_name, False, gid)
-        self.writer = self._writer
+        self.reader, self.writer = _ends(node, srv_type, srv_name, False, gid)
 
     def service_is_ready(self) -> bool:
         """Tell whether somebody serves."""
-        return self._writer.matched() > 0 and self.reader.matched() > 0
+        return self.writer.matched() > 0 and self.reader.matched() > 0
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
         """Wait until somebody serves; return whether it came to that."""
@@ -117,7 +115,7 @@ class Client:
         self._sequence += 1
         future = self._pending[self._sequence] = Future()
         prefix = _REQUEST_ID.pack(self._guid, self._sequence)
-        self._writer.write(serialize_message(request, prefix))
+        self.writer.write(serialize_message(request, prefix))
         return future
 
     def remove_pending_request(self, future: Future) -> None:
@@ -139,4 +137,4 @@ class Client:
     def destroy(self) -> None:
         """Leave the service's topics."""
         self.reader.delete()
-        self._writer.delete()
+        self.writer.delete()
