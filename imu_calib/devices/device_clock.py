@@ -20,6 +20,7 @@ _WINDOW = 2 * _NS
 _MOST_WINDOWS = 512
 _FEWEST_WINDOWS = 8
 _SILENCE = _NS // 4
+_CATCH_UP = _NS // 10
 _LEAST_JUMP = 1e6
 _PERIODS = 2.5
 _RATE_TOLERANCE = 1e-3
@@ -120,6 +121,7 @@ class DeviceClock:
         self._elapsed = 0.0
         self._arrival = 0
         self._first_arrival: int | None = None
+        self._suspect: int | None = None
         self._line = _Line()
         self.offset: int | None = None
         self.period: float | None = None if period is None else period * _NS
@@ -282,32 +284,64 @@ class DeviceClock:
         delay = int((arrival[index:] - elapsed[index:]).min())
         self._shift(elapsed, index, delay - usual)
 
-    def _shift(self, elapsed: Stamps, index: int, shift: int) -> None:
+    def _shift(self, elapsed: Stamps, index: int, shift: int) -> int:
+        """Shift all from an index on, as far as time goes forward; return by how much."""
         before = int(elapsed[index - 1]) if index else int(self._elapsed)
-        elapsed[index:] += max(shift, before + 1 - int(elapsed[index]))
+        possible = max(shift, before + 1 - int(elapsed[index]))
+        elapsed[index:] += possible
+        return possible
 
     def _compare_with_host(self, elapsed: Stamps, arrival: Stamps, tolerance: float) -> None:
         """Find jumps where clock and counter cannot be compared.
 
-        No sample arrives before it is made: a delay that shrinks is a clock that went ahead. A
-        delay that grows may be a busy host, but not after a silence.
+        No sample arrives before it is made: a delay that shrinks is a clock that went ahead.
         """
-        usual = self._line.recent
-        if usual is None:
-            return
-        past = np.diff(arrival, prepend=self._arrival)
         begin = 0
-        while begin < len(elapsed):
-            delay = arrival[begin:] - elapsed[begin:] - usual
-            behind = np.minimum.accumulate(delay[::-1])[::-1]
-            found = (delay < -tolerance) | ((past[begin:] > _SILENCE) & (behind > tolerance))
-            if not found.any():
+        while self._line.recent is not None:
+            delay = arrival[begin:] - elapsed[begin:] - self._line.recent
+            ahead = delay < -tolerance
+            if not ahead.any():
+                self._compare_after_silence(elapsed, arrival, tolerance)
                 return
-            index = begin + int(found.argmax())
-            shift = int(behind[index - begin])
-            self._shift(elapsed, index, shift)
-            self._note(int(elapsed[index]), -shift / _NS, "The device's clock jumped.")
-            begin = index + 1
+            begin += int(ahead.argmax())
+            self._correct(elapsed, begin, arrival)
+            begin += 1
+
+    def _compare_after_silence(self, elapsed: Stamps, arrival: Stamps, tolerance: float) -> None:
+        """Find jumps by a delay that grows and stays: a host that was busy catches up at once."""
+        assert self._line.recent is not None
+        delay = arrival - elapsed - self._line.recent
+        silent = np.diff(arrival, prepend=self._arrival) > _SILENCE
+        first = 0
+        if silent.any() and delay[silent.argmax()] > tolerance:
+            first = int(silent.argmax())
+            self._suspect = int(arrival[first])
+        if self._suspect is None:
+            return
+        if delay[first:].min() <= tolerance:
+            self._suspect = None
+        elif arrival[-1] - self._suspect >= _CATCH_UP:
+            self._correct(elapsed, int((arrival - self._suspect >= _CATCH_UP).argmax()), arrival)
+            self._suspect = None
+
+    def _correct(self, elapsed: Stamps, index: int, arrival: Stamps) -> None:
+        """Give all from an index on the usual delay, and say so."""
+        assert self._line.recent is not None
+        shift = int((arrival[index:] - elapsed[index:]).min()) - self._line.recent
+        if self._shift(elapsed, index, shift) != shift:
+            # Time cannot go back, as the host's has: what is usual begins anew from here.
+            self._line.forget()
+        self._note(int(elapsed[index]), -shift / _NS, self._explained(shift))
+
+    def _explained(self, shift: int) -> str:
+        """Say what must have happened where the device shows less time than the host."""
+        if self._time is not None or shift < 0:
+            return "The device's clock jumped against the host's."
+        if self._counter is None or self.period is None:
+            return 'Samples are missing: the host saw time go by without them.'
+        turn = self._counter.modulus / self._counter.step
+        self.unseen += round(shift / (turn * self.period)) * round(turn)
+        return 'Frames are missing in whole turns of the counter: the host saw time go by.'
 
     def _note(self, elapsed: int, seconds: float | None, reason: str) -> None:
         self.jumps += 1
@@ -371,6 +405,10 @@ class _Line:
         self.lowest = least if self.lowest is None else min(self.lowest, least)
         if len(self._windows) > _MOST_WINDOWS:
             self._merge()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._windows, self._current = [], None
 
     def _add(self, window: int, least: int) -> None:
         if self._current is not None and self._current[0] == window:

@@ -56,6 +56,7 @@ class Health:
         self._gap_timeout = gap_timeout
         self._bytes = 0
         self._heard: int | None = None
+        self._begun: int | None = None
         self._seen = Counts()
         self._events: dict[str, tuple[str, float]] = {}
         self._rate: float | None = None
@@ -118,6 +119,8 @@ class Health:
         self, state: State, counts: Counts, clock: DeviceClock, now: int, steady: float
     ) -> list[Word]:
         """Return what is to be said now."""
+        if self._begun is None:
+            self._begun = now
         self._note_events(counts, steady)
         return [
             Word('port', _port_severity(state), state.text, {'bytes': str(self._bytes)}),
@@ -164,12 +167,7 @@ class Health:
 
     def _stream_sentence(self, state: State, now: int) -> tuple[Severity, str]:
         if self._heard is None:
-            if self._bytes < _STRANGE * self._format.length:
-                return Severity.WARN, 'The first frame has not come yet.'
-            return Severity.ERROR, (
-                f'Bytes come, but no frame of the format {self._format.name}: check the device '
-                'and its baud rate.'
-            )
+            return self._before_the_first(now)
         if self.silent(now) and not state.ended:
             return Severity.ERROR, f'No frame has come since {self._heard / _NS:.3f} s.'
         order = ('gap', 'bad', 'skipped', 'unusable', 'lost', 'repeated')
@@ -180,6 +178,17 @@ class Health:
         if rate and nominal and abs(rate / nominal - 1) > _RATE_TOLERANCE:
             return Severity.WARN, 'The sample rate is not the nominal one.'
         return Severity.OK, 'Frames come in.'
+
+    def _before_the_first(self, now: int) -> tuple[Severity, str]:
+        if self._bytes >= _STRANGE * self._format.length:
+            return Severity.ERROR, (
+                f'Bytes come, but no frame of the format {self._format.name}: check the device '
+                'and its baud rate.'
+            )
+        begun = now if self._begun is None else self._begun
+        if now - begun > self._gap_timeout * _NS:
+            return Severity.ERROR, f'No frame has come since the start at {begun / _NS:.3f} s.'
+        return Severity.WARN, 'The first frame has not come yet.'
 
     def _clock(self, clock: DeviceClock, steady: float) -> Word:
         drift = clock.drift

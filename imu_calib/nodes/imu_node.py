@@ -70,15 +70,12 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
     def stop(self) -> Sequence[Any]:
         """Let go of the device; return the publishers that must be heard."""
         self._source.stop()
-        self._take(self._source.take())
+        chunks = self._source.take()
+        if chunks:
+            self._take(chunks)
         self._line.settle()
         self._release()
         return [self._pulses] if self._skews is None else [self._pulses, self._skews]
-
-    def destroy_node(self) -> None:
-        """Let go of the device, if that was not done yet."""
-        self._source.stop()
-        super().destroy_node()
 
     def _declare_source(self) -> Source:
         port = declare(

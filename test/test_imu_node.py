@@ -1,0 +1,346 @@
+"""imu_node against a device on a socket, and a listener on the wire."""
+
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from loopback import CHECKOUT, environment, until
+from test_devices import frame
+
+from imu_calib.cdr import Messages, decode_imu, decode_temperatures
+from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.nodes import qos
+
+# ROS reads this when it loads its messages.
+os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
+try:
+    from imu_calib import middleware as ros
+    from imu_calib.nodes.imu_node import ImuNode
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+NS = 1_000_000_000
+RATE = 1000
+STEADY = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
+
+
+class Device:
+    """A TCP server that a test makes send frames."""
+
+    def __init__(self):
+        self.server = socket.create_server(('127.0.0.1', 0))
+        self.server.settimeout(10)
+        self.url = f'socket://127.0.0.1:{self.server.getsockname()[1]}'
+        self.line = None
+        self.sent = 0
+
+    def accept(self):
+        if self.line is not None:
+            self.line.close()
+        self.line, _ = self.server.accept()
+
+    def send(self, count, *, paced=False, skip=0, spoil=lambda line: line):
+        """Send frames in packets of ten; their counts are the counter and its negative."""
+        self.sent += skip
+        for first in range(self.sent, self.sent + count, 10):
+            numbers = range(first, min(first + 10, self.sent + count))
+            line = b''.join(frame(k, k * NS // RATE, [k, -k, 1, 2, 3, -k]) for k in numbers)
+            self.line.sendall(spoil(line))
+            if paced:
+                time.sleep(10 / RATE)
+        self.sent += count
+
+    def close(self):
+        if self.line is not None:
+            self.line.close()
+        self.server.close()
+
+
+class Listener(ros.Node):
+    """Takes everything that the node says."""
+
+    def __init__(self):
+        super().__init__('listener')
+        kinds = ros.messages
+        self.drains = {
+            topic: ros.open_drain(self, kind, topic, qos.stream())
+            for topic, kind in (
+                ('imu/pulses', kinds.Imu),
+                ('imu/skew', kinds.Imu),
+                ('imu/temperature', kinds.Temperature),
+            )
+        }
+        self.payloads = {topic: [] for topic in self.drains}
+        self.said = {}
+        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.hear, 100)
+        self.create_timer(0.005, self.take, clock=STEADY)
+
+    def take(self):
+        for topic, drain in self.drains.items():
+            self.payloads[topic] += ros.drain(drain)
+
+    def hear(self, message):
+        for status in message.status:
+            part = status.name.partition(': ')[2]
+            figures = {v.key: v.value for v in status.values}
+            self.said.setdefault(part, []).append((status.level[0], status.message, figures))
+
+    def samples(self, topic='imu/pulses'):
+        (block,) = decode_imu(Messages.join(self.payloads[topic]))
+        return block
+
+    def heard(self, part, level, words):
+        return any(lv == level and words in text for lv, text, _ in self.said.get(part, []))
+
+
+class Bench:
+    def __init__(self):
+        self.device = Device()
+        self.executor = ros.SingleThreadedExecutor()
+        self.node = None
+
+    def open(self, **parameters):
+        given = {'port': self.device.url, 'sample_rate': float(RATE), **parameters}
+        words = [f'{k}:={v}' for k, v in given.items()]
+        ros.init(args=['--ros-args', *(w for word in words for w in ('-p', word))])
+        self.listener = Listener()
+        self.node = ImuNode()
+        for node in (self.listener, self.node):
+            self.executor.add_node(node)
+        self.until(lambda: self.node._pulses.get_subscription_count() == 1)
+
+    def until(self, condition, seconds=10.0):
+        return until(condition, seconds, lambda: self.executor.spin_once(timeout_sec=0.05))
+
+    def arrived(self, count, topic='imu/pulses'):
+        return self.until(lambda: len(self.listener.payloads[topic]) >= count)
+
+    def while_spinning(self, work):
+        """Let the device do something in a thread of its own."""
+        thread = threading.Thread(target=work)
+        thread.start()
+        self.until(lambda: not thread.is_alive(), 20)
+        thread.join()
+
+    def connect(self):
+        self.while_spinning(self.device.accept)
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    bench = Bench()
+    yield bench
+    if bench.node is not None:
+        bench.node.stop()
+        bench.node.destroy_node()
+    bench.device.close()
+    ros.try_shutdown()
+
+
+def test_every_sample_arrives_once_with_a_stamp_on_the_hosts_time_line(bench):
+    bench.open()
+    bench.connect()
+    began = time.time_ns()
+    bench.while_spinning(lambda: bench.device.send(1500, paced=True))
+    assert bench.arrived(1500)
+    bench.until(lambda: False, 0.1)
+    samples = bench.listener.samples()
+    assert samples.gyro[:, 0].tolist() == list(range(1500))
+    assert samples.accel[:, 2].tolist() == [-k for k in range(1500)]
+    assert (np.diff(samples.stamp) == NS // RATE).all()
+    # The device began with its first packet of ten, which was sent at once.
+    assert -10 * NS // RATE <= samples.stamp[0] - began < 0.25 * NS
+    assert samples.frame_id == 'imu_link'
+
+
+def test_pulses_are_marked_so_that_no_filter_takes_them_for_rates(bench):
+    bench.open(frame_id='unit_7')
+    bench.connect()
+    bench.while_spinning(lambda: bench.device.send(600))
+    assert bench.arrived(600)
+    message = ros.deserialize_message(bench.listener.payloads['imu/pulses'][5], ros.messages.Imu)
+    assert message.angular_velocity_covariance[0] == -1
+    assert message.linear_acceleration_covariance[0] == -1
+    assert message.orientation_covariance[0] == -1
+    assert message.header.frame_id == 'unit_7'
+
+
+def test_temperature_comes_once_a_second(bench):
+    bench.open()
+    bench.connect()
+    bench.while_spinning(lambda: bench.device.send(5000))
+    assert bench.arrived(5000)
+    assert bench.arrived(5, 'imu/temperature')
+    (block,) = decode_temperatures(Messages.join(bench.listener.payloads['imu/temperature']))
+    assert 5 <= len(block) <= 6
+    assert set(block.celsius) == {25.0}
+
+
+def test_garbage_and_lost_frames_are_said_and_no_damaged_frame_is_published(bench):
+    bench.open()
+    bench.connect()
+
+    def work():
+        bench.device.send(600)
+        time.sleep(0.4)
+        bench.device.send(10, spoil=lambda line: line[:50] + os.urandom(200) + line[50:])
+        bench.device.send(10, spoil=lambda line: line[:100] + b'\xff' + line[101:])
+        bench.device.send(100, skip=7)
+
+    bench.while_spinning(work)
+    assert bench.arrived(600 + 9 + 9 + 100)
+    numbers = bench.listener.samples().gyro[:, 0]
+    missing = sorted(set(range(int(numbers[-1]) + 1)) - set(numbers.astype(int)))
+    assert missing == [601, 612, *range(620, 627)]
+    assert bench.until(lambda: bench.listener.heard('stream', 1, 'Frames are damaged on the way.'))
+    assert bench.until(lambda: bench.listener.said['stream'][-1][2]['lost frames'] == '9')
+    figures = bench.listener.said['stream'][-1][2]
+    assert figures['bad frames'] == '2'
+    assert figures['bytes skipped'] == str(200 + 44 + 44)
+
+
+def test_silence_is_an_error_that_says_since_when_and_ends_with_the_next_frame(bench):
+    bench.open(gap_timeout=0.2)
+    bench.connect()
+    bench.while_spinning(lambda: bench.device.send(600))
+    last = time.time()
+    assert bench.until(lambda: bench.listener.heard('stream', 2, 'No frame has come since'))
+    text = next(t for lv, t, _ in bench.listener.said['stream'] if 'since' in t and lv == 2)
+    assert float(text.split()[-2]) == pytest.approx(last, abs=0.2)
+    bench.while_spinning(lambda: bench.device.send(10, skip=500))
+    assert bench.until(lambda: bench.listener.heard('stream', 1, 'No frame was made for 0.501 s'))
+
+
+def test_a_clock_that_jumps_is_an_error_and_stamps_go_on(bench):
+    bench.open()
+    bench.connect()
+    bench.while_spinning(lambda: bench.device.send(600))
+
+    def later(line):
+        rows = [line[k : k + 44] for k in range(0, len(line), 44)]
+        fields = [struct.unpack('<HIq6ihHH', row) for row in rows]
+        return b''.join(frame(f[1], f[2] + 3 * NS, f[3:9]) for f in fields)
+
+    bench.while_spinning(lambda: bench.device.send(100, spoil=later))
+    assert bench.arrived(700)
+    assert (np.diff(bench.listener.samples().stamp) == NS // RATE).all()
+    assert bench.until(lambda: bench.listener.heard('clock', 2, 'jumped. By 3 s.'))
+
+
+def test_a_connection_that_breaks_is_opened_again_and_said(bench):
+    bench.open()
+    bench.connect()
+    bench.while_spinning(lambda: bench.device.send(600))
+    bench.device.line.close()
+    assert bench.until(lambda: bench.listener.heard('port', 2, 'closed by the other end'))
+    bench.connect()
+    bench.while_spinning(lambda: bench.device.send(100))
+    assert bench.arrived(700)
+    assert bench.listener.samples().gyro[:, 0].tolist() == list(range(700))
+
+
+def test_faults_of_the_device_are_said_in_words(bench):
+    bench.open()
+    bench.connect()
+
+    def limited(line):
+        rows = [line[k : k + 44] for k in range(0, len(line), 44)]
+        fields = [struct.unpack('<HIq6ihHH', row) for row in rows]
+        return b''.join(frame(f[1], f[2], f[3:9], status=1) for f in fields)
+
+    bench.while_spinning(lambda: bench.device.send(20, spoil=limited))
+    assert bench.until(
+        lambda: bench.listener.heard('status', 2, 'reports: a channel is at its limit.')
+    )
+
+
+def test_bytes_of_another_device_are_said_to_be_that(bench):
+    bench.open()
+    bench.connect()
+    bench.while_spinning(lambda: bench.device.line.sendall(bytes(5000)))
+    assert bench.until(
+        lambda: bench.listener.heard('stream', 2, 'no frame of the format simulated')
+    )
+
+
+def test_datagrams(bench):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as spare:
+        spare.bind(('127.0.0.1', 0))
+        port = spare.getsockname()[1]
+    bench.open(port=f'udp://127.0.0.1:{port}')
+    assert bench.until(lambda: bench.node._source.state.open)
+
+    def work():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+            for k in range(700):
+                line.sendto(frame(k, k * NS // RATE, [k] * 6), ('127.0.0.1', port))
+
+    bench.while_spinning(work)
+    assert bench.arrived(700)
+    assert bench.listener.samples().gyro[:, 0].tolist() == list(range(700))
+
+
+def test_a_file_and_a_skewed_channel(bench, tmp_path):
+    text = (CHECKOUT / 'config' / 'devices' / 'simulated.yaml').read_text()
+    skewed = text.replace('status:', 'skew: {type: i16, offset: 40, scale: -1}\n  unused:').split(
+        '  unused:'
+    )
+    description = skewed[0] + 'checksum:' + skewed[1].split('checksum:')[1]
+    (tmp_path / 'skewed.yaml').write_text(description)
+    line = b''.join(frame(k, k * NS // RATE, [k] * 6, status=k) for k in range(300))
+    (tmp_path / 'line.bin').write_bytes(line)
+    bench.open(port=tmp_path / 'line.bin', device=tmp_path / 'skewed.yaml')
+    assert bench.arrived(300)
+    assert bench.arrived(300, 'imu/skew')
+    skew = bench.listener.samples('imu/skew')
+    assert skew.gyro[:, 0].tolist() == [-k for k in range(300)]
+    assert (skew.stamp == bench.listener.samples().stamp).all()
+    assert bench.until(lambda: bench.listener.heard('port', 0, 'was read to its end'))
+    assert not any(level == 2 for level, _, _ in bench.listener.said['stream'])
+
+
+def test_a_port_that_is_missing_is_refused_in_a_sentence(bench):
+    with pytest.raises(InputError, match='port is missing'):
+        bench.open(port="''")
+
+
+def test_the_program_ends_clean_and_says_what_is_wrong(bench, tmp_path):
+    command = [sys.executable, '-m', 'imu_calib.nodes.imu_node', '--ros-args', '-p']
+    wrong = subprocess.run(
+        [*command, 'device:=no_such_device', '-p', f'port:={bench.device.url}'],
+        capture_output=True,
+        text=True,
+        timeout=20,
+        cwd=CHECKOUT,
+        check=False,
+    )
+    assert wrong.returncode == 2
+    assert "No device is called 'no_such_device'; there are: " in wrong.stderr
+    assert 'Traceback' not in wrong.stderr
+    process = subprocess.Popen(
+        [*command, f'port:={bench.device.url}'],
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=CHECKOUT,
+    )
+    bench.device.accept()
+    bench.device.send(600)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 0, said
+    assert 'Traceback' not in said
+
+
+def test_simulated_time_before_the_first_clock_message_opens_nothing(bench):
+    bench.open(use_sim_time='true')
+    assert bench.until(lambda: bench.listener.heard('clock', 1, 'Nothing has come on /clock'))
+    assert not bench.node._source.state.open
