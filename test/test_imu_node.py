@@ -215,9 +215,9 @@ def test_silence_is_an_error_that_says_since_when_and_ends_with_the_next_frame(b
     last = time.time()
     assert bench.until(lambda: bench.listener.heard('stream', 2, 'No frame has come since'))
     text = next(t for lv, t, _ in bench.listener.said['stream'] if 'since' in t and lv == 2)
-    assert float(text.split()[-2]) == pytest.approx(last, abs=0.2)
+    assert float(text.split()[-2]) == pytest.approx(last, abs=0.5)
     bench.while_spinning(lambda: bench.device.send(10, skip=500))
-    assert bench.until(lambda: bench.listener.heard('stream', 1, 'No frame was made for 0.501 s'))
+    assert bench.until(lambda: bench.listener.heard('stream', 1, 'Frames are missing for 0.501 s'))
 
 
 def test_a_clock_that_jumps_is_an_error_and_stamps_go_on(bench):
@@ -344,3 +344,27 @@ def test_simulated_time_before_the_first_clock_message_opens_nothing(bench):
     bench.open(use_sim_time='true')
     assert bench.until(lambda: bench.listener.heard('clock', 1, 'Nothing has come on /clock'))
     assert not bench.node._source.state.open
+
+
+def test_in_simulated_time_stamps_are_right_to_a_step_of_the_clock(bench):
+    bench.open(use_sim_time='true')
+    clock = bench.listener.create_publisher(ros.messages.Clock, '/clock', 10)
+    epoch = 1_700_000_000 * NS
+
+    def step(k):
+        message = ros.messages.Clock()
+        message.clock.sec, message.clock.nanosec = divmod(epoch + k * NS // 10, NS)
+        clock.publish(message)
+
+    assert bench.until(lambda: clock.get_subscription_count() >= 2)
+    step(0)
+    bench.connect()
+    # Ten times as fast as the wall clock.
+    for k in range(20):
+        bench.while_spinning(lambda: bench.device.send(100))
+        step(k + 1)
+        bench.until(lambda: False, 0.01)
+    assert bench.arrived(2000)
+    stamp = bench.listener.samples().stamp
+    assert (np.diff(stamp) == NS // RATE).all()
+    assert abs(stamp[0] - epoch) <= NS // 10

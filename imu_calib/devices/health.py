@@ -147,7 +147,7 @@ class Health:
                 if new:
                     self._events[name] = text, steady
         if self._gap is not None:
-            self._events['gap'] = f'No frame was made for {self._gap:.3g} s.', steady
+            self._events['gap'] = f'Frames are missing for {self._gap:.3g} s.', steady
             self._gap = None
         self._events = {k: v for k, v in self._events.items() if steady - v[1] < _REMEMBERED}
 

@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 from urllib.parse import urlsplit
@@ -23,6 +24,8 @@ _RETRY = 0.5
 _CAPACITY = 1 << 18
 _UDP_BUFFER = 1 << 20
 _TCP_BUFFER = 1 << 16
+_KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
+"""A device that lost its power closes nothing: so many seconds, and it counts as gone."""
 _SERIAL_NAME = re.compile(r'^(/dev/|COM\d+$|\\\\.\\)')
 
 
@@ -133,7 +136,7 @@ class Source:
         while not self._stopping.is_set():
             try:
                 line = self._kind(*self._where)
-            except (OSError, ValueError, InputError) as error:
+            except Exception as error:  # Drivers raise what they like, termios.error for one.
                 self.state = State(False, False, f'{self.url} does not open: {_reason(error)}')
             else:
                 with contextlib.closing(line):
@@ -151,7 +154,7 @@ class Source:
                     break
                 if data:
                     self._put(Chunk(data, self._now()))
-        except OSError as error:
+        except Exception as error:
             self.state = State(False, False, f'{self.url} broke: {_reason(error)}')
             return
         if self._kind is _File:
@@ -181,6 +184,9 @@ class _Tcp:
             # A small buffer: a device that is simulated goes no faster than its samples are used.
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _TCP_BUFFER)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            for option, value in _KEEPALIVE.items():
+                if hasattr(socket, option):
+                    self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
             self._socket.settimeout(_CONNECT)
             self._socket.connect((host, port))
             self._socket.settimeout(_POLL)
@@ -225,12 +231,8 @@ class _Serial:
     """A serial port, or whatever else pyserial opens."""
 
     def __init__(self, url: str, baud: int) -> None:
-        try:
-            import serial
-        except ImportError:
-            raise InputError(
-                'pyserial is missing: python3-serial on Ubuntu, pyserial on PyPI.'
-            ) from None
+        import serial
+
         self._port: Any = serial.serial_for_url(url, baudrate=baud, timeout=_POLL)
         # What has waited there since somebody else closed it would arrive far too late.
         self._port.reset_input_buffer()
@@ -278,6 +280,10 @@ def _parse(url: str, baud: int) -> tuple[Callable[..., Line], tuple[Any, ...]]:
             raise InputError(f'{url}: expected {scheme}://host:port.')
         return (_Udp if scheme == 'udp' else _Tcp), (host, port)
     if separator or _SERIAL_NAME.match(url) or _is_device(Path(url)):
+        if find_spec('serial') is None:
+            raise InputError(
+                f'{url}: pyserial is missing: python3-serial on Ubuntu, pyserial on PyPI.'
+            )
         return _Serial, (url, baud)
     path = Path(url).expanduser()
     if not path.is_file():
