@@ -1,15 +1,17 @@
-"""Segments to parameters: one module per published method."""
+"""Segments to parameters: one module per published method, and the joint estimate of all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from ..errors import InputError
-from . import six_position, twelve_position
+from . import joint, six_position, twelve_position
 from .evidence import Evidence
 from .solution import Solution
 
 METHODS: dict[str, Callable[[Evidence], Solution]] = {
+    'joint': joint.solve,
+    'joint_33': joint.solve_33,
     'six_position': six_position.solve,
     'twelve_position': twelve_position.solve,
 }

@@ -119,7 +119,8 @@ class Equations:
         levelled: Standard deviation of the table's tilt about either axis, rad.
         positioning: Standard deviation of an arrival that the encoder does not show, rad; None
             for what the table states.
-        extra: (6 s, 6 s) covariance of the outputs at rest beyond that of their own noise, or None.
+        extra: (6 s + 3 t,) square: covariance of the outputs beyond that of their own noise, or
+            None.
         inflation: (6 s + 3 t,) factors on the variance of each output's own noise, or None.
 
     """
@@ -156,6 +157,19 @@ class Equations:
         # A clock that has no say still needs a width above zero to be whitened by.
         deviations = [azimuth, self.levelled, self.levelled, max(clock_std, 1e-15)]
         return np.array([0.0, 0.0, 0.0, clock]), np.array(deviations)
+
+    def prior_rows(self, state: Floats) -> Floats:
+        """Return the priors as equations: (4, n + 1), derivatives and what is left.
+
+        A heading that may be any is pulled nowhere; its width stands for what is not known of it.
+        """
+        mean, deviation = self.prior
+        rows = np.zeros((len(Nuisance), self.size + 1))
+        rows[:, self.parameters : self.size] = np.diag(1 / deviation)
+        rows[:, -1] = (mean - state[self.parameters :]) / deviation
+        if self.evidence.azimuth is None:
+            rows[Nuisance.AZIMUTH, -1] = 0.0
+        return rows
 
     def nominal(self) -> Floats:
         """Return the state of ideal sensors on the table as it is described."""
@@ -244,7 +258,7 @@ class Equations:
         turned = [t.statistics.variance(walk)[:3] for t in self.evidence.turns]
         own = np.concatenate([self.evidence.variances().ravel(), np.array(turned).ravel()])
         own = np.maximum(own, SMALLEST_VARIANCE)
-        return own if self.inflation is None else own * self.inflation
+        return np.asarray(own if self.inflation is None else own * self.inflation)
 
     def covariance(self, state: Floats) -> Floats:
         """Return the covariance of the outputs, (6 s + 3 t,) square.
@@ -261,7 +275,7 @@ class Equations:
             error = turn.rate_error * rates[k] * (model.gyro.response @ ups[k])
             result[rows, rows] += np.outer(error, error)
         if self.extra is not None:
-            result[:rest, :rest] += self.extra
+            result += self.extra
         stated = self.evidence.positioning if self.positioning is None else self.positioning
         if stated:
             arrivals = self.arrivals(state) * stated
@@ -335,11 +349,7 @@ class Equations:
         columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
         if len(columns):
             columns = solve_triangular(factor, columns, lower=True, check_finite=False)
-        mean, deviation = self.prior
-        rows = np.zeros((len(Nuisance), self.size + 1))
-        rows[:, self.parameters : self.size] = np.diag(1 / deviation)
-        rows[:, -1] = (mean - state[self.parameters :]) / deviation
-        columns = np.vstack([columns, rows])
+        columns = np.vstack([columns, self.prior_rows(state)])
         return columns[:, :-1], columns[:, -1]
 
 

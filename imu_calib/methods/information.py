@@ -19,7 +19,7 @@ from .evidence import Evidence
 _SINGULAR = 1e-7
 _MIXED = 1e-4
 _MEANINGLESS = 0.1
-_ALONG = 0.5
+ALONG = 0.5
 _STRAY = 1e-3
 
 
@@ -135,7 +135,7 @@ def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
                 for p in PARAMETERS
                 if p.triad == triad and p.column == column and p.name in left
             ]
-            if names and not any(up[column] > _ALONG for up in seen):
+            if names and not any(up[column] > ALONG for up in seen):
                 words.append(f'{reason.format(axis.upper())}: {", ".join(names)} not observable')
                 left -= set(names)
     rest = [name for name in PARAMETER_NAMES if name in left]
