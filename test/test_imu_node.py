@@ -368,3 +368,8 @@ def test_in_simulated_time_stamps_are_right_to_a_step_of_the_clock(bench):
     stamp = bench.listener.samples().stamp
     assert (np.diff(stamp) == NS // RATE).all()
     assert abs(stamp[0] - epoch) <= NS // 10
+    # Time leaps while the machine is busy with something else: that is no silence.
+    step(200)
+    bench.until(lambda: bench.node.get_clock().now().nanoseconds == epoch + 20 * NS)
+    bench.until(lambda: False, 0.1)
+    assert not bench.listener.heard('stream', 2, 'No frame has come')

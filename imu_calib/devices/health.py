@@ -19,6 +19,7 @@ _RATE_SPAN = 2.0
 _RATE_TOLERANCE = 0.02
 _DRIFT_TOLERANCE = 500.0
 _STRANGE = 20
+_PATIENCE = 0.25
 _NS = 1_000_000_000
 
 
@@ -56,6 +57,7 @@ class Health:
         self._gap_timeout = gap_timeout
         self._bytes = 0
         self._heard: int | None = None
+        self._heard_steady = 0.0
         self._begun: int | None = None
         self._seen = Counts()
         self._events: dict[str, tuple[str, float]] = {}
@@ -67,7 +69,9 @@ class Health:
         self._faults: Counter[str] = Counter()
         self._faults_new: set[str] = set()
 
-    def take(self, samples: Samples, elapsed: Stamps, received: int, now: int) -> None:
+    def take(
+        self, samples: Samples, elapsed: Stamps, received: int, now: int, steady: float
+    ) -> None:
         """Take note of what has come.
 
         Args:
@@ -75,12 +79,13 @@ class Health:
             elapsed: (n,) ns after the first sample.
             received: Bytes they were found in.
             now: Host time.
+            steady: Time of a clock that nobody sets or simulates.
 
         """
         self._bytes += received
         if len(samples) == 0:
             return
-        self._heard = now
+        self._heard, self._heard_steady = now, steady
         self._look_for_faults(samples)
         self._measure_rate(elapsed, now)
         before = elapsed[0] if self._last_elapsed is None else self._last_elapsed
@@ -111,9 +116,15 @@ class Health:
             self._rate = count * _NS / (time - begin)
             self._rate_from = time, 0
 
-    def silent(self, now: int) -> bool:
-        """Say whether no frame has come for too long."""
-        return self._heard is not None and now - self._heard > self._gap_timeout * _NS
+    def silent(self, now: int, steady: float) -> bool:
+        """Say whether no frame has come for too long.
+
+        Simulated time may leap by seconds while a busy machine reads the line: it takes a while
+        of the steady clock, too. What is missing then is said when the next frame comes.
+        """
+        if self._heard is None or now - self._heard <= self._gap_timeout * _NS:
+            return False
+        return steady - self._heard_steady > min(self._gap_timeout, _PATIENCE)
 
     def words(
         self, state: State, counts: Counts, clock: DeviceClock, now: int, steady: float
@@ -124,7 +135,7 @@ class Health:
         self._note_events(counts, steady)
         return [
             Word('port', _port_severity(state), state.text, {'bytes': str(self._bytes)}),
-            self._stream(state, counts, clock, now),
+            self._stream(state, counts, clock, now, steady),
             self._clock(clock, steady),
             *self._status(steady),
         ]
@@ -151,7 +162,9 @@ class Health:
             self._gap = None
         self._events = {k: v for k, v in self._events.items() if steady - v[1] < _REMEMBERED}
 
-    def _stream(self, state: State, counts: Counts, clock: DeviceClock, now: int) -> Word:
+    def _stream(
+        self, state: State, counts: Counts, clock: DeviceClock, now: int, steady: float
+    ) -> Word:
         figures = {
             'rate': 'unknown' if self._rate is None else f'{self._rate:.2f} Hz',
             'nominal rate': 'unknown' if self._nominal is None else f'{self._nominal:g} Hz',
@@ -163,12 +176,12 @@ class Health:
             'counter restarts': str(counts.restarts),
             'bytes skipped': str(counts.skipped),
         }
-        return Word('stream', *self._stream_sentence(state, now), figures)
+        return Word('stream', *self._stream_sentence(state, now, steady), figures)
 
-    def _stream_sentence(self, state: State, now: int) -> tuple[Severity, str]:
+    def _stream_sentence(self, state: State, now: int, steady: float) -> tuple[Severity, str]:
         if self._heard is None:
             return self._before_the_first(now)
-        if self.silent(now) and not state.ended:
+        if self.silent(now, steady) and not state.ended:
             return Severity.ERROR, f'No frame has come since {self._heard / _NS:.3f} s.'
         order = ('gap', 'bad', 'skipped', 'unusable', 'lost', 'repeated')
         texts = [self._events[name][0] for name in order if name in self._events]

@@ -90,6 +90,12 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
+    def _seconds(self) -> float:
+        return float(self._steady.now().nanoseconds / _NS)
+
+    def _is_silent(self) -> bool:
+        return self._source.empty and self._health.silent(self._now(), self._seconds())
+
     def _work(self) -> None:
         """Take what has come, publish it, and say how it goes."""
         if not self._started:
@@ -98,11 +104,11 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
                 return
             self._source.start()
             self._started = True
-            self._reported_at = self._steady.now().nanoseconds / _NS
+            self._reported_at = self._seconds()
         chunks = self._source.take(_MOST_BYTES)
         if chunks:
             self._take(chunks)
-        elif self._held and (self._source.state.ended or self._health.silent(self._now())):
+        elif self._held and (self._source.state.ended or self._is_silent()):
             self._line.settle()
         self._release()
         self._report()
@@ -121,7 +127,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             arrivals = np.array([chunk.arrival for chunk in chunks], np.int64)
             arrival = np.maximum.accumulate(arrivals)[np.searchsorted(ends, samples.end)]
         elapsed = self._line.feed(samples.time, samples.counter, arrival)
-        self._health.take(samples, elapsed, len(data), now)
+        self._health.take(samples, elapsed, len(data), now, self._seconds())
         if len(samples):
             self._held.append((samples, elapsed))
 
@@ -159,9 +165,8 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
 
     def _report(self) -> None:
         """Say how port, stream, clock and device are; at once when the stream falls silent."""
-        steady = self._steady.now().nanoseconds / _NS
-        now = self._now()
-        silent = self._source.empty and self._health.silent(now)
+        steady, now = self._seconds(), self._now()
+        silent = self._is_silent()
         if steady - self._reported_at < _REPORT_PERIOD and silent == self._silent:
             return
         self._reported_at, self._silent = steady, silent
