@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from ..earth import Site
 from ..errors import NotObservable
@@ -18,6 +19,9 @@ from ..stream import Floats
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 _QUARTZ = 50e-6
+_STATED_FREEDOM = 10.0
+_ENOUGH_FREEDOM = 20.0
+_UNLUCKY = 0.16
 
 SMALLEST_VARIANCE = 1e-32
 """Stands for zero where a noise-free session is divided by its variance, SI units squared."""
@@ -129,17 +133,26 @@ def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
 def noise(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     """Return the random-walk coefficients that the data shows, (6,).
 
-    Falls back on the data sheet where no segment is long enough to tell.
+    A few blocks tell little: their scatter may be near zero by chance, and deviations that rest on
+    it would be far too small. The data sheet's figure then counts like blocks of its own, the
+    fewer the more the data shows. Without a data sheet few blocks are taken at the end of their
+    range at which a variance is that low one time in six.
 
     Raises:
         NotObservable: Neither the data nor the IMU's description tells.
 
     """
-    found = pooled_walk([s.statistics for s in segments])
+    found, freedom = pooled_walk([s.statistics for s in segments])
     stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
-    walk = np.where(np.isnan(found), stated, found)
-    if not np.isfinite(walk).all():
+    weight = _STATED_FREEDOM**2 / (_STATED_FREEDOM + freedom)
+    square = np.where(freedom > 0, found, 0.0) ** 2
+    blended = (freedom * square + weight * stated**2) / (freedom + weight)
+    cautious = square * np.where(
+        freedom < _ENOUGH_FREEDOM, freedom / chi2.ppf(_UNLUCKY, np.maximum(freedom, 1)), 1.0
+    )
+    walk = np.sqrt(np.where(stated > 0, blended, cautious))
+    if not (walk[freedom == 0] > 0).all():
         raise NotObservable(
             'The noise of the sensors is unknown: no stretch at rest is long enough.'
         )
-    return walk
+    return np.asarray(walk)

@@ -282,7 +282,7 @@ def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:
     return slopes, deviations
 
 
-def pooled_walk(statistics: Sequence[Statistics]) -> Floats:
+def pooled_walk(statistics: Sequence[Statistics]) -> tuple[Floats, Floats]:
     """Estimate the random-walk coefficient of every channel from the blocks of all segments.
 
     Maximum likelihood over block means about their segment's mean, the known share of
@@ -292,14 +292,16 @@ def pooled_walk(statistics: Sequence[Statistics]) -> Floats:
         statistics: Segments at rest.
 
     Returns:
-        (6,) rad/sqrt(s) and (m/s)/sqrt(s); NaN where no segment has two blocks.
+        (6,) rad/sqrt(s) and (m/s)/sqrt(s), NaN where no segment has two blocks; and (6,) the
+        degrees of freedom that they rest on.
 
     """
-    return np.array([_channel_walk([s.blocks[c] for s in statistics]) for c in range(6)])
+    blocks = [[b for b in (s.blocks[c] for s in statistics) if len(b) > 1] for c in range(6)]
+    freedom = np.array([sum(len(b) - 1 for b in channel) for channel in blocks], dtype=float)
+    return np.array([_channel_walk(channel) for channel in blocks]), freedom
 
 
 def _channel_walk(segments: list[Floats]) -> float:
-    segments = [b for b in segments if len(b) > 1]
     if not segments:
         return float('nan')
     square = float(np.mean([np.var(b[:, 0], ddof=1) / b[:, 1].mean() for b in segments]))
