@@ -1,6 +1,10 @@
-"""What is collected where: rosbags is no ROS package, and `colcon test` must do without it."""
+"""What is collected where, and how: rosbags is no ROS package, and `colcon test` must do without it."""
 
+import os
 from importlib.util import find_spec
+
+# ROS reads this when it first loads a message: fields are then checked on every assignment.
+os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 
 _NEED_ROSBAGS = ['test_bags.py', 'test_cdr.py', 'test_damaged_bags.py']
 

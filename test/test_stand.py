@@ -106,7 +106,7 @@ def test_garbage_in_the_byte_stream(tmp_path):
         assert stand.reaches(State.DWELLING, step=3)
         stand.fault('garbage 500')
         finishes(stand)
-        assert stand.said('imu_node', 'byte')
+        assert stand.said('imu_node', 'Bytes come that are no frames')
 
 
 def test_the_table_stalls_in_the_middle_of_a_turn(tmp_path):

@@ -184,7 +184,6 @@ class Session:
             'settle': 0.02,
             'supervised': False,
         }
-        self.executor = ros.SingleThreadedExecutor()
         self.node = None
 
     def turn_at(self, rate):
@@ -198,6 +197,7 @@ class Session:
 
     def open(self, *, with_node=True, **changes):
         ros.init(args=self.arguments(**changes))
+        self.executor = ros.SingleThreadedExecutor()
         self.table = FakeTable(self.parameters['table'])
         self.watcher = Watcher()
         nodes = [self.table, self.watcher]
