@@ -135,6 +135,11 @@ class DeviceClock:
         return self._line.drift() if self._live else None
 
     @property
+    def drift_counts(self) -> bool:
+        """Whether the host's clock is good enough to blame the device for a drift."""
+        return self._live and self._tolerance is not None
+
+    @property
     def ahead(self) -> float | None:
         """How far the newest stamps are ahead of their arrival, s; None while not settled."""
         if self.offset is None or self._line.recent is None or not self._live:

@@ -221,7 +221,8 @@ class Health:
             when = f' {last.elapsed / _NS:.3f} s after the first sample.'
             severity = Severity.ERROR if 'jump' in self._events else Severity.WARN
             return Word('clock', severity, f'{last.reason}{by}{when}', figures)
-        if drift is not None and abs(drift.ppm) - 3 * drift.std > _DRIFT_TOLERANCE:
+        certain = 0.0 if drift is None else abs(drift.ppm) - 3 * drift.std
+        if certain > _DRIFT_TOLERANCE and clock.drift_counts:
             text = 'The device counts time or samples otherwise than the host.'
             return Word('clock', Severity.WARN, text, figures)
         settled = clock.offset is not None

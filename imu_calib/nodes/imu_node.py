@@ -19,6 +19,7 @@ from .parameters import declare
 
 _DRAIN_PERIOD = 0.004
 _MOST_BYTES = 1 << 16
+_MOST_WAITING = 64
 _REPORT_PERIOD = 0.25
 _NS = 1_000_000_000
 
@@ -61,6 +62,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             self._skews = self.create_publisher(messages.Imu, 'imu/skew', qos.stream())
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._held: list[tuple[Samples, Stamps]] = []
+        self._waiting: list[Chunk] = []
         self._received = 0
         self._second = 0
         self._started = self._silent = False
@@ -70,9 +72,9 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
     def stop(self) -> Sequence[Any]:
         """Let go of the device; return the publishers that must be heard."""
         self._source.stop()
-        chunks = self._source.take()
-        if chunks:
-            self._take(chunks)
+        self._waiting += self._source.take()
+        if self._waiting:
+            self._take(self._waiting)
         self._line.settle()
         self._release()
         return [self._pulses] if self._skews is None else [self._pulses, self._skews]
@@ -94,7 +96,11 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         return float(self._steady.now().nanoseconds / _NS)
 
     def _is_silent(self) -> bool:
-        return self._source.empty and self._health.silent(self._now(), self._seconds())
+        return (
+            self._source.empty
+            and not self._waiting
+            and self._health.silent(self._now(), self._seconds())
+        )
 
     def _work(self) -> None:
         """Take what has come, publish it, and say how it goes."""
@@ -105,13 +111,32 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             self._source.start()
             self._started = True
             self._reported_at = self._seconds()
-        chunks = self._source.take(_MOST_BYTES)
+        chunks = self._arrived()
         if chunks:
             self._take(chunks)
         elif self._held and (self._source.state.ended or self._is_silent()):
             self._line.settle()
         self._release()
         self._report()
+
+    def _arrived(self) -> list[Chunk]:
+        """Return bytes with the host's time at which they had arrived for certain.
+
+        Simulated time comes in steps: bytes read at one step came before the next. While the
+        offset is open, only that next step is a time at which none of them is still to be made.
+        """
+        if len(self._waiting) < _MOST_WAITING:
+            self._waiting += self._source.take(_MOST_BYTES)
+        if not self._simulated:
+            chunks, self._waiting = self._waiting, []
+            return chunks
+        now = self._now()
+        ready = len(self._waiting)
+        if self._line.offset is None:
+            ready = sum(chunk.arrival < now for chunk in self._waiting)
+        chunks = [Chunk(chunk.data, now) for chunk in self._waiting[:ready]]
+        del self._waiting[:ready]
+        return chunks
 
     def _take(self, chunks: list[Chunk]) -> None:
         """Decode bytes; their samples wait until the clock's offset is known."""
@@ -120,12 +145,8 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         now = self._now()
         ends = self._received + np.cumsum([len(chunk.data) for chunk in chunks], dtype=np.int64)
         self._received += len(data)
-        if self._simulated:
-            # The thread that reads is ahead of /clock, which this thread takes.
-            arrival = np.full(len(samples), now)
-        else:
-            arrivals = np.array([chunk.arrival for chunk in chunks], np.int64)
-            arrival = np.maximum.accumulate(arrivals)[np.searchsorted(ends, samples.end)]
+        arrivals = np.maximum.accumulate([chunk.arrival for chunk in chunks], dtype=np.int64)
+        arrival = arrivals[np.searchsorted(ends, samples.end)]
         elapsed = self._line.feed(samples.time, samples.counter, arrival)
         self._health.take(samples, elapsed, len(data), now, self._seconds())
         if len(samples):
