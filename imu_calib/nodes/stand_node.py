@@ -88,7 +88,11 @@ class StandNode(ros.Node):
             f'{name} {angle / DEG:.3f} deg'
             for name, angle in zip(self._hardware.names, state.angles, strict=True)
         )
-        self.get_logger().info(f'the table {"stands" if state.at_rest else "moves"}: {angles}')
+        self.get_logger().info(
+            f'the table {"stands" if state.at_rest else "moves"}: {angles}; '
+            f'the IMU made {self._hardware.frames} frames, {self._line.dropped} bytes of them '
+            'met no reader'
+        )
         return []
 
     def _read_hardware(self) -> SimulatedHardware:

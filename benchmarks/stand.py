@@ -1,0 +1,81 @@
+"""A live session at a high rate: is every sample of the device in the calibrator, at which cost?
+
+    python benchmarks/stand.py [RATE_HZ [PLAN [SPEED]]]
+
+Counts the frames that the simulated device made, between the first and the last that were
+recorded, against the samples in the calibrator's journal; the stamps of the journal must be evenly
+spaced throughout. CPU shares are those of the processes over the session, from /proc.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from imu_calib.bags import open_recording
+from imu_calib.cdr import Kind
+from imu_calib.cli import main, processes, stand
+
+TICKS = os.sysconf('SC_CLK_TCK')
+
+
+def cpu_seconds(number: int) -> float:
+    """Return the processor time that a process has used, s."""
+    fields = Path(f'/proc/{number}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+class Watched(processes.Processes):
+    """Processes that are asked for their processor time before they end."""
+
+    used: dict[str, float] = {}  # noqa: RUF012
+
+    def check(self) -> None:
+        """Note what each has used so far."""
+        super().check()
+        for name in self._running:
+            self.used[name] = cpu_seconds(self.number(name))
+
+
+def run(rate: float, plan: str, speed: float) -> int:
+    """Run the session; return the exit code."""
+    stand.Processes = Watched  # type: ignore[misc]
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / 'stand'
+        arguments = ['stand', plan, '-o', str(folder), '--sample-rate', str(rate)]
+        began = time.monotonic()
+        code = main.main([*arguments, '--speed', str(speed)])
+        wall = time.monotonic() - began
+        if code:
+            return code
+        with open_recording(folder / 'journal') as recording:
+            blocks = [b.stamp for _, b in recording.read({'/imu/pulses': Kind.IMU})]
+        stamps = np.concatenate(blocks)
+        log = (folder / 'nodes' / 'stand_node.log').read_text().splitlines()
+    spacing = np.diff(stamps) * rate * 1e-9
+    made = round((stamps[-1] - stamps[0]) * 1e-9 * rate) + 1
+    print(f'\n{log[-1].partition("]: ")[2]}')
+    print(
+        f'{rate:g} Hz: {len(stamps)} samples recorded of {made} made between the first and the '
+        f'last; spacing {spacing.min():.3f} to {spacing.max():.3f} periods'
+    )
+    print(f'{len(stamps) / rate:.0f} s of the stand in {wall:.0f} s')
+    for name, used in Watched.used.items():
+        print(f'{name:16} {100 * used / wall:5.0f} % of a core')
+    return 0 if made == len(stamps) else 1
+
+
+if __name__ == '__main__':
+    given = sys.argv[1:]
+    sys.exit(
+        run(
+            float(given[0]) if given else 1000.0,
+            given[1] if len(given) > 1 else 'twelve_position',
+            float(given[2]) if len(given) > 2 else 0.0,
+        )
+    )

@@ -1,0 +1,199 @@
+"""A live session ends in what its journal gives, however its messages came."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sessions import SITE, paper_imu, quick_plan, stand
+
+from imu_calib.bags import Journal, open_recording
+from imu_calib.calibrator import Calibrator, Setup
+from imu_calib.cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints
+from imu_calib.errors import InputError
+from imu_calib.model import SensorModel
+from imu_calib.nodes.live import LiveSession, Phase
+from imu_calib.simulation import simulate
+from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
+from imu_calib.turntable import load_table
+
+TOPICS = {
+    Kind.IMU: '/imu/pulses',
+    Kind.JOINTS: '/turntable/joint_states',
+    Kind.SETPOINTS: '/turntable/setpoint',
+}
+ENCODERS = {
+    ImuBlock: (Kind.IMU, encode_imu),
+    JointBlock: (Kind.JOINTS, encode_joints),
+    SetpointBlock: (Kind.SETPOINTS, encode_setpoints),
+}
+TABLE = load_table('three_axis')
+PLAN = quick_plan('twelve_position', dwell=6.0)
+SETUP = Setup(paper_imu(), PLAN, TABLE, SITE)
+DESCRIPTION = {'imu_calib.plan': 'twelve, but shorter'}
+
+
+@pytest.fixture(scope='module')
+def wire():
+    """The serialised messages of a session, by topic."""
+    payloads = {kind: [] for kind in TOPICS}
+    for _, block in simulate(PLAN, TABLE, SETUP.imu, SensorModel(), SITE, stand(), 3):
+        if type(block) in ENCODERS:
+            kind, encode = ENCODERS[type(block)]
+            payloads[kind] += encode(block).payloads()
+    return payloads
+
+
+def begin(folder, description=DESCRIPTION):
+    topics = {topic: kind for kind, topic in TOPICS.items()}
+    return LiveSession(SETUP, Journal(folder, description, topics), TOPICS)
+
+
+def send(session, wire, rng, start=0.0, stop=1.0):
+    """Send a share of every topic, cut and interleaved at random."""
+    at = {kind: int(start * len(all_)) for kind, all_ in wire.items()}
+    ends = {kind: int(stop * len(all_)) for kind, all_ in wire.items()}
+    now = 1_700_000_000_000_000_000
+    while open_ := [kind for kind in wire if at[kind] < ends[kind]]:
+        kind = open_[int(rng.integers(len(open_)))]
+        # Topics stay within a few seconds of each other, as they do on a network.
+        first = min(open_, key=lambda k: at[k] / len(wire[k]))
+        kind = first if at[kind] / len(wire[kind]) > at[first] / len(wire[first]) + 0.02 else kind
+        count = int(rng.integers(1, 2000))
+        session.take(kind, wire[kind][at[kind] : min(at[kind] + count, ends[kind])], now)
+        at[kind] += count
+        now += int(rng.integers(0, 10**9))
+
+
+def finish(session):
+    session.end()
+    deadline = time.monotonic() + 60
+    while not session.over:
+        session.poll()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    session.close()
+    assert session.phase is Phase.FINISHED, session.failure
+    return session.calibration
+
+
+def offline(folder):
+    calibrator = Calibrator(SETUP)
+    with open_recording(folder) as recording:
+        for _, block in recording.read({topic: kind for kind, topic in TOPICS.items()}):
+            calibrator.feed(block)
+    return calibrator.finish().calibration
+
+
+def same(one, other):
+    return np.array_equal(one.model.vector(), other.model.vector()) and np.array_equal(
+        one.covariance, other.covariance
+    )
+
+
+@settings(max_examples=5, deadline=None, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_result_is_that_of_the_journal_however_the_messages_came(tmp_path_factory, wire, seed):
+    folder = tmp_path_factory.mktemp('live') / 'journal'
+    session = begin(folder)
+    send(session, wire, np.random.default_rng(seed))
+    live = finish(session)
+    assert same(live, offline(folder))
+    reference = Calibrator(SETUP)
+    for kind, payloads in wire.items():
+        for block in kind.decode(Messages.join(payloads)):
+            reference.feed(block)
+    assert same(live, reference.finish().calibration)
+
+
+def test_reviews_on_the_way_leave_the_result_as_it_is(tmp_path, wire):
+    session = begin(tmp_path / 'journal')
+    seen = []
+    for k in range(8):
+        send(session, wire, np.random.default_rng(k), k / 8, (k + 1) / 8)
+        session.solve()
+        while not session.poll():
+            time.sleep(0.01)
+        seen.append(int((session.review.std > 0).sum()))
+    assert seen == sorted(seen)
+    assert seen[0] < seen[-1] == 24
+    assert same(finish(session), offline(tmp_path / 'journal'))
+
+
+@pytest.mark.parametrize('killed_at', [0.1, 0.55, 0.93])
+def test_after_a_crash_it_goes_on_from_the_journal_and_names_the_gap(tmp_path, wire, killed_at):
+    folder = tmp_path / 'journal'
+    crashed = begin(folder)
+    send(crashed, wire, np.random.default_rng(1), 0, killed_at)
+    crashed.flush()
+    # What a kill leaves behind: no metadata, no footer, and the last chunk cut off.
+    file = folder / 'journal_0.mcap'
+    cut = tmp_path / 'cut'
+    cut.mkdir()
+    (cut / 'journal').mkdir()
+    (cut / 'journal' / 'journal_0.mcap').write_bytes(file.read_bytes()[:-1000])
+    crashed.close()
+
+    session = begin(cut / 'journal')
+    held = session.intakes[Kind.IMU].count
+    assert 0 < held <= len(wire[Kind.IMU]) * killed_at
+    send(session, wire, np.random.default_rng(2), killed_at + 0.002, 1)
+    live = finish(session)
+    assert any('interrupted' in finding for finding in live.findings)
+    assert same(live, offline(cut / 'journal'))
+
+
+def test_steps_that_left_too_little_are_named(tmp_path, wire):
+    session = begin(tmp_path / 'journal')
+    rng = np.random.default_rng(1)
+    send(session, wire, rng, 0, 0.5)
+    # The IMU is silent over a tenth of the session; the table is not.
+    quiet = {kind: all_ for kind, all_ in wire.items() if kind is not Kind.IMU}
+    send(session, quiet, rng, 0.5, 0.6)
+    send(session, wire | {k: [] for k in quiet}, rng, 0.6, 1)
+    send(session, quiet, rng, 0.6, 1)
+    session.solve()
+    while not session.poll():
+        time.sleep(0.01)
+    steps = PLAN.steps(TABLE)
+    lost = [steps[k] for k in session.review.unsupported]
+    assert lost
+    assert len(lost) < len(steps) / 2
+    session.close()
+
+
+def test_a_finished_journal_and_one_of_another_plan_are_not_gone_on_with(tmp_path, wire):
+    session = begin(tmp_path / 'done')
+    send(session, wire, np.random.default_rng(1))
+    finish(session)
+    with pytest.raises(InputError, match='finished'):
+        begin(tmp_path / 'done')
+    session = begin(tmp_path / 'other')
+    send(session, wire, np.random.default_rng(1), 0, 0.2)
+    session.close()
+    with pytest.raises(InputError, match='another plan'):
+        begin(tmp_path / 'other', {'imu_calib.plan': 'another'})
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    (tmp_path / 'letters').mkdir()
+    (tmp_path / 'letters' / 'to_whom.txt').write_text('it may concern')
+    with pytest.raises(InputError, match='no recording'):
+        begin(tmp_path / 'letters')
+
+
+def test_others_read_a_journal_that_was_gone_on_with(tmp_path, wire):
+    reader = pytest.importorskip('rosbags.rosbag2').Reader
+    folder = tmp_path / 'journal'
+    for part in (0, 1, 2):
+        session = begin(folder)
+        send(session, wire, np.random.default_rng(part), part / 3, (part + 1) / 3)
+        session.close()
+    with reader(folder) as recording:
+        counts = {c.topic: c.msgcount for c in recording.connections}
+        read = sum(1 for _ in recording.messages())
+    assert read == sum(len(all_) for all_ in wire.values())
+    assert {topic: sum(c for t, c in counts.items() if t == topic) for topic in counts} == {
+        TOPICS[kind]: len(all_) for kind, all_ in wire.items()
+    }
