@@ -121,8 +121,9 @@ def test_errors_of_a_pure_walk_are_those_that_the_covariance_states() -> None:
     assert np.sum(squares) > chi2.ppf(5e-4, 24 * runs)
 
 
-DWELL = 40.0
-SEEDS = 40
+# Shorter dwells pass too few pulses for the bound: a slow counter's errors are not white then.
+DWELL = 120.0
+SEEDS = 32
 
 
 def one_session(seed: int) -> tuple[Floats, Floats, Floats, Floats]:
@@ -148,7 +149,7 @@ def test_the_error_is_at_the_cramer_rao_bound() -> None:
     error, _, floor, _ = sessions_run()
     ratio = (error / floor) ** 2
     # What a perfect estimator passes 999 times in 1000, and 3 % for the two readings between
-    # which a turn is counted: a twelfth of a pulse squared each, against the walk of 6 s.
+    # which a turn is counted: up to a twelfth of a pulse squared each, against the walk of 6 s.
     allowed = 1.03**2
     assert ratio.sum() < allowed * chi2.isf(1e-3, ratio.size)
     assert np.all(ratio.sum(axis=0) < allowed * chi2.isf(1e-3 / 24, SEEDS))

@@ -4,8 +4,8 @@ Both are estimated from the session itself by restricted maximum likelihood (Pat
 1971, Biometrika 58, 545): the likelihood of what the parameters cannot explain. A bias wanders as
 a first-order Gauss-Markov process, variance s^2 and correlation time tau, seen between the
 stretches by their means and within them by their slopes; an arrival errs as `Equations.arrivals`
-says. Correlation times reach to the length of the session: what is slower yet is no other than a
-bias. Either counts where the likelihood asks for it, so that a session of pure noise keeps the
+says. Correlation times reach to three lengths of the session: what is slower yet is no other than
+a bias. Either counts where the likelihood asks for it, so that a session of pure noise keeps the
 weights that suit it. One session tells neither s nor tau well: the covariance that then counts is
 the mean of the posterior over a grid, not the most likely one, which would be too sure of itself.
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
@@ -25,7 +26,7 @@ from ..stream import Floats
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
 
-_TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0)
+_TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
 _ARRIVAL_RATIOS = np.concatenate([[0.0], 10.0 ** np.arange(-1, 6.1, 0.5)])
 _CALLED_FOR = 3.0
@@ -68,7 +69,7 @@ class _Wandering:
 class _Triad:
     """The equations of three channels of a kind, with slopes, whitened but for the excess."""
 
-    rows: Floats
+    rows: NDArray[np.intp]
     jacobian: Floats
     left: Floats
     base: Floats
@@ -79,7 +80,7 @@ class _Triad:
     wandering: _Wandering
     typical: float
 
-    def weigh(self, arrival: float) -> tuple[Floats, Floats]:
+    def weigh(self, arrival: float) -> tuple[Floats, float]:
         """Return the log likelihood (taus, ratios) and without wandering, for one arrival error.
 
         Args:
@@ -99,7 +100,7 @@ class _Triad:
         volume = -np.log(np.diag(factor)).sum() - np.log(np.abs(np.diag(triangle))).sum()
         slopes = self.slope_left / np.sqrt(self.slope_variances)
         z = np.concatenate([free.T @ columns[:, -1], slopes])
-        without = volume - 0.5 * float(z @ z)
+        without = float(volume) - 0.5 * float(z @ z)
         rows = len(self.left)
         back = solve_triangular(factor, np.eye(rows), lower=True, check_finite=False)
         project = np.zeros((rows + len(slopes), len(z)))
@@ -111,12 +112,13 @@ class _Triad:
             values, vectors = np.linalg.eigh(project.T @ kernel @ project)
             grown = 1 + np.outer(_RATIOS, np.maximum(values, 0.0))
             square = (vectors.T @ z) ** 2
-            found.append(volume - 0.5 * (np.log(grown) + square / grown).sum(axis=1))
-        return np.array(found), np.array(without)
+            gained = np.log(grown) + square / grown
+            found.append(float(volume) - 0.5 * gained.sum(axis=1))
+        return np.asarray(found), without
 
     def spread(self, kernel: Floats) -> Floats:
         """Repeat a kernel over stretches for three channels, in the order of the rows."""
-        return np.kron(kernel, np.eye(3))
+        return np.asarray(np.kron(kernel, np.eye(3)), dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,23 +178,25 @@ def excess(equations: Equations, state: Floats) -> Excess:
 def _posterior(triad: _Triad, candidates: Floats) -> Floats:
     """Return the weights (arrivals, taus, 1 + ratios) of the grid; none of either comes first.
 
-    Of the four cases, arrivals that err or not and biases that wander or not, the simplest is
-    taken that the likelihood allows: each more must raise it by the factor exp(`_CALLED_FOR`).
+    Pure noise stands unless the likelihood rises by the factor exp(`_CALLED_FOR`) without it. Then
+    the other cases share the weight: a few arrivals that miss and a bias that wanders slowly look
+    alike, and do unlike harm.
     """
     table = np.zeros((len(candidates), len(_TIMES), 1 + len(_RATIOS)))
     for k, arrival in enumerate(candidates):
         table[k, :, 1:], table[k, :, 0] = triad.weigh(float(arrival))
-    cases = [
-        (a, r)
-        for a in ([slice(0, 1), slice(1, None)] if len(candidates) > 1 else [slice(0, 1)])
-        for r in (slice(0, 1), slice(1, None))
-    ]
-    worth = [table[a, :, r].max() - _CALLED_FOR * ((a.start > 0) + (r.start > 0)) for a, r in cases]
-    a, r = cases[int(np.argmax(worth))]
+    nothing = table[0, 0, 0]
     weights = np.zeros_like(table)
-    chosen = table[a, :, r]
-    weights[a, :, r] = np.exp(chosen - logsumexp(chosen))
-    return weights
+    if table.max() < nothing + _CALLED_FOR:
+        weights[0, 0, 0] = 1.0
+        return weights
+    none, some = slice(0, 1), slice(1, None)
+    for a, r in ((none, some), (some, none), (some, some)):
+        part = table[a, :, r]
+        if part.size:
+            weights[a, :, r] = part - np.log(part.size)
+    weights[0, :, 0] = -np.inf
+    return np.asarray(np.exp(weights - logsumexp(weights)))
 
 
 def _spread_out(triad: _Triad, weights: Floats, extra: Floats) -> float:

@@ -375,10 +375,11 @@ def _findings(found: Estimate) -> list[str]:
     if found.outliers:
         names = ', '.join(f'{o.name} ({np.sqrt(o.square):.0f} sigma)' for o in found.outliers)
         notes.append(f'Does not fit the rest and counts for less: {names}.')
-    tilts = [found.nuisance(which)[0] for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
     if found.equations.levelled > LEVELLED:
+        tilts = [found.nuisance(which)[0] for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
+        tilt = float(np.linalg.norm(tilts))
         notes.append(
-            f'The table is tilted by {np.hypot(*tilts) / ARCSEC:.0f} arcsec, more than the '
+            f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
             f'{LEVELLED / ARCSEC:.0f} arcsec to which it was taken to be level.'
         )
     return notes
