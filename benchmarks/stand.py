@@ -1,4 +1,4 @@
-"""A live session at a high rate: is every sample of the device in the calibrator, at which cost?
+"""A live session at a high rate: is every sample of the device in the calibrator, at what cost.
 
     python benchmarks/stand.py [RATE_HZ [PLAN [SPEED]]]
 

@@ -197,3 +197,17 @@ def test_others_read_a_journal_that_was_gone_on_with(tmp_path, wire):
     assert {topic: sum(c for t, c in counts.items() if t == topic) for topic in counts} == {
         TOPICS[kind]: len(all_) for kind, all_ in wire.items()
     }
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(lag=st.integers(-3000, 3000), share=st.floats(0, 1))
+def test_a_session_can_be_reviewed_wherever_it_stands(wire, lag, share):
+    calibrator = Calibrator(SETUP)
+    for kind, payloads in wire.items():
+        end = round(share * len(payloads)) + (lag if kind is Kind.IMU else 0)
+        if end > 0:
+            for block in kind.decode(Messages.join(payloads[:end])):
+                calibrator.feed(block)
+    review = calibrator.review()
+    assert (review.result is None) == bool(review.refusal)
+    assert len(review.std) == 24

@@ -137,6 +137,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             **clock,
             'imu': arguments.imu,
             'device': arguments.device,
+            'sample_rate': arguments.sample_rate,
             'port': arguments.port or f'socket://127.0.0.1:{port}',
         },
         'calibrator_node': {

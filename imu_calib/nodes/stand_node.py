@@ -39,6 +39,7 @@ _ALIVE = 2.0
 _REST = 0.0005
 _STUCK = 20.0
 _PATIENCE = 5.0
+_BUFFER = 1 << 16
 _LUOYANG = 34.65
 _EPOCH = 1_700_000_000_000_000_000
 
@@ -166,6 +167,7 @@ class StandNode(ros.Node):
 
     def _advance(self) -> None:
         output = self._hardware.advance(_STEP)
+        # The line before the clock: what a frame is stamped with is then never early.
         self._line.send(output.line)
         now = self._epoch + round(self._hardware.time * 1e9)
         clock = messages.Clock()
@@ -231,6 +233,8 @@ class _Line:
         self.port = port
         self.dropped = 0
         self._server = socket.create_server(('127.0.0.1', port))
+        # A small buffer: a reader that lags is to hold simulated time back soon.
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         self._server.setblocking(False)
         self._reader: socket.socket | None = None
         self._left = memoryview(b'')

@@ -89,6 +89,8 @@ def clock_sample(
     table = (joint_stamp - origin) * 1e-9
     time: Floats = np.asarray((stamp - origin) * 1e-9, dtype=float)
     windows = _windows(time, float(table[-1]))
+    if not windows:
+        return None
     used = np.concatenate(windows)
     if len(used) < _SAMPLES_NEEDED:
         return None
