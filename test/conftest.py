@@ -1,4 +1,4 @@
-"""What is collected where, and how: rosbags is no ROS package, and `colcon test` must do without it."""
+"""What is collected where: rosbags is no ROS package, and `colcon test` must do without it."""
 
 import os
 from importlib.util import find_spec

@@ -89,11 +89,9 @@ def clock_sample(
     table = (joint_stamp - origin) * 1e-9
     time: Floats = np.asarray((stamp - origin) * 1e-9, dtype=float)
     windows = _windows(time, float(table[-1]))
-    if not windows:
+    if sum(map(len, windows)) < _SAMPLES_NEEDED:
         return None
     used = np.concatenate(windows)
-    if len(used) < _SAMPLES_NEEDED:
-        return None
     own = np.zeros((len(used), 2 * len(windows)))
     first = 0
     for k, window in enumerate(windows):
