@@ -20,9 +20,10 @@ from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.methods import joint, six_position, twelve_position
 from imu_calib.methods.equations import Equations, Nuisance
 from imu_calib.methods.evidence import Evidence
+from imu_calib.methods.fit import estimate
 from imu_calib.methods.solution import Solution
 from imu_calib.model import PARAMETER_NAMES, SensorModel
-from imu_calib.plan import Plan, load_plan
+from imu_calib.plan import Plan, Position, load_plan
 from imu_calib.segmentation.labelling import label
 from imu_calib.simulation import StandOptions
 from imu_calib.stream import Floats
@@ -94,7 +95,7 @@ def test_the_prediction_is_what_a_turned_and_tilted_table_shows() -> None:
 
 @pytest.mark.parametrize('azimuth', [0.0, 1.0, 3.0, -2.0])
 def test_without_noise_the_truth_comes_out_at_any_azimuth(azimuth: float) -> None:
-    found = joint.estimate(evidence_of(model=truth().model, azimuth=azimuth))
+    found = estimate(evidence_of(model=truth().model, azimuth=azimuth))
     assert found.state[:24] == pytest.approx(truth().model.vector(), rel=1e-8, abs=1e-12)
     assert found.nuisance(Nuisance.AZIMUTH)[0] == pytest.approx(azimuth, abs=1e-7)
 
@@ -289,7 +290,54 @@ def test_g_sensitivity_does_not_reach_what_is_asked_for_without_it() -> None:
     evidence = evidence_of(model=unit_with_g(), azimuth=1.0, noise=rng)
     found = joint.solve_33(evidence)
     assert np.abs(normalised(found)).max() < 4.5
-    estimate = joint.estimate(evidence, with_g=True)
-    deviations = np.sqrt(np.diag(estimate.covariance))[24:33]
+    whole = estimate(evidence, with_g=True)
+    deviations = np.sqrt(np.diag(whole.covariance))[24:33]
     off = (found.model.g_sensitivity - unit_with_g().g_sensitivity).ravel()
     assert np.abs(off / deviations).max() < 4.5
+
+
+def tilted_plan() -> Plan:
+    """Each axis north in turn, and turned about it in steps of 45 deg (off-axis 2019, 1.1)."""
+    twelve = load_plan('twelve_position')
+    tests = [p for p in twelve.positions if p.rate_test is not None]
+    positions = list(tests)
+    for column in range(3):
+        north = np.roll(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]), column, axis=1)
+        for k in range(8):
+            c, s = np.cos(k * np.pi / 4), np.sin(k * np.pi / 4)
+            about_north = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+            name = f'{"XYZ"[column]}{k}'
+            positions.append(Position(name, about_north @ north, 120.0))
+    return replace(twelve, positions=tuple(positions))
+
+
+def test_attitudes_with_no_axis_vertical_serve_as_well() -> None:
+    rng = np.random.default_rng(2)
+    evidence = evidence_of(tilted_plan(), truth().model, azimuth=0.4, noise=rng)
+    found = joint.solve(evidence)
+    assert np.abs(normalised(found)).max() < 4.5
+    assert found.azimuth == pytest.approx(0.4, abs=4.5 * found.azimuth_std)
+    elsewhere = replace(evidence, site=type(SITE).at(20 * DEG))
+    with pytest.raises(NotObservable, match='contradict'):
+        joint.solve(elsewhere)
+
+
+def test_the_earth_rate_seen_is_that_of_the_site() -> None:
+    rng = np.random.default_rng(5)
+    seen, covariance = joint.seen_earth(
+        estimate(evidence_of(model=truth().model, azimuth=0.4, noise=rng))
+    )
+    expected = [np.sin(0.4) * SITE.north_rate, np.cos(0.4) * SITE.north_rate, SITE.up_rate]
+    assert np.abs((seen - expected) / np.sqrt(np.diag(covariance))).max() < 4.0
+    # Twelve dwells of 120 s and 0.05 deg/sqrt(h): about 0.1 deg/h, 0.4 deg of latitude.
+    assert np.sqrt(covariance[2, 2]) == pytest.approx(0.1 * DEG_H, rel=0.3)
+
+
+def test_without_a_rate_test_the_earth_rate_is_input_enough() -> None:
+    # methods.md, section 11: static alone tells M_g to 1 %.
+    plan = load_plan('twelve_position')
+    plan = replace(plan, positions=tuple(replace(p, rate_test=None) for p in plan.positions))
+    rng = np.random.default_rng(6)
+    found = joint.solve(evidence_of(plan, truth().model, azimuth=0.4, noise=rng))
+    assert np.abs(normalised(found)).max() < 4.5
+    assert 0.002 < found.std[:9].max() < 0.03

@@ -29,7 +29,7 @@ from .evidence import SMALLEST_VARIANCE
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
 _ARRIVAL_RATIOS = np.concatenate([[0.0], 10.0 ** np.arange(-1, 6.1, 0.5)])
-_CALLED_FOR = 3.0
+_CALLED_FOR = 4.5
 _NODES = 8
 _BLOCKS_FOR_A_SLOPE = 4
 

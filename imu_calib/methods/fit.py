@@ -1,0 +1,280 @@
+"""The least squares behind the joint estimate: where it starts, how it weighs, what it distrusts.
+
+Parameters of the sensors, the table's azimuth, its two tilts and the rate between the clocks are
+estimated together from every stretch at rest and every turn of any plan, each output by the noise
+that the session shows. What wanders and what misses its mark widens the covariance (`excess`);
+a stretch that does not fit the rest counts for less.
+
+Source: methods.md, section 11. Accelerometers have no say in turns, where they feel the lever arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import chi2
+
+from ..errors import NotObservable
+from ..model import PARAMETERS
+from ..stream import Floats
+from ..units import DEG
+from .equations import LEVELLED, Equations, Nuisance
+from .evidence import SMALLEST_VARIANCE, Evidence
+from .excess import Excess, excess
+from .information import ALONG, Information, before, told, unobserved
+
+_STARTS = 8
+_ITERATIONS = 30
+_CONVERGED = 1e-9
+_OUTLYING = 1e-6
+_SUSPECT = 1e-5
+_MOST_OUTLIERS = 1 / 3
+_RANK = 1e-6
+_LEFT_OUT = 1e8
+_TILTED = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Outlier:
+    """A stretch or a turn that does not fit the rest.
+
+    Attributes:
+        name: Position and kind, for a person.
+        rows: Its rows among the equations.
+        square: By how much chi-square would fall without it.
+
+    """
+
+    name: str
+    rows: NDArray[np.intp]
+    square: float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What the least squares found, before it is held against the world.
+
+    Attributes:
+        equations: With the weights that were used.
+        state: (n,) parameters of the sensors, then the nuisances.
+        covariance: (n, n) of the state.
+        condition: Condition number of the system solved, columns scaled to unit length.
+        scatter: What scatters beyond the noise.
+        outliers: What counts for less.
+
+    """
+
+    equations: Equations
+    state: Floats
+    covariance: Floats
+    condition: float
+    scatter: Excess
+    outliers: tuple[Outlier, ...]
+
+    def nuisance(self, which: Nuisance) -> tuple[float, float]:
+        """Return one of the nuisances and its standard deviation."""
+        index = self.equations.parameters + which
+        return float(self.state[index]), float(np.sqrt(self.covariance[index, index]))
+
+
+def estimate(evidence: Evidence, *, with_g: bool = False) -> Estimate:
+    """Fit all of a session at once.
+
+    Args:
+        evidence: The session.
+        with_g: Whether to estimate the g-sensitivities too.
+
+    Raises:
+        NotObservable: Names what the session cannot observe.
+
+    """
+    equations = Equations(evidence, with_g=with_g)
+    _check_observable(equations)
+    state = _fit(equations, _start(equations))
+    equations = _levelled(equations, state)
+    outliers: list[Outlier] = []
+    scatter = excess(equations, state)
+    for _ in range(int(_MOST_OUTLIERS * len(evidence.segments)) + 1):
+        weighted = _weighted(equations, scatter)
+        state = _fit(weighted, state)
+        found = _outlier(equations, weighted, state)
+        if found is None:
+            break
+        outliers.append(found)
+        equations = _weighed_down(equations, found.rows, 1 + found.square)
+        scatter = excess(equations, _fit(equations, state))
+    weighted = _weighted(equations, scatter)
+    state = _fit(weighted, state)
+    information = Information.of(weighted.whitened(state)[0])
+    return Estimate(
+        weighted,
+        state,
+        information.covariance,
+        information.condition,
+        scatter,
+        tuple(outliers),
+    )
+
+
+def _check_observable(equations: Equations) -> None:
+    """Refuse a session that leaves parameters open, or misses a rate test of its plan."""
+    evidence = equations.evidence
+    information = before(equations)
+    lost = ~told(information)
+    tests = [np.abs(p.up) for p in evidence.plan.positions if p.rate_test is not None]
+    for axis in range(3):
+        if not any(up[axis] > ALONG for up in tests):
+            continue
+        # The Earth's rate alone tells them to a percent: not what a rate test is made for.
+        if not any(abs(turn.up[axis]) > ALONG for turn in evidence.turns):
+            lost |= [p.triad == 'g' and p.column == axis for p in PARAMETERS]
+    if lost.any():
+        raise NotObservable(unobserved(evidence, lost))
+    if not information.observed.all():
+        raise NotObservable(
+            f'{len(evidence.segments)} positions do not tell the g-sensitivity of the gyros from '
+            'their biases and their responses to the Earth rate: G not observable.'
+        )
+
+
+def _start(equations: Equations) -> Floats:
+    """Solve for the sensors at headings all around, where they are linear; take the best."""
+    known = equations.evidence.azimuth is not None
+    angles = [0.0] if known else [k * 2 * np.pi / _STARTS for k in range(_STARTS)]
+    best, smallest = equations.nominal(), np.inf
+    for angle in angles:
+        state = equations.nominal()
+        state[equations.parameters + Nuisance.AZIMUTH] = angle
+        jacobian, left = equations.whitened(state)
+        jacobian, left = jacobian[: -len(Nuisance)], left[: -len(Nuisance)]
+        columns = np.delete(jacobian, np.s_[equations.parameters + 1 :], axis=1)
+        columns[:, -1] *= 0.0 if known else 1.0
+        step = _least_squares(columns, left)
+        rest = left - columns @ step
+        if (square := float(rest @ rest)) < smallest:
+            state[: equations.parameters + 1] += step
+            best, smallest = state, square
+    return best
+
+
+def _fit(equations: Equations, state: Floats) -> Floats:
+    """Iterate (Gauss-Newton) to the least squares, each output by its covariance."""
+    for _ in range(_ITERATIONS):
+        jacobian, left = equations.whitened(state)
+        step = _least_squares(jacobian, left)
+        state = state + step
+        if np.linalg.norm(jacobian @ step) < _CONVERGED * np.sqrt(len(left)):
+            break
+    azimuth = equations.parameters + Nuisance.AZIMUTH
+    state[azimuth] = (state[azimuth] + np.pi) % (2 * np.pi) - np.pi
+    return state
+
+
+def _least_squares(jacobian: Floats, left: Floats) -> Floats:
+    norms = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    return np.asarray(np.linalg.lstsq(jacobian / scale, left, rcond=None)[0] / scale)
+
+
+def _weighted(equations: Equations, scatter: Excess) -> Equations:
+    return replace(equations, extra=scatter.extra, positioning=scatter.positioning)
+
+
+def _levelled(equations: Equations, state: Floats) -> Equations:
+    """Trust the levelling no further than the session bears it out.
+
+    Six positions see one tilt and not the other: where the one is many times what was assumed, so
+    may the other be.
+    """
+    first = equations.parameters + Nuisance.TILT_X
+    seen = float(np.abs(state[first : first + 2]).max())
+    return replace(equations, levelled=seen) if seen > _TILTED * LEVELLED else equations
+
+
+def _weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) -> Equations:
+    inflation = np.ones(len(equations.outputs))
+    if equations.inflation is not None:
+        inflation = equations.inflation.copy()
+    inflation[rows] *= factor
+    return replace(equations, inflation=inflation)
+
+
+def _candidates(evidence: Evidence) -> list[tuple[str, NDArray[np.intp]]]:
+    """Name what may be an outlier as a whole: three outputs of one kind at a time."""
+    three, rest = np.arange(3), 6 * len(evidence.segments)
+    found = []
+    for k, segment in enumerate(evidence.segments):
+        found.append((f'the gyros at position {segment.position}', 6 * k + three))
+        found.append((f'the accelerometers at position {segment.position}', 6 * k + 3 + three))
+    for k, turn in enumerate(evidence.turns):
+        rate = turn.rate() / DEG
+        found.append(
+            (f'a turn at {rate:.3g} deg/s at position {turn.position}', rest + 3 * k + three)
+        )
+    return found
+
+
+def _outlier(plain: Equations, weighted: Equations, state: Floats) -> Outlier | None:
+    """Find what fits least, and say whether the rest, judged without it, refuses it.
+
+    One outlier among good stretches looks like a bias that wanders, and hides behind the scatter
+    that it makes: the scatter that it is held against is that of the others alone.
+    """
+    evidence = plain.evidence
+    if plain.own_variances.max() <= SMALLEST_VARIANCE:
+        return None
+    candidates = _candidates(evidence)
+    worst = set()
+    for equations in (plain, weighted):
+        squares = _falls(equations, state, candidates)
+        if squares.max() > chi2.isf(_SUSPECT, 3):
+            worst.add(int(np.argmax(squares)))
+    best: Outlier | None = None
+    for index in worst:
+        name, rows = candidates[index]
+        without = _weighed_down(plain, rows, _LEFT_OUT)
+        others = _weighted(plain, excess(without, _fit(without, state)))
+        here = _fit(others, state)
+        square, freedom = _fall(others, here, rows)
+        limit = chi2.isf(_OUTLYING, max(freedom, 1))
+        if freedom and square > limit and (best is None or square > best.square):
+            best = Outlier(name, rows, square)
+    return best
+
+
+def _falls(
+    equations: Equations, state: Floats, candidates: list[tuple[str, NDArray[np.intp]]]
+) -> Floats:
+    state = _fit(equations, state)
+    prepared = _cleaned(equations, state)
+    return np.array([_drop(prepared, rows)[0] for _, rows in candidates])
+
+
+def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[float, int]:
+    """Return by how much chi-square falls when some outputs get offsets of their own, and how many.
+
+    The mean-shift test of Cook and Weisberg 1982, section 2.2.2, for correlated outputs.
+    """
+    return _drop(_cleaned(equations, state), rows)
+
+
+def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
+    """Return C^-1 (outputs less prediction) and C^-1 less what the state takes up."""
+    factor = cho_factor(equations.covariance(state), lower=True)
+    jacobian, left = equations.jacobian(state), equations.outputs - equations.predict(state)
+    inverse = cho_solve(factor, np.eye(len(left)))
+    taken = Information.of(equations.whitened(state)[0]).covariance
+    weighed = inverse @ jacobian
+    return inverse @ left, inverse - weighed @ taken @ weighed.T
+
+
+def _drop(prepared: tuple[Floats, Floats], rows: NDArray[np.intp]) -> tuple[float, int]:
+    pull, information = prepared[0][rows], prepared[1][np.ix_(rows, rows)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    sound = values > _RANK
+    parts = (vectors.T @ (pull * scale))[sound]
+    return float(parts**2 @ (1 / values[sound])), int(sound.sum())
