@@ -9,10 +9,13 @@ NAME = 'imu_calib'
 
 def shared(folder: str) -> list[tuple[str, list[str]]]:
     """List the files below a folder for installation under share/imu_calib."""
-    files = [p for p in sorted(Path(folder).rglob('*')) if p.is_file()]
+    files = [p for p in sorted(Path(folder).rglob('*')) if p.is_file() and p.suffix != '.pyc']
     targets = sorted({p.parent for p in files})
     return [(f'share/{NAME}/{t}', [str(p) for p in files if p.parent == t]) for t in targets]
 
+
+# As `ros2 run imu_calib` and the launch files call them.
+NODES = ('calibrator_node', 'imu_node', 'stand_node', 'turntable_node')
 
 # The wheel has no build for other machines; there the nodes need ROS 2.
 DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
@@ -31,6 +34,8 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         *shared('config'),
+        *shared('launch'),
+        *shared('urdf'),
         *shared('msg_defs/msg'),
     ],
     python_requires='>=3.10',
@@ -48,6 +53,11 @@ setup(
         'test': ['pytest>=7.4', 'hypothesis>=6', 'rosbags>=0.10.7', DDS],
         'dev': ['matplotlib>=3.6', 'mypy>=1.11', 'ruff>=0.9', 'types-PyYAML', 'types-pyserial'],
     },
-    entry_points={'console_scripts': ['imu-calib = imu_calib.cli.main:main']},
+    entry_points={
+        'console_scripts': [
+            'imu-calib = imu_calib.cli.main:main',
+            *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
+        ]
+    },
     zip_safe=False,
 )

@@ -1,0 +1,92 @@
+"""The calibrator alone, beside any table and any source of sensor_msgs/Imu."""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from launch import LaunchDescription
+
+SHARE = Path(get_package_share_directory('imu_calib'))
+ARGUMENTS = [
+    DeclareLaunchArgument(
+        'plan', default_value='twelve_position', description='Name or file of the plan.'
+    ),
+    DeclareLaunchArgument(
+        'imu', default_value='fog_medium', description='Name or file: what its numbers mean.'
+    ),
+    DeclareLaunchArgument(
+        'table', default_value='three_axis', description='Name or file of the turntable.'
+    ),
+    DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
+    DeclareLaunchArgument('height', default_value='0.0', description='Above the ellipsoid, m.'),
+    DeclareLaunchArgument(
+        'gravity', default_value='nan', description='As measured, m/s^2; nan: normal gravity.'
+    ),
+    DeclareLaunchArgument(
+        'azimuth', default_value='nan', description="Heading of the table's zero, deg, if known."
+    ),
+    DeclareLaunchArgument(
+        'method', default_value='', description="The estimator; empty: the plan's own."
+    ),
+    DeclareLaunchArgument(
+        'journal', default_value='journal', description='Folder of the recording.'
+    ),
+    DeclareLaunchArgument(
+        'output', default_value='calibration.yaml', description='File that takes the result.'
+    ),
+    DeclareLaunchArgument('namespace', default_value='', description='Of nodes and topics.'),
+    DeclareLaunchArgument(
+        'use_sim_time', default_value='false', description='Whether /clock is the time.'
+    ),
+    DeclareLaunchArgument(
+        'params_file',
+        default_value=str(SHARE / 'config' / 'nodes' / 'stand.yaml'),
+        description='Parameters that are no arguments.',
+    ),
+    DeclareLaunchArgument(
+        'imu_topic', default_value='imu/pulses', description='sensor_msgs/Imu of the device.'
+    ),
+    DeclareLaunchArgument(
+        'joint_topic',
+        default_value='turntable/joint_states',
+        description='sensor_msgs/JointState of the table.',
+    ),
+    DeclareLaunchArgument(
+        'setpoint_topic',
+        default_value='turntable/setpoint',
+        description='imu_calib_msgs/TurntableSetpoint that lead it.',
+    ),
+]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the calibrator."""
+    typed = {
+        bool: ('use_sim_time',),
+        float: ('latitude', 'height', 'gravity', 'azimuth'),
+        str: ('plan', 'imu', 'table', 'method', 'journal', 'output'),
+    }
+    parameters = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
+        for kind, names in typed.items()
+        for name in names
+    }
+    calibrator = Node(
+        package='imu_calib',
+        executable='calibrator_node',
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[LaunchConfiguration('params_file'), parameters],
+        remappings=[
+            ('imu/pulses', LaunchConfiguration('imu_topic')),
+            ('turntable/joint_states', LaunchConfiguration('joint_topic')),
+            ('turntable/setpoint', LaunchConfiguration('setpoint_topic')),
+        ],
+        output='screen',
+        # It ends when it cannot go on, not when it is done: then the rest of a stand ends too.
+        on_exit=Shutdown(reason='calibrator_node has ended'),
+    )
+    return LaunchDescription([*ARGUMENTS, calibrator])

@@ -1,0 +1,78 @@
+"""A stand: an IMU's device, the leader of a table, and the calibrator.
+
+The table's own driver is the user's. It follows turntable/setpoint, or where table_output says so a
+joint_trajectory_controller follows trajectories, and it publishes turntable/joint_states.
+"""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from launch import LaunchDescription
+
+SHARE = Path(get_package_share_directory('imu_calib'))
+ARGUMENTS = [
+    DeclareLaunchArgument(
+        'port',
+        description='Of the IMU: a serial port, socket://host:port, udp://host:port, or a file.',
+    ),
+    DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
+    DeclareLaunchArgument('device', description="Name or file of the frames' format."),
+    DeclareLaunchArgument('baud', default_value='115200', description='Of a serial port, bit/s.'),
+    DeclareLaunchArgument(
+        'table_output',
+        default_value='setpoint',
+        choices=['setpoint', 'trajectory'],
+        description='What leads the table.',
+    ),
+    DeclareLaunchArgument(
+        'autostart',
+        default_value='false',
+        description='Whether the plan starts by itself; else call turntable_node/start.',
+    ),
+]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the stand."""
+    return LaunchDescription(
+        [
+            *ARGUMENTS,
+            _include('calibrator.launch.py', latitude=LaunchConfiguration('latitude')),
+            _node('imu_node', imu=str, port=str, device=str, baud=int),
+            _node(
+                'turntable_node', ('output', 'table_output'), plan=str, table=str, autostart=bool
+            ),
+            _include('table_view.launch.py'),
+        ]
+    )
+
+
+def _include(name: str, **required: LaunchConfiguration) -> IncludeLaunchDescription:
+    """Include a launch file; what it does not require, it takes from this one's arguments."""
+    return IncludeLaunchDescription(str(SHARE / 'launch' / name), launch_arguments=required.items())
+
+
+def _node(name: str, *renamed: tuple[str, str], **arguments: type) -> Node:
+    """Return a node whose parameters are arguments, of other names where they are renamed."""
+    typed = {name: (name, kind) for name, kind in {'use_sim_time': bool, **arguments}.items()}
+    typed |= {parameter: (argument, str) for parameter, argument in renamed}
+    return Node(
+        package='imu_calib',
+        executable=name,
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[
+            LaunchConfiguration('params_file'),
+            {
+                parameter: ParameterValue(LaunchConfiguration(argument), value_type=kind)
+                for parameter, (argument, kind) in typed.items()
+            },
+        ],
+        output='screen',
+        # Half a stand is none: what ends early ends all, and the table stops.
+        on_exit=Shutdown(reason=f'{name} has ended'),
+    )
