@@ -27,7 +27,7 @@ from imu_calib.calibrator import Result
 from imu_calib.config import Section
 from imu_calib.earth import Site
 from imu_calib.plan import Plan, load_plan
-from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, SetpointBlock
+from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock
 from imu_calib.turntable import load_table, read_table
 from imu_calib.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM
 
@@ -280,3 +280,29 @@ def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
     plain = calibrate(session(seed=1))
     assert any('accelerometers scatter' in finding for finding in result.calibration.findings)
     assert np.all(result.calibration.std[12:] > 3 * plain.calibration.std[12:])
+
+
+def test_holding_the_table_where_it_stands_leaves_the_position_its_name() -> None:
+    plan = quick_plan('twelve_position', dwell=12.0)
+
+    def held(blocks):
+        last = len(plan.steps(load_table('three_axis'))) - 1
+        for topic, block in blocks:
+            if isinstance(block, SetpointBlock):
+                since = min((s.stamp for s in block.setpoints if s.step == last), default=None)
+                yield (
+                    topic,
+                    SetpointBlock(
+                        tuple(
+                            replace(s, mode=Mode.HOLD, position='')
+                            if s.step == last and s.stamp > since + 4_000_000_000
+                            else s
+                            for s in block.setpoints
+                        )
+                    ),
+                )
+            else:
+                yield topic, block
+
+    result = calibrate(held(session(plan, stand(block_length=1e4), 1)), plan)
+    assert [s.position for s in result.labelled.segments] == [p.id for p in plan.positions]

@@ -62,7 +62,7 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     offset = 0.0 if np.isnan(clock.offset) else clock.offset
     setpoints = _Setpoints(session.setpoints, offset)
     if session.setpoints:
-        _check_plan(session.setpoints, plan)
+        _check_plan([s for s in session.setpoints if s.mode is not Mode.HOLD], plan)
         segments, rejected = _by_setpoint(session.segments, setpoints, plan, table)
     elif table is not None:
         segments, rejected = _by_attitude(session.segments, plan), []
@@ -113,7 +113,7 @@ def _check_plan(setpoints: Sequence[Setpoint], plan: Plan) -> None:
     """Refuse a plan that knows none of the positions at which the table was asked to stand."""
     names = list(dict.fromkeys(s.position for s in setpoints))
     known = [p.id for p in plan.positions]
-    if not set(names) & set(known):
+    if names and not set(names) & set(known):
         ran = ', '.join(sorted({s.plan for s in setpoints}))
         raise InputError(
             f'The setpoints of the recording are of plan {ran} with positions {", ".join(names)}; '
@@ -122,9 +122,13 @@ def _check_plan(setpoints: Sequence[Setpoint], plan: Plan) -> None:
 
 
 class _Setpoints:
-    """Which setpoint was in force at an instant of the IMU's clock."""
+    """Which setpoint had brought the table where it was at an instant of the IMU's clock.
+
+    HOLD brings it nowhere: what stands at a position goes on standing there.
+    """
 
     def __init__(self, setpoints: Sequence[Setpoint], offset: float) -> None:
+        setpoints = [s for s in setpoints if s.mode is not Mode.HOLD]
         self._setpoints = setpoints
         self._stamp = np.array([s.stamp for s in setpoints], dtype=np.int64) + round(offset * 1e9)
 
