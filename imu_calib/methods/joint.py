@@ -13,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from ..model import SensorModel
 from ..stream import Floats
 from ..units import ARCSEC
 from .checks import _check_axes, _check_latitude, _clocks, _far_scales, conclude
-from .equations import LEVELLED, SENSORS, Nuisance
+from .equations import LEVELLED, Nuisance
 from .evidence import Evidence
 from .fit import Estimate, estimate
 from .solution import Residual, Solution
@@ -38,6 +39,8 @@ def solve(evidence: Evidence) -> Solution:
 def solve_33(evidence: Evidence) -> Solution:
     """Estimate the 24 parameters and the nine g-sensitivities (Luo 2018, section 6.2).
 
+    The covariance is (33, 33), that of G row by row last.
+
     Raises:
         NotObservable: Names what the session cannot observe, or what contradicts itself.
         InputError: The outputs are not in the units that the IMU's description states.
@@ -52,16 +55,18 @@ def _concluded(found: Estimate) -> Solution:
         return _concluded_anyhow(found)
     equations, evidence = found.equations, found.equations.evidence
     model = equations.model(found.state)
-    covariance = found.covariance[:SENSORS, :SENSORS]
+    covariance = found.covariance[: equations.parameters, : equations.parameters]
     north = evidence.azimuth is not None
+    # What g does to the gyros is taken out of the outputs that are checked.
+    without_g = SensorModel(model.gyro, model.accel)
     # Scatter that a wrong latitude makes must not excuse it: first the noise alone is the measure.
     strict = replace(found, scatter=found.scatter.without())
     conclude(
-        _as_weighted(strict), model, covariance, found.condition, findings=[], north_known=north
+        _as_weighted(strict), without_g, covariance, found.condition, findings=[], north_known=north
     )
     solution = conclude(
         _as_weighted(found),
-        model,
+        without_g,
         covariance,
         found.condition,
         findings=_findings(found),
@@ -70,6 +75,7 @@ def _concluded(found: Estimate) -> Solution:
     azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
     return replace(
         solution,
+        model=model,
         azimuth=azimuth + (evidence.azimuth or 0.0),
         azimuth_std=azimuth_std,
     )
@@ -101,7 +107,7 @@ def _concluded_anyhow(found: Estimate) -> Solution:
     azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
     return Solution(
         model,
-        found.covariance[:SENSORS, :SENSORS],
+        found.covariance[: equations.parameters, : equations.parameters],
         residuals,
         azimuth + (evidence.azimuth or 0.0),
         azimuth_std,
