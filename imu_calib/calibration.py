@@ -12,7 +12,15 @@ import yaml
 from .config import Section
 from .errors import InputError
 from .imu import ImuSpec, TriadSpec
-from .model import PARAMETER_NAMES, SensorModel, Triad
+from .model import (
+    MOST_SKEWED,
+    PARAMETERS,
+    Parameter,
+    SensorModel,
+    Skewed,
+    Triad,
+    extended_parameters,
+)
 from .stream import Floats, Units
 
 _FORMAT = 1
@@ -20,7 +28,10 @@ _FORMAT = 1
 
 @dataclass(frozen=True, eq=False)
 class ResidualRow:
-    """What a stretch at rest shows beyond the model: (3,) rad/s and (3,) m/s^2."""
+    """What a stretch at rest shows beyond the model: (3,) rad/s and (3,) m/s^2.
+
+    NaN where the triad was not estimated.
+    """
 
     position: str
     time: float
@@ -30,12 +41,14 @@ class ResidualRow:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The 24 parameters of one unit, with everything that is needed to apply them.
+    """The parameters of one unit, with everything that is needed to apply them.
 
     Attributes:
         imu: What the numbers of the unit's stream mean (nominal scale factors, units).
         model: The parameters.
-        covariance: (24, 24) in the order of `model.PARAMETERS`, SI units.
+        covariance: (n, n) in the order of `parameters`, SI units: the 24, then the nine
+            g-sensitivities where they were estimated, then the skewed gyros'. Rows and columns of
+            a triad that was not estimated are NaN.
         residuals: One per stretch at rest.
         findings: What a person should know, in sentences.
         provenance: Where it comes from: recording, hash, plan, method, site, versions.
@@ -50,40 +63,105 @@ class Calibration:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the rows of the covariance stand for."""
+        skewed = 0 if self.model.skewed is None else len(self.model.skewed.bias)
+        plain = extended_parameters(with_g=False, skewed=skewed)
+        if len(self.covariance) == len(plain):
+            return plain
+        return extended_parameters(with_g=True, skewed=skewed)
+
+    @property
     def std(self) -> Floats:
-        """Standard deviations of the 24 parameters, SI units."""
+        """Standard deviations of `parameters`, SI units; NaN for what was not estimated."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
+    @property
+    def values(self) -> Floats:
+        """Values of `parameters`, SI units."""
+        return self.model.values(self.parameters)
+
+    @property
+    def has_accelerometers(self) -> bool:
+        """Whether the accelerometers were estimated; else their model is that of ideal ones."""
+        return bool(np.isfinite(self.std[12:24]).all())
+
     def to_yaml(self) -> str:
-        """Return the file's text: SI units, readable by a person and by yaml.safe_load."""
-        std = SensorModel.from_vector(self.std)
+        """Return the file's text: SI units, readable by a person and by yaml.safe_load.
+
+        A triad that was not estimated has no numbers there: nobody can take zeros for a result.
+
+        Raises:
+            InputError: A parameter that counts as estimated is no finite number.
+
+        """
+        std = SensorModel.from_vector(self.std[: len(PARAMETERS)])
+        known = np.isfinite(self.std)
+        needed = known | (np.arange(len(known)) < len(PARAMETERS) // 2)
+        lost = needed & ~np.isfinite(self.values + self.std)
+        if lost.any():
+            names = [p.name for p, gone in zip(self.parameters, lost, strict=True) if gone]
+            raise InputError(f'No calibration to be written: {", ".join(names)} is no number.')
         document = {
             'format': _FORMAT,
             'imu': self.imu.id,
             'units': self.imu.units.value,
-            'gyro': _triad_document(self.imu.gyro, self.model.gyro, std.gyro),
-            'accelerometer': _triad_document(self.imu.accel, self.model.accel, std.accel),
+            'gyro': self._gyro_document(std.gyro),
+            'accelerometer': (
+                _triad_document(self.imu.accel, self.model.accel, std.accel)
+                if self.has_accelerometers
+                else {'scale_factor': float(self.imu.accel.scale_factor)}
+            ),
+            **self._skewed_document(),
             'covariance': {
-                'parameters': list(PARAMETER_NAMES),
-                'matrix': _rows(self.covariance),
+                'parameters': [p.name for p, k in zip(self.parameters, known, strict=True) if k],
+                'matrix': _rows(self.covariance[np.ix_(known, known)]),
             },
-            'residuals': [
-                {
-                    'position': r.position,
-                    'time': float(r.time),
-                    'gyro': _row(r.gyro),
-                    'accelerometer': _row(r.accel),
-                }
-                for r in self.residuals
-            ],
+            'residuals': [_residual_document(r) for r in self.residuals],
             'findings': list(self.findings),
             'provenance': self.provenance,
         }
         head = (
             '# Calibration of an IMU, SI units: rad, m, s.\n'
             '# Outputs times scale_factor = (I + error_matrix) input + bias.\n'
+            + self._head_of_further()
         )
         return head + yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=200)
+
+    def _head_of_further(self) -> str:
+        further = ''
+        if self._has_g:
+            further += '# To the gyros add g_sensitivity times specific force.\n'
+        if not self.has_accelerometers:
+            further += '# The accelerometers were not calibrated.\n'
+        return further
+
+    @property
+    def _has_g(self) -> bool:
+        return extended_parameters(with_g=True)[-1] in self.parameters
+
+    def _gyro_document(self, std: Triad) -> dict[str, Any]:
+        document = _triad_document(self.imu.gyro, self.model.gyro, std)
+        if self._has_g:
+            nine = self.std[len(PARAMETERS) : len(PARAMETERS) + 9].reshape(3, 3)
+            document['g_sensitivity'] = _rows(self.model.g_sensitivity)
+            document['std']['g_sensitivity'] = _rows(nine)
+        return document
+
+    def _skewed_document(self) -> dict[str, Any]:
+        skewed = self.model.skewed
+        if skewed is None:
+            return {}
+        spec = self.imu.skewed or self.imu.gyro
+        std = self.std[-4 * len(skewed.bias) :].reshape(-1, 4)
+        return {
+            'skewed_gyro': {
+                'scale_factor': float(spec.scale_factor),
+                'response': _rows(skewed.response),
+                'bias': _row(skewed.bias),
+                'std': {'response': _rows(std[:, :3]), 'bias': _row(std[:, 3])},
+            }
+        }
 
     @classmethod
     def from_yaml(cls, text: str, where: str) -> Calibration:
@@ -132,18 +210,24 @@ class Calibration:
             units = Units(section.text('units'))
         except ValueError:
             raise InputError(f'{section.key("units")}: found {section.text("units")!r}.') from None
-        gyro_spec, gyro = _read_triad(section.section('gyro'))
+        gyros = section.section('gyro')
+        g = _matrix(gyros, 'g_sensitivity', (3, 3)) if gyros.has('g_sensitivity') else None
+        gyro_spec, gyro = _read_triad(gyros)
         accel_spec, accel = _read_triad(section.section('accelerometer'))
-        spec = ImuSpec(section.text('imu'), units, None, gyro_spec, accel_spec)
-        covariance = _read_covariance(section)
+        skewed_spec, skewed = _read_skewed(section)
+        if gyro is None:
+            raise InputError(f'{gyros.where}: the keys error_matrix and bias are missing.')
+        spec = ImuSpec(section.text('imu'), units, None, gyro_spec, accel_spec, skewed_spec)
+        channels = 0 if skewed is None else len(skewed.bias)
+        parameters = extended_parameters(with_g=g is not None, skewed=channels)
+        covariance = _read_covariance(section, parameters, accelerometers=accel is not None)
+        model = SensorModel(gyro, accel or Triad(), np.zeros((3, 3)) if g is None else g, skewed)
         residuals = _read_residuals(section)
         findings = section.raw('findings') if section.has('findings') else []
         provenance = section.raw('provenance') if section.has('provenance') else {}
         if not isinstance(findings, list) or not isinstance(provenance, dict):
             raise InputError(f'{section.where}: findings must be a list, provenance a mapping.')
-        return cls(
-            spec, SensorModel(gyro, accel), covariance, residuals, tuple(findings), provenance
-        )
+        return cls(spec, model, covariance, residuals, tuple(findings), provenance)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -176,22 +260,56 @@ def _triad_document(spec: TriadSpec, triad: Triad, std: Triad) -> dict[str, Any]
     }
 
 
-def _read_covariance(section: Section) -> Floats:
+def _residual_document(row: ResidualRow) -> dict[str, Any]:
+    document: dict[str, Any] = {'position': row.position, 'time': float(row.time)}
+    for name, values in (('gyro', row.gyro), ('accelerometer', row.accel)):
+        if np.isfinite(values).all():
+            document[name] = _row(values)
+    return document
+
+
+def _read_covariance(
+    section: Section, parameters: tuple[Parameter, ...], *, accelerometers: bool
+) -> Floats:
     """Read the covariance; a truth that was written by hand has none, and is exact."""
-    if not section.has('covariance'):
-        return np.zeros((24, 24))
-    block = section.section('covariance')
-    if block.items('parameters') != list(PARAMETER_NAMES):
-        raise InputError(f'{block.key("parameters")}: not the 24 parameters in their order.')
-    return _matrix(block, 'matrix', (24, 24))
+    known = [accelerometers or p.triad != 'a' for p in parameters]
+    covariance = np.full((len(parameters), len(parameters)), np.nan)
+    count = sum(known)
+    if section.has('covariance'):
+        block = section.section('covariance')
+        names = [p.name for p, k in zip(parameters, known, strict=True) if k]
+        if block.items('parameters') != names:
+            raise InputError(
+                f'{block.key("parameters")}: not the {count} parameters in their order.'
+            )
+        covariance[np.ix_(known, known)] = _matrix(block, 'matrix', (count, count))
+    else:
+        covariance[np.ix_(known, known)] = 0.0
+    return covariance
 
 
-def _read_triad(section: Section) -> tuple[TriadSpec, Triad]:
+def _read_triad(section: Section) -> tuple[TriadSpec, Triad | None]:
+    """Read a triad; None for one that has a scale factor alone: it was not estimated."""
     scale = section.number('scale_factor')
-    triad = Triad(_matrix(section, 'error_matrix', (3, 3)), _matrix(section, 'bias', (3,)))
+    triad = None
+    if section.has('error_matrix') or section.has('bias'):
+        triad = Triad(_matrix(section, 'error_matrix', (3, 3)), _matrix(section, 'bias', (3,)))
     section.has('std')
     section.finish()
     return TriadSpec(scale), triad
+
+
+def _read_skewed(section: Section) -> tuple[TriadSpec | None, Skewed | None]:
+    if not section.has('skewed_gyro'):
+        return None, None
+    block = section.section('skewed_gyro')
+    scale, channels = block.number('scale_factor'), len(block.items('bias'))
+    if channels > MOST_SKEWED:
+        raise InputError(f'{block.key("bias")}: found {channels}, expected at most {MOST_SKEWED}.')
+    skewed = Skewed(_matrix(block, 'response', (channels, 3)), _matrix(block, 'bias', (channels,)))
+    block.has('std')
+    block.finish()
+    return TriadSpec(scale), skewed
 
 
 def _read_residuals(section: Section) -> tuple[ResidualRow, ...]:
@@ -201,8 +319,10 @@ def _read_residuals(section: Section) -> tuple[ResidualRow, ...]:
         ResidualRow(
             row.text('position'),
             row.number('time'),
-            _matrix(row, 'gyro', (3,)),
-            _matrix(row, 'accelerometer', (3,)),
+            *(
+                _matrix(row, key, (3,)) if row.has(key) else np.full(3, np.nan)
+                for key in ('gyro', 'accelerometer')
+            ),
         )
         for row in section.sections('residuals')
     )

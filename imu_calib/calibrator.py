@@ -147,7 +147,8 @@ class Calibrator:
         except NotObservable as error:
             std = self._reached(labelled, session)
             return Review(session, std, unsupported, None, str(error))
-        return Review(session, result.solution.std, unsupported, result, '')
+        std = result.solution.std[: len(PARAMETERS)]
+        return Review(session, std, unsupported, result, '')
 
     def _reached(self, labelled: Labelled, session: Segmented) -> Floats:
         """Return the standard deviations of what is determined already, NaN for the rest."""
@@ -256,7 +257,9 @@ def _provenance(
         'samples': sum(s.statistics.samples for s in evidence.segments)
         + sum(t.statistics.samples for t in evidence.turns),
         'random_walk': [float(v) for v in evidence.walk],
-        'residual_rms': [float(v) for v in np.sqrt((residuals**2).mean(axis=0))],
+        'residual_rms': [
+            float(v) if np.isfinite(v) else None for v in np.sqrt((residuals**2).mean(axis=0))
+        ],
         'condition_number': solution.condition,
         'clock': {
             'offset_s': clock.offset,

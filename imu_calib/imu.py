@@ -41,6 +41,7 @@ class ImuSpec:
         sample_rate: Nominal, Hz; None when not stated.
         gyro: The gyro triad.
         accel: The accelerometer triad.
+        skewed: A further gyro that lies askew to the three, None where there is none.
 
     """
 
@@ -49,6 +50,7 @@ class ImuSpec:
     sample_rate: float | None
     gyro: TriadSpec
     accel: TriadSpec
+    skewed: TriadSpec | None = None
 
 
 def load_imu(name: str | Path) -> ImuSpec:
@@ -102,7 +104,17 @@ def read_imu(section: Section) -> ImuSpec:
         Dimension.VELOCITY_RANDOM_WALK,
         Dimension.ACCELERATION,
     )
-    spec = ImuSpec(section.text('id'), units, rate, gyro, accel)
+    skewed = None
+    if section.has('skewed_gyro'):
+        skewed = _read_triad(
+            section,
+            'skewed_gyro',
+            gyro_scale,
+            'angle_random_walk',
+            Dimension.ANGLE_RANDOM_WALK,
+            Dimension.RATE,
+        )
+    spec = ImuSpec(section.text('id'), units, rate, gyro, accel, skewed)
     section.finish()
     return spec
 

@@ -11,6 +11,9 @@ from .errors import NotObservable
 from .stream import Floats
 
 AXES = 'xyz'
+_SKEWED = 'stuv'
+MOST_SKEWED = len(_SKEWED)
+"""More skewed gyros than that have no names."""
 
 
 class ParameterKind(Enum):
@@ -19,13 +22,16 @@ class ParameterKind(Enum):
     SCALE_FACTOR_ERROR = 'K'
     MISALIGNMENT = 'E'
     BIAS = 'D'
+    G_SENSITIVITY = 'G'
+    RESPONSE = 'R'
+    """Of a skewed gyro to the rate about a body axis: scale and direction in one."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One of the 24: its name, its kind, its triad ('g' or 'a') and its place.
+    """One parameter: its name, its kind, its triad ('g' or 'a') and its place.
 
-    `row` is the channel; `column` the input axis, or None for a bias.
+    `row` is the channel, skewed gyros from 3 on; `column` the input axis, or None for a bias.
     """
 
     kind: ParameterKind
@@ -36,8 +42,8 @@ class Parameter:
     @property
     def name(self) -> str:
         """Name after Cao 2022, subscripts as in eqs. (1)-(2): E_gxy is row x, column y."""
-        axes = AXES[self.row]
-        if self.kind is ParameterKind.MISALIGNMENT and self.column is not None:
+        axes = (AXES + _SKEWED)[self.row]
+        if self.kind is not ParameterKind.SCALE_FACTOR_ERROR and self.column is not None:
             axes += AXES[self.column]
         return f'{self.kind.value}_{self.triad}{axes}'
 
@@ -58,6 +64,33 @@ PARAMETERS: tuple[Parameter, ...] = (*_triad_parameters('g'), *_triad_parameters
 """The 24 parameters, in the order of every vector and covariance."""
 
 PARAMETER_NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
+
+G_SENSITIVITIES: tuple[Parameter, ...] = tuple(
+    Parameter(ParameterKind.G_SENSITIVITY, 'g', i, j) for i in range(3) for j in range(3)
+)
+"""The nine that make 33 (Luo 2018, section 6.2), row by row of G."""
+
+
+def skewed_parameters(channels: int) -> tuple[Parameter, ...]:
+    """Return the four parameters of each skewed gyro: three responses and a bias."""
+    rows = range(3, 3 + channels)
+    return tuple(
+        Parameter(ParameterKind.BIAS if j is None else ParameterKind.RESPONSE, 'g', i, j)
+        for i in rows
+        for j in (0, 1, 2, None)
+    )
+
+
+def extended_parameters(*, with_g: bool, skewed: int = 0) -> tuple[Parameter, ...]:
+    """Return the parameters of a model in the order of its vectors and covariance.
+
+    Args:
+        with_g: Whether the nine g-sensitivities are among them.
+        skewed: Number of skewed gyros.
+
+    """
+    extra = G_SENSITIVITIES if with_g else ()
+    return (*PARAMETERS, *extra, *skewed_parameters(skewed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +128,26 @@ class Triad:
 
 
 @dataclass(frozen=True, eq=False)
+class Skewed:
+    """Gyros whose input axes lie askew to X, Y and Z: n_s = response w + bias.
+
+    Scale factor and direction are not told apart, so no small angle is needed (CN103697918A).
+
+    Attributes:
+        response: (k, 3) to rates about the body axes.
+        bias: (k,) rad/s.
+
+    """
+
+    response: Floats
+    bias: Floats
+
+    def predict(self, rate: Floats) -> Floats:
+        """Return what the channels read, (..., k) rad/s, for (..., 3) rates."""
+        return np.asarray(rate @ self.response.T + self.bias)
+
+
+@dataclass(frozen=True, eq=False)
 class SensorModel:
     """Gyros and accelerometers of one unit, in SI after the nominal scale factor.
 
@@ -104,6 +157,7 @@ class SensorModel:
         gyro: The gyro triad.
         accel: The accelerometer triad.
         g_sensitivity: (3, 3) G, (rad/s)/(m/s^2); zero in the 24-parameter model.
+        skewed: Further gyros, or None.
 
     Source: Cao 2022, eqs. (1)-(2); Luo 2018, section 6.2, for G.
 
@@ -112,10 +166,25 @@ class SensorModel:
     gyro: Triad = field(default_factory=Triad)
     accel: Triad = field(default_factory=Triad)
     g_sensitivity: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    skewed: Skewed | None = None
 
     def vector(self) -> Floats:
         """Return the 24 parameters in the order of `PARAMETERS`, SI units."""
         return np.concatenate([self.gyro.vector(), self.accel.vector()])
+
+    def values(self, parameters: tuple[Parameter, ...]) -> Floats:
+        """Return the values of `extended_parameters`, SI units."""
+        extra = [self._further(p) for p in parameters[len(PARAMETERS) :]]
+        return np.concatenate([self.vector(), np.array(extra, dtype=float)])
+
+    def _further(self, parameter: Parameter) -> float:
+        if parameter.kind is ParameterKind.G_SENSITIVITY:
+            return float(self.g_sensitivity[parameter.row, parameter.column])
+        if self.skewed is None or parameter.row - 3 >= len(self.skewed.bias):
+            return float('nan')
+        if parameter.column is None:
+            return float(self.skewed.bias[parameter.row - 3])
+        return float(self.skewed.response[parameter.row - 3, parameter.column])
 
     @classmethod
     def from_vector(cls, vector: Floats) -> SensorModel:

@@ -29,6 +29,7 @@ _OFF_POSITION = 0.02 * DEG
 _OUTSTANDING = 5.0
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 _LEAST_AZIMUTH = 0.05 * DEG
+_SAME_UP = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,8 @@ def conclude(
     Args:
         evidence: The session.
         model: What a method found.
-        covariance: (24, 24) its covariance by the noise within the stretches.
+        covariance: (n, n) its covariance by the noise within the stretches, in the order of
+            `model.extended_parameters`; NaN for accelerometers that were not estimated.
         condition: Condition number of its system.
         findings: What the method has to say already.
         north_known: Whether the attitudes are against north.
@@ -75,27 +77,31 @@ def conclude(
         NotObservable: Axes are swapped or mirrored, or the data contradicts the latitude.
 
     """
-    _check_axes(model.gyro.response, 'gyros', 'whole turns')
-    _check_axes(model.accel.response, 'accelerometers', 'gravity')
+    with_accels = bool(np.isfinite(covariance[12:24, 12:24]).all())
+    _check_axes(model.gyro.response, 'gyros', 'whole turns' if evidence.turns else 'the Earth rate')
+    if with_accels:
+        _check_axes(model.accel.response, 'accelerometers', 'gravity')
     notes = [*findings, *_far_scales(model), *_clocks(evidence)]
     gyro = _fit(evidence, model, slice(0, 3), estimated=6)
-    accel = _fit(evidence, model, slice(3, 6), estimated=14)
+    accel = _fit(evidence, model, slice(3, 6), estimated=14) if with_accels else None
     widened = covariance.copy()
-    for fit, block, name in (
-        (gyro, slice(0, 12), 'gyros'),
-        (accel, slice(12, 24), 'accelerometers'),
+    indices = np.arange(len(covariance))
+    of_accels = (indices >= 12) & (indices < 24)
+    for fit, mine, name in (
+        (gyro, ~of_accels, 'gyros'),
+        (accel, of_accels, 'accelerometers'),
     ):
-        if fit.significant:
-            widened[block, block] *= fit.scatter
+        if fit is not None and fit.significant:
+            widened[np.ix_(mine, mine)] *= fit.scatter
             notes.append(
                 f'Between positions the {name} scatter {np.sqrt(fit.scatter):.1f} times more than '
                 'within them (positioning errors that the table does not state, drift): their '
                 'standard deviations are widened.'
             )
-    scatter = RateTest.of(evidence).scatter()
+    scatter = RateTest.of(evidence).scatter() if evidence.turns else None
     if scatter is not None:
         # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
-        factors = np.where(np.arange(24) < 9, np.sqrt(scatter), 1.0)
+        factors = np.where(indices < 9, np.sqrt(scatter), 1.0)
         widened *= np.outer(factors, factors)
         notes.append(
             f'Between turns the gyros scatter {np.sqrt(scatter):.1f} times more than within them '
@@ -250,14 +256,13 @@ def _left_by_weighted_fit(
 
 
 def _arrivals(evidence: Evidence) -> NDArray[np.intp]:
-    """Number the stretches by which axis is up or down: what errs once in all of such a group.
+    """Number the stretches by the direction of up: what errs once in all of such a group.
 
     Between the positions of a group only the vertical axis turned. An error of arrival of the
     other axes is common to them, and hides from the scatter within the group.
     """
-    found = evidence.vertical_axes()
-    kinds = sorted(set(found))
-    return np.array([kinds.index(axis) for axis in found])
+    ups = evidence.attitudes()[:, 2]
+    return np.argmax(ups @ ups.T > _SAME_UP, axis=1)
 
 
 def _scatter(
@@ -265,7 +270,7 @@ def _scatter(
 ) -> tuple[float, bool]:
     """Return chi-square per degree of freedom of the groups' means, and whether it is plain."""
     square, count = 0.0, 0
-    for group in range(int(groups.max()) + 1):
+    for group in np.unique(groups):
         mine = groups == group
         precision = 1 / variances[mine]
         mean = (precision * left[mine]).sum(axis=0) / precision.sum(axis=0)
@@ -277,9 +282,10 @@ def _scatter(
     return square / freedom, bool(chi2.sf(square, freedom) < _SIGNIFICANT)
 
 
-def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit) -> tuple[Residual, ...]:
+def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Residual, ...]:
     std = np.sqrt(evidence.variances())
-    values = np.hstack([gyro.residuals, accel.residuals])
+    of_accels = np.full_like(gyro.residuals, np.nan) if accel is None else accel.residuals
+    values = np.hstack([gyro.residuals, of_accels])
     return tuple(
         Residual(str(segment.position), segment.start, value, deviation)
         for segment, value, deviation in zip(evidence.segments, values, std, strict=True)
@@ -293,7 +299,7 @@ def _outstanding(residuals: Sequence[Residual]) -> list[str]:
     normalised = np.array(
         [np.abs(r.value) / np.maximum(r.std, np.sqrt(SMALLEST_VARIANCE)) for r in residuals]
     )
-    worst = normalised.max(axis=1)
+    worst = np.nanmax(normalised, axis=1)
     limit = _OUTSTANDING * max(1.0, 1.4826 * float(np.median(worst)))
     names = [
         f'{r.position} ({w:.0f} sigma)' for r, w in zip(residuals, worst, strict=True) if w > limit

@@ -30,11 +30,12 @@ class Residual:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """An estimate of the 24 parameters.
+    """An estimate of the parameters.
 
     Attributes:
         model: The sensor model.
-        covariance: (24, 24) in the order of `model.PARAMETERS`, SI units.
+        covariance: (n, n) in the order of `model.extended_parameters`, SI units; n is 24 without
+            g-sensitivities and skewed gyros. NaN for a triad that was not estimated.
         residuals: One per stretch at rest.
         azimuth: Heading of the table's zero that the gyros show, rad; NaN where they cannot.
         azimuth_std: Its standard deviation, rad.
@@ -57,5 +58,5 @@ class Solution:
 
     @property
     def std(self) -> Floats:
-        """Standard deviations of the 24 parameters, SI units."""
+        """Standard deviations of the parameters, SI units."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))

@@ -1,4 +1,4 @@
-"""The 24 parameters in the units that engineers write; every table of them is made here."""
+"""The parameters in the units that engineers write; every table of them is made here."""
 
 from __future__ import annotations
 
@@ -28,6 +28,10 @@ def engineering(parameter: Parameter) -> Shown:
         return Shown('ppm', PPM)
     if parameter.kind is ParameterKind.MISALIGNMENT:
         return Shown('arcmin', ARCMIN)
+    if parameter.kind is ParameterKind.RESPONSE:
+        return Shown('', 1.0)
+    if parameter.kind is ParameterKind.G_SENSITIVITY:
+        return Shown('(deg/h)/g', DEG_H / STANDARD_GRAVITY)
     return Shown('deg/h', DEG_H) if parameter.triad == 'g' else Shown('ug', MICRO_G)
 
 
@@ -39,7 +43,7 @@ def decimals(deviation: float) -> int:
 
 
 def parameter_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
-    """Return the 24 parameters: value, standard deviation, unit.
+    """Return the parameters that were estimated: value, standard deviation, unit.
 
     Args:
         calibration: What to show.
@@ -52,11 +56,19 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
         headings += ['truth', 'error/std']
     for heading in headings:
         table.add_column(heading, justify='left' if heading in {'parameter', 'unit'} else 'right')
-    values, deviations = calibration.model.vector(), calibration.std
-    true_values = truth.model.vector() if truth is not None else values
-    for k, parameter in enumerate(PARAMETERS):
-        if k and parameter.triad != PARAMETERS[k - 1].triad:
+    parameters, deviations = calibration.parameters, calibration.std
+    values = calibration.values
+    true_values = truth.model.values(parameters) if truth is not None else values
+    last = parameters[0]
+    for k, parameter in enumerate(parameters):
+        if not np.isfinite(deviations[k]):
+            continue
+        if (parameter.triad, parameter.row > 2) != (last.triad, last.row > 2) or (
+            ParameterKind.G_SENSITIVITY in {parameter.kind, last.kind}
+            and parameter.kind is not last.kind
+        ):
             table.add_section()
+        last = parameter
         shown = engineering(parameter)
         value, deviation = values[k] / shown.scale, deviations[k] / shown.scale
         places = decimals(deviation)
@@ -82,11 +94,13 @@ def comparison_table(calibrations: Sequence[Calibration], names: Sequence[str]) 
         left = heading in {'Table 1', 'here', 'unit'}
         table.add_column(heading, justify='left' if left else 'right')
     first, second = calibrations
-    deviations = np.sqrt(first.std**2 + second.std**2)
+    deviations = np.sqrt(first.std[:24] ** 2 + second.std[:24] ** 2)
     rows = sorted(
         range(24), key=lambda k: (PARAMETERS[k].triad != 'g', _table_order(PARAMETERS[k]))
     )
     for k in rows:
+        if not np.isfinite(deviations[k]):
+            continue
         parameter = PARAMETERS[k]
         shown, values = _as_table_1(parameter, k, calibrations)
         difference = first.model.vector()[k] - second.model.vector()[k]
