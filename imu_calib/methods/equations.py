@@ -117,6 +117,7 @@ class Equations:
         evidence: The session.
         with_g: Whether the nine g-sensitivities are parameters too (33 in all).
         levelled: Standard deviation of the table's tilt about either axis, rad.
+        any_heading: Whether the azimuth may be any, though the table's configuration states one.
         positioning: Standard deviation of an arrival that the encoder does not show, rad; None
             for what the table states.
         extra: (6 s + 3 t,) square: covariance of the outputs beyond that of their own noise, or
@@ -128,6 +129,7 @@ class Equations:
     evidence: Evidence
     with_g: bool = False
     levelled: float = LEVELLED
+    any_heading: bool = False
     positioning: float | None = None
     extra: Floats | None = field(default=None, repr=False)
     inflation: Floats | None = field(default=None, repr=False)
@@ -142,6 +144,11 @@ class Equations:
         """Length of the state."""
         return self.parameters + len(Nuisance)
 
+    @property
+    def north_known(self) -> bool:
+        """Whether the attitudes are against north."""
+        return self.evidence.azimuth is not None and not self.any_heading
+
     @cached_property
     def outputs(self) -> Floats:
         """What was read, (6 s + 3 t,) rad/s and m/s^2."""
@@ -152,7 +159,7 @@ class Equations:
     def prior(self) -> tuple[Floats, Floats]:
         """What is known of the nuisances beforehand: means and standard deviations, (4,) each."""
         evidence = self.evidence
-        azimuth = ANY_AZIMUTH if evidence.azimuth is None else GIVEN_AZIMUTH
+        azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
         clock, clock_std = evidence.clock_rate()
         # A clock that has no say still needs a width above zero to be whitened by.
         deviations = [azimuth, self.levelled, self.levelled, max(clock_std, 1e-15)]
@@ -167,7 +174,7 @@ class Equations:
         rows = np.zeros((len(Nuisance), self.size + 1))
         rows[:, self.parameters : self.size] = np.diag(1 / deviation)
         rows[:, -1] = (mean - state[self.parameters :]) / deviation
-        if self.evidence.azimuth is None:
+        if not self.north_known:
             rows[Nuisance.AZIMUTH, -1] = 0.0
         return rows
 

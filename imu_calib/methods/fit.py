@@ -35,6 +35,8 @@ _MOST_OUTLIERS = 1 / 3
 _RANK = 1e-6
 _LEFT_OUT = 1e8
 _TILTED = 4.0
+_CONTRADICTION = 5.0
+_LEAST_AZIMUTH = 0.05 * DEG
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +96,8 @@ def estimate(evidence: Evidence, *, with_g: bool = False) -> Estimate:
     equations = Equations(evidence, with_g=with_g)
     _check_observable(equations)
     state = _fit(equations, _start(equations))
-    equations = _levelled(equations, state)
+    equations = _headed(_levelled(equations, state), state)
+    state = _fit(equations, state)
     outliers: list[Outlier] = []
     scatter = excess(equations, state)
     for _ in range(int(_MOST_OUTLIERS * len(evidence.segments)) + 1):
@@ -142,7 +145,7 @@ def _check_observable(equations: Equations) -> None:
 
 def _start(equations: Equations) -> Floats:
     """Solve for the sensors at headings all around, where they are linear; take the best."""
-    known = equations.evidence.azimuth is not None
+    known = equations.north_known
     angles = [0.0] if known else [k * 2 * np.pi / _STARTS for k in range(_STARTS)]
     best, smallest = equations.nominal(), np.inf
     for angle in angles:
@@ -192,6 +195,18 @@ def _levelled(equations: Equations, state: Floats) -> Equations:
     first = equations.parameters + Nuisance.TILT_X
     seen = float(np.abs(state[first : first + 2]).max())
     return replace(equations, levelled=seen) if seen > _TILTED * LEVELLED else equations
+
+
+def _headed(equations: Equations, state: Floats) -> Equations:
+    """Trust the azimuth given unless the gyros contradict it."""
+    if not equations.north_known:
+        return equations
+    free = replace(equations, any_heading=True)
+    azimuth = equations.parameters + Nuisance.AZIMUTH
+    state = _fit(free, state)
+    covariance = Information.of(free.whitened(state)[0]).covariance
+    far = max(_CONTRADICTION * float(np.sqrt(covariance[azimuth, azimuth])), _LEAST_AZIMUTH)
+    return free if abs(state[azimuth]) > far else equations
 
 
 def _weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) -> Equations:

@@ -15,7 +15,7 @@ from scipy.linalg import solve_triangular
 
 from ..model import SensorModel
 from ..stream import Floats
-from ..units import ARCSEC
+from ..units import ARCSEC, DEG
 from .checks import _check_axes, _check_latitude, _clocks, _far_scales, conclude
 from .equations import LEVELLED, Nuisance
 from .evidence import Evidence
@@ -56,7 +56,7 @@ def _concluded(found: Estimate) -> Solution:
     equations, evidence = found.equations, found.equations.evidence
     model = equations.model(found.state)
     covariance = found.covariance[: equations.parameters, : equations.parameters]
-    north = evidence.azimuth is not None
+    north = equations.north_known
     # What g does to the gyros is taken out of the outputs that are checked.
     without_g = SensorModel(model.gyro, model.accel)
     # Scatter that a wrong latitude makes must not excuse it: first the noise alone is the measure.
@@ -198,6 +198,12 @@ def _findings(found: Estimate) -> list[str]:
     if found.outliers:
         names = ', '.join(f'{o.name} ({np.sqrt(o.square):.0f} sigma)' for o in found.outliers)
         notes.append(f'Does not fit the rest and counts for less: {names}.')
+    if found.equations.any_heading:
+        azimuth, std = found.nuisance(Nuisance.AZIMUTH)
+        notes.append(
+            f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the azimuth '
+            'given, which is therefore not used.'
+        )
     if found.equations.levelled > LEVELLED:
         tilts = [found.nuisance(which)[0] for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
         tilt = float(np.linalg.norm(tilts))
