@@ -32,13 +32,15 @@ def unsupported_steps(
     """
     if table is None:
         return ()
-    seen = {s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD}
+    seen = [s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD]
+    # Steps are run in order: one whose setpoints were lost with all else was run as well.
+    last = max(seen, default=-1)
     steps = plan.steps(table)
     rates = _rates_about_up(plan, steps)
     lost = [
         step.index
         for step in steps
-        if step.index in seen and not _is_supported(step, labelled, rates.get(step.index))
+        if step.index <= last and not _is_supported(step, labelled, rates.get(step.index))
     ]
     return tuple(lost)
 

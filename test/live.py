@@ -27,13 +27,12 @@ State = messages.TurntableState
 Progress = messages.CalibrationProgress
 
 
-def short_plan(folder, dwell=6.0, rates=(60, -60), positions=None):
+def short_plan(folder, dwell=4.0, rates=(120, -120)):
     """Write the twelve positions with short dwells and one rate as a plan of its own."""
     plan = yaml.safe_load(named_file('plans', 'twelve_position').read_text())
     plan['name'] = 'short'
     plan['dwell'] = f'{dwell} s'
     plan['rate_test']['rates'] = [f'{rate} deg/s' for rate in rates]
-    plan['positions'] = plan['positions'][: positions or 12]
     path = folder / 'short.yaml'
     path.write_text(yaml.safe_dump(plan))
     return path

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ..earth import EARTH_RATE
 from ..errors import InputError, NotObservable
@@ -279,7 +279,7 @@ def _scatter(
     if count <= estimated:
         return 1.0, False
     freedom = count - estimated
-    return square / freedom, bool(chi2.sf(square, freedom) < _SIGNIFICANT)
+    return square / freedom, bool(chdtrc(freedom, square) < _SIGNIFICANT)
 
 
 def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Residual, ...]:

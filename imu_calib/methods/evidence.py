@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..earth import Site
 from ..errors import NotObservable
@@ -148,7 +148,7 @@ def noise(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     square = np.where(freedom > 0, found, 0.0) ** 2
     blended = (freedom * square + weight * stated**2) / (freedom + weight)
     cautious = square * np.where(
-        freedom < _ENOUGH_FREEDOM, freedom / chi2.ppf(_UNLUCKY, np.maximum(freedom, 1)), 1.0
+        freedom < _ENOUGH_FREEDOM, freedom / chdtri(np.maximum(freedom, 1), 1 - _UNLUCKY), 1.0
     )
     walk = np.sqrt(np.where(stated > 0, blended, cautious))
     if not (walk[freedom == 0] > 0).all():

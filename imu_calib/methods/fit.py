@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..errors import NotObservable
 from ..model import PARAMETERS
@@ -245,7 +245,7 @@ def _outlier(plain: Equations, weighted: Equations, state: Floats) -> Outlier | 
     worst = set()
     for equations in (plain, weighted):
         squares = _falls(equations, state, candidates)
-        if squares.max() > chi2.isf(_SUSPECT, 3):
+        if squares.max() > chdtri(3, _SUSPECT):
             worst.add(int(np.argmax(squares)))
     best: Outlier | None = None
     for index in worst:
@@ -254,7 +254,7 @@ def _outlier(plain: Equations, weighted: Equations, state: Floats) -> Outlier | 
         others = _weighted(plain, excess(without, _fit(without, state)))
         here = _fit(others, state)
         square, freedom = _fall(others, here, rows)
-        limit = chi2.isf(_OUTLYING, max(freedom, 1))
+        limit = chdtri(max(freedom, 1), _OUTLYING)
         if freedom and square > limit and (best is None or square > best.square):
             best = Outlier(name, rows, square)
     return best

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import lfilter
 
 from ..earth import Site
 from ..errors import InputError
@@ -73,6 +72,9 @@ class _Channels:
         """Return the bias (n, 3): first-order Gauss-Markov, stationary from the start."""
         decay = math.exp(-period / self._correlation)
         drive = self._instability * math.sqrt(-math.expm1(-2 * period / self._correlation))
+        # Costs half a second to import, and most runs do without.
+        from scipy.signal import lfilter
+
         noise = drive * self._bias_noise.standard_normal((count, 3))
         course, _ = lfilter([1.0], [1.0, -decay], noise, axis=0, zi=decay * self._wander[None])
         self._wander = course[-1]
