@@ -1,0 +1,137 @@
+"""What ships for ROS agrees with the nodes: parameter files, documentation, the table's model."""
+
+import re
+import xml.etree.ElementTree as ET
+from importlib import import_module
+
+import numpy as np
+import pytest
+import yaml
+from loopback import CHECKOUT, environment
+
+from imu_calib.cli import main, stand
+from imu_calib.errors import ImuCalibError
+from imu_calib.turntable import load_table, rotation
+
+try:
+    from imu_calib import middleware as ros
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+NODES = {
+    'turntable_node': 'TurntableNode',
+    'imu_node': 'ImuNode',
+    'calibrator_node': 'CalibratorNode',
+    'stand_node': 'StandNode',
+}
+TYPES = {'bool': bool, 'int': int, 'double': float, 'string': str}
+
+
+@pytest.fixture
+def declared(monkeypatch, tmp_path):
+    """Start each node; return (default, read-only) of what it declares, by node and name."""
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.chdir(tmp_path)
+    seen = {}
+    for name, kind in NODES.items():
+        module = import_module(f'imu_calib.nodes.{name}')
+        own = seen[name] = {}
+        declare = module.declare
+
+        def note(node, name, default, text, *, own=own, declare=declare, **more):
+            own[name] = default, more.get('read_only', True)
+            return declare(node, name, default, text, **more)
+
+        monkeypatch.setattr(module, 'declare', note)
+        port = stand.free_port()
+        given = {
+            'imu_node': {'port': f'socket://127.0.0.1:{port}'},
+            'calibrator_node': {'latitude': 30.0},
+            'stand_node': {'port': port},
+        }
+        words = [w for k, v in given.get(name, {}).items() for w in ('-p', f'{k}:={v}')]
+        ros.init(args=['--ros-args', *words])
+        node = getattr(module, kind)()
+        node.stop()
+        node.destroy_node()
+        ros.try_shutdown()
+    return seen
+
+
+def test_the_documentation_names_every_parameter(declared):
+    rows = {}
+    for line in (CHECKOUT / 'docs' / 'parameters.md').read_text().splitlines():
+        cells = [cell.strip() for cell in line.strip('|').split('|')]
+        if len(cells) == 7 and cells[0] in NODES:
+            node, name, kind, default, _, read_only, _ = cells
+            rows[node, name] = kind, default.strip('`'), read_only
+    expected = {
+        (node, name): (_kind(default), _text(default), 'yes' if read_only else 'no')
+        for node, parameters in declared.items()
+        for name, (default, read_only) in parameters.items()
+    }
+    assert rows == expected
+
+
+def _kind(value):
+    return next(kind for kind, of in TYPES.items() if type(value) is of)
+
+
+def _text(value):
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(value) or "''"
+
+
+@pytest.mark.parametrize('name', ['stand', 'simulated_stand'])
+def test_parameter_files_hold_what_the_nodes_declare(declared, name):
+    content = yaml.safe_load((CHECKOUT / 'config' / 'nodes' / f'{name}.yaml').read_text())
+    for pattern, parameters in content.items():
+        node = pattern.removeprefix('/**/')
+        for key, value in parameters['ros__parameters'].items():
+            default, _ = declared[node][key]
+            assert type(value) is type(default), (node, key)
+
+
+def test_a_launched_stand_waits_as_long_as_that_of_the_command_line(tmp_path):
+    arguments = main.build_parser().parse_args(['stand', 'twelve_position'])
+    expected = stand._parameters(arguments, tmp_path)['turntable_node']
+    text = (CHECKOUT / 'config' / 'nodes' / 'simulated_stand.yaml').read_text()
+    given = yaml.safe_load(text)['/**/turntable_node']['ros__parameters']
+    timeouts = {key for key in expected if key.endswith('_timeout')}
+    assert timeouts
+    assert {key: given[key] for key in timeouts} == {key: expected[key] for key in timeouts}
+
+
+def test_the_urdf_moves_as_the_table_does():
+    root = ET.parse(CHECKOUT / 'urdf' / 'three_axis.urdf').getroot()
+    table = load_table('three_axis')
+    joints = {joint.find('parent').get('link'): joint for joint in root.findall('joint')}
+    links = {link.get('name') for link in root.findall('link')}
+    rng = np.random.default_rng(0)
+    for angles in rng.uniform(-np.pi, np.pi, (20, 3)):
+        named = dict(zip(table.names, angles, strict=True))
+        link, attitude, met = 'table_base', np.eye(3), []
+        while link in joints:
+            joint = joints[link]
+            link = joint.find('child').get('link')
+            assert link in links
+            if joint.get('type') == 'fixed':
+                continue
+            met.append(joint.get('name'))
+            axis = np.array([float(x) for x in joint.find('axis').get('xyz').split()])
+            attitude = attitude @ rotation(axis, named[joint.get('name')])
+        assert link == 'imu_link'
+        assert tuple(met) == table.names
+        np.testing.assert_allclose(attitude, table.attitude(angles), atol=1e-12)
+    for joint in table.joints:
+        limit = next(j for j in joints.values() if j.get('name') == joint.name).find('limit')
+        assert float(limit.get('velocity')) == pytest.approx(joint.max_rate, rel=1e-6)
+        assert joint.continuous
+
+
+def test_every_installed_node_is_one_of_the_package():
+    text = (CHECKOUT / 'setup.py').read_text()
+    listed = re.search(r'NODES = \(([^)]*)\)', text)[1]
+    assert set(re.findall(r"'(\w+)'", listed)) == set(NODES)
