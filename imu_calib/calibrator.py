@@ -13,7 +13,7 @@ from .calibration import Calibration, ResidualRow
 from .earth import Site
 from .errors import NotObservable
 from .imu import ImuSpec
-from .methods import method
+from .methods import check_plan, method
 from .methods.evidence import Evidence, noise
 from .methods.information import reached
 from .methods.solution import Solution
@@ -98,10 +98,12 @@ class Calibrator:
 
     Raises:
         InputError: The method does not exist.
+        NotObservable: The plan cannot give the method its parameters, however it is run.
 
     """
 
     def __init__(self, setup: Setup) -> None:
+        check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
         self._solver = method(setup.method_name)
         self._segmenter = Segmenter(setup.imu, setup.table)

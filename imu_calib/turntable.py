@@ -172,9 +172,10 @@ class Table:
                 best = candidate
         if best is None:
             if closest > _REACH_TOLERANCE:
+                joints = ', '.join(self.names)
                 raise InputError(
-                    f'Table {self.name} ({len(self.joints)} joints) cannot reach the attitude: '
-                    f'its closest is {closest / DEG:.3g} deg away.'
+                    f'Table {self.name} (joints: {joints}) cannot reach the attitude: its '
+                    f' closest is {closest / DEG:.3g} deg away.'
                 )
             raise InputError(f'The attitude lies outside the joint limits of table {self.name}.')
         return best

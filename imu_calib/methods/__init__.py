@@ -4,16 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ..earth import Site
 from ..errors import InputError
-from . import joint, six_position, twelve_position
+from ..plan import Plan
+from . import (
+    joint,
+    n_positions,
+    off_axis_four,
+    rate_24,
+    six_position,
+    static_six,
+    twelve_position,
+)
 from .evidence import Evidence
 from .solution import Solution
 
 METHODS: dict[str, Callable[[Evidence], Solution]] = {
     'joint': joint.solve,
     'joint_33': joint.solve_33,
+    'n_positions': n_positions.solve,
+    'off_axis_four': off_axis_four.solve,
+    'rate_24': rate_24.solve,
     'six_position': six_position.solve,
+    'static_six': static_six.solve,
     'twelve_position': twelve_position.solve,
+}
+
+_CHECKS: dict[str, Callable[[Plan, Site], None]] = {
+    'n_positions': lambda plan, _: n_positions.check(plan),
+    'off_axis_four': off_axis_four.check,
+    'rate_24': lambda plan, _: rate_24.check(plan),
+    'static_six': static_six.check,
 }
 
 
@@ -27,3 +48,16 @@ def method(name: str) -> Callable[[Evidence], Solution]:
     if name not in METHODS:
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
     return METHODS[name]
+
+
+def check_plan(name: str, plan: Plan, site: Site) -> None:
+    """Refuse a plan that its method cannot solve, before anybody runs it.
+
+    Raises:
+        InputError: No such method.
+        NotObservable: Names the parameters that the plan cannot tell apart.
+
+    """
+    method(name)
+    if name in _CHECKS:
+        _CHECKS[name](plan, site)

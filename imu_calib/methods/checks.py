@@ -262,7 +262,7 @@ def _arrivals(evidence: Evidence) -> NDArray[np.intp]:
     other axes is common to them, and hides from the scatter within the group.
     """
     ups = evidence.attitudes()[:, 2]
-    return np.argmax(ups @ ups.T > _SAME_UP, axis=1)
+    return np.asarray(np.argmax(ups @ ups.T > _SAME_UP, axis=1))
 
 
 def _scatter(

@@ -1,0 +1,199 @@
+"""Estimators that are linear in the mean outputs, and the covariance of the very weights they use.
+
+A published method of this kind is a matrix of weights on the outputs of stretches and turns. With
+the covariance of the outputs (random walk, quantisation, arrivals, encoder) that of the parameters
+follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import NotObservable
+from ..model import AXES, PARAMETERS, ParameterKind, SensorModel, Triad, extended_parameters
+from ..stream import Floats
+from .checks import conclude
+from .equations import Equations, Nuisance
+from .evidence import Evidence
+from .solution import Solution
+
+BIAS = 3
+ILL_CONDITIONED = 100.0
+"""Where two digits are lost, only errors of the attitudes tell the parameters apart."""
+
+_SAME_UP = 0.99
+_INVOLVED = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Weights that make unknowns of outputs.
+
+    Attributes:
+        gyro: (u, s + t), or (3, u, s + t) where channels differ: three responses, the bias, and
+            three g-sensitivities where u is 7, from the outputs of stretches, then turns.
+        accel: (4, s) three responses and the bias; None where they are not estimated.
+        condition: Condition number of what was inverted, columns scaled to unit length.
+
+    """
+
+    gyro: Floats
+    accel: Floats | None
+    condition: float
+
+    @property
+    def _gyro(self) -> Floats:
+        return np.broadcast_to(self.gyro, (3, *self.gyro.shape[-2:]))
+
+    @property
+    def with_g(self) -> bool:
+        """Whether g-sensitivities are among the unknowns."""
+        return bool(self.gyro.shape[-2] > BIAS + 1)
+
+    def model(self, evidence: Evidence) -> SensorModel:
+        """Return the sensors that the outputs of a session give."""
+        outputs = evidence.outputs()
+        turned = np.array([t.statistics.mean[:3] for t in evidence.turns]).reshape(-1, 3)
+        gyro = np.einsum('ium,mi->iu', self._gyro, np.vstack([outputs[:, :3], turned]))
+        accel = Triad()
+        if self.accel is not None:
+            unknowns = (self.accel @ outputs[:, 3:]).T
+            accel = Triad(unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS])
+        g = gyro[:, BIAS + 1 :] if self.with_g else np.zeros((3, 3))
+        return SensorModel(Triad(gyro[:, :BIAS] - np.eye(3), gyro[:, BIAS]), accel, g)
+
+    def covariance(self, evidence: Evidence, model: SensorModel) -> Floats:
+        """Return the covariance (n, n) of the parameters, NaN for what is not estimated."""
+        s, t = len(evidence.segments), len(evidence.turns)
+        parameters = extended_parameters(with_g=self.with_g)
+        rows = np.zeros((len(parameters), 6 * s + 3 * t))
+        for row, parameter in zip(rows, parameters, strict=True):
+            column = BIAS if parameter.column is None else parameter.column
+            if parameter.kind is ParameterKind.G_SENSITIVITY:
+                column += BIAS + 1
+            if parameter.triad == 'g':
+                gain = self._gyro[parameter.row, column]
+                row[parameter.row : 6 * s : 6] = gain[:s]
+                row[6 * s + parameter.row :: 3] = gain[s:]
+            elif self.accel is not None:
+                row[3 + parameter.row : 6 * s : 6] = self.accel[column]
+        state = np.concatenate([model.vector(), np.zeros(len(Nuisance))])
+        covariance = rows @ Equations(evidence).covariance(state) @ rows.T
+        # All three scale factors share the error of the clocks' rate.
+        covariance[:3, :3] += evidence.clock_rate()[1] ** 2
+        if self.accel is None:
+            of_accels = [p.triad == 'a' for p in parameters]
+            covariance[of_accels], covariance[:, of_accels] = np.nan, np.nan
+        return np.asarray(covariance)
+
+    def conclude(
+        self, evidence: Evidence, *, findings: Sequence[str] = (), north_known: bool
+    ) -> Solution:
+        """Estimate, and hold the estimate against the data.
+
+        Raises:
+            NotObservable: The data contradicts the estimate.
+
+        """
+        model = self.model(evidence)
+        return conclude(
+            _without_g(evidence, model.g_sensitivity),
+            model,
+            self.covariance(evidence, model),
+            self.condition,
+            findings=findings,
+            north_known=north_known,
+        )
+
+
+def _without_g(evidence: Evidence, g: Floats) -> Evidence:
+    """Return the session with what specific force does to the gyros taken out."""
+    if not g.any():
+        return evidence
+    up = np.array([0.0, 0.0, evidence.site.gravity])
+    segments, turns = [], []
+    for segment, attitude in zip(evidence.segments, evidence.attitudes(), strict=True):
+        mean = segment.statistics.mean.copy()
+        mean[:3] -= g @ attitude.T @ up
+        segments.append(replace(segment, statistics=replace(segment.statistics, mean=mean)))
+    for turn in evidence.turns:
+        mean = turn.statistics.mean.copy()
+        mean[:3] -= g @ turn.up * evidence.site.gravity
+        turns.append(replace(turn, statistics=replace(turn.statistics, mean=mean)))
+    return replace(evidence, segments=tuple(segments), turns=tuple(turns))
+
+
+def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, float]:
+    """Return the least-squares inverse of a design and its condition number.
+
+    Args:
+        design: (m, u), its columns of comparable size.
+        names: What each column stands for: the parameters that it determines.
+        what: Where the rows come from, for the message.
+
+    Raises:
+        NotObservable: Columns that cannot be told apart; names their parameters.
+
+    """
+    rows = np.vstack([design, np.zeros((max(0, design.shape[1] - len(design)), design.shape[1]))])
+    left, values, vectors = np.linalg.svd(rows, full_matrices=False)
+    weak = values * ILL_CONDITIONED < values[0] if values[0] > 0 else np.ones(len(values), bool)
+    if weak.any():
+        involved = np.linalg.norm(vectors[weak], axis=0) > _INVOLVED
+        lost = ', '.join(n for n, k in zip(names, involved, strict=True) if k)
+        ratio = values[0] / values[-1] if values[-1] > 1e-12 * values[0] else np.inf
+        number = 'infinite' if np.isinf(ratio) else f'{ratio:.2g}'
+        raise NotObservable(
+            f'{what} cannot tell apart {lost} (condition number {number}, at most '
+            f'{ILL_CONDITIONED:g}): not observable.'
+        )
+    gain = (vectors.T / values) @ left[: len(design)].T
+    return np.asarray(gain), float(values[0] / values[-1])
+
+
+def rate_test(evidence: Evidence) -> tuple[Floats, float]:
+    """Return the weights (3, t) on turns that give the responses, and the condition number.
+
+    Least squares of the outputs on the rate about the axis that is up, with an offset of its own
+    for each attitude: bias, g-sensitivity and vertical Earth rate cancel in it.
+
+    Raises:
+        NotObservable: An axis about which nothing turned, or in one sense at one rate only.
+
+    Source: Luo 2018, eqs. (2-175) to (2-183), as corrected in methods.md, section 2.
+    """
+    ups = np.array([turn.up for turn in evidence.turns]).reshape(-1, 3)
+    clock = evidence.clock_rate()[0]
+    rates = np.array([turn.rate(clock) for turn in evidence.turns])
+    for axis, name in enumerate(AXES):
+        if not np.any(np.abs(ups[:, axis]) > _SAME_UP):
+            raise NotObservable(
+                f'No whole turn about {name.upper()} was found: K_g{name} and the responses of '
+                f'the gyros to {name.upper()} cannot be determined.'
+            )
+    inputs = ups * (rates + evidence.site.up_rate)[:, None]
+    attitudes = np.argmax(ups @ ups.T > _SAME_UP, axis=1)
+    offsets = (attitudes[:, None] == np.unique(attitudes)).astype(float)
+    scale = np.abs(rates).max()
+    names = [*(responses('g', axis) for axis in range(3)), *['biases'] * offsets.shape[1]]
+    gain, condition = inverse(np.hstack([inputs / scale, offsets]), names, 'The turns')
+    return gain[:3] / scale, condition
+
+
+def responses(triad: str, axis: int) -> str:
+    """Name the parameters that say what a triad answers to one axis."""
+    return ', '.join(p.name for p in PARAMETERS if p.triad == triad and p.column == axis)
+
+
+def biases(triad: str) -> str:
+    """Name the biases of a triad."""
+    return ', '.join(p.name for p in PARAMETERS if p.triad == triad and p.column is None)
+
+
+def once(evidence: Evidence) -> Floats:
+    """Return the weight of each stretch, (s,): a position measured twice counts as one."""
+    names = [segment.position for segment in evidence.segments]
+    return np.array([1 / names.count(name) for name in names])

@@ -1,0 +1,57 @@
+"""Rate test and 24 positions, north known, 24 parameters (off-axis 2019, section 1.1).
+
+Scale factors and misalignments of the gyros from whole turns; each axis in turn points north and
+the unit turns about it in steps of 45 degrees: D_i is the mean of n_i - [(I + M_g) w] over the
+positions (eq. 3). The accelerometers, of which the document says nothing, by least squares over
+the same positions (Luo 2018, eqs. 2-187 to 2-189).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import NotObservable
+from ..plan import Plan
+from .evidence import Evidence
+from .gains import BIAS, Gains, biases, once, rate_test
+from .n_positions import check_turns, force_weights
+from .solution import Solution
+
+
+def solve(evidence: Evidence) -> Solution:
+    """Estimate the 24 parameters.
+
+    Raises:
+        NotObservable: North is unknown, or turns or positions are missing.
+
+    """
+    if evidence.azimuth is None:
+        raise NotObservable(
+            'Positions held against north need it: give the azimuth of the table (in its YAML, or '
+            f'with --azimuth). {biases("g")} cannot be determined.'
+        )
+    turned, condition = rate_test(evidence)
+    count = len({s.position for s in evidence.segments})
+    mean = once(evidence) / count
+    rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
+    gyro = np.zeros((BIAS + 1, len(rates) + len(evidence.turns)))
+    gyro[:BIAS, len(rates) :] = turned
+    gyro[BIAS] = np.concatenate([mean, -(mean @ rates) @ turned])
+    ups = evidence.attitudes()[:, 2]
+    fitted, spread = force_weights(ups, once(evidence), f'{count} positions', with_g=False)
+    accel = np.vstack([fitted[1:] / evidence.site.gravity, fitted[:1]])
+    return Gains(gyro, accel, max(condition, spread)).conclude(evidence, north_known=True)
+
+
+def check(plan: Plan) -> None:
+    """Refuse a plan that cannot tell the parameters apart, before it is run.
+
+    Raises:
+        NotObservable: Names the parameters.
+
+    """
+    held = [p for p in plan.positions if p.dwell > 0]
+    ups = np.array([p.up for p in held]).reshape(-1, 3)
+    what = f'The {len(held)} positions of plan {plan.name}'
+    force_weights(ups, np.ones(len(held)), what, with_g=False)
+    check_turns(plan)

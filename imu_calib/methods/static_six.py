@@ -1,0 +1,106 @@
+"""Six positions at rest, gyros only: Earth rate is the input (off-axis 2019, section 1.2).
+
+Three responses and a bias per channel by least squares over known attitudes. Any arrangement serves
+whose matrix [w / omega_ie, 1] is well conditioned at the latitude of the site.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..earth import EARTH_RATE, Site
+from ..errors import NotObservable
+from ..model import PARAMETERS, ParameterKind
+from ..plan import Plan
+from ..stream import Floats
+from .evidence import Evidence
+from .gains import BIAS, Gains, biases, inverse, once, responses
+from .solution import Solution
+
+_MEANINGLESS = 0.1
+
+
+def solve(evidence: Evidence) -> Solution:
+    """Estimate the 12 parameters of the gyros; the accelerometers are not estimated.
+
+    Raises:
+        NotObservable: North is unknown, the attitudes do not tell parameters apart, or the Earth
+            is too slow for the noise.
+
+    """
+    require_north(evidence)
+    weights, condition = _weights(
+        evidence.attitudes(), evidence.site, once(evidence), _positions(evidence)
+    )
+    gyro = np.vstack([weights[:BIAS] / EARTH_RATE, weights[BIAS:]])
+    return gyros_only(evidence, gyro, condition)
+
+
+def check(plan: Plan, site: Site) -> None:
+    """Refuse a plan that cannot tell the parameters apart at a site, before it is run.
+
+    Raises:
+        NotObservable: Names the parameters.
+
+    """
+    held = [p for p in plan.positions if p.dwell > 0]
+    attitudes = np.array([p.attitude for p in held]).reshape(-1, 3, 3)
+    what = f'The {len(held)} positions of plan {plan.name}'
+    _weights(attitudes, site, np.ones(len(held)), what)
+
+
+def require_north(evidence: Evidence) -> None:
+    """Refuse a session whose north is unknown.
+
+    Raises:
+        NotObservable: With what cannot be determined.
+
+    """
+    if evidence.azimuth is None:
+        lost = ', '.join(responses('g', axis) for axis in range(3))
+        raise NotObservable(
+            'Where Earth rate is the input, north must be known: give the azimuth of the table (in '
+            f'its YAML, or with --azimuth). {lost}, {biases("g")} cannot be determined.'
+        )
+
+
+def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
+    """Estimate the gyros with (4, s) weights on the stretches at rest.
+
+    Raises:
+        NotObservable: A response is known no better than to a tenth.
+
+    """
+    at_rest = replace(evidence, turns=())
+    gains = Gains(gyro, None, condition)
+    deviations = np.sqrt(np.diag(gains.covariance(at_rest, gains.model(at_rest))))
+    poor = [
+        f'{p.name} ({d:.2g})'
+        for p, d in zip(PARAMETERS, deviations, strict=True)
+        if p.kind is not ParameterKind.BIAS and d > _MEANINGLESS
+    ]
+    if poor:
+        raise NotObservable(
+            'The Earth turns too slowly for the noise of these gyros and these dwells: known no '
+            f'better than to a tenth are {", ".join(poor)}.'
+        )
+    findings = ['The accelerometers were not calibrated: this method knows the gyros alone.']
+    return gains.conclude(at_rest, findings=findings, north_known=True)
+
+
+def _weights(attitudes: Floats, site: Site, weights: Floats, what: str) -> tuple[Floats, float]:
+    """Return (4, s) weights for responses to omega_ie and bias, and the condition number."""
+    rates = attitudes.transpose(0, 2, 1) @ site.earth_rate / EARTH_RATE
+    names = [*(responses('g', axis) for axis in range(3)), biases('g')]
+    root = np.sqrt(weights)
+    design = np.column_stack([rates, np.ones(len(rates))]) * root[:, None]
+    gain, condition = inverse(design, names, what)
+    return gain * root, condition
+
+
+def _positions(evidence: Evidence) -> str:
+    missing = evidence.missing()
+    lost = f' (missing: {", ".join(missing)})' if missing else ''
+    return f'{len({s.position for s in evidence.segments})} positions{lost}'
