@@ -175,7 +175,7 @@ class Table:
                 joints = ', '.join(self.names)
                 raise InputError(
                     f'Table {self.name} (joints: {joints}) cannot reach the attitude: its '
-                    f' closest is {closest / DEG:.3g} deg away.'
+                    f'closest is {closest / DEG:.3g} deg away.'
                 )
             raise InputError(f'The attitude lies outside the joint limits of table {self.name}.')
         return best

@@ -37,7 +37,8 @@ def outputs(plan: Plan, errors: Floats | None = None) -> Floats:
     attitudes = np.array([p.attitude for p in plan.positions])
     rates = attitudes.transpose(0, 2, 1) @ np.array([0.0, W_N, W_U])
     if errors is not None:
-        turned = np.array([rotation(e / np.linalg.norm(e), np.linalg.norm(e)) for e in errors])
+        sizes = np.linalg.norm(errors, axis=1)
+        turned = np.array([rotation(e / s, s) for e, s in zip(errors, sizes, strict=True)])
         rates = np.einsum('kji,kj->ki', turned, rates)
     gyro = rates @ TRUTH.gyro.response.T + TRUTH.gyro.bias
     return np.hstack([gyro, attitudes[:, 2] * SITE.gravity])
