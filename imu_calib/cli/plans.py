@@ -1,39 +1,190 @@
-"""imu-calib plans: the plans that ship, what each is for, and how long it takes."""
+"""imu-calib plans: the plans that ship; how one is laid out; what it would give, and how soon."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
+import numpy as np
 from rich.table import Table as Rows
 
+from ..calibration import Calibration
+from ..calibrator import Setup
+from ..earth import Site
 from ..errors import InputError
+from ..imu import load_imu
+from ..methods import METHODS
+from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..plan import Plan, Step, load_plan
-from ..share import share_folder
+from ..prediction import Forecast, duration, forecast, reach
+from ..report.parameters import decimals, engineering
+from ..share import named_file, share_folder
 from ..stream import Mode
-from ..turntable import TURN, Table, load_table
-from ..units import DEG
+from ..turntable import Table, load_table
+from ..units import DEG, Dimension, parse
+from . import options
 from .terminal import OUTPUT
+
+LUOYANG = 34.65
+"""Latitude of the site of Cao 2022, deg."""
+
+_DIMENSIONS = {
+    ParameterKind.SCALE_FACTOR_ERROR: (Dimension.RATIO, Dimension.RATIO),
+    ParameterKind.MISALIGNMENT: (Dimension.ANGLE, Dimension.ANGLE),
+    ParameterKind.BIAS: (Dimension.RATE, Dimension.ACCELERATION),
+}
+"""What is written after the equals sign of --reach: of gyros, of accelerometers."""
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
-    parser = commands.add_parser('plans', help='list plans, or lay one out', description=__doc__)
+    parser = commands.add_parser(
+        'plans', help='list plans, lay one out, predict what it gives', description=__doc__
+    )
     parser.add_argument(
         'plan', nargs='?', metavar='NAME|FILE', help='lay this plan out, step by step'
     )
     parser.add_argument(
         '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
     )
+    parser.add_argument(
+        '--imu', metavar='NAME|FILE', help='predict what the plan gives with this IMU'
+    )
+    parser.add_argument(
+        '--reach',
+        action='append',
+        default=[],
+        metavar='NAME=STD',
+        help='the shortest dwells that reach a standard deviation, for instance D_gx=0.05deg/h; '
+        'may be given several times',
+    )
+    parser.add_argument(
+        '--truth',
+        default='cao2022_table1',
+        metavar='NAME|FILE',
+        help='what the unit is thought to be: its counters run by it (default: %(default)s)',
+    )
+    parser.add_argument(
+        '--azimuth', type=float, metavar='DEG', help="heading of the table's zero, where known"
+    )
+    parser.add_argument('--method', metavar='NAME', help="the estimator (default: the plan's own)")
+    parser.add_argument(
+        '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
+    )
+    options.add_site_options(parser)
+    parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Print the list, or the steps of one plan."""
+    """Print the list, the steps of one plan, or what it would give."""
     table = load_table(arguments.table)
+    if arguments.reach and (arguments.imu is None or arguments.plan is None):
+        raise InputError('--reach needs a plan and --imu: noise says how long a dwell must be.')
     if arguments.plan is None:
+        if arguments.imu is not None:
+            raise InputError('--imu predicts what one plan gives: name the plan.')
         _list_plans(table)
-    else:
+    elif arguments.imu is None:
         _lay_out(load_plan(arguments.plan), table)
+    else:
+        _predict(arguments, table)
+
+
+def _predict(arguments: argparse.Namespace, table: Table) -> None:
+    if arguments.azimuth is not None:
+        table = replace(table, azimuth=arguments.azimuth * DEG)
+    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
+    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
+    truth = Calibration.load(named_file('truths', arguments.truth)).model
+    setup = Setup(imu, plan, None if plan.by_hand else table, site, arguments.method)
+    OUTPUT.print(f'{plan.title} ({plan.source})')
+    OUTPUT.print(f'on table {table.name} with IMU {imu.id}, latitude {latitude:.3f} deg\n')
+    if arguments.reach:
+        _show_reach(arguments, setup, truth)
+        return
+    found = forecast(setup, truth, wander=arguments.bias_instability)
+    _show_forecast(found)
+    _show_time(plan, table)
+
+
+def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
+    wanted = dict(_wanted(text) for text in arguments.reach)
+    reached = reach(setup, truth, wanted)
+    _show_forecast(reached.forecast, wanted)
+    rows = Rows(box=None, pad_edge=False, header_style='bold')
+    for heading in ('position', 'dwell, s', 'instead of'):
+        rows.add_column(heading, justify='left' if heading == 'position' else 'right')
+    for position in reached.plan.positions:
+        before = setup.plan.position(position.id).dwell
+        if before:
+            rows.add_row(position.id, f'{position.dwell:.0f}', f'{before:.0f}')
+    OUTPUT.print()
+    OUTPUT.print(rows)
+    if setup.table is not None:
+        _show_time(reached.plan, setup.table)
+
+
+def _wanted(text: str) -> tuple[str, float]:
+    """Read NAME=STD.
+
+    Raises:
+        InputError: No such parameter, or not a standard deviation in a unit of its own.
+
+    """
+    name, equals, value = text.partition('=')
+    parameter = next((p for p in PARAMETERS if p.name == name.strip()), None)
+    if not equals or parameter is None:
+        known = ', '.join(p.name for p in PARAMETERS)
+        raise InputError(f'--reach {text}: expected NAME=STD, NAME one of {known}.')
+    dimension = _DIMENSIONS[parameter.kind][parameter.triad == 'a']
+    std = parse(value, dimension, f'--reach {name}')
+    if not std > 0:
+        raise InputError(f'--reach {text}: a standard deviation is above zero.')
+    return parameter.name, std
+
+
+def _show_forecast(found: Forecast, wanted: dict[str, float] | None = None) -> None:
+    rows = Rows(box=None, pad_edge=False, header_style='bold')
+    headings = ['parameter', found.method, 'best', 'unit']
+    if wanted is not None:
+        headings.insert(3, 'wanted')
+    for heading in headings:
+        rows.add_column(heading, justify='left' if heading in {'parameter', 'unit'} else 'right')
+    last: Parameter | None = None
+    for parameter, std, best in zip(found.parameters, found.std, found.best, strict=True):
+        if last is not None and parameter.triad != last.triad:
+            rows.add_section()
+        last = parameter
+        shown = engineering(parameter)
+        cells = [_cell(value / shown.scale) for value in (std, best)]
+        if wanted is not None:
+            cells.append(_cell(wanted.get(parameter.name, np.nan) / shown.scale, empty=''))
+        rows.add_row(parameter.name, *cells, shown.unit)
+    OUTPUT.print(rows)
+    OUTPUT.print(
+        '\nPredicted standard deviations: by the method named, and the least that the session '
+        'allows (Fisher information; azimuth and tilts unknown).'
+    )
+    if found.refusal:
+        OUTPUT.print(f'{found.method}: {found.refusal}', markup=False)
+
+
+def _cell(value: float, empty: str = '-') -> str:
+    return f'{value:.{decimals(value)}f}' if np.isfinite(value) else empty
+
+
+def _show_time(plan: Plan, table: Table) -> None:
+    if plan.by_hand:
+        return
+    steps = plan.steps(table)
+    standing = sum(step.dwell for step in steps)
+    total = duration(steps, table)
+    OUTPUT.print(
+        f'{total / 60:.1f} min on table {table.name}: {standing / 60:.1f} min of dwells, the rest '
+        'moves, turns with their run-ups, and settling'
+    )
 
 
 def _list_plans(table: Table) -> None:
@@ -73,6 +224,12 @@ def _lay_out(plan: Plan, table: Table) -> None:
             OUTPUT.print(f'  {position.id}: hold {position.dwell:g} s{turned}')
         return
     steps = plan.steps(table)
+    OUTPUT.print(_step_rows(steps, table))
+    OUTPUT.print()
+    _show_time(plan, table)
+
+
+def _step_rows(steps: tuple[Step, ...], table: Table) -> Rows:
     rows = Rows(box=None, pad_edge=False, header_style='bold')
     for heading in ('step', 'position', 'does'):
         rows.add_column(heading)
@@ -92,31 +249,4 @@ def _lay_out(plan: Plan, table: Table) -> None:
             str(step.turns) if turning else '',
             f'{step.dwell:g}' if step.dwell else '',
         )
-    OUTPUT.print(rows)
-    OUTPUT.print(f'\n{duration(steps, table) / 60:.1f} min on table {table.name}, without settling')
-
-
-def duration(steps: tuple[Step, ...], table: Table) -> float:
-    """Return the time that a plan takes, s: dwells, turns and moves at the joints' limits."""
-    total = 0.0
-    angles = steps[0].angles
-    for step in steps:
-        moves = [
-            _move_time(abs(a - b), j.max_rate, j.max_acceleration)
-            for a, b, j in zip(step.angles, angles, table.joints, strict=True)
-        ]
-        total += max(moves) + step.dwell
-        angles = step.angles.copy()
-        if step.mode is Mode.RATE:
-            joint = next(k for k, r in enumerate(step.rates) if r)
-            rate = abs(float(step.rates[joint]))
-            travel = TURN * (step.turns + 1)
-            total += _move_time(travel, rate, table.joints[joint].max_acceleration)
-            angles[joint] += travel if step.rates[joint] > 0 else -travel
-    return total
-
-
-def _move_time(travel: float, rate: float, acceleration: float) -> float:
-    if travel < rate**2 / acceleration:
-        return float(2 * (travel / acceleration) ** 0.5)
-    return float(travel / rate + rate / acceleration)
+    return rows

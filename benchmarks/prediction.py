@@ -1,0 +1,116 @@
+"""Predicted against achieved standard deviations of every shipped plan that a table can run.
+
+Every session is simulated by the hardware-level simulation, cut and solved by the plan's own
+method. The prediction knows plan, table, data sheet and truth, and no session. Of a good one the
+ratio stays within what the spread of so many runs itself is uncertain by.
+
+    python benchmarks/prediction.py [PLAN ...] [--runs 1000] [--jobs 2] [--keep FOLDER]
+
+Exit code 1: a parameter is off by more than 10 % and that spread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Setup
+from imu_calib.earth import Site
+from imu_calib.errors import ImuCalibError
+from imu_calib.imu import load_imu
+from imu_calib.montecarlo import Study, economical, repeat
+from imu_calib.plan import load_plan
+from imu_calib.prediction import forecast
+from imu_calib.share import named_file, share_folder
+from imu_calib.simulation import StandOptions
+from imu_calib.turntable import load_table
+from imu_calib.units import DEG
+
+SITE = Site.at(34.65 * DEG)
+TOLERANCE = 0.1
+UNLIKELY = 0.01
+HEADING = 30 * DEG
+
+
+def study(name: str) -> Study:
+    """A shipped plan on the three-axis table, whose heading is known where the method needs it."""
+    plan = load_plan(name)
+    table = load_table('three_axis')
+    truth = Calibration.load(named_file('truths', 'cao2022_table1')).model
+    options = economical(StandOptions(positioning_error=0.0, bias_instability=False))
+    setup = Setup(load_imu('fog_medium'), plan, table, SITE)
+    if not np.isfinite(forecast(setup, truth).std).any():
+        setup = replace(setup, table=replace(table, azimuth=HEADING))
+        return Study(setup, truth, options, HEADING)
+    return Study(setup, truth, options)
+
+
+def compare(name: str, runs: int, jobs: int, keep: Path | None) -> bool:
+    """Print one plan; say whether every parameter is within its bounds."""
+    case = study(name)
+    setup = case.setup
+    foreseen = forecast(setup, case.truth, case.azimuth)
+    if foreseen.refusal:
+        print(f'{name}: {foreseen.refusal}')
+        return True
+    outcome = repeat(case, runs, jobs=jobs)
+    if keep is not None:
+        np.savez(keep / f'{name}.npz', errors=outcome.errors, stated=outcome.stated)
+    count = len(outcome.errors)
+    known = np.isfinite(foreseen.std)
+    ratio = outcome.spread / foreseen.std
+    each = UNLIKELY / known.sum() / 2
+    low, high = np.sqrt(chi2.ppf([each, 1 - each], count - 1) / (count - 1))
+    print(f'{name} ({setup.method_name}): {count} of {runs} runs, achieved over predicted')
+    for triad in ('g', 'a'):
+        cells = [
+            f'{parameter.name} {value:.3f}'
+            for parameter, value in zip(foreseen.parameters, ratio, strict=True)
+            if parameter.triad == triad and np.isfinite(value)
+        ]
+        print('  ' + '  '.join(cells))
+    spread = (outcome.bias / outcome.spread * np.sqrt(count))[known]
+    print(
+        f'  {ratio[known].min():.3f} to {ratio[known].max():.3f}; so many runs alone spread from '
+        f'{low:.3f} to {high:.3f}; largest bias {np.abs(spread).max():.1f} of its deviations\n',
+        flush=True,
+    )
+    bounds = (1 - TOLERANCE) * low, (1 + TOLERANCE) * high
+    return bool((ratio[known] > bounds[0]).all() and (ratio[known] < bounds[1]).all())
+
+
+def shipped() -> list[str]:
+    """Plans that the three-axis table can run."""
+    names = []
+    for path in sorted((share_folder() / 'config' / 'plans').glob('*.yaml')):
+        plan = load_plan(path)
+        try:
+            plan.steps(load_table('three_axis'))
+        except ImuCalibError:
+            continue
+        if not plan.by_hand:
+            names.append(path.stem)
+    return names
+
+
+def main() -> int:
+    """Run the study."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('plans', nargs='*')
+    parser.add_argument('--runs', type=int, default=1000)
+    parser.add_argument('--jobs', type=int)
+    parser.add_argument('--keep', type=Path, help='folder for errors and deviations of all runs')
+    chosen = parser.parse_args()
+    names = chosen.plans or shipped()
+    kept = [compare(name, chosen.runs, chosen.jobs, chosen.keep) for name in names]
+    return 0 if all(kept) else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

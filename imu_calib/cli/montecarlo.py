@@ -1,0 +1,181 @@
+"""imu-calib montecarlo: a simulated session many times, and what its method makes of it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table as Rows
+
+from ..calibration import Calibration
+from ..calibrator import Setup
+from ..earth import Site
+from ..errors import InputError, NotObservable
+from ..imu import load_imu
+from ..methods import METHODS, method
+from ..montecarlo import Outcome, Study, economical, repeat
+from ..plan import load_plan
+from ..report.parameters import decimals, engineering
+from ..share import named_file
+from ..simulation import StandOptions
+from ..turntable import load_table
+from ..units import DEG
+from . import options
+from .plans import LUOYANG
+from .terminal import OUTPUT, progress_bar, sentence_list
+
+_HEADINGS = (
+    'parameter',
+    'bias',
+    'spread',
+    'stated',
+    'spread/stated',
+    'worst',
+    'normalised',
+    'unit',
+)
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        'montecarlo', help='repeat a simulated session with seeds', description=__doc__
+    )
+    parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
+    parser.add_argument('--runs', type=int, default=100, help='default: %(default)s')
+    parser.add_argument('--seed', type=int, default=0, help='of the first run (default: 0)')
+    parser.add_argument('--jobs', type=int, metavar='N', help='processes (default: all cores)')
+    parser.add_argument(
+        '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--truth', default='cao2022_table1', metavar='NAME|FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--azimuth',
+        type=float,
+        metavar='DEG',
+        help="heading of the table's zero, known to the calibrator; without it the heading is "
+        'another one in each run, and unknown',
+    )
+    parser.add_argument('--method', metavar='NAME', help="the estimator (default: the plan's own)")
+    parser.add_argument(
+        '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
+    )
+    parser.add_argument(
+        '-o', '--output', metavar='FILE.png', help='plot of the normalised errors (matplotlib)'
+    )
+    options.add_site_options(parser)
+    parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Simulate, calibrate, and print what came out."""
+    if arguments.runs < 1 or (arguments.jobs is not None and arguments.jobs < 1):
+        raise InputError('--runs and --jobs: expected a whole number above 0.')
+    target = options.output_path(arguments.output) if arguments.output else None
+    study = _study(arguments)
+    jobs = min(arguments.jobs or os.cpu_count() or 1, arguments.runs)
+    with progress_bar('simulating and calibrating') as show:
+        outcome = repeat(study, arguments.runs, arguments.seed, jobs, show)
+    refusals = sorted({r.refusal for r in outcome.refused})
+    if len(outcome.refused) == len(outcome.runs):
+        raise NotObservable(f'All of {len(outcome.runs)} runs were refused: {refusals[0]}')
+    OUTPUT.print(_table(outcome))
+    setup = study.setup
+    OUTPUT.print(
+        f'\n{len(outcome.errors)} runs of plan {setup.plan.name}, method {setup.method_name}. '
+        'Worst: the largest error. Normalised: root mean square of errors over the standard '
+        'deviations stated with them.'
+    )
+    sentence_list(f'Refused: {len(outcome.refused)} runs', refusals[:5])
+    if target is not None:
+        _plot(outcome, target, f'{setup.plan.name}, {setup.method_name}')
+
+
+def _study(arguments: argparse.Namespace) -> Study:
+    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
+    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    table = load_table(arguments.table)
+    azimuth = table.azimuth if arguments.azimuth is None else arguments.azimuth * DEG
+    table = replace(table, azimuth=azimuth)
+    plan = load_plan(arguments.plan)
+    if arguments.method is not None:
+        method(arguments.method)
+    if plan.by_hand:
+        raise InputError(f'Plan {plan.name} is run by hand: only a table can be simulated here.')
+    plan.steps(table)
+    stand = StandOptions(
+        # A uniform error of this half width has the standard deviation that the table states.
+        positioning_error=math.sqrt(3) * table.positioning,
+        bias_instability=arguments.bias_instability,
+    )
+    setup = Setup(load_imu(arguments.imu), plan, table, site, arguments.method)
+    truth = Calibration.load(named_file('truths', arguments.truth)).model
+    return Study(setup, truth, economical(stand), azimuth)
+
+
+def _table(outcome: Outcome) -> Rows:
+    rows = Rows(box=None, pad_edge=False, header_style='bold')
+    for heading in _HEADINGS:
+        rows.add_column(heading, justify='left' if heading in {'parameter', 'unit'} else 'right')
+    normalised = np.sqrt((outcome.normalised**2).mean(axis=0))
+    worst = np.abs(outcome.errors).max(axis=0)
+    last = outcome.parameters[0]
+    for k, parameter in enumerate(outcome.parameters):
+        stated = float(outcome.mean_stated[k])
+        if not np.isfinite(stated):
+            continue
+        if parameter.triad != last.triad:
+            rows.add_section()
+        last = parameter
+        shown = engineering(parameter)
+        places = decimals(stated / shown.scale)
+        values = [outcome.bias[k], outcome.spread[k], stated]
+        cells = ['-' if np.isnan(v) else f'{v / shown.scale:.{places}f}' for v in values]
+        ratio = outcome.spread[k] / stated if stated > 0 else np.nan
+        rows.add_row(
+            parameter.name,
+            *cells,
+            '-' if np.isnan(ratio) else f'{ratio:.3f}',
+            f'{worst[k] / shown.scale:.{places}f}',
+            f'{normalised[k]:.3f}',
+            shown.unit,
+        )
+    return rows
+
+
+def _plot(outcome: Outcome, target: Path, title: str) -> None:
+    """Draw the normalised errors of every parameter beside what a normal law allows."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        OUTPUT.print(f'\n{target} is not drawn: matplotlib is not installed.')
+        return
+    known = np.isfinite(outcome.mean_stated)
+    names = [p.name for p, k in zip(outcome.parameters, known, strict=True) if k]
+    figure = Figure(figsize=(0.4 * len(names) + 2, 4.5), layout='constrained')
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    axes.axhspan(-1, 1, color='0.85', label='one standard deviation')
+    # A box from quartile to quartile of a normal law reaches to 0.67, its whiskers to 1.96.
+    axes.boxplot(outcome.normalised[:, known], whis=(2.5, 97.5), sym='.', tick_labels=names)
+    for level in (-1.96, 1.96):
+        axes.axhline(level, color='0.6', linewidth=0.8, linestyle='--')
+    axes.tick_params(axis='x', rotation=90)
+    axes.set_ylabel('error / standard deviation stated')
+    axes.set_title(f'{title}: {len(outcome.errors)} runs')
+    try:
+        figure.savefig(target)
+    except (OSError, ValueError) as error:
+        raise InputError(f'{target}: {error}') from None
+    OUTPUT.print(f'\ndrawn to {target}')

@@ -1,0 +1,208 @@
+"""One session simulated many times: what a method reaches against what it says that it reaches."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+
+from .calibrator import Calibrator, Setup
+from .errors import ImuCalibError, NotObservable
+from .model import Parameter, SensorModel
+from .simulation import StandOptions, simulate
+from .stream import Floats
+
+_BLOCK_SECONDS = 300.0
+_JOINT_STATES = 25.0
+_CHUNK = 4
+_THREADS = 'OMP_NUM_THREADS'
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What is repeated.
+
+    Attributes:
+        setup: What the calibrator is told.
+        truth: What the sensors are.
+        options: What is wrong with the hardware.
+        azimuth: True heading of the table's zero, rad; None draws another for each run.
+
+    """
+
+    setup: Setup
+    truth: SensorModel
+    options: StandOptions
+    azimuth: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One session.
+
+    Attributes:
+        seed: That made it.
+        parameters: What was estimated; none where it was refused.
+        error: (n,) estimate less truth, SI units; NaN for a triad that was not estimated.
+        std: (n,) standard deviations stated.
+        refusal: Why there is no estimate, else empty.
+
+    """
+
+    seed: int
+    parameters: tuple[Parameter, ...]
+    error: Floats
+    std: Floats
+    refusal: str = ''
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What the runs came to.
+
+    Attributes:
+        runs: All, in the order of their seeds.
+
+    """
+
+    runs: tuple[Run, ...]
+
+    @property
+    def refused(self) -> tuple[Run, ...]:
+        """Runs without an estimate."""
+        return tuple(run for run in self.runs if run.refusal)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the runs estimated."""
+        return next((run.parameters for run in self.runs if not run.refusal), ())
+
+    @property
+    def errors(self) -> Floats:
+        """Errors of the runs that gave an estimate, (runs, n)."""
+        return self._columns([run.error for run in self.runs if not run.refusal])
+
+    @property
+    def stated(self) -> Floats:
+        """Standard deviations that those runs stated, (runs, n)."""
+        return self._columns([run.std for run in self.runs if not run.refusal])
+
+    def _columns(self, rows: list[Floats]) -> Floats:
+        return np.array(rows).reshape(len(rows), len(self.parameters))
+
+    @property
+    def bias(self) -> Floats:
+        """Mean error, (n,)."""
+        return np.asarray(self.errors.mean(axis=0))
+
+    @property
+    def spread(self) -> Floats:
+        """Standard deviation of the errors about their mean, (n,); NaN below two runs."""
+        if len(self.errors) < 2:
+            return np.full(len(self.parameters), np.nan)
+        return np.asarray(self.errors.std(axis=0, ddof=1))
+
+    @property
+    def mean_stated(self) -> Floats:
+        """Root mean square of the standard deviations stated, (n,)."""
+        return np.asarray(np.sqrt((self.stated**2).mean(axis=0)))
+
+    @property
+    def normalised(self) -> Floats:
+        """Errors over the standard deviations stated with them, (runs, n)."""
+        stated = self.stated
+        return np.divide(self.errors, stated, out=np.zeros_like(stated), where=stated > 0)
+
+
+def run_once(study: Study, seed: int) -> Run:
+    """Simulate a session of the hardware and calibrate from it."""
+    setup, azimuth = study.setup, study.azimuth
+    if azimuth is None:
+        azimuth = float(np.random.default_rng([seed, 1]).uniform(-np.pi, np.pi))
+    table = setup.table
+    if table is None:
+        raise NotObservable(f'Plan {setup.plan.name}: a simulated session needs a table.')
+    options = replace(study.options, azimuth=azimuth)
+    calibrator = Calibrator(setup)
+    for _, block in simulate(setup.plan, table, setup.imu, study.truth, setup.site, options, seed):
+        calibrator.feed(block)
+    try:
+        calibration = calibrator.finish().calibration
+    except NotObservable as error:
+        return Run(seed, (), np.empty(0), np.empty(0), str(error))
+    parameters = calibration.parameters
+    wrong = calibration.values - study.truth.values(parameters)
+    error_of = np.where(np.isfinite(calibration.std), wrong, np.nan)
+    return Run(seed, parameters, error_of, calibration.std)
+
+
+def economical(options: StandOptions) -> StandOptions:
+    """Return the same hardware with fewer, longer blocks: half the time for each session.
+
+    The joint states come at 25 Hz, which costs the line through a turn nothing that shows.
+    """
+    return replace(options, block_length=_BLOCK_SECONDS, joint_state_rate=_JOINT_STATES)
+
+
+def repeat(
+    study: Study,
+    runs: int,
+    seed: int = 0,
+    jobs: int | None = None,
+    show: Callable[[int, int], None] | None = None,
+) -> Outcome:
+    """Repeat a session with seeds `seed`, `seed` + 1 and so on.
+
+    The outcome depends on the seeds alone, not on the number of processes.
+
+    Args:
+        study: What is repeated.
+        runs: How often.
+        seed: Of the first run.
+        jobs: Processes; as many as there are cores if not given.
+        show: Called with the runs done and their number.
+
+    Raises:
+        InputError: The stand cannot run the plan, or the method does not exist.
+
+    """
+    seeds = range(seed, seed + runs)
+    done: list[Run] = []
+    for run in _runs(study, seeds, jobs or os.cpu_count() or 1):
+        done.append(run)
+        if show is not None:
+            show(len(done), runs)
+    return Outcome(tuple(done))
+
+
+def _runs(study: Study, seeds: range, jobs: int) -> Iterator[Run]:
+    one = partial(run_once, study)
+    if jobs == 1:
+        yield from map(one, seeds)
+        return
+    with _single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
+        try:
+            yield from pool.map(one, seeds, chunksize=max(1, min(_CHUNK, len(seeds) // jobs)))
+        except (ImuCalibError, KeyboardInterrupt):
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    """Let what is spawned run one thread each: small matrices gain nothing from more."""
+    before = os.environ.get(_THREADS)
+    os.environ[_THREADS] = '1'
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_THREADS]
+        else:
+            os.environ[_THREADS] = before

@@ -1,0 +1,252 @@
+"""The evidence that a session of a plan would give, before it is run.
+
+What the sensors would read follows from the model; how well their means would be known follows
+from random walk, pulses and times alone. A counter without noise, run at the rate that it would
+see, goes through the very estimators that a session goes through (`segmentation.counter`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..calibrator import Setup
+from ..errors import InputError
+from ..imu import ImuSpec, TriadSpec
+from ..methods.evidence import Evidence
+from ..model import SensorModel
+from ..segmentation.clock import ClockFit
+from ..segmentation.counter import mean_rate
+from ..segmentation.segment import Segment, Statistics, Turn
+from ..stream import Floats, Mode, Units
+from ..turntable import TURN, rotation
+from .schedule import SETTLE, schedule
+
+_SAMPLE_RATE = 100.0
+_UNSEEN = 0.5
+"""What the segmentation leaves at the two ends of a rest: a window of the joint states each, s."""
+
+_BY_HAND_TURN = 2.0
+_BY_HAND_MOVE = 2.0
+_UP = np.array([0.0, 0.0, 1.0])
+_PHASE = 0.5
+_NODES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class _Rest:
+    """The table stands at one attitude, from `start` to `end` (s since the first step)."""
+
+    position: str
+    attitude: Floats
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Turning:
+    """Whole turns at a signed rate about up (rad/s), of which `seconds` are measured."""
+
+    position: str
+    up: Floats
+    start: float
+    seconds: float
+    rate: float
+
+
+def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> Evidence:
+    """Return what a session would give whose outputs hit their expectation.
+
+    Args:
+        setup: Plan, table, IMU and site.
+        truth: What the sensors are thought to be: how fast its counters run depends on it.
+        azimuth: True heading of the table's zero, rad; None for what the table says, or north.
+
+    Raises:
+        InputError: The table cannot run the plan, or the IMU states no noise.
+
+    """
+    walk = np.repeat([setup.imu.gyro.random_walk, setup.imu.accel.random_walk], 3)
+    if not (walk > 0).all():
+        raise InputError(
+            f'The IMU {setup.imu.id} states no angle_random_walk or no velocity_random_walk: '
+            'there is nothing to predict from.'
+        )
+    rests, turnings = _course(setup)
+    stated = setup.table.azimuth if setup.table is not None else None
+    heading = (stated or 0.0) if azimuth is None else azimuth
+    # The attitudes of a session are those of the table's own idea of north.
+    world = rotation(_UP, (stated or 0.0) - heading)
+    earth, force = world @ setup.site.earth_rate, setup.site.specific_force
+    segments = []
+    for rest in rests:
+        body = rest.attitude.T
+        mean = np.concatenate(truth.predict(body @ earth, body @ force))
+        statistics = _at_rest(setup.imu, mean, rest.end - rest.start)
+        segments.append(
+            Segment(_ns(rest.start), _ns(rest.end), statistics, rest.attitude, rest.position)
+        )
+    turns = []
+    for turning in turnings:
+        spin = turning.up * (turning.rate + setup.site.up_rate)
+        mean = np.concatenate(truth.predict(spin, turning.up * setup.site.gravity))
+        statistics = _turning(setup.imu, mean, turning.seconds)
+        angle = turning.rate * turning.seconds
+        timed = None if setup.plan.by_hand else turning.seconds
+        end = _ns(turning.start + turning.seconds)
+        turns.append(
+            Turn(_ns(turning.start), end, statistics, angle, timed, turning.up, turning.position)
+        )
+    # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
+    clock = ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, len(turns))
+    positioning = setup.table.positioning if setup.table is not None else 0.0
+    return Evidence(
+        tuple(segments), tuple(turns), setup.plan, setup.site, clock, stated, walk, positioning
+    )
+
+
+def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
+    """Say when the unit would stand and when it would turn."""
+    if setup.plan.by_hand:
+        return _by_hand(setup)
+    table = setup.table
+    if table is None:
+        raise InputError(f'Plan {setup.plan.name} needs a table.')
+    steps = setup.plan.steps(table)
+    rests: list[_Rest] = []
+    turnings: list[_Turning] = []
+    standing = 0.0
+    for visit in schedule(steps, table, settle=SETTLE):
+        if visit.rest > visit.begin:
+            standing = visit.rest
+        step = visit.step
+        if step.mode is Mode.RATE:
+            joint = next(k for k, rate in enumerate(step.rates) if rate)
+            up = table.attitude(step.angles)[2]
+            sense = math.copysign(1.0, float(table.joint_axis(joint, step.angles) @ up))
+            rate = float(step.rates[joint])
+            seconds = TURN * step.turns / abs(rate)
+            start = (visit.begin + visit.rest - seconds) / 2
+            turnings.append(_Turning(step.position, up, start, seconds, sense * rate))
+        elif step.dwell:
+            attitude = table.attitude(step.angles)
+            span = (standing + _UNSEEN / 2, visit.end - _UNSEEN / 2)
+            rests.append(_Rest(step.position, attitude, *span))
+    return rests, turnings
+
+
+def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
+    rests, turnings, now = [], [], 0.0
+    for position in setup.plan.positions:
+        if position.rate_test is not None:
+            turns = position.rate_test.turns
+            seconds = turns * _BY_HAND_TURN
+            rate = TURN * turns / seconds
+            turnings.append(_Turning(position.id, position.up, now, seconds, rate))
+            now += seconds
+        if position.dwell:
+            rests.append(_Rest(position.id, position.attitude, now, now + position.dwell))
+        now += position.dwell + _BY_HAND_MOVE
+    return rests, turnings
+
+
+def _at_rest(spec: ImuSpec, mean: Floats, seconds: float) -> Statistics:
+    """Return the statistics of a stretch at rest that reads (6,) `mean`."""
+    gain, quantum = np.empty(6), np.empty(6)
+    for c, triad in enumerate(_triads(spec)):
+        if spec.units is Units.PULSES:
+            gain[c], quantum[c] = _counted(triad, _period(spec), float(mean[c]), seconds)
+        else:
+            gain[c], quantum[c] = 1 / seconds, _rounded(spec, triad)
+    return _statistics(mean, gain, quantum, seconds, spec)
+
+
+def _turning(spec: ImuSpec, mean: Floats, seconds: float) -> Statistics:
+    """Return the statistics of whole turns, cut within samples at two instants of any phase."""
+    quantum = np.empty(6)
+    for c, triad in enumerate(_triads(spec)):
+        if spec.units is Units.PULSES:
+            share = float(mean[c]) * _period(spec) / triad.scale_factor % 1.0
+            # An interpolated reading: 1/12 - f (1 - f) c (1 - c), on average over f.
+            reading = 2 * (1 / 12 - share * (1 - share) / 6)
+            quantum[c] = reading * (triad.scale_factor / seconds) ** 2
+        else:
+            quantum[c] = _rounded(spec, triad)
+    return _statistics(mean, np.full(6, 1 / seconds), quantum, seconds, spec)
+
+
+def _statistics(
+    mean: Floats, gain: Floats, quantum: Floats, seconds: float, spec: ImuSpec
+) -> Statistics:
+    nothing = np.full(6, np.nan)
+    return Statistics(
+        samples=round(seconds / _period(spec)),
+        missing=0,
+        duration=seconds,
+        mean=mean,
+        walk_gain=gain,
+        quantum=quantum,
+        end_points=mean,
+        blocks=tuple(np.empty((0, 4)) for _ in range(6)),
+        drift=nothing,
+        drift_std=nothing,
+    )
+
+
+def _counted(triad: TriadSpec, period: float, mean: float, seconds: float) -> tuple[float, float]:
+    pulse = triad.scale_factor
+    edges = np.arange(max(2, round(seconds / period)) + 1) * (mean * period / pulse)
+    pulses = np.diff(np.floor(edges + _PHASE))
+    found = mean_rate(pulses, period, triad.random_walk / pulse)
+    return found.walk_gain, found.quantum * pulse**2
+
+
+def _rounded(spec: ImuSpec, triad: TriadSpec) -> float:
+    """Return the variance that an ADC's rounding leaves: Widrow and Kollar 2008, section 4.4."""
+    if spec.units is not Units.COUNTS:
+        return 0.0
+    step = triad.scale_factor
+    noise = triad.random_walk**2 / _period(spec) / step**2
+    return step**2 / 12 * math.exp(-4 * math.pi**2 * noise)
+
+
+def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats:
+    """Return the covariance of the outputs by biases that wander, (6 s + 3 t,) square.
+
+    First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
+    instabilities, seen by the means of stretches and turns.
+
+    Args:
+        evidence: Stretches and turns in time.
+        spec: Bias instabilities.
+        time_constant: Correlation time, s.
+
+    """
+    spans = [(s.start, s.end) for s in evidence.segments]
+    spans += [(t.start, t.end) for t in evidence.turns]
+    grid = (np.arange(_NODES) + 0.5) / _NODES
+    begin, end = (np.array(spans).reshape(-1, 2).T) * 1e-9
+    nodes = (begin[:, None] + (end - begin)[:, None] * grid).ravel()
+    kernel = np.exp(-np.abs(nodes[:, None] - nodes) / time_constant)
+    n = len(spans)
+    means = kernel.reshape(n, _NODES, n, _NODES).mean(axis=(1, 3))
+    channel = [c for _ in evidence.segments for c in range(6)]
+    channel += [c for _ in evidence.turns for c in range(3)]
+    which = np.repeat(np.arange(n), [6] * len(evidence.segments) + [3] * len(evidence.turns))
+    instability = np.array([t.bias_instability for t in _triads(spec)])[channel]
+    same = np.equal.outer(channel, channel)
+    return np.asarray(same * means[np.ix_(which, which)] * np.outer(instability, instability))
+
+
+def _triads(spec: ImuSpec) -> list[TriadSpec]:
+    return [spec.gyro] * 3 + [spec.accel] * 3
+
+
+def _period(spec: ImuSpec) -> float:
+    return 1 / (spec.sample_rate or _SAMPLE_RATE)
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)

@@ -1,0 +1,194 @@
+"""The shortest dwells that reach a wanted accuracy.
+
+Between two looks at what a session would give, the variance of a stretch's mean is taken to fall
+with its time as a walk does, and what a pulse leaves as the square of it. A parameter's variance
+is a sum over the outputs, each by the square of its weight: for weights that are the best ones the
+change of the weights themselves counts for nothing, to first order, and those of a closed form do
+not change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from ..calibrator import Setup
+from ..errors import InputError, NotObservable
+from ..methods import method
+from ..methods.equations import SENSORS, Equations
+from ..methods.evidence import Evidence
+from ..model import PARAMETER_NAMES, SensorModel
+from ..plan import Plan
+from ..stream import Floats
+from .forecast import JOINT, Forecast, forecast, gains, information, state_at
+
+SHORTEST = 5.0
+"""Shortest dwell proposed, s."""
+
+LONGEST = 24 * 3600.0
+"""Longest dwell proposed, s."""
+
+_LOOKS = 15
+_CLOSE = 2e-3
+_SLACK = 1.001
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """A plan whose dwells reach what was wanted.
+
+    Attributes:
+        plan: The plan with these dwells, its order, attitudes and turns as they were.
+        forecast: What it would give.
+
+    """
+
+    plan: Plan
+    forecast: Forecast
+
+
+def reach(
+    setup: Setup, truth: SensorModel, wanted: Mapping[str, float], azimuth: float | None = None
+) -> Reached:
+    """Find the dwells, one for each position, whose sum is least and that reach an accuracy.
+
+    Args:
+        setup: Plan, method, table, IMU and site.
+        truth: What the sensors are thought to be.
+        wanted: Standard deviations by name of the parameter, SI units.
+        azimuth: True heading of the table's zero, rad; None for what the table says, or north.
+
+    Raises:
+        InputError: There is no such parameter.
+        NotObservable: No dwell reaches it; says what stands in the way.
+
+    """
+    for name in wanted:
+        if name not in PARAMETER_NAMES:
+            known = ', '.join(PARAMETER_NAMES)
+            raise InputError(f'There is no parameter {name!r}; there are: {known}.')
+    rows = np.array([PARAMETER_NAMES.index(name) for name in wanted])
+    targets = np.array(list(wanted.values()))
+    plan, weights = setup.plan, None
+    for _ in range(_LOOKS):
+        now = replace(setup, plan=plan)
+        found = forecast(now, truth, azimuth)
+        if found.refusal:
+            raise NotObservable(found.refusal)
+        _check_observed(found, rows)
+        if weights is None or setup.method_name in JOINT:
+            weights = _weights(now, truth, found.evidence)[rows] ** 2
+        before, plan = plan, _shorter(plan, found, weights, rows, targets / _SLACK)
+        pairs = zip(plan.positions, before.positions, strict=True)
+        if max(abs(p.dwell - q.dwell) - _CLOSE * q.dwell for p, q in pairs) <= 0:
+            break
+    return Reached(plan, forecast(replace(setup, plan=plan), truth, azimuth))
+
+
+def _shorter(
+    plan: Plan, found: Forecast, weights: Floats, rows: NDArray[np.intp], targets: Floats
+) -> Plan:
+    """Choose dwells by what one look at a session says of its variances.
+
+    Args:
+        plan: That was looked at.
+        found: What it would give.
+        weights: (k, outputs) squares of the weights of the outputs in the k parameters wanted.
+        rows: (k,) which parameters.
+        targets: (k,) their standard deviations.
+
+    """
+    evidence = found.evidence
+    names = list(dict.fromkeys(str(s.position) for s in evidence.segments))
+    dwells = np.array([plan.position(name).dwell for name in names])
+    # Twice the same position counts twice for its dwell.
+    share = np.array([names.index(str(s.position)) for s in evidence.segments])
+    beyond = np.array([s.statistics.duration for s in evidence.segments]) - dwells[share]
+    at_rest = 6 * len(evidence.segments)
+    walked = np.array([evidence.walk**2 * s.statistics.walk_gain for s in evidence.segments])
+    counted = np.array([s.statistics.quantum for s in evidence.segments])
+    square = found.std[rows] ** 2
+    by_segment = weights[:, :at_rest].reshape(len(rows), len(share), 6)
+    walk_part = np.einsum('ksc,sc->ks', by_segment, walked)
+    count_part = np.einsum('ksc,sc->ks', by_segment, counted)
+    fixed = square - (walk_part + count_part).sum(axis=1)
+    _check_reachable(rows, targets, fixed)
+    seconds = dwells[share] + beyond
+
+    def left(logs: Floats) -> Floats:
+        ratio = seconds / (np.exp(logs)[share] + beyond)
+        variances = fixed + walk_part @ ratio + count_part @ ratio**2
+        return np.asarray(np.log(variances / targets**2))
+
+    def slopes(logs: Floats) -> Floats:
+        times = np.exp(logs)[share]
+        ratio = seconds / (times + beyond)
+        variances = fixed + walk_part @ ratio + count_part @ ratio**2
+        by_ratio = walk_part + 2 * count_part * ratio
+        by_log = -by_ratio * ratio * times / (times + beyond) / variances[:, None]
+        result = np.zeros((len(rows), len(names)))
+        for k, place in enumerate(share):
+            result[:, place] += by_log[:, k]
+        return result
+
+    start = np.log(np.maximum(dwells, SHORTEST))
+    while (left(start) > 0).any() and start.max() < np.log(LONGEST):
+        start = np.minimum(start + 0.2, np.log(LONGEST))
+    total = float(np.exp(start).sum())
+    solved = minimize(  # type: ignore[call-overload]
+        lambda logs: float(np.exp(logs).sum()) / total,
+        start,
+        jac=lambda logs: np.exp(logs) / total,
+        bounds=[(float(np.log(SHORTEST)), float(np.log(LONGEST)))] * len(start),
+        constraints={
+            'type': 'ineq',
+            'fun': lambda logs: -left(logs),
+            'jac': lambda logs: -slopes(logs),
+        },
+        method='SLSQP',
+        options={'maxiter': 200, 'ftol': 1e-9},
+    )
+    times = dict(zip(names, np.exp(solved.x), strict=True))
+    positions = tuple(
+        replace(p, dwell=float(times[p.id])) if p.id in times else p for p in plan.positions
+    )
+    return replace(plan, positions=positions)
+
+
+def _weights(setup: Setup, truth: SensorModel, evidence: Evidence) -> Floats:
+    """Return how the parameters follow from the outputs, (24, 6 s + 3 t)."""
+    name = setup.method_name
+    if name not in JOINT:
+        return gains(evidence, method(name))
+    equations = Equations(evidence, with_g=JOINT[name])
+    state = state_at(equations, truth)
+    covariance = information(evidence, truth, with_g=JOINT[name]).covariance
+    jacobian = equations.jacobian(state)
+    inverse = np.linalg.inv(equations.covariance(state))
+    return np.asarray((np.nan_to_num(covariance) @ jacobian.T @ inverse)[:SENSORS])
+
+
+def _check_observed(found: Forecast, rows: NDArray[np.intp]) -> None:
+    lost = [PARAMETER_NAMES[int(row)] for row in rows if not np.isfinite(found.std[row])]
+    if lost:
+        raise NotObservable(
+            f'This plan does not observe {", ".join(lost)}, however long it dwells.'
+        )
+
+
+def _check_reachable(rows: NDArray[np.intp], targets: Floats, fixed: Floats) -> None:
+    """Refuse what no dwell can give."""
+    short = [
+        PARAMETER_NAMES[int(row)]
+        for row, target, rest in zip(rows, targets, fixed, strict=True)
+        if rest >= target**2
+    ]
+    if short:
+        raise NotObservable(
+            f'No dwell reaches it for {", ".join(short)}: what the turns, the arrivals and the '
+            'clocks leave is more than that. Turn more often.'
+        )

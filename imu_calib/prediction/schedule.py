@@ -1,0 +1,78 @@
+"""When a table would run the steps of a plan: moves, run-ups, settling and dwells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..errors import InputError
+from ..plan import Step
+from ..profile import travel_time
+from ..stream import Floats, Mode
+from ..turntable import TURN, Table
+
+SETTLE = 1.0
+"""From an arrival to the start of a dwell, s, as stand and sequencer keep it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """When a step is run.
+
+    Attributes:
+        step: The step.
+        begin: When the table sets out, s since the first step.
+        rest: When it comes to rest, s.
+        end: When the next step begins, s.
+        angles: (k,) joint angles where it comes to rest, rad.
+
+    """
+
+    step: Step
+    begin: float
+    rest: float
+    end: float
+    angles: Floats
+
+
+def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> tuple[Visit, ...]:
+    """Lay steps out in time.
+
+    Args:
+        steps: As `Plan.steps` returns them for this table; the table stands at the first.
+        table: Whose limits hold.
+        settle: Wait after each arrival, s.
+
+    Raises:
+        InputError: A joint has no limit of rate or acceleration: nobody knows how long it takes.
+
+    """
+    for joint in table.joints:
+        if not (math.isfinite(joint.max_rate) and math.isfinite(joint.max_acceleration)):
+            raise InputError(
+                f'Table {table.name}, joint {joint.name}: the time that a plan takes needs '
+                'max_rate and max_acceleration.'
+            )
+    visits: list[Visit] = []
+    now, angles = 0.0, steps[0].angles
+    for step in steps:
+        moving = [
+            travel_time(float(goal - origin), joint.max_rate, joint.max_acceleration)
+            for goal, origin, joint in zip(step.angles, angles, table.joints, strict=True)
+        ]
+        rest, angles = now + max(moving), step.angles.copy()
+        if step.mode is Mode.RATE:
+            k = next(k for k, rate in enumerate(step.rates) if rate)
+            rate, travel = float(step.rates[k]), TURN * (step.turns + 1)
+            rest += travel_time(travel, abs(rate), table.joints[k].max_acceleration)
+            angles[k] += math.copysign(travel, rate)
+        end = rest + settle + step.dwell
+        visits.append(Visit(step, now, rest, end, angles))
+        now = end
+    return tuple(visits)
+
+
+def duration(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> float:
+    """Return the time that a plan takes, s: moves, run-ups, settling, turns and dwells."""
+    return schedule(steps, table, settle=settle)[-1].end

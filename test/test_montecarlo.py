@@ -1,0 +1,62 @@
+"""Repeated sessions: seeds decide, and the table says what they came to."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sessions import SITE, paper_imu, stand, truth
+from test_prediction import brisk
+
+from imu_calib.calibrator import Setup
+from imu_calib.cli.main import main
+from imu_calib.model import PARAMETERS
+from imu_calib.montecarlo import Outcome, Run, Study, economical, repeat
+from imu_calib.plan import load_plan
+from imu_calib.turntable import load_table
+
+
+def study(plan: str | None = None) -> Study:
+    chosen = brisk(5.0) if plan is None else load_plan(plan)
+    setup = Setup(paper_imu(), chosen, load_table('three_axis'), SITE)
+    return Study(setup, truth().model, economical(stand()))
+
+
+def test_the_outcome_depends_on_seeds_and_not_on_processes() -> None:
+    shown: list[tuple[int, int]] = []
+    alone = repeat(study(), 4, seed=7, jobs=1, show=lambda *at: shown.append(at))
+    together = repeat(study(), 4, seed=7, jobs=2)
+    np.testing.assert_array_equal(alone.errors, together.errors)
+    assert [run.seed for run in together.runs] == [7, 8, 9, 10]
+    assert shown == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert len(np.unique(alone.errors[:, 0])) == 4
+
+
+def test_what_is_refused_is_counted_and_left_out() -> None:
+    outcome = repeat(study('six_position'), 1, jobs=1)
+    assert 'north' in outcome.refused[0].refusal
+    assert len(outcome.errors) == 0
+
+
+def test_figures_are_those_of_the_errors() -> None:
+    rng = np.random.default_rng(1)
+    errors = 2.0 + 3.0 * rng.standard_normal((2000, 24))
+    runs = tuple(Run(k, PARAMETERS, row, np.full(24, 6.0)) for k, row in enumerate(errors))
+    outcome = Outcome(runs)
+    # Five deviations of the mean and of the spread of 2000 normal numbers.
+    assert outcome.bias == pytest.approx(2.0, abs=5 * 3 / np.sqrt(2000))
+    assert outcome.spread == pytest.approx(3.0, abs=5 * 3 / np.sqrt(4000))
+    assert outcome.mean_stated == pytest.approx(6.0)
+    assert outcome.normalised == pytest.approx(errors / 6)
+
+
+def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    target = tmp_path / 'study.png'
+    arguments = ['montecarlo', 'twelve_position', '--runs', '2', '--jobs', '1', '-o', str(target)]
+    assert main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert 'spread/stated' in shown
+    assert '2 runs of plan twelve_position' in shown
+    assert target.exists() or 'matplotlib is not installed' in shown
+    assert main(['montecarlo', 'six_position', '--runs', '1', '--jobs', '1']) == 1
+    assert main(['montecarlo', 'six_position_by_hand', '--runs', '1']) == 2
+    assert main(['montecarlo', 'twelve_position', '--runs', '0']) == 2

@@ -1,0 +1,147 @@
+"""What a plan is said to give beforehand, against what sessions gave and what a bound allows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bound import bound
+from scipy.stats import chi2
+from sessions import LATITUDE, SITE, paper_imu, quick_plan, session, stand, truth
+
+from imu_calib.calibrator import Setup
+from imu_calib.cli.main import main
+from imu_calib.errors import InputError, NotObservable
+from imu_calib.imu import load_imu
+from imu_calib.model import PARAMETER_NAMES
+from imu_calib.montecarlo import Study, economical, repeat
+from imu_calib.plan import Plan, RateTest, load_plan
+from imu_calib.prediction import duration, expected, forecast, reach
+from imu_calib.simulation import SimulatedStand
+from imu_calib.turntable import load_table
+from imu_calib.units import DEG, DEG_H, PPM
+
+SETTLE = 1.0
+D_GX = PARAMETER_NAMES.index('D_gx')
+K_AX = PARAMETER_NAMES.index('K_ax')
+
+
+def setup(plan: Plan | str = 'twelve_position', method: str | None = None) -> Setup:
+    plan = load_plan(plan) if isinstance(plan, str) else plan
+    return Setup(paper_imu(), plan, load_table('three_axis'), SITE, method)
+
+
+def brisk(dwell: float) -> Plan:
+    """Twelve positions with short dwells and turns at one rate."""
+    plan = quick_plan('twelve_position', dwell)
+    test = RateTest((60 * DEG, -60 * DEG), 1)
+    positions = [replace(p, rate_test=test if p.rate_test else None) for p in plan.positions]
+    return replace(plan, positions=tuple(positions))
+
+
+def test_the_best_is_the_bound_of_the_full_stream() -> None:
+    plan = load_plan('twelve_position')
+    found = forecast(setup(), truth().model, 0.5)
+    at_rest = {p.id: p.dwell + SETTLE for p in plan.positions}
+    floor = bound(plan, paper_imu(), truth().model, SITE, 0.5, at_rest)
+    # Whole turns are counted between two readings: 9 % above what the stream holds.
+    assert found.best == pytest.approx(floor, rel=0.12)
+    assert (found.best > 0.99 * floor).all()
+
+
+@pytest.mark.parametrize('name', ['twelve_position', 'six_position'])
+def test_time_is_that_of_a_stand(name: str) -> None:
+    plan, table = load_plan(name), load_table('three_axis')
+    course = SimulatedStand(plan, table, paper_imu(), truth().model, SITE, stand())
+    first = course.visits[0]
+    took = course.visits[-1].end - first.rest
+    # The stand looks every 0.1 s whether the table has come to rest.
+    steps = len(course.visits)
+    assert 0 <= took - duration(plan.steps(table), table) <= 0.1 * steps
+
+
+def test_stretches_last_as_long_as_the_segmentation_makes_them() -> None:
+    from sessions import calibrate
+
+    plan = brisk(15.0)
+    found = calibrate(session(plan), plan).labelled
+    foreseen = expected(setup(plan), truth().model)
+    real = {s.position: s.statistics.duration for s in found.segments}
+    # After the last step the stand records on.
+    for segment in foreseen.segments[:-1]:
+        assert segment.statistics.duration == pytest.approx(real[segment.position], abs=0.3)
+    ahead = [(t.position, t.angle, t.seconds) for t in foreseen.turns]
+    turned = [(t.position, t.angle, pytest.approx(t.seconds, rel=1e-4)) for t in found.turns]
+    assert ahead == turned
+
+
+def test_predicted_is_what_many_sessions_achieve() -> None:
+    runs = 40
+    case = Study(setup(brisk(15.0)), truth().model, economical(stand()), 0.5)
+    ahead = forecast(case.setup, case.truth, 0.5)
+    outcome = repeat(case, runs, seed=100)
+    square = (outcome.errors / ahead.std) ** 2
+    for row, name in zip(square.T, PARAMETER_NAMES, strict=True):
+        low, high = chi2.ppf([1e-4, 1 - 1e-4], runs)
+        # Dwells of 15 s are known to 0.3 s, what pulses leave on average over phases.
+        assert 0.9 * low < row.sum() < 1.1 * high, name
+
+
+def test_biases_that_wander_widen_what_rests_on_stretches() -> None:
+    wild = replace(setup(), imu=load_imu('fog_medium'))
+    calm, stormy = (forecast(wild, truth().model, 0.5, wander=w) for w in (False, True))
+    extra = np.sqrt(stormy.std**2 - calm.std**2)[D_GX]
+    # 0.1 deg/h with 1000 s over 36 min: between the mean of independent stretches and all of it.
+    assert 0.1 / np.sqrt(12) < extra / DEG_H < 0.1
+    assert (stormy.best <= stormy.std * (1 + 1e-6)).all()
+
+
+def test_the_method_without_north_says_so() -> None:
+    found = forecast(setup('six_position'), truth().model)
+    assert np.isnan(found.std).all()
+    assert 'north' in found.refusal
+
+
+def test_an_imu_without_noise_figures_is_refused() -> None:
+    silent = replace(setup(), imu=load_imu('si'))
+    with pytest.raises(InputError, match='angle_random_walk'):
+        forecast(silent, truth().model)
+
+
+def test_half_the_deviation_takes_four_times_the_dwell() -> None:
+    now = forecast(setup(), truth().model, 0.5).std[D_GX]
+    found = reach(setup(), truth().model, {'D_gx': now / 2}, 0.5)
+    dwells = np.array([p.dwell for p in found.plan.positions])
+    # The gyros of the paper are ruled by their walk over such times.
+    assert dwells == pytest.approx(480.0, rel=0.05)
+    assert 0.99 < found.forecast.std[D_GX] / (now / 2) <= 1.0
+
+
+def test_only_the_positions_that_matter_dwell() -> None:
+    plan = load_plan('twelve_position')
+    found = reach(setup(method='joint'), truth().model, {'K_ax': 1 * PPM}, 0.5)
+    level = [
+        p.dwell
+        for p, was in zip(found.plan.positions, plan.positions, strict=True)
+        if abs(was.up[0]) < 0.5
+    ]
+    assert found.forecast.std[K_AX] <= 1 * PPM
+    assert max(level) < 0.2 * found.plan.position('1').dwell
+
+
+def test_what_dwells_cannot_reach_is_refused_by_name() -> None:
+    with pytest.raises(NotObservable, match='K_gx'):
+        reach(setup(method='joint'), truth().model, {'K_gx': 1 * PPM, 'D_gx': 1 * DEG_H}, 0.5)
+
+
+def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    latitude = str(LATITUDE / DEG)
+    arguments = ['plans', 'twelve_position', '--imu', 'fog_medium', '--latitude', latitude]
+    assert main(arguments) == 0
+    shown = capsys.readouterr().out
+    assert '0.079' in shown  # D_gx, deg/h: 0.05 deg/sqrt(h) over 12 stretches of two minutes
+    assert '35.8 min' in shown
+    assert main([*arguments, '--method', 'joint', '--reach', 'D_gx=0.1 deg/h']) == 0
+    assert 'dwell, s' in capsys.readouterr().out
+    assert main([*arguments, '--reach', 'D_gx=1 ppm']) == 2
+    assert main([*arguments, '--reach', 'Q_gx=1 ppm']) == 2
+    assert main(['plans', '--reach', 'D_gx=0.1 deg/h']) == 2
