@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from ..earth import Site
 from ..errors import NotObservable
@@ -21,7 +20,6 @@ _AXIS_TOLERANCE = 0.05
 _QUARTZ = 50e-6
 _STATED_FREEDOM = 10.0
 _ENOUGH_FREEDOM = 20.0
-_UNLUCKY = 0.16
 
 SMALLEST_VARIANCE = 1e-32
 """Stands for zero where a noise-free session is divided by its variance, SI units squared."""
@@ -133,26 +131,24 @@ def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
 def noise(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     """Return the random-walk coefficients that the data shows, (6,).
 
-    A few blocks tell little: their scatter may be near zero by chance, and deviations that rest on
-    it would be far too small. The data sheet's figure then counts like blocks of its own, the
-    fewer the more the data shows. Without a data sheet few blocks are taken at the end of their
-    range at which a variance is that low one time in six.
+    Short dwells tell little: their scatter may be small by chance, and deviations that rest on it
+    would be far too small. The data sheet's figure then counts like blocks of its own, the fewer
+    the more the data shows; without one, a standard deviation is added to what the data shows.
 
     Raises:
         NotObservable: Neither the data nor the IMU's description tells.
 
     """
-    found, freedom = pooled_walk([s.statistics for s in segments])
+    found = pooled_walk([s.statistics for s in segments])
     stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
-    weight = _STATED_FREEDOM**2 / (_STATED_FREEDOM + freedom)
-    square = np.where(freedom > 0, found, 0.0) ** 2
-    blended = (freedom * square + weight * stated**2) / (freedom + weight)
-    cautious = square * np.where(
-        freedom < _ENOUGH_FREEDOM, freedom / chdtri(np.maximum(freedom, 1), 1 - _UNLUCKY), 1.0
-    )
-    walk = np.sqrt(np.where(stated > 0, blended, cautious))
-    if not (walk[freedom == 0] > 0).all():
+    known = np.isfinite(found.deviation)
+    if not (known | (stated > 0)).all():
         raise NotObservable(
             'The noise of the sensors is unknown: no stretch at rest is long enough.'
         )
-    return np.asarray(walk)
+    square = np.where(known, found.square, 0.0)
+    freedom = found.freedom
+    weight = _STATED_FREEDOM**2 / (_STATED_FREEDOM + freedom)
+    blended = (freedom * square + weight * stated**2) / (freedom + weight)
+    doubt = np.where(known & (freedom < _ENOUGH_FREEDOM), found.deviation, 0.0)
+    return np.asarray(np.sqrt(np.where(stated > 0, blended, square + doubt)))

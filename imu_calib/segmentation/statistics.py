@@ -282,7 +282,29 @@ def _drifts(blocks: tuple[Floats, ...]) -> tuple[Floats, Floats]:
     return slopes, deviations
 
 
-def pooled_walk(statistics: Sequence[Statistics]) -> tuple[Floats, Floats]:
+@dataclass(frozen=True, eq=False)
+class PooledWalk:
+    """Squared random-walk coefficients of the six channels, and how well they are known.
+
+    Attributes:
+        square: (6,) rad^2/s and (m/s)^2/s; NaN where no segment has two blocks.
+        deviation: (6,) its standard deviation; infinite where nothing tells.
+
+    """
+
+    square: Floats
+    deviation: Floats
+
+    @property
+    def freedom(self) -> Floats:
+        """The (6,) blocks without quantisation that would tell as much: 2 (square / deviation)^2.
+
+        A block whose scatter is quantisation counts little, however many there are.
+        """
+        return np.where(np.isfinite(self.deviation), 2 * (self.square / self.deviation) ** 2, 0.0)
+
+
+def pooled_walk(statistics: Sequence[Statistics]) -> PooledWalk:
     """Estimate the random-walk coefficient of every channel from the blocks of all segments.
 
     Maximum likelihood over block means about their segment's mean, the known share of
@@ -291,19 +313,16 @@ def pooled_walk(statistics: Sequence[Statistics]) -> tuple[Floats, Floats]:
     Args:
         statistics: Segments at rest.
 
-    Returns:
-        (6,) rad/sqrt(s) and (m/s)/sqrt(s), NaN where no segment has two blocks; and (6,) the
-        degrees of freedom that they rest on.
-
     """
     blocks = [[b for b in (s.blocks[c] for s in statistics) if len(b) > 1] for c in range(6)]
-    freedom = np.array([sum(len(b) - 1 for b in channel) for channel in blocks], dtype=float)
-    return np.array([_channel_walk(channel) for channel in blocks]), freedom
+    found = np.array([_channel_walk(channel) for channel in blocks])
+    return PooledWalk(found[:, 0], found[:, 1])
 
 
-def _channel_walk(segments: list[Floats]) -> float:
+def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
+    """Return the squared walk of one channel and its standard deviation."""
     if not segments:
-        return float('nan')
+        return float('nan'), float('inf')
     square = float(np.mean([np.var(b[:, 0], ddof=1) / b[:, 1].mean() for b in segments]))
     for _ in range(_SCORING_STEPS):
         score, information = 0.0, 0.0
@@ -311,8 +330,9 @@ def _channel_walk(segments: list[Floats]) -> float:
             variance = np.maximum(square * gain + quantum, _SMALLEST_VARIANCE)
             weights = 1 / variance / (1 / variance).sum()
             # The segment's own mean takes one degree of freedom.
-            square_left = (mean - weights @ mean) ** 2 * len(mean) / (len(mean) - 1)
-            score += float((gain / variance**2) @ (square_left - quantum))
-            information += float((gain / variance) @ (gain / variance))
+            left = (len(mean) - 1) / len(mean)
+            square_left = (mean - weights @ mean) ** 2 / left
+            score += left * float((gain / variance**2) @ (square_left - quantum))
+            information += left * float((gain / variance) @ (gain / variance))
         square = max(0.0, score / information)
-    return float(np.sqrt(square))
+    return square, float(np.sqrt(2 / information))
