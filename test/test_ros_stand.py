@@ -1,0 +1,365 @@
+"""The live stand under real ROS 2: launched, called, asked, recorded, and mixed with the DDS side.
+
+What runs is the workspace as `colcon build` left it, in a domain of its own on the loopback
+interface; every process is marked in its environment, and none may be left.
+"""
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import sysconfig
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from loopback import CHECKOUT, environment, until
+from test_interop import ROS, SETUP, has_wheel, without_ros
+
+from imu_calib.calibration import Calibration
+from imu_calib.cli import main, stand
+from imu_calib.cli.processes import free_port, private_network
+from imu_calib.share import named_file
+
+PACKAGE = None if SETUP is None else SETUP.parent / 'imu_calib'
+LAUNCHABLE = PACKAGE is not None and (PACKAGE / 'lib/imu_calib/stand_node').is_file()
+pytestmark = [
+    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
+    pytest.mark.skipif(not LAUNCHABLE, reason='not built: colcon build, source install/setup.bash'),
+]
+LIMIT = 4.5
+VALID = 0
+"""As in ImuCalibration.msg."""
+
+LATITUDE = 34.65
+RECORDED = (
+    '/imu/pulses',
+    '/imu/temperature',
+    '/turntable/joint_states',
+    '/turntable/setpoint',
+    '/turntable/state',
+    '/calibration',
+)
+GLOBAL = {'/clock', '/diagnostics', '/parameter_events', '/rosout'}
+NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
+TRIGGER = 'std_srvs/srv/Trigger'
+MARK = 'IMU_CALIB_TEST_OF'
+
+
+class Network:
+    """A domain of its own, and what runs in it.
+
+    Args:
+        folder: Takes the logs; its name marks the processes.
+
+    """
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.own = {**environment(), **private_network(), MARK: f'{folder} {os.getpid()}'}
+        self.own['ROS_LOG_DIR'] = str(folder / 'ros_log')
+        self.processes = {}
+
+    def environ(self, **more):
+        return {**without_ros(), **self.own, 'PYTHONUNBUFFERED': '1', **more}
+
+    def ros(self, *words):
+        """Return a command line in the workspace."""
+        # What rosdep would install for ROS's own Python is where these tests run.
+        extra = sysconfig.get_path('purelib') if sys.version_info[:2] == _ros_python() else ''
+        path = f'export PYTHONPATH=$PYTHONPATH:{shlex.quote(extra)}'
+        return ['bash', '-c', f'. {ROS} && . {SETUP} && {path} && exec {shlex.join(words)}']
+
+    def start(self, name, words, **more):
+        """Start a process whose output goes to a log of its name."""
+        with (self.folder / f'{name}.log').open('wb') as log:
+            self.processes[name] = subprocess.Popen(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self.environ(**more),
+                cwd=self.folder,
+                start_new_session=True,
+            )
+
+    def ask(self, *words, seconds=60):
+        """Run a tool of ROS to its end; return what it wrote."""
+        done = subprocess.run(
+            self.ros('ros2', *words),
+            capture_output=True,
+            text=True,
+            timeout=seconds,
+            env=self.environ(),
+            cwd=self.folder,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    def call(self, service):
+        """Call a Trigger service with ROS's tool; return whether it agreed, and what it said."""
+        answer = self.ask('service', 'call', service, TRIGGER)
+        found = re.search(r"success=(True|False), message='(.*)'", answer)
+        assert found, answer
+        return found[1] == 'True', found[2]
+
+    def log(self, name):
+        return (self.folder / f'{name}.log').read_text(errors='replace')
+
+    def says(self, name, *sentences, seconds=60.0):
+        """Wait until a log holds all the sentences."""
+
+        def all_there():
+            assert self.processes[name].poll() is None, self.log(name)
+            return all(sentence in self.log(name) for sentence in sentences)
+
+        assert until(all_there, seconds), self.log(name)
+
+    def stop(self, name):
+        """End a process as a user does; return its log."""
+        self.processes[name].send_signal(signal.SIGINT)
+        self.processes[name].wait(timeout=20)
+        del self.processes[name]
+        return self.log(name)
+
+    def left(self):
+        """Return the processes that still run: number and command line."""
+        mark = f'{MARK}={self.own[MARK]}'.encode()
+        found = {}
+        for process in Path('/proc').glob('[0-9]*'):
+            # It may end while it is looked at.
+            with suppress(OSError):
+                if mark in (process / 'environ').read_bytes().split(b'\0'):
+                    line = (process / 'cmdline').read_bytes().replace(b'\0', b' ').decode()
+                    found[int(process.name)] = line
+        return {number: line for number, line in found.items() if line}
+
+
+@contextmanager
+def nothing_left(net):
+    """End what runs in a network at the end of the block; nothing of it may be left."""
+    try:
+        yield net
+    except BaseException:
+        for number in net.left():
+            with suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        for process in net.processes.values():
+            process.wait()
+        raise
+    assert not net.processes
+    assert until(lambda: not net.left(), 10.0), net.left()
+
+
+def _ros_python():
+    folder = next((ROS.parent / 'lib').glob('python3.*'))
+    return tuple(int(part) for part in folder.name.removeprefix('python').split('.'))
+
+
+def short_plan(folder):
+    """Write the twelve positions with short dwells and one pair of rates."""
+    plan = yaml.safe_load(named_file('plans', 'twelve_position').read_text())
+    plan['name'] = 'short'
+    plan['dwell'] = '12 s'
+    plan['rate_test']['rates'] = ['60 deg/s', '-60 deg/s']
+    path = folder / 'short.yaml'
+    path.write_text(yaml.safe_dump(plan))
+    return path
+
+
+def launch(net, **arguments):
+    """Launch the simulated stand with the short plan."""
+    given = {
+        'plan': str(short_plan(net.folder)),
+        'latitude': str(LATITUDE),
+        'frame_port': str(free_port()),
+        **arguments,
+    }
+    words = [f'{name}:={value}' for name, value in given.items()]
+    words = ['ros2', 'launch', 'imu_calib', 'simulated_stand.launch.py', *words]
+    net.start('launch', net.ros(*words))
+
+
+def record(net):
+    """Record as the documentation says; return when all topics are subscribed to."""
+    options = ['-o', str(net.folder / 'bag'), '--disable-keyboard-controls']
+    options += ['--qos-profile-overrides-path', str(CHECKOUT / 'config' / 'record_qos.yaml')]
+    net.start('record', net.ros('ros2', 'bag', 'record', *options, '--topics', *RECORDED))
+    net.says('record', *(f"Subscribed to topic '{topic}'" for topic in RECORDED))
+
+
+def reprocess(net, recording, *options):
+    """Run `imu-calib calibrate` on a recording; return its calibration."""
+    output = net.folder / 'offline.yaml'
+    words = ('calibrate', str(net.folder / recording), '-o', str(output))
+    net.ask('run', 'imu_calib', 'imu-calib', *words, *options)
+    return Calibration.load(output)
+
+
+def same(one, other):
+    """Whether two calibrations are the same, bit for bit."""
+    return np.array_equal(one.model.vector(), other.model.vector()) and np.array_equal(
+        one.covariance, other.covariance
+    )
+
+
+def check_truth(calibration):
+    truth = Calibration.load(named_file('truths', 'cao2022_table1')).model.vector()
+    error = np.abs(calibration.model.vector() - truth) / calibration.std
+    assert error.max() < LIMIT, error.round(1)
+
+
+@pytest.fixture(scope='module', autouse=True)
+def _interruptible():
+    """What a shell starts in the background ignores SIGINT, and so would all that starts here."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope='module')
+def session(tmp_path_factory):
+    """A session under `ros2 launch`, recorded by `ros2 bag record`, looked at with ROS's tools."""
+    net = Network(tmp_path_factory.mktemp('session'))
+    seen = SimpleNamespace(net=net)
+    look = ('--no-daemon', '--spin-time', '2')
+    with nothing_left(net):
+        launch(net, autostart='false')
+        net.says('launch', 'waiting for /imu/pulses', 'Frames come in.')
+        record(net)
+        seen.started = net.call('/turntable_node/start')
+        seen.parameters = net.ask('param', 'list', '/turntable_node', *look)
+        seen.latitude = net.ask('param', 'get', '/calibrator_node', 'latitude', *look)
+        seen.described = net.ask('param', 'describe', '/turntable_node', 'setpoint_rate', *look)
+        net.says('launch', 'The plan is done.', 'calibration.yaml is written', seconds=120)
+        echo = ('topic', 'echo', '--no-daemon', '--once', '--full-length')
+        latched = ('--qos-durability', 'transient_local', '--qos-reliability', 'reliable')
+        echoed = net.ask(*echo, *latched, '/calibration', 'imu_calib_msgs/msg/ImuCalibration')
+        seen.echoed = yaml.safe_load(echoed.split('\n---')[0])
+        seen.recorded = net.stop('record')
+        seen.launched = net.stop('launch')
+    seen.live = Calibration.load(net.folder / 'calibration.yaml')
+    return seen
+
+
+def test_a_launched_session_ends_in_the_true_parameters(session):
+    assert session.started == (True, 'Runs short.')
+    check_truth(session.live)
+
+
+def test_ctrl_c_ends_the_launched_stand_in_order(session):
+    assert 'the table stands' in session.launched
+    assert 'Traceback' not in session.launched
+    assert session.launched.count('process has finished cleanly') == 5
+
+
+def test_the_latched_calibration_is_echoed_to_whoever_asks_late(session):
+    message = session.echoed
+    assert message['status'] == VALID
+    vector = [message[name.lower()] for name in message['parameter_names']]
+    assert vector == session.live.model.vector().tolist()
+    assert message['covariance'] == session.live.covariance.ravel().tolist()
+
+
+def test_parameters_are_told_to_the_tools_of_ros(session):
+    assert {'plan', 'setpoint_rate', 'use_sim_time'} <= set(session.parameters.split())
+    assert float(session.latitude.split()[-1]) == LATITUDE
+    assert 'Type: double' in session.described
+    assert 'Min value: 10.0' in session.described
+
+
+def test_the_journal_reprocessed_is_the_live_result(session):
+    assert same(reprocess(session.net, 'journal'), session.live)
+
+
+def test_what_ros_recorded_reprocessed_is_the_live_result(session):
+    assert not re.search('warn|error|lost', session.recorded, re.IGNORECASE), session.recorded
+    given = ('--plan', str(session.net.folder / 'short.yaml'), '--imu', 'fog_medium')
+    given += ('--table', 'three_axis', '--latitude', str(LATITUDE))
+    offline = reprocess(session.net, 'bag', *given)
+    assert offline.provenance['samples'] == session.live.provenance['samples']
+    assert same(offline, session.live)
+
+
+def test_services_lead_a_stand_in_its_namespace(tmp_path):
+    net = Network(tmp_path)
+    with nothing_left(net):
+        launch(net, namespace='lab', speed='3.0')
+        net.says('launch', 'Turning: step 2')
+        assert net.call('/lab/turntable_node/pause')[0]
+        net.says('launch', 'Paused')
+        refused, why = net.call('/lab/calibrator_node/save')
+        assert not refused, why
+        listed = net.ask('node', 'list', '--no-daemon', '--spin-time', '2').split()
+        assert {f'/lab/{node}' for node in (*NODES, 'robot_state_publisher')} <= set(listed)
+        topics = net.ask('topic', 'list', '--no-daemon', '--spin-time', '2').split()
+        assert {t for t in topics if not t.startswith('/lab/')} == GLOBAL
+        assert {f'/lab{topic}' for topic in (*RECORDED, '/estop', '/tf')} <= set(topics)
+        assert net.call('/lab/turntable_node/start')[0]
+        assert net.call('/lab/turntable_node/abort')[0]
+        assert net.call('/lab/calibrator_node/solve')[0]
+        net.says('launch', 'nothing can be determined')
+        agreed, where = net.call('/lab/calibrator_node/reset')
+        assert agreed, where
+        assert where.endswith('journal_2')
+        turns = net.log('launch').count('Turning')
+        assert net.call('/lab/turntable_node/start')[0]
+        assert until(lambda: net.log('launch').count('Turning') > turns, 60)
+        written = net.stop('launch')
+    # Ctrl-C in the middle of a turn.
+    assert 'the table stands' in written
+    assert 'Traceback' not in written
+
+
+def test_a_real_stand_and_a_calibrator_alone_are_launched(tmp_path):
+    net = Network(tmp_path)
+    port = f'socket://127.0.0.1:{free_port()}'
+    real = {'port': port, 'device': 'simulated', 'table_output': 'trajectory', 'namespace': 'real'}
+    alone = {'imu_topic': '/my/imu', 'journal': 'other', 'namespace': 'alone'}
+    ours = {'/real/imu/pulses', '/real/turntable/setpoint', '/alone/calibration', '/my/imu'}
+    trajectories = '/real/joint_trajectory_controller/joint_trajectory'
+    with nothing_left(net):
+        for name, given in (('stand', real), ('calibrator', alone)):
+            words = [f'{k}:={v}' for k, v in {'latitude': LATITUDE, **given}.items()]
+            net.start(name, net.ros('ros2', 'launch', 'imu_calib', f'{name}.launch.py', *words))
+        net.says('stand', port, 'Nothing is started.', 'waiting for /real/imu/pulses')
+        net.says('calibrator', 'waiting for /my/imu')
+        topics = net.ask('topic', 'list', '--no-daemon', '--spin-time', '2').split()
+        written = net.stop('calibrator') + net.stop('stand')
+    assert ours | {trajectories} <= set(topics)
+    assert written.count('process has finished cleanly') == 5
+    assert 'Traceback' not in written
+
+
+@pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
+@pytest.mark.parametrize('on_ros', [{'calibrator_node'}, set(NODES) - {'calibrator_node'}])
+def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):
+    folder = tmp_path / 'stand'
+    words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--latitude', str(LATITUDE)]
+    parameters = stand._parameters(main.build_parser().parse_args(words), folder)
+    folder.mkdir()
+    net = Network(tmp_path)
+    library = next((PACKAGE / 'lib').glob('python3*/site-packages'))
+    with nothing_left(net):
+        for name in NODES:
+            file = tmp_path / f'{name}.yaml'
+            file.write_text(yaml.safe_dump({name: {'ros__parameters': parameters[name]}}))
+            words = ['-m', f'imu_calib.nodes.{name}', '--ros-args', '--params-file', str(file)]
+            if name in on_ros:
+                net.start(name, net.ros('python3', *words), IMU_CALIB_MIDDLEWARE='rclpy')
+            else:
+                alone = {'IMU_CALIB_MIDDLEWARE': 'dds', 'PYTHONPATH': str(library)}
+                net.start(name, [sys.executable, *words], **alone)
+        net.says('turntable_node', 'The plan is done.', seconds=120)
+        net.says('calibrator_node', 'calibration.yaml is written')
+        logs = [net.stop(name) for name in reversed(NODES)]
+    assert 'Traceback' not in ''.join(logs)
+    live = Calibration.load(folder / 'calibration.yaml')
+    check_truth(live)
+    assert same(reprocess(net, 'stand/journal'), live)
