@@ -10,9 +10,10 @@ from ..bags import Recording, open_recording
 from ..calibration import Calibration
 from ..calibrator import Calibrator, Result, Setup
 from ..errors import NotObservable
-from ..methods import METHODS
+from ..methods import METHODS, free
+from ..methods.free.session import FreeCalibrator
 from ..report.parameters import parameter_table
-from ..stream import Block
+from ..stream import Block, ImuBlock, SkewBlock
 from ..units import DEG
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -43,8 +44,11 @@ class Offline:
     def blocks(self, text: str) -> Iterator[Block]:
         """Read all topics, with a progress bar."""
         with progress_bar(text) as show:
-            for _, block in self.recording.read(self.streams.kinds(), show):
-                yield block
+            for topic, block in self.recording.read(self.streams.kinds(), show):
+                if topic == self.streams.skew and isinstance(block, ImuBlock):
+                    yield SkewBlock.of(block)
+                else:
+                    yield block
 
 
 def open_offline(arguments: argparse.Namespace) -> Offline:
@@ -58,8 +62,12 @@ def open_offline(arguments: argparse.Namespace) -> Offline:
     data, where = recording.custom_data, str(recording.path)
     streams = options.find_streams(arguments, recording)
     table = options.find_table(arguments, data, where)
+    imu = options.find_imu(arguments, data, where)
+    if streams.skew is None:
+        # Nobody is to wait for a gyro that the recording does not hold.
+        imu = replace(imu, skewed=None)
     setup = Setup(
-        options.find_imu(arguments, data, where),
+        imu,
         options.find_plan(arguments, data, where),
         table if streams.joints is not None else None,
         options.find_site(arguments, data, where),
@@ -76,7 +84,8 @@ def calibrate(offline: Offline) -> Result:
         NotObservable: The data cannot give all parameters.
 
     """
-    calibrator = Calibrator(offline.setup)
+    by_hand = offline.setup.method_name == free.NAME
+    calibrator = FreeCalibrator(offline.setup) if by_hand else Calibrator(offline.setup)
     for block in offline.blocks('reading'):
         calibrator.feed(block)
     lost = tuple(offline.recording.losses)

@@ -8,11 +8,13 @@ from ..earth import Site
 from ..errors import InputError
 from ..plan import Plan
 from . import (
+    free,
     joint,
     n_positions,
     off_axis_four,
     rate_24,
     six_position,
+    skewed,
     static_six,
     twelve_position,
 )
@@ -20,12 +22,14 @@ from .evidence import Evidence
 from .solution import Solution
 
 METHODS: dict[str, Callable[[Evidence], Solution]] = {
+    free.NAME: free.refuse,
     'joint': joint.solve,
     'joint_33': joint.solve_33,
     'n_positions': n_positions.solve,
     'off_axis_four': off_axis_four.solve,
     'rate_24': rate_24.solve,
     'six_position': six_position.solve,
+    'skewed': skewed.solve,
     'static_six': static_six.solve,
     'twelve_position': twelve_position.solve,
 }
@@ -34,6 +38,7 @@ _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
     'n_positions': lambda plan, _: n_positions.check(plan),
     'off_axis_four': off_axis_four.check,
     'rate_24': lambda plan, _: rate_24.check(plan),
+    'skewed': lambda plan, _: skewed.check(plan),
     'static_six': static_six.check,
 }
 

@@ -1,0 +1,18 @@
+"""Free positions: no table, attitudes that nobody knows, holds found by the data."""
+
+from .fit import FREE, FreeFit, in_frame_of_accelerometers, refuse, solve
+from .holds import Hold, Swing
+
+NAME = 'free_positions'
+"""The method's name in plans."""
+
+__all__ = [
+    'FREE',
+    'NAME',
+    'FreeFit',
+    'Hold',
+    'Swing',
+    'in_frame_of_accelerometers',
+    'refuse',
+    'solve',
+]

@@ -1,0 +1,229 @@
+"""What a person with the unit in hand should do next, and what each further hold would gain.
+
+The gain is that of D-optimal design (Fedorov 1972, section 2.5): by how much the logarithm of the
+determinant of the information on the 21 parameters grows, halved. In the mean over the parameters
+a gain of 21 ln(2) halves every standard deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import product
+
+import numpy as np
+
+from ...earth import Site
+from ...errors import NotObservable
+from ...imu import ImuSpec
+from ...model import AXES, PARAMETERS, ParameterKind, SensorModel, Triad
+from ...stream import Floats
+from ...units import ARCMIN, DEG, PPM
+from .fit import FEWEST, FREE, System, ellipsoid
+from .holds import Hold, Swing
+
+_SCALE_WIDTH = 0.1
+_GYRO_BIAS_WIDTH = 1.0 * DEG
+_ACCEL_BIAS_WIDTH = 0.5
+_STEPS = 40
+_TURN_SECONDS = 2.0
+
+
+class Stage(Enum):
+    """What to do now."""
+
+    HOLD = 'hold still'
+    TURN = 'turn to the next attitude'
+    ENOUGH = 'enough'
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """When it is enough: standard deviations of scale factors and of misalignments (rad)."""
+
+    scale_factor: float = 300 * PPM
+    angle: float = 1 * ARCMIN
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An attitude that may be held next: in words, up in body axes, what it gains (nats)."""
+
+    words: str
+    up: Floats
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Guidance:
+    """What to tell the person.
+
+    Attributes:
+        stage: What to do now.
+        text: The same in a sentence.
+        holds: Holds that count so far.
+        std: (24,) standard deviations reached, SI units; NaN where nothing tells yet.
+        candidates: Attitudes to hold next, the best first.
+
+    """
+
+    stage: Stage
+    text: str
+    holds: int
+    std: Floats
+    candidates: tuple[Candidate, ...]
+
+
+def guide(
+    holds: Sequence[Hold],
+    swings: Sequence[Swing],
+    imu: ImuSpec,
+    site: Site,
+    *,
+    holding: float | None = None,
+    hold_seconds: float = 3.0,
+    wanted: Wanted | None = None,
+) -> Guidance:
+    """Say what to do next.
+
+    Args:
+        holds: Those that have come to their end.
+        swings: The turns between them.
+        imu: Noise figures, for what a further hold would know.
+        site: Gravity.
+        holding: How long the unit has been still, s; None while it moves.
+        hold_seconds: How long a hold is to last, s.
+        wanted: When it is enough.
+
+    """
+    wanted = wanted or Wanted()
+    if not holds:
+        std = np.full(len(PARAMETERS), np.nan)
+        candidates = tuple(Candidate(w, u, 0.0) for w, u in _directions())
+        return _told(holding, hold_seconds, 0, std, candidates, enough=False)
+    model, ups = _nominal(holds, site)
+    system = System(tuple(holds), tuple(swings), site, np.ones(3))
+    base = system.rows(model, ups)[0]
+    now = _log_information(base)
+    std = _deviations(base)
+    found = []
+    for words, up in _directions():
+        block = _further(holds[-1], ups[-1], up, model, imu, site, hold_seconds)
+        size = base.shape[1]
+        rows = np.zeros((len(block), size + 2))
+        rows[:, :24], rows[:, size - 2 :] = block[:, :24], block[:, 24:]
+        grown = np.vstack([np.pad(base, ((0, 0), (0, 2))), rows])
+        found.append(Candidate(words, up, (_log_information(grown) - now) / 2))
+    found.sort(key=lambda c: -c.gain)
+    scale = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])
+    angle = np.array([p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS])
+    with np.errstate(invalid='ignore'):
+        good = std <= np.where(scale, wanted.scale_factor, np.where(angle, wanted.angle, np.inf))
+    enough = bool(good[FREE & (scale | angle)].all())
+    return _told(holding, hold_seconds, len(holds), std, tuple(found), enough=enough)
+
+
+def _told(
+    holding: float | None,
+    hold_seconds: float,
+    holds: int,
+    std: Floats,
+    candidates: tuple[Candidate, ...],
+    *,
+    enough: bool,
+) -> Guidance:
+    best = candidates[0].words
+    if holding is not None and holding < hold_seconds:
+        stage, text = Stage.HOLD, f'Hold still: {hold_seconds - holding:.0f} s more.'
+    elif enough:
+        stage, text = Stage.ENOUGH, f'Enough: {holds} holds. Further ones still gain: {best}.'
+    else:
+        stage, text = Stage.TURN, f'{holds} holds so far. Turn to {best}, and hold still.'
+    return Guidance(stage, text, holds, std, candidates)
+
+
+def _directions() -> list[tuple[str, Floats]]:
+    """List faces, edges and corners of a cube: what a person finds without an instrument."""
+    found = []
+    for signs in product((1, 0, -1), repeat=3):
+        if any(signs):
+            parts = [
+                f'{axis.upper()} {"up" if s > 0 else "down"}'
+                for axis, s in zip(AXES, signs, strict=True)
+                if s
+            ]
+            words = parts[0] if len(parts) == 1 else 'half ' + ', half '.join(parts)
+            found.append((words, np.array(signs) / np.linalg.norm(signs)))
+    return sorted(found, key=lambda f: len(f[0]))
+
+
+def _nominal(holds: Sequence[Hold], site: Site) -> tuple[SensorModel, Floats]:
+    """Return the sensors as far as they are known, and up at every hold."""
+    accel = Triad()
+    outputs = np.array([h.accel for h in holds])
+    if len(holds) > FEWEST:
+        try:
+            accel = ellipsoid(outputs, site.gravity)
+        except NotObservable:
+            accel = Triad()
+    forces = np.linalg.solve(accel.response, (outputs - accel.bias).T).T
+    ups = forces / np.linalg.norm(forces, axis=1)[:, None]
+    bias = np.mean([h.gyro for h in holds], axis=0)
+    return SensorModel(Triad(bias=bias), accel), np.asarray(ups)
+
+
+def _further(
+    last: Hold,
+    up: Floats,
+    target: Floats,
+    model: SensorModel,
+    imu: ImuSpec,
+    site: Site,
+    seconds: float,
+) -> Floats:
+    """Return the rows that a further hold would add: columns of 24, the last up, the next up."""
+    noise = np.array([imu.gyro.random_walk, imu.accel.random_walk])
+    gyro, accel = model.predict(target * site.up_rate, target * site.gravity)
+    variances = noise**2 / seconds
+    if not (noise > 0).all():
+        variances = np.array([last.gyro_variance.mean(), last.accel_variance.mean()])
+        noise = np.sqrt(variances * seconds)
+    further = Hold(0, 0, gyro, accel, np.full(3, variances[0]), np.full(3, variances[1]))
+    axis = np.cross(target, up)
+    sine, cosine = float(np.linalg.norm(axis)), float(target @ up)
+    axis = axis / sine if sine > 1e-6 else np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    angle = np.arctan2(sine, cosine) * axis / np.linalg.norm(axis)
+    period = _TURN_SECONDS / _STEPS
+    step = model.gyro.response @ angle / _STEPS + model.gyro.bias * period
+    swing = Swing(0, np.tile(step, (_STEPS, 1)), period, float(noise[0] ** 2 * _TURN_SECONDS))
+    two = System((last, further), (swing,), site, np.ones(3))
+    return two.rows(model, np.array([up, target]))[0][6:]
+
+
+def _information(rows: Floats) -> Floats:
+    """Return the information on the 21 parameters, directions taken out, a wide prior put in."""
+    widths = np.array(
+        [
+            _SCALE_WIDTH
+            if p.kind is not ParameterKind.BIAS
+            else (_GYRO_BIAS_WIDTH if p.triad == 'g' else _ACCEL_BIAS_WIDTH)
+            for p in PARAMETERS
+        ]
+    )
+    whole = rows.T @ rows
+    n = len(PARAMETERS)
+    directions = whole[n:, n:]
+    cross = whole[n:, :n]
+    own = whole[:n, :n] - cross.T @ np.linalg.solve(directions, cross)
+    return np.asarray((own + np.diag(1 / widths**2))[np.ix_(FREE, FREE)])
+
+
+def _log_information(rows: Floats) -> float:
+    return float(np.linalg.slogdet(_information(rows))[1])
+
+
+def _deviations(rows: Floats) -> Floats:
+    std = np.full(len(PARAMETERS), np.nan)
+    std[FREE] = np.sqrt(np.diag(np.linalg.inv(_information(rows))))
+    return std

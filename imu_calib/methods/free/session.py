@@ -1,0 +1,176 @@
+"""A recording, or a live stream, of a unit in free positions: columns in, a calibration out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ... import calibrator as table_session
+from ...calibration import Calibration, ResidualRow
+from ...calibrator import Result, Setup
+from ...errors import NotObservable
+from ...imu import ImuSpec
+from ...segmentation.labelling import Labelled
+from ...segmentation.segment import Segment
+from ...segmentation.segmenter import Segmented, Segmenter
+from ...segmentation.statistics import gap_free, sample_period, to_samples
+from ...stream import Block, Floats, ImuBlock, Stamps, Units
+from ..evidence import Evidence, noise
+from ..solution import Residual, Solution
+from .fit import FreeFit, scatter_words, solve
+from .holds import Hold, Swing
+
+_NEARLY = 0.999
+_FRAME = (
+    'Frame of the result: X along the input axis of accelerometer x, the input axis of '
+    'accelerometer y in the plane of X and Y (E_axy, E_axz and E_ayz are zero by that choice).'
+)
+
+
+class FreeCalibrator:
+    """Takes blocks in as they come, like `Calibrator`, and solves when asked.
+
+    Setpoints and joint states say nothing of a unit that is held by hand: they are passed over.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._segmenter = Segmenter(setup.imu, None)
+        self._stamps: list[Stamps] = []
+        self._values: list[Floats] = []
+
+    def feed(self, block: Block) -> None:
+        """Take a block in."""
+        if not isinstance(block, ImuBlock):
+            return
+        self._stamps.append(block.stamp)
+        self._values.append(np.hstack([block.gyro, block.accel]))
+        self._segmenter.feed(block)
+
+    def so_far(self) -> tuple[list[Hold], list[Swing]]:
+        """Return the holds that have come to their end, and the turns between them."""
+        segments = self._segmenter.segments
+        if not segments:
+            return [], []
+        return self._cut(segments, self._walk(segments))
+
+    def finish(self) -> Result:
+        """End of the session: solve.
+
+        Raises:
+            NotObservable: The data cannot give all parameters; says which and why.
+
+        """
+        session = self._segmenter.finish()
+        lost = [f'{loss}.' for loss in session.losses]
+        if not session.segments:
+            text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
+            raise NotObservable(' '.join([text, *lost]))
+        segments = tuple(replace(s, position=str(k + 1)) for k, s in enumerate(session.segments))
+        walk = self._walk(segments)
+        holds, swings = self._cut(segments, walk)
+        try:
+            fit = solve(holds, swings, self._setup.site)
+        except NotObservable as error:
+            raise NotObservable(' '.join([str(error), *lost])) from None
+        return self._result(session, segments, walk, fit, len(swings))
+
+    def _walk(self, segments: tuple[Segment, ...]) -> Floats:
+        return noise(segments, self._setup.imu)
+
+    def _cut(self, segments: tuple[Segment, ...], walk: Floats) -> tuple[list[Hold], list[Swing]]:
+        holds = []
+        for segment in segments:
+            mean, variance = segment.statistics.mean, segment.statistics.variance(walk)
+            parts = (mean[:3], mean[3:], variance[:3], variance[3:])
+            holds.append(Hold(segment.start, segment.end, *parts))
+        stamp, values = np.concatenate(self._stamps), np.vstack(self._values)
+        found = [
+            swing(k, stamp, values, before.end, after.start, self._setup.imu, walk)
+            for k, (before, after) in enumerate(pairwise(holds))
+        ]
+        return holds, [s for s in found if s is not None]
+
+    def _result(
+        self,
+        session: Segmented,
+        segments: tuple[Segment, ...],
+        walk: Floats,
+        fit: FreeFit,
+        swings: int,
+    ) -> Result:
+        setup = self._setup
+        evidence = Evidence(segments, (), setup.plan, setup.site, session.clock, None, walk)
+        std = np.sqrt(evidence.variances())
+        residuals = tuple(
+            Residual(str(s.position), s.start, value, deviation)
+            for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
+        )
+        findings = [_FRAME, *scatter_words(fit.scatter)]
+        if swings < len(segments) - 1:
+            findings.append(f'{len(segments) - 1 - swings} turns are lost (gaps, saturation).')
+        if fit.dropped:
+            names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.dropped)
+            findings.append(f'Turns that do not fit the rest are left out: from hold {names}.')
+        findings += [f'{loss}.' for loss in session.losses]
+        solution = Solution(
+            fit.model,
+            fit.covariance,
+            residuals,
+            azimuth=float('nan'),
+            azimuth_std=float('inf'),
+            earth_up=float('nan'),
+            earth_up_std=float('inf'),
+            condition=fit.condition,
+            findings=tuple(findings),
+        )
+        rows = tuple(
+            ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:]) for r in residuals
+        )
+        provenance = table_session._provenance(setup, evidence, session, solution)
+        provenance['turns'] = swings
+        provenance['frame'] = 'accelerometers'
+        calibration = Calibration(
+            setup.imu, fit.model, fit.covariance, rows, tuple(findings), provenance
+        )
+        return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
+
+
+def swing(
+    first: int,
+    stamp: Stamps,
+    values: Floats,
+    start: int,
+    end: int,
+    spec: ImuSpec,
+    walk: Floats,
+) -> Swing | None:
+    """Cut a turn out of a stream; None where samples are missing or saturated.
+
+    Args:
+        first: Index of the hold before it.
+        stamp: (n,) ns.
+        values: (n, 6) gyro and accelerometer columns as delivered.
+        start: Last instant of the hold before, ns.
+        end: First instant of the hold after, ns.
+        spec: What the numbers mean.
+        walk: (6,) random-walk coefficients.
+
+    """
+    inside = slice(
+        int(np.searchsorted(stamp, start, side='right')), int(np.searchsorted(stamp, end))
+    )
+    around = stamp[max(inside.start - 1, 0) : inside.stop + 1]
+    if len(around) < 4 or (np.diff(around) <= 0).any():
+        return None
+    period = sample_period(around)
+    samples = to_samples(stamp[inside], values[inside], spec, period)
+    increments = samples.increments[:, :3]
+    limit = _NEARLY * spec.gyro.range * period
+    if len(gap_free(around, period)) > 1 or not (np.abs(increments) < limit).all():
+        return None
+    pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else 0.0
+    variance = float(np.mean(walk[:3] ** 2)) * len(increments) * period + pulse**2 / 6
+    return Swing(first, increments, period, variance)

@@ -1,0 +1,114 @@
+"""A unit that is turned by hand: holds in any attitudes, no table, no setpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..earth import Site
+from ..imu import ImuSpec
+from ..model import SensorModel
+from ..stream import Floats, ImuBlock
+from ..units import DEG
+from .imu import SimulatedImu
+from .motion import Motion
+from .options import ImuOptions
+from .profile import Track, side_by_side, trapezoid
+
+_PAUSE = 0.2
+_BLOCK_SECONDS = 10.0
+_EPOCH = 1_700_000_000_000_000_000
+_AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
+
+
+@dataclass(frozen=True, eq=False)
+class HandSession:
+    """A session by hand as it truly was.
+
+    Attributes:
+        motion: Of the unit.
+        holds: (n, 2) when it stood still, s.
+        duration: s.
+
+    """
+
+    motion: Motion
+    holds: Floats
+    duration: float
+
+    def attitudes(self) -> Floats:
+        """Return R_nb of the holds, (n, 3, 3)."""
+        return self.motion.attitude(self.holds.mean(axis=1))
+
+    def blocks(
+        self,
+        spec: ImuSpec,
+        model: SensorModel,
+        site: Site,
+        options: ImuOptions | None = None,
+        seed: int = 0,
+    ) -> Iterator[ImuBlock]:
+        """Yield what the IMU delivers."""
+        rng = np.random.default_rng(seed)
+        imu = SimulatedImu(spec, model, site, options, rng, epoch=_EPOCH)
+        for end in np.append(
+            np.arange(_BLOCK_SECONDS, self.duration, _BLOCK_SECONDS), self.duration
+        ):
+            yield imu.advance(self.motion, float(end))
+
+
+def by_hand(
+    angles: Floats,
+    seconds: Floats,
+    *,
+    rate: float = 180 * DEG,
+    acceleration: float = 720 * DEG,
+) -> HandSession:
+    """Lay out a session: yaw, pitch and roll all at once from hold to hold.
+
+    Args:
+        angles: (n, 3) yaw, pitch and roll of the holds, rad; beyond half a turn they unwind.
+        seconds: (n,) how long each hold lasts.
+        rate: Of the fastest angle, rad/s.
+        acceleration: rad/s^2.
+
+    """
+    tracks = [Track.standing(0.0, angles[0, k : k + 1]) for k in range(3)]
+    now, holds = 0.0, []
+    for k, hold in enumerate(seconds):
+        holds.append((now, now + float(hold)))
+        now += float(hold)
+        if k + 1 < len(seconds):
+            moves = [
+                trapezoid(now, float(a), float(b), rate, acceleration)
+                for a, b in zip(angles[k], angles[k + 1], strict=True)
+            ]
+            tracks = [track.followed_by(move) for track, move in zip(tracks, moves, strict=True)]
+            now = max(move.end for move in moves) + _PAUSE
+    motion = Motion(np.eye(3), _AXES, np.zeros(3), np.eye(3), side_by_side(tracks))
+    return HandSession(motion, np.array(holds), now)
+
+
+def anyhow(holds: int, seed: int = 0, shortest: float = 2.0, longest: float = 4.0) -> HandSession:
+    """Lay out holds whose directions of up are spread evenly, as a guided person would hold them.
+
+    Args:
+        holds: How many.
+        seed: Of headings, order and lengths.
+        shortest: Shortest hold, s.
+        longest: Longest hold, s.
+
+    """
+    rng = np.random.default_rng(seed)
+    # Points of a spiral of equal area (Saff and Kuijlaars 1997): up in body axes.
+    height = 1 - (2 * np.arange(holds) + 1) / holds
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(holds)
+    order = rng.permutation(holds)
+    level = np.sqrt(1 - height**2)
+    up = np.column_stack([level * np.cos(turn), level * np.sin(turn), height])[order]
+    pitch, roll = -np.arcsin(up[:, 0]), np.arctan2(up[:, 1], up[:, 2])
+    yaw = rng.uniform(-np.pi, np.pi, holds)
+    seconds = rng.uniform(shortest, longest, holds)
+    return by_hand(np.column_stack([yaw, pitch, roll]), seconds)

@@ -1,0 +1,199 @@
+"""A unit in the hand, no table: holds in unknown attitudes and the turns between them."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from sessions import SITE
+
+from imu_calib.bags import RecordingWriter
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Result, Setup
+from imu_calib.cdr import RATES, encode_imu
+from imu_calib.cli.main import main
+from imu_calib.errors import NotObservable
+from imu_calib.imu import load_imu
+from imu_calib.methods.free import FREE, Swing, in_frame_of_accelerometers
+from imu_calib.methods.free.guidance import Stage, guide
+from imu_calib.methods.free.holds import turned
+from imu_calib.methods.free.session import FreeCalibrator
+from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
+from imu_calib.plan import load_plan
+from imu_calib.simulation import ImuOptions
+from imu_calib.simulation.hand import HandSession, anyhow, by_hand
+from imu_calib.turntable import rotation
+from imu_calib.units import ARCMIN, DEG, PPM
+
+SPEC = load_imu('mems_counts')
+SCALES = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])
+ANGLES = np.array([p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS])
+BIASES = ~SCALES & ~ANGLES
+
+
+def unit(seed: int) -> SensorModel:
+    """A MEMS unit: half a percent and half a centiradian, 0.3 deg/s, 20 mg."""
+    rng = np.random.default_rng([seed, 17])
+    gyro = Triad(rng.normal(0, 5e-3, (3, 3)), rng.normal(0, 0.3 * DEG, 3))
+    return SensorModel(gyro, Triad(rng.normal(0, 5e-3, (3, 3)), rng.normal(0, 0.2, 3)))
+
+
+def calibrator(session: HandSession, model: SensorModel, seed: int, **options: object):
+    free = FreeCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
+    for block in session.blocks(SPEC, model, SITE, ImuOptions(**options), seed):
+        free.feed(block)
+    return free
+
+
+@cache
+def result(seed: int = 0) -> Result:
+    return calibrator(anyhow(30, seed), unit(seed), seed).finish()
+
+
+def test_thirty_holds_give_scales_to_300_ppm_and_angles_to_an_arcminute() -> None:
+    for seed in range(3):
+        wrong = result(seed).calibration.model.vector()
+        wrong -= in_frame_of_accelerometers(unit(seed)).vector()
+        assert np.abs(wrong[SCALES]).max() < 300 * PPM
+        assert np.abs(wrong[ANGLES]).max() < 1 * ARCMIN
+
+
+def test_the_covariance_is_that_of_the_errors() -> None:
+    square = np.zeros(24)
+    runs = 12
+    for seed in range(runs):
+        found = calibrator(anyhow(30, seed), unit(seed), seed, bias_instability=False).finish()
+        wrong = found.calibration.values - in_frame_of_accelerometers(unit(seed)).vector()
+        square[FREE] += (wrong[FREE] / found.calibration.std[FREE]) ** 2
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], runs)
+    assert (square[FREE] > low).all()
+    assert (square[FREE] < high).all()
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], runs * FREE.sum() / 2)
+    assert low < square.sum() / 2 < high
+
+
+def test_three_angles_are_a_choice_of_frame() -> None:
+    calibration = result().calibration
+    fixed = [p.name for p, free in zip(PARAMETERS, FREE, strict=True) if not free]
+    assert fixed == ['E_axy', 'E_axz', 'E_ayz']
+    assert (calibration.values[~FREE] == 0).all()
+    assert (calibration.std[~FREE] == 0).all()
+    assert any('Frame' in finding for finding in calibration.findings)
+
+
+def test_gravity_has_one_length_in_fresh_attitudes() -> None:
+    fresh = calibrator(anyhow(20, 71), unit(0), 71)
+    holds, _ = fresh.so_far()
+    _, force = result().calibration.model.compensate(
+        np.array([h.gyro for h in holds]), np.array([h.accel for h in holds])
+    )
+    off = np.linalg.norm(force, axis=1) - SITE.gravity
+    noise = np.sqrt(np.mean([h.accel_variance.mean() for h in holds]))
+    assert np.sqrt(np.mean(off**2)) < 2 * noise
+
+
+def test_the_frame_keeps_what_the_sensors_read() -> None:
+    model = unit(3)
+    seen = in_frame_of_accelerometers(model)
+    assert np.triu(seen.accel.error_matrix, 1) == pytest.approx(0, abs=1e-15)
+    # A rotation lies between the two: sizes of rates and forces are the same.
+    rng = np.random.default_rng(2)
+    readings = model.predict(rng.normal(size=(5, 3)), rng.normal(size=(5, 3)))
+    for before, after in zip(model.compensate(*readings), seen.compensate(*readings), strict=True):
+        assert np.linalg.norm(after, axis=1) == pytest.approx(np.linalg.norm(before, axis=1))
+
+
+def test_angles_lead_a_vector_as_the_motion_does() -> None:
+    session = by_hand(np.array([[0.0, 0.2, -0.4], [2.5, -1.1, 2.0]]), np.array([0.5, 0.5]))
+    edges = np.linspace(0, session.duration, round(session.duration * 200) + 1)
+    still = replace(SITE, latitude=np.pi / 2)
+    angle, _ = session.motion.increments(edges, still, np.zeros(3))
+    start, end = session.attitudes()[[0, -1]]
+    whole, after = turned(angle)
+    # What remains of coning at 200 Hz, and the Earth's turning meanwhile.
+    assert whole @ start[2] == pytest.approx(end[2], abs=1e-5)
+    assert after[-1] == pytest.approx(np.eye(3))
+
+
+def test_a_turn_about_one_axis_is_exact() -> None:
+    axis = np.array([0.6, 0.0, 0.8])
+    whole, after = turned(np.tile(axis * 0.01, (157, 1)))
+    assert whole == pytest.approx(rotation(axis, -1.57), abs=1e-12)
+    assert after[56] == pytest.approx(rotation(axis, -1.0), abs=1e-12)
+
+
+def test_holds_that_are_too_few_or_alike_are_refused_by_name() -> None:
+    with pytest.raises(NotObservable, match='5 holds were found'):
+        calibrator(anyhow(5), unit(0), 0).finish()
+    flat = np.column_stack([np.arange(12) * 1.3, np.zeros(12), np.zeros(12)])
+    with pytest.raises(NotObservable, match='K_ax'):
+        calibrator(by_hand(flat, np.full(12, 2.0)), unit(0), 0).finish()
+
+
+def test_a_lost_turn_costs_little_and_is_said() -> None:
+    free = FreeCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
+    session = anyhow(30)
+    # The line is dead for a tenth of a second in the middle of the fourth turn.
+    middle = 1_700_000_000_000_000_000 + int((session.holds[3, 1] + session.holds[4, 0]) / 2 * 1e9)
+    for block in session.blocks(SPEC, unit(0), SITE, ImuOptions(), 0):
+        keep = np.abs(block.stamp - middle) > 50_000_000
+        free.feed(
+            replace(block, stamp=block.stamp[keep], gyro=block.gyro[keep], accel=block.accel[keep])
+        )
+    found = free.finish()
+    assert any('1 turns are lost' in finding for finding in found.calibration.findings)
+    wrong = found.calibration.values - in_frame_of_accelerometers(unit(0)).vector()
+    assert np.abs(wrong[SCALES]).max() < 300 * PPM
+
+
+def test_guidance_asks_for_what_is_missing() -> None:
+    # X and Y have been up and down, Z only up: what gains most has Z down.
+    level, up = np.pi / 2, [0.0, 0.0, 0.0]
+    angles = np.array([[0, 0, level], [0, 0, -level], [0, level, 0], [0, -level, 0], up])
+    free = calibrator(by_hand(angles, np.full(5, 3.0)), unit(0), 0)
+    with pytest.raises(NotObservable):
+        free.finish()
+    told = guide(*free.so_far(), SPEC, SITE)
+    assert told.stage is Stage.TURN
+    assert told.holds == 5
+    assert 'Z down' in told.candidates[0].words
+    assert told.candidates[0].words in told.text
+    gains = [c.gain for c in told.candidates]
+    assert gains == sorted(gains, reverse=True)
+    assert min(gains) > 0
+    assert guide(*free.so_far(), SPEC, SITE, holding=1.0).text == 'Hold still: 2 s more.'
+
+
+def test_guidance_says_enough_when_it_is_and_gains_shrink() -> None:
+    free = calibrator(anyhow(30), unit(0), 0)
+    free.finish()
+    holds, swings = free.so_far()
+    early = guide(holds[:12], [s for s in swings if s.first < 11], SPEC, SITE)
+    late = guide(holds, swings, SPEC, SITE)
+    assert late.stage is Stage.ENOUGH
+    assert late.candidates[0].gain < early.candidates[0].gain
+    # What guidance says beforehand is what the solution states.
+    assert late.std[FREE & ~BIASES] == pytest.approx(
+        result().calibration.std[FREE & ~BIASES], rel=0.25
+    )
+    assert guide([], [], SPEC, SITE).stage is Stage.TURN
+
+
+def test_swings_without_holds_between_are_values() -> None:
+    assert Swing(0, np.zeros((50, 3)), 0.01, 1e-6).seconds == pytest.approx(0.5)
+
+
+def test_recording_on_the_command_line(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / 'hand') as writer:
+        for block in anyhow(30).blocks(SPEC, unit(0), SITE, ImuOptions(), 0):
+            message = encode_imu(block, RATES)
+            writer.write('/imu/raw', 'sensor_msgs/msg/Imu', message, block.stamp)
+    target = tmp_path / 'out.yaml'
+    arguments = ['calibrate', str(tmp_path / 'hand'), '--plan', 'free_positions', '--imu-only']
+    arguments += ['--imu', 'mems_counts', '--latitude', '34.65', '-o', str(target)]
+    assert main(arguments) == 0
+    found = Calibration.load(target)
+    assert found.values == pytest.approx(result().calibration.values, abs=1e-9)
+    assert found.provenance['method'] == 'free_positions'
