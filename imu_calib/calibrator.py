@@ -175,7 +175,7 @@ class Calibrator:
     def _solve(self, session: Segmented) -> Result:
         setup = self._setup
         labelled = label(session, setup.plan, setup.table)
-        if not labelled.segments:
+        if not labelled.segments and not labelled.turns:
             raise NotObservable(_nothing_found(session, labelled, setup))
         evidence = self._evidence(labelled, session)
         try:
@@ -245,6 +245,7 @@ def _provenance(
 ) -> dict[str, object]:
     clock = session.clock
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
+    rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
     return {
         'method': setup.method_name,
         'plan': setup.plan.name,
@@ -252,16 +253,14 @@ def _provenance(
         'latitude_deg': setup.site.latitude / DEG,
         'gravity': setup.site.gravity,
         'gravity_source': setup.site.gravity_source,
-        'azimuth_seen_deg': solution.azimuth / DEG,
-        'azimuth_seen_std_deg': solution.azimuth_std / DEG,
+        'azimuth_seen_deg': _or_none(solution.azimuth / DEG),
+        'azimuth_seen_std_deg': _or_none(solution.azimuth_std / DEG),
         'segments': len(evidence.segments),
         'turns': len(evidence.turns),
         'samples': sum(s.statistics.samples for s in evidence.segments)
         + sum(t.statistics.samples for t in evidence.turns),
         'random_walk': [float(v) for v in evidence.walk],
-        'residual_rms': [
-            float(v) if np.isfinite(v) else None for v in np.sqrt((residuals**2).mean(axis=0))
-        ],
+        'residual_rms': [_or_none(v) for v in rms],
         'condition_number': solution.condition,
         'clock': {
             'offset_s': clock.offset,
@@ -276,3 +275,8 @@ def _provenance(
             'scipy': scipy.__version__,
         },
     }
+
+
+def _or_none(value: float) -> float | None:
+    """Return a number, or None for one that is not known."""
+    return float(value) if np.isfinite(value) else None

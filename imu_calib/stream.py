@@ -129,4 +129,32 @@ class TemperatureBlock:
         return len(self.stamp)
 
 
-Block: TypeAlias = ImuBlock | JointBlock | SetpointBlock | TemperatureBlock
+@dataclass(frozen=True, eq=False)
+class SkewBlock:
+    """Consecutive samples of a gyro that lies askew to the three.
+
+    Attributes:
+        stamp: (n,) header stamps, ns.
+        gyro: (n,) angular_velocity.x; the unit is the sensor's.
+
+    """
+
+    stamp: Stamps
+    gyro: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    @classmethod
+    def of(cls, block: ImuBlock) -> SkewBlock:
+        """Take what the topic imu/skew carries for what it is."""
+        return cls(block.stamp, block.gyro[:, 0])
+
+    def as_imu(self) -> ImuBlock:
+        """Return it as the topic imu/skew carries it."""
+        gyro = np.zeros((len(self), 3))
+        gyro[:, 0] = self.gyro
+        return ImuBlock(self.stamp, gyro, np.zeros((len(self), 3)))
+
+
+Block: TypeAlias = ImuBlock | JointBlock | SetpointBlock | TemperatureBlock | SkewBlock

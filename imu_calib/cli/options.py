@@ -58,6 +58,7 @@ class Streams:
     imu: str
     joints: str | None
     setpoints: str | None
+    skew: str | None = None
 
     def kinds(self) -> dict[str, Kind]:
         """Return what each topic carries."""
@@ -66,6 +67,8 @@ class Streams:
             named[self.joints] = Kind.JOINTS
         if self.setpoints is not None:
             named[self.setpoints] = Kind.SETPOINTS
+        if self.skew is not None:
+            named[self.skew] = Kind.IMU
         return named
 
 
@@ -138,11 +141,17 @@ def find_streams(arguments: argparse.Namespace, recording: Recording) -> Streams
         raise InputError(
             f'{recording.path}: no topic of type {Kind.IMU.type_name}; its topics: {listed}.'
         )
+    skewed = [
+        t.name
+        for t in recording.topics
+        if t.type == Kind.IMU.type_name and t.name.endswith(_SKEW) and t.name != imu and t.count
+    ]
+    skew = skewed[0] if len(skewed) == 1 else None
     if arguments.imu_only:
-        return Streams(imu, None, None)
+        return Streams(imu, None, None, skew)
     joints = _choose(recording, Kind.JOINTS, arguments.joint_topic, '--joint-topic')
     setpoints = _choose(recording, Kind.SETPOINTS, arguments.setpoint_topic, '--setpoint-topic')
-    return Streams(imu, joints, setpoints)
+    return Streams(imu, joints, setpoints, skew)
 
 
 def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -> str | None:

@@ -17,7 +17,7 @@ from ..plan import load_plan
 from ..session import describe
 from ..share import named_file
 from ..simulation import SimulatedStand, StandOptions
-from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, Stamps
+from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, SkewBlock, Stamps
 from ..turntable import load_table
 from ..units import DEG
 from . import options
@@ -107,6 +107,8 @@ def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
     """Serialise a block: what it is, its messages, and when each was recorded."""
     if isinstance(block, ImuBlock):
         return Kind.IMU, encode_imu(block), block.stamp
+    if isinstance(block, SkewBlock):
+        return Kind.IMU, encode_imu(block.as_imu()), block.stamp
     if isinstance(block, JointBlock):
         return Kind.JOINTS, encode_joints(block), block.stamp
     if isinstance(block, SetpointBlock):

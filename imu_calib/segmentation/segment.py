@@ -88,6 +88,8 @@ class Turn:
         up: (3,) up in body axes.
         position: Id of the plan's position at which it was made; None where unknown.
         rate_error: Standard deviation of the encoder's rate, relative; 0 without an encoder.
+        skewed: What a skewed gyro says, its first channel that gyro; None where there is none.
+        each: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
 
     """
 
@@ -99,6 +101,8 @@ class Turn:
     up: Floats
     position: str | None = None
     rate_error: float = 0.0
+    skewed: Statistics | None = None
+    each: Floats | None = None
 
     def rate(self, clock_rate: float = 0.0) -> float:
         """Return the rate about up, rad/s, per second of the IMU's clock.

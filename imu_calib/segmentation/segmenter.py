@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..imu import ImuSpec
-from ..stream import Block, Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, Stamps, Units
+from ..imu import ImuSpec, TriadSpec
+from ..stream import (
+    Block,
+    Floats,
+    ImuBlock,
+    JointBlock,
+    Setpoint,
+    SetpointBlock,
+    SkewBlock,
+    Stamps,
+    Units,
+)
 from ..turntable import TURN, Table
 from .buffer import RowBuffer
 from .cleaning import Sound, find_step, sound_part
@@ -127,6 +138,8 @@ class Segmenter:
             StampOrder(6),
             StampOrder(len(table.names) if table else 0),
         )
+        self._skew = RowBuffer(6) if spec.skewed is not None else None
+        self._skew_order = StampOrder(6)
         self._period = 0.0
         self._seen = 0
         self._pending: deque[Rest | Motion] = deque()
@@ -162,11 +175,14 @@ class Segmenter:
             self._take_joints(block)
         elif isinstance(block, SetpointBlock):
             self._take_setpoints(block)
+        elif isinstance(block, SkewBlock):
+            self._take_skew(block)
         self._work()
 
     def finish(self) -> Segmented:
         """End of all streams."""
         self._add_imu(self._imu_order.finish())
+        self._add_skew(self._skew_order.finish())
         self._add_joints(self._joint_order.finish())
         tracker = self._tracker
         if tracker is not None:
@@ -213,6 +229,26 @@ class Segmenter:
             self._first_stamp = int(stamp[0])
         self._last_stamp = int(stamp[-1])
         self._imu.append(stamp, values)
+
+    def _take_skew(self, block: SkewBlock) -> None:
+        # It goes the way of an IMU whose first channel it is.
+        imu = block.as_imu()
+        values = np.hstack([imu.gyro, imu.accel])
+        finite = np.asarray(np.isfinite(values).all(axis=1))
+        what = 'values of the skewed gyro that are no numbers'
+        stamp, values = self._keep(what, finite, block.stamp, values)
+        self._add_skew(self._skew_order.take(stamp, values))
+
+    def _add_skew(self, ordered: Ordered) -> None:
+        self._note('stamps of the skewed gyro that jump or stand still', ordered.lost)
+        if self._skew is not None and len(ordered.stamp):
+            self._skew.append(ordered.stamp, ordered.values)
+
+    def _all_here(self, until: float) -> bool:
+        """Say whether the samples up to an instant have come in."""
+        if self._last_stamp is None or self._last_stamp < until:
+            return False
+        return self._skew is None or (len(self._skew) > 0 and bool(self._skew.stamp[-1] >= until))
 
     def _keep(
         self, what: str, mask: NDArray[np.bool_], stamp: Stamps, values: Floats
@@ -265,7 +301,7 @@ class Segmenter:
         self._split_long_rest()
         while self._pending and self._last_stamp is not None:
             interval = self._pending[0]
-            if not last and self._last_stamp < interval.end + self._offset_ns + 2 * _MARGIN_NS:
+            if not last and not self._all_here(interval.end + self._offset_ns + 2 * _MARGIN_NS):
                 break
             self._pending.popleft()
             if isinstance(interval, Rest):
@@ -273,6 +309,8 @@ class Segmenter:
             else:
                 self._motion(interval)
             self._imu.drop_until(interval.end + self._offset_ns - 2 * _MARGIN_NS)
+            if self._skew is not None:
+                self._skew.drop_until(interval.end + self._offset_ns - 2 * _MARGIN_NS)
 
     def _watch_stillness(self, *, last: bool) -> None:
         """Let the IMU's own samples tell rests from motions."""
@@ -447,9 +485,11 @@ class Segmenter:
         if not _steady(part):
             reject('the gyros do not turn steadily while the joint states do')
             return
-        origin = _line_origin(part) - part.period * 1e9
-        first = (start - origin) / period_ns
-        statistics = statistics_between(part, first, first + turns.seconds / part.period)
+        count = max(1, round(abs(turns.angle) / TURN))
+        statistics, each = _between(part, start, turns.seconds, count)
+        skewed = self._skewed_between(start, turns.seconds, count)
+        if skewed is not None:
+            each = np.hstack([each[:, :3], skewed[1][:, :1]])
         self._turns.append(
             Turn(
                 int(start),
@@ -459,8 +499,29 @@ class Segmenter:
                 turns.seconds,
                 up,
                 rate_error=turns.rate_error,
+                skewed=None if skewed is None else skewed[0],
+                each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
             )
         )
+
+    def _skewed_between(
+        self, start: float, seconds: float, count: int
+    ) -> tuple[Statistics, Floats] | None:
+        """Return what the skewed gyro says of whole turns; None where it has gaps or none."""
+        if self._skew is None or self._spec.skewed is None:
+            return None
+        end = start + seconds * 1e9
+        stamp, values = self._skew.between(round(start) - _MARGIN_NS, round(end) + _MARGIN_NS)
+        if len(stamp) < 2 or stamp[0] > start or stamp[-1] < end:
+            return None
+        spec = replace(self._spec, gyro=self._spec.skewed, accel=TriadSpec())
+        samples = to_samples(stamp, values, spec, sample_period(stamp))
+        if len(gap_free(samples.stamp, samples.period)) > 1:
+            return None
+        limit = 0.999 * self._spec.skewed.range * samples.period
+        if np.any(np.abs(samples.increments[:, 0]) >= limit):
+            return None
+        return _between(samples, start, seconds, count)
 
     def _drop_unseen(self) -> None:
         """Drop rests beside a motion of the table that the gyros did not see: clocks are apart."""
@@ -574,6 +635,18 @@ def _jumps(clock: ClockFit) -> list[str]:
         f'The clocks of IMU and table jump by {jump:+.4f} s against each other'
         for jump in clock.jumps
     ]
+
+
+def _between(
+    samples: Samples, start: float, seconds: float, count: int
+) -> tuple[Statistics, Floats]:
+    """Return the statistics of whole turns, and the (count, 6) means of the single ones."""
+    origin = _line_origin(samples) - samples.period * 1e9
+    first = (start - origin) / (samples.period * 1e9)
+    edges = first + np.arange(count + 1) * (seconds / samples.period / count)
+    statistics = statistics_between(samples, first, first + seconds / samples.period)
+    each = [statistics_between(samples, a, b).mean for a, b in pairwise(edges.tolist())]
+    return statistics, np.array(each)
 
 
 def _line_origin(samples: Samples) -> float:

@@ -10,7 +10,7 @@ from ..earth import Site
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..model import SensorModel
-from ..stream import Floats, ImuBlock, Stamps, Units
+from ..stream import Floats, ImuBlock, SkewBlock, Stamps, Units
 from .motion import Motion
 from .options import ImuOptions, ThermalDrift
 
@@ -131,7 +131,12 @@ class SimulatedImu:
             raise InputError(
                 f'clock_rate_error: found {self.options.clock_rate_error:g}, expected below 0.1.'
             )
-        gyros, accels, phase, self._jitter = (rng or np.random.default_rng()).spawn(4)
+        rng = rng or np.random.default_rng()
+        gyros, accels, phase, self._jitter = rng.spawn(4)
+        self.skewed: SkewBlock | None = None
+        """What the skewed gyro, if there is one, said of the samples of the last `advance`."""
+        # Drawn last, so that a unit without it gives the bits that it always gave.
+        self._skewed = self._channels(rng.spawn(1)[0], 'skewed') if model.skewed else None
         self._gyro = self._channels(gyros, 'gyro')
         self._accel = self._channels(accels, 'accel')
         self._device_period = 1 / rate
@@ -157,10 +162,16 @@ class SimulatedImu:
         edges = ticks * self.period
         stamps = self._stamps(ticks[1:])
         if len(ticks) == 1:
+            self.skewed = None
             return ImuBlock(stamps, np.empty((0, 3)), np.empty((0, 3)), self.options.frame_id)
         widths = np.diff(edges)
         angle, velocity = motion.increments(edges, self.site, np.array(self.options.lever))
         gyro, accel = self._respond(angle / widths[:, None], velocity / widths[:, None], edges)
+        if self._skewed is not None and self.model.skewed is not None:
+            # Channels come in threes: the other two carry the same rate and are not looked at.
+            mean = self.model.skewed.predict(angle / widths[:, None])[:, :1]
+            delivered = self._skewed.deliver(np.repeat(mean, 3, axis=1), widths, self.period)
+            self.skewed = SkewBlock(stamps, delivered[:, 0])
         return ImuBlock(
             stamps,
             self._gyro.deliver(gyro, widths, self.period),
@@ -198,13 +209,17 @@ class SimulatedImu:
 
     def _channels(self, rng: np.random.Generator, triad: str) -> _Channels:
         options = self.options
-        spec = self.spec.gyro if triad == 'gyro' else self.spec.accel
+        spec = {
+            'gyro': self.spec.gyro,
+            'accel': self.spec.accel,
+            'skewed': self.spec.skewed or self.spec.gyro,
+        }[triad]
         return _Channels(
             rng,
             scale_factor=spec.scale_factor,
             walk=spec.random_walk if options.noise else 0.0,
             instability=spec.bias_instability if options.bias_instability else 0.0,
-            turn_on=options.turn_on_gyro if triad == 'gyro' else options.turn_on_accel,
+            turn_on=options.turn_on_accel if triad == 'accel' else options.turn_on_gyro,
             limit=spec.range,
             correlation=options.bias_time_constant,
             units=self.spec.units,

@@ -35,6 +35,7 @@ SETPOINT_TOPIC = 'turntable/setpoint'
 JOINT_TOPIC = 'turntable/joint_states'
 IMU_TOPIC = 'imu/pulses'
 TEMPERATURE_TOPIC = 'imu/temperature'
+SKEW_TOPIC = 'imu/skew'
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +102,8 @@ class SimulatedStand:
     def blocks(self) -> Iterator[tuple[str, Block]]:
         """Yield (topic, block) in order of time, to be read once.
 
-        Topics are turntable/setpoint, turntable/joint_states, imu/pulses and imu/temperature.
+        Topics are turntable/setpoint, turntable/joint_states, imu/pulses and imu/temperature,
+        and imu/skew where the unit has a skewed gyro.
         """
         length = self.options.block_length
         for k in range(math.ceil(self.duration / length)):
@@ -112,6 +114,8 @@ class SimulatedStand:
                 (IMU_TOPIC, self._imu.advance(self.motion, end)),
                 (TEMPERATURE_TOPIC, self._temperatures(begin, end)),
             ]
+            if self._imu.skewed is not None:
+                named.append((SKEW_TOPIC, self._imu.skewed))
             yield from ((topic, block) for topic, block in named if len(block))
 
     def _check_options(self) -> None:

@@ -1,0 +1,253 @@
+"""Three orthogonal gyros and one skewed from turns alone (CN103697918A; methods.md, section 8).
+
+Each channel's outputs are fitted by a bias and its couplings to X, Y and Z over all rates and all
+axes: 16 numbers, scale and direction in one, no small angle. First every rate point counts alike;
+the spread of its single turns, pooled over the points of one |rate|, then gives it its weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..errors import NotObservable
+from ..model import PARAMETERS, SensorModel, Skewed, Triad, extended_parameters, skewed_parameters
+from ..plan import Plan
+from ..stream import Floats
+from ..units import DEG, DEG_H
+from .checks import _check_axes, _clocks, _far_scales
+from .evidence import SMALLEST_VARIANCE, Evidence
+from .gains import BIAS, biases, inverse, responses
+from .n_positions import check_turns
+from .solution import Solution
+
+_SAME_RATE = 0.05
+_PARITY = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class RatePoints:
+    """The turns of a session as equations for four channels.
+
+    Attributes:
+        inputs: (t, 3) rate about the body axes, vertical Earth rate included, rad/s.
+        outputs: (t, 4) mean outputs of x, y, z and the skewed gyro, rad/s.
+        own: (t, 4) variances of these by random walk and quantisation, (rad/s)^2.
+        groups: (t,) number of the |rate| that a point belongs to.
+        spread: (t, 4) variance of the mean of a point by the scatter of its single turns, NaN
+            where there is one turn only.
+        turned: (t,) rate of the table, rad/s.
+        rate_error: (t,) standard deviation of that, relative.
+
+    """
+
+    inputs: Floats
+    outputs: Floats
+    own: Floats
+    groups: Floats
+    spread: Floats
+    turned: Floats
+    rate_error: Floats
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> RatePoints:
+        """Collect the turns that the skewed gyro saw too.
+
+        Raises:
+            NotObservable: There are none.
+
+        """
+        turns = [t for t in evidence.turns if t.skewed is not None]
+        if not turns:
+            lost = ', '.join(p.name for p in skewed_parameters(1))
+            raise NotObservable(
+                'No turn was found that a skewed gyro saw (topic imu/skew, and skewed_gyro in the '
+                f"IMU's YAML): {lost} cannot be determined."
+            )
+        clock = evidence.clock_rate()[0]
+        rates = np.array([t.rate(clock) for t in turns])
+        ups = np.array([t.up for t in turns])
+        outputs, own, spread = [], [], []
+        walk = np.append(evidence.walk[:3], evidence.walk[:3].mean())
+        for turn in turns:
+            assert turn.skewed is not None
+            outputs.append(np.append(turn.statistics.mean[:3], turn.skewed.mean[0]))
+            gain = np.append(turn.statistics.walk_gain[:3], turn.skewed.walk_gain[0])
+            quantum = np.append(turn.statistics.quantum[:3], turn.skewed.quantum[0])
+            own.append(walk**2 * gain + quantum)
+            each = turn.each
+            several = each is not None and each.shape == (len(each), 4) and len(each) > 1
+            scatter = np.full(4, np.nan)
+            if several and each is not None:
+                scatter = each.var(axis=0, ddof=1) / len(each)
+            spread.append(scatter)
+        return cls(
+            ups * (rates + evidence.site.up_rate)[:, None],
+            np.array(outputs),
+            np.maximum(np.array(own), SMALLEST_VARIANCE),
+            _groups(np.abs(rates)),
+            np.array(spread),
+            rates,
+            np.array([t.rate_error for t in turns]),
+        )
+
+    def weights(self, variances: Floats | None = None) -> tuple[Floats, float]:
+        """Return (4 channels, 4, t) weights for responses and bias, and the condition number.
+
+        Args:
+            variances: (t, 4) of the outputs; None: every point counts alike.
+
+        Raises:
+            NotObservable: Names the parameters that the turns cannot tell apart.
+
+        """
+        scale = float(np.abs(self.inputs).max())
+        design = np.column_stack([self.inputs / scale, np.ones(len(self.inputs))])
+        names = [f'{responses("g", j)}, R_gs{axis}' for j, axis in enumerate('xyz')]
+        names.append(f'{biases("g")}, D_gs')
+        condition = inverse(design, names, f'{len(design)} turns')[1]
+        result = []
+        for channel in range(4):
+            root = np.ones(len(design))
+            if variances is not None:
+                root = 1 / np.sqrt(variances[:, channel])
+            gain = np.linalg.pinv(design * root[:, None]) * root
+            gain[:BIAS] /= scale
+            result.append(gain)
+        return np.array(result), condition
+
+    def pooled(self, unknowns: Floats) -> Floats:
+        """Return the variance (t, 4) of each output, pooled over the points of one |rate|.
+
+        The scatter of single turns about their point, and where each point is one turn only what
+        the plain fit leaves: a point's own residual alone would be no spread.
+
+        Args:
+            unknowns: (4, 4) responses and bias of each channel by the plain fit.
+
+        """
+        left = self.outputs - self.inputs @ unknowns[:, :BIAS].T - unknowns[:, BIAS]
+        share = len(left) / max(len(left) - unknowns.shape[1], 1)
+        result = np.empty_like(self.outputs)
+        for group in np.unique(self.groups):
+            mine = self.groups == group
+            within = self.spread[mine]
+            known = np.isfinite(within).all(axis=1)
+            square = within[known] if known.any() else share * left[mine] ** 2
+            result[mine] = square.mean(axis=0)
+        return np.maximum(result, SMALLEST_VARIANCE)
+
+
+def solve(evidence: Evidence) -> Solution:
+    """Estimate the 12 parameters of the gyros and the four of the skewed one, weighted.
+
+    The accelerometers are not estimated.
+
+    Raises:
+        NotObservable: Turns are missing, or no skewed gyro saw them.
+
+    """
+    points = RatePoints.of(evidence)
+    plain, condition = points.weights()
+    unknowns = np.einsum('cut,tc->cu', plain, points.outputs)
+    variances = points.pooled(unknowns)
+    weights, _ = points.weights(variances)
+    unknowns = np.einsum('cut,tc->cu', weights, points.outputs)
+    gyro = Triad(unknowns[:3, :BIAS] - np.eye(3), unknowns[:3, BIAS])
+    skewed = Skewed(unknowns[3:, :BIAS], unknowns[3:, BIAS])
+    model = SensorModel(gyro, skewed=skewed)
+    _check_axes(model.gyro.response, 'gyros', 'whole turns')
+    # What the noise of one turn explains is the least: a few turns may agree by chance.
+    sure = np.maximum(variances, points.own)
+    covariance = _covariance(points, weights, unknowns, sure, evidence.clock_rate()[1])
+    findings = [
+        'The accelerometers were not calibrated: this method knows the gyros alone.',
+        *_parity(points, unknowns, sure),
+        *_far_scales(model),
+        *_clocks(evidence),
+    ]
+    unknown = float('nan')
+    return Solution(
+        model, covariance, (), unknown, unknown, unknown, unknown, condition, tuple(findings)
+    )
+
+
+def check(plan: Plan) -> None:
+    """Refuse a plan that does not turn about each axis, before it is run.
+
+    Raises:
+        NotObservable: Names the parameters.
+
+    """
+    check_turns(plan)
+
+
+def parity(outputs: Floats, unknowns: Floats) -> tuple[Floats, Floats]:
+    """Return what four channels contradict each other by, and the parity vector.
+
+    Of four outputs three tell the rate; the combination that no rate can move is left.
+
+    Args:
+        outputs: (..., 4) rad/s.
+        unknowns: (4, 4) responses and bias of each channel.
+
+    Returns:
+        (...) residual, rad/s, and (4,) the unit vector that it is the component along.
+
+    """
+    vector = np.linalg.svd(unknowns[:, :BIAS])[0][:, -1]
+    return np.asarray((outputs - unknowns[:, BIAS]) @ vector), vector
+
+
+def _parity(points: RatePoints, unknowns: Floats, variances: Floats) -> list[str]:
+    left, vector = parity(points.outputs, unknowns)
+    deviation = np.sqrt(variances @ vector**2)
+    sentence = (
+        f'Parity of the four gyros over {len(left)} turns: root mean square '
+        f'{np.sqrt(np.mean(left**2)) / DEG_H:.3g} deg/h, where their noise explains '
+        f'{np.sqrt(np.mean(deviation**2)) / DEG_H:.3g} deg/h.'
+    )
+    far = np.abs(left) > _PARITY * deviation
+    if not far.any():
+        return [sentence]
+    rates = ', '.join(f'{rate / DEG:+.0f} deg/s' for rate in points.turned[far])
+    return [sentence, f'The four gyros contradict each other in turns at {rates}.']
+
+
+def _covariance(
+    points: RatePoints, weights: Floats, unknowns: Floats, variances: Floats, clock: float
+) -> Floats:
+    """Return the covariance in the order of the 24 parameters and the four; NaN for accels."""
+    count = unknowns.size
+    square = np.zeros((4, 4, 4, 4))
+    for c in range(4):
+        square[c, :, c, :] = (weights[c] * variances[:, c]) @ weights[c].T
+    # The encoder's rate errs for all four channels at once, the clocks for all turns.
+    felt = (points.inputs * points.rate_error[:, None]) @ unknowns[:, :BIAS].T
+    by_rate = np.einsum('cut,tc->cut', weights, felt)
+    square += np.einsum('cut,dvt->cudv', by_rate, by_rate)
+    shared = unknowns * np.array([1.0, 1.0, 1.0, 0.0]) * clock
+    square += np.einsum('cu,dv->cudv', shared, shared)
+    flat = square.reshape(count, count)
+    parameters = extended_parameters(with_g=False, skewed=1)
+    places = [
+        4 * p.row + (BIAS if p.column is None else p.column) for p in parameters if p.triad == 'g'
+    ]
+    of_gyros = [k for k, p in enumerate(parameters) if p.triad == 'g']
+    result = np.full((len(parameters), len(parameters)), np.nan)
+    result[np.ix_(of_gyros, of_gyros)] = flat[np.ix_(places, places)]
+    assert len(PARAMETERS) + 4 == len(parameters)
+    return result
+
+
+def _groups(rates: Floats) -> Floats:
+    """Number rates by their size: those within a few percent are one."""
+    order = np.argsort(rates, kind='stable')
+    numbers = np.zeros(len(rates))
+    current = 0
+    for before, after in pairwise(order.tolist()):
+        current += int(rates[after] > rates[before] * (1 + _SAME_RATE))
+        numbers[after] = current
+    return numbers
