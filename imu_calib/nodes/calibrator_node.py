@@ -281,8 +281,8 @@ class CalibratorNode(ros.Node):
         words = {
             Phase.WAITING: f'waiting for {imu.topic}',
             Phase.COLLECTING: f'{known} of 24 parameters are determined',
-            Phase.DETERMINED: 'all 24 parameters are determined, and still improve',
-            Phase.FINISHED: 'all 24 parameters are determined',
+            Phase.DETERMINED: f'{known} parameters are determined, and still improve',
+            Phase.FINISHED: f'{known} parameters are determined',
             Phase.FAILED: session.failure,
         }
         return words[session.phase]

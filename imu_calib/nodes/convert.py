@@ -40,12 +40,17 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
     vector = calibration.model.vector()
     for name, value in zip(PARAMETER_NAMES, vector, strict=True):
         setattr(message, name.lower(), float(value))
-    message.parameter_names = list(PARAMETER_NAMES)
+    message.parameter_names = [parameter.name for parameter in calibration.parameters]
     message.standard_deviations = calibration.std.tolist()
     message.covariance = calibration.covariance.ravel().tolist()
     sensitivity = calibration.model.g_sensitivity
     message.has_g_sensitivity = bool(np.any(sensitivity))
     message.g_sensitivity = sensitivity.ravel().tolist()
+    skewed = calibration.model.skewed
+    if skewed is not None:
+        message.has_skew = True
+        message.skew_response = skewed.response[0].tolist()
+        message.skew_bias = float(skewed.bias[0])
     message.segments = int(where['segments']) + int(where['turns'])
     message.samples = int(where['samples'])
     residuals = np.array(where['residual_rms'], dtype=float)

@@ -25,7 +25,7 @@ from ..middleware import messages
 from ..share import named_file
 from ..simulation import StandOptions
 from ..simulation.hardware import SimulatedHardware
-from ..stream import Setpoint
+from ..stream import Mode, Setpoint
 from ..turntable import load_table
 from ..units import DEG
 from . import qos
@@ -156,7 +156,10 @@ class StandNode(ros.Node):
         while self._setpoints:
             setpoint = self._setpoints.popleft()
             self._hardware.command(setpoint)
-            self._pace.lead((setpoint.stamp - self._epoch) * 1e-9)
+            if setpoint.mode is Mode.HOLD:
+                self._pace.follow_the_wall()
+            else:
+                self._pace.lead((setpoint.stamp - self._epoch) * 1e-9)
         while self._faults:
             text = self._faults.popleft()
             try:
@@ -207,6 +210,10 @@ class _Pace:
         """Note a setpoint with a stamp in s of simulated time."""
         self._newest, self._heard = stamp, time.monotonic()
 
+    def follow_the_wall(self) -> None:
+        """Note that nobody is in a hurry: the table is held."""
+        self._heard = -math.inf
+
     def may_go_on(self, now: float, connected: bool) -> bool:
         """Say whether the next step may be made at a simulated time.
 
@@ -232,7 +239,10 @@ class _Line:
     def __init__(self, port: int) -> None:
         self.port = port
         self.dropped = 0
-        self._server = socket.create_server(('127.0.0.1', port))
+        try:
+            self._server = socket.create_server(('127.0.0.1', port))
+        except OSError as error:
+            raise InputError(f'Parameter port: {port} cannot be used ({error.strerror}).') from None
         # A small buffer: a reader that lags is to hold simulated time back soon.
         self._server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         self._server.setblocking(False)
