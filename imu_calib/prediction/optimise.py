@@ -1,0 +1,259 @@
+"""The plan that tells most in a given time on a table: D-optimal attitudes, turns and dwells.
+
+The determinant of the information on the 24 parameters is what is made large: it weighs all of
+them alike, whatever their units. Attitudes are exchanged one at a time for the candidate that
+gains most, until none does (Fedorov 1972, chapter 3); how many there are and how often each axis
+turns is tried out, and what of the time is left goes to the dwells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+
+from ..calibrator import Setup
+from ..errors import ImuCalibError, InputError
+from ..methods.equations import SENSORS, Equations
+from ..model import SensorModel
+from ..plan import Plan, Position, RateTest
+from ..stream import Floats
+from ..turntable import Table, rotation
+from ..units import DEG
+from .expected import expected
+from .forecast import state_at
+from .schedule import duration
+
+_SLANTS = (0.0, 45.0)
+_COMPASS = dict(zip('ENUWSD', [*np.eye(3), *-np.eye(3)], strict=True))
+_AXES = dict(zip('XYZ', np.eye(3), strict=True))
+_TRIAL_DWELL = 60.0
+_SHORTEST_DWELL = 20.0
+_SWEEPS = 20
+_GAINED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Attitude:
+    """A candidate as a plan's file writes it: where X, Y, Z point, then turned about one of them.
+
+    Attributes:
+        letters: Compass letters of X, Y and Z.
+        about: 'X', 'Y' or 'Z'.
+        by: Angle about it, deg.
+        matrix: (3, 3) R_nb.
+
+    """
+
+    letters: str
+    about: str
+    by: float
+    matrix: Floats
+
+    def text(self) -> str:
+        """Return it as YAML."""
+        axes = f'axes: [{", ".join(self.letters)}]'
+        return (
+            axes if not self.by else f'{axes}, turned: {{about: {self.about}, by: {self.by:g} deg}}'
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """The best plan found.
+
+    Attributes:
+        plan: To be run by the joint estimate.
+        attitudes: Of its positions, as its file writes them.
+        information: Logarithm of the determinant on the 24 parameters.
+        seconds: Time on the table, s.
+
+    """
+
+    plan: Plan
+    attitudes: tuple[Attitude, ...]
+    information: float
+    seconds: float
+
+
+def candidates(table: Table) -> list[Attitude]:
+    """List attitudes that a table reaches: cube-aligned ones, and those slanted by 45 deg."""
+    found: list[Attitude] = []
+    for letters in permutations('ENUWSD', 3):
+        matrix = np.array([_COMPASS[letter] for letter in letters]).T
+        if abs(np.linalg.det(matrix) - 1) > 1e-9:
+            continue
+        for by, about in product(_SLANTS, 'XYZ'):
+            if not by and about != 'X':
+                continue
+            turned = matrix @ rotation(_AXES[about], by * DEG)
+            if any(np.allclose(turned, other.matrix) for other in found):
+                continue
+            try:
+                table.angles(turned)
+            except InputError:
+                continue
+            found.append(Attitude(''.join(letters), about, by, turned))
+    return found
+
+
+def optimise(
+    setup: Setup,
+    truth: SensorModel,
+    seconds: float,
+    rate: float,
+    *,
+    sizes: Sequence[int] = (6, 8, 10, 12, 16),
+    turns: Sequence[int] = (1, 2, 4, 6, 8, 12, 16, 20),
+) -> Optimum:
+    """Find the plan that tells most in a time.
+
+    Args:
+        setup: Table, IMU and site; its plan gives nothing but names.
+        truth: What the sensors are thought to be.
+        seconds: Time on the table, s.
+        rate: Fastest rate of turning, rad/s.
+        sizes: Numbers of positions to try.
+        turns: Whole turns in each sense to try.
+
+    Raises:
+        InputError: The table reaches too few attitudes, or the time is too short for any.
+
+    """
+    table = setup.table
+    if table is None:
+        raise InputError('A plan is optimised for a table: there is none.')
+    choices = candidates(table)
+    blocks, prior = _blocks(setup, truth, choices)
+    best: Optimum | None = None
+    for size in sizes:
+        for count in turns:
+            test = RateTest((rate, -rate), count)
+            chosen = _exchange(blocks, prior, choices, size)
+            found = _timed(setup, truth, [choices[k] for k in chosen], test, seconds)
+            if found is not None and (best is None or found.information > best.information):
+                best = found
+    if best is None:
+        raise InputError(f'{seconds:g} s on table {table.name} are too short for a calibration.')
+    return best
+
+
+def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[Floats, Floats]:
+    """Return the information of a dwell at each candidate (c, n, n), and that of turns and priors.
+
+    The turns are those about X, Y and Z that every plan makes.
+    """
+    positions = [Position(str(k), choice.matrix, _TRIAL_DWELL) for k, choice in enumerate(choices)]
+    test = RateTest((30 * DEG, -30 * DEG), 1)
+    for axis in range(3):
+        k = next(k for k, c in enumerate(choices) if c.matrix[2, axis] > 1 - 1e-9)
+        positions[k] = replace(positions[k], rate_test=test)
+    plan = replace(setup.plan, positions=tuple(positions), by_hand=False)
+    equations = Equations(expected(replace(setup, plan=plan), truth))
+    state = state_at(equations, truth)
+    jacobian, variances = equations.jacobian(state), equations.own_variances
+    rows = jacobian / np.sqrt(variances)[:, None]
+    at_rest = 6 * len(choices)
+    each = rows[:at_rest].reshape(len(choices), 6, -1)
+    prior = equations.prior_rows(state)[:, :-1]
+    rest = rows[at_rest:].T @ rows[at_rest:] + prior.T @ prior
+    return np.einsum('cri,crj->cij', each, each), rest
+
+
+def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int) -> list[int]:
+    """Exchange attitudes until none gains; X, Y and Z up are among them, for the turns."""
+    upright = [
+        next(k for k, c in enumerate(choices) if c.matrix[2, axis] > 1 - 1e-9) for axis in range(3)
+    ]
+    # Any start does: the candidates in order, spread over the list.
+    spread = np.linspace(0, len(choices) - 1, size - len(upright)).astype(int)
+    chosen = [*upright, *spread.tolist()]
+    for _ in range(_SWEEPS):
+        changed = False
+        for place in range(len(chosen)):
+            others = prior + blocks[[c for k, c in enumerate(chosen) if k != place]].sum(axis=0)
+            axis = place if place < len(upright) else None
+            value = [
+                _log_information(others + blocks[k])
+                if axis is None or choices[k].matrix[2, axis] > 1 - 1e-9
+                else -np.inf
+                for k in range(len(choices))
+            ]
+            gain = int(np.argmax(value))
+            if value[gain] > value[chosen[place]] + _GAINED:
+                chosen[place], changed = gain, True
+        if not changed:
+            break
+    return chosen
+
+
+def _log_information(information: Floats) -> float:
+    """Return the logarithm of the determinant on the 24, what the session does not want taken out.
+
+    Columns are scaled to length one first: rad/s and m/s^2 are far apart.
+    """
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    scaled = information * np.outer(scale, scale)
+    whole = np.linalg.slogdet(scaled)
+    others = np.linalg.slogdet(scaled[SENSORS:, SENSORS:])
+    if whole[0] <= 0 or others[0] <= 0:
+        return -np.inf
+    return float(whole[1] - others[1] - 2 * np.log(scale[:SENSORS]).sum())
+
+
+def _timed(
+    setup: Setup,
+    truth: SensorModel,
+    attitudes: list[Attitude],
+    test: RateTest,
+    seconds: float,
+) -> Optimum | None:
+    """Give the dwells what time is left, and look at what that gives."""
+    table = setup.table
+    assert table is not None
+    ordered = [attitudes[k] for k in _order(attitudes)]
+    tested: set[int] = set()
+    positions = []
+    for k, attitude in enumerate(ordered):
+        axis = int(np.argmax(attitude.matrix[2]))
+        turning = attitude.matrix[2, axis] > 1 - 1e-9 and axis not in tested
+        if turning:
+            tested.add(axis)
+        positions.append(Position(str(k + 1), attitude.matrix, 1.0, test if turning else None))
+    plan = replace(setup.plan, positions=tuple(positions), method='joint', by_hand=False)
+    try:
+        overhead = duration(plan.steps(table), table) - len(positions)
+    except InputError:
+        return None
+    dwell = (seconds - overhead) / len(positions)
+    if dwell < _SHORTEST_DWELL:
+        return None
+    # Whole seconds, as a person writes them.
+    positions = [replace(p, dwell=float(int(dwell))) for p in positions]
+    plan = replace(plan, positions=tuple(positions))
+    try:
+        value = log_information(replace(setup, plan=plan), truth)
+    except ImuCalibError:
+        return None
+    return Optimum(plan, tuple(ordered), value, duration(plan.steps(table), table))
+
+
+def log_information(setup: Setup, truth: SensorModel) -> float:
+    """Return the logarithm of the determinant of a plan's information on the 24 parameters."""
+    equations = Equations(expected(setup, truth))
+    rows = equations.whitened(state_at(equations, truth))[0]
+    return _log_information(rows.T @ rows)
+
+
+def _order(attitudes: list[Attitude]) -> list[int]:
+    """Run the attitudes so that each is near the one before: groups of one axis up stay whole."""
+    left, order = set(range(1, len(attitudes))), [0]
+    while left:
+        here = attitudes[order[-1]].matrix
+        order.append(
+            max(left, key=lambda k: (round(float(np.trace(here.T @ attitudes[k].matrix)), 6), -k))
+        )
+        left.remove(order[-1])
+    return order
