@@ -141,8 +141,8 @@ moves the outputs by (I + M)(w x e).
 
 {chr(10).join(four)}
 
-Here all twelve means lie within {largest:.1f} standard deviations, {rms:.2f} in the root mean square.
-Of the published ones {within} of 12 lie within {second:.1f}. What does not agree:
+Here all twelve means lie within {largest:.1f} standard deviations, {rms:.2f} in the root mean
+square. Of the published ones {within} of 12 lie within {second:.1f}. What does not agree:
 
 - K_yz lies {-theirs[6]:.1f} deviations low, one in ten thousand for a single value. It may be a
   misprint, but no other digit suggests itself.
@@ -154,8 +154,8 @@ Of the published ones {within} of 12 lie within {second:.1f}. What does not agre
 
 The document shows its six positions in a figure only. The arrangement here is the shipped plan's,
 (outer, inner) = (90,0) (90,90) (180,0) (180,270) (270,0) (270,90) deg, condition number 2.06;
-another one spreads otherwise, so the published column ({far_six:.1f} of our deviations at most) stands
-beside it for its size and tests neither. Here the means lie within {ours_far:.1f}.
+another one spreads otherwise, so the published column ({far_six:.1f} of our deviations at most)
+stands beside it for its size and tests neither. Here the means lie within {ours_far:.1f}.
 
 ## Are four positions better than six?
 

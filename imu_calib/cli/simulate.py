@@ -13,6 +13,7 @@ from ..calibration import Calibration
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
 from ..earth import Site
 from ..imu import load_imu
+from ..methods import check_plan
 from ..plan import load_plan
 from ..session import describe
 from ..share import named_file
@@ -70,8 +71,10 @@ def run(arguments: argparse.Namespace) -> None:
     site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
     table = load_table(arguments.table)
     truth = Calibration.load(named_file('truths', arguments.truth))
+    plan = load_plan(arguments.plan)
+    check_plan(plan.method, plan, site)
     stand = SimulatedStand(
-        load_plan(arguments.plan),
+        plan,
         table,
         load_imu(arguments.imu),
         truth.model,
