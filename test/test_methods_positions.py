@@ -11,6 +11,7 @@ from sessions import SITE, calibrate, paper_imu, stand
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
+from imu_calib.cli.main import main
 from imu_calib.config import Section
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.imu import load_imu
@@ -242,3 +243,35 @@ def test_every_shipped_plan_passes_the_check_of_its_method() -> None:
         plan = load_plan(path)
         assert plan.method in METHODS
         check_plan(plan.method, plan, SITE)
+
+
+def test_a_singular_plan_ends_the_command_with_exit_code_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'mine.yaml'
+    text = named_file('plans', 'eight_position').read_text(encoding='utf-8')
+    path.write_text('\n'.join(text.splitlines()[:12]), encoding='utf-8')  # positions 1 to 3
+    assert main(['simulate', str(path), '-o', str(tmp_path / 'bag')]) == 1
+    assert 'The 3 positions of plan eight_position cannot tell apart' in capsys.readouterr().err
+
+
+def test_positions_lost_from_a_session_are_named_with_what_they_take_along() -> None:
+    plan = quick('eight_position', 10.0)
+    z_lost = replace(plan, positions=tuple(p for p in plan.positions if p.id not in {'5', '6'}))
+    spec = load_imu('fog_navigation')
+    # The turns about Z are kept, its dwells are not.
+    turn = replace(plan.positions[4], dwell=0.0)
+    run_of = replace(z_lost, positions=(*z_lost.positions, turn))
+    blocks = simulate(run_of, north(), spec, truth(), SITE, stand(), 1)
+    with pytest.raises(NotObservable, match=r'6 positions \(missing: 5, 6\).*G_gxz.*K_az'):
+        calibrate(blocks, plan, table=north(), spec=spec)
+
+
+def test_a_unit_mounted_otherwise_contradicts_the_attitudes() -> None:
+    plan = quick('eight_position', 10.0)
+    spec = load_imu('fog_navigation')
+    turned = replace(north(), mount=np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+    blocks = simulate(plan, turned, spec, truth(), SITE, stand(), 1)
+    # The attitudes follow from the encoders and a mount that is not the true one.
+    with pytest.raises(NotObservable, match=r'x answers to Y, y answers to -X.*mounting'):
+        calibrate(blocks, plan, table=north(), spec=spec)
