@@ -26,7 +26,9 @@ from sessions import (
 from imu_calib.calibrator import Result
 from imu_calib.config import Section
 from imu_calib.earth import Site
+from imu_calib.methods.evidence import noise
 from imu_calib.plan import Plan, load_plan
+from imu_calib.segmentation.segment import Segment, Statistics
 from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock
 from imu_calib.turntable import load_table, read_table
 from imu_calib.units import ARCMIN, DEG, DEG_H, MICRO_G, PPM
@@ -306,3 +308,32 @@ def test_holding_the_table_where_it_stands_leaves_the_position_its_name() -> Non
 
     result = calibrate(held(session(plan, stand(block_length=1e4), 1)), plan)
     assert [s.position for s in result.labelled.segments] == [p.id for p in plan.positions]
+
+
+def test_a_few_blocks_of_little_scatter_do_not_pass_for_little_noise() -> None:
+    """Four quantised blocks that lie close by chance: the data sheet counts beside them."""
+    scattered = np.array([[9.8, 0.1, 1e-10, t] for t in (5.0, 15.0, 25.0, 35.0)])
+    statistics = replace(_any_segment().statistics, blocks=tuple(scattered for _ in range(6)))
+    spec = paper_imu()
+    walk = noise((replace(_any_segment(), statistics=statistics),), spec)
+    assert np.all(walk > 0.9 * np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3))
+
+
+def test_many_blocks_tell_the_noise_whatever_the_data_sheet_says() -> None:
+    rng = np.random.default_rng(1)
+    true = 3e-4
+    blocks = np.column_stack(
+        [9.8 + true * np.sqrt(0.1) * rng.standard_normal(400), np.full(400, 0.1), np.zeros(400)]
+    )
+    blocks = np.column_stack([blocks, np.arange(400.0)])
+    statistics = replace(_any_segment().statistics, blocks=tuple(blocks for _ in range(6)))
+    spec = paper_imu()
+    sheet = replace(spec, accel=replace(spec.accel, random_walk=true / 3))
+    walk = noise((replace(_any_segment(), statistics=statistics),), sheet)
+    # 399 degrees of freedom know a standard deviation to 3.5 %.
+    assert abs(walk[3] / true - 1) < 3 * 0.035
+
+
+def _any_segment() -> Segment:
+    empty = Statistics(1, 0, 1.0, *[np.zeros(6)] * 4, (), np.zeros(6), np.zeros(6))
+    return Segment(0, 1, empty)
