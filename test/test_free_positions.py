@@ -22,6 +22,7 @@ from imu_calib.methods.free.holds import turned
 from imu_calib.methods.free.session import FreeCalibrator
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.plan import load_plan
+from imu_calib.prediction import forecast
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import HandSession, anyhow, by_hand
 from imu_calib.turntable import rotation
@@ -179,6 +180,14 @@ def test_guidance_says_enough_when_it_is_and_gains_shrink() -> None:
         result().calibration.std[FREE & ~BIASES], rel=0.25
     )
     assert guide([], [], SPEC, SITE).stage is Stage.TURN
+
+
+def test_the_plan_says_beforehand_what_thirty_holds_give() -> None:
+    ahead = forecast(Setup(SPEC, load_plan('free_positions'), None, SITE), unit(0)).std
+    given = result().calibration.std
+    # Other attitudes, longer ways and a walk that 30 short holds know to a few percent.
+    assert np.sqrt(np.mean((given[FREE] / ahead[FREE]) ** 2)) == pytest.approx(1, abs=0.35)
+    assert (ahead[~FREE] == 0).all()
 
 
 def test_swings_without_holds_between_are_values() -> None:

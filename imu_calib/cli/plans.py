@@ -100,7 +100,8 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
     truth = Calibration.load(named_file('truths', arguments.truth)).model
     setup = Setup(imu, plan, None if plan.by_hand else table, site, arguments.method)
     OUTPUT.print(f'{plan.title} ({plan.source})')
-    OUTPUT.print(f'on table {table.name} with IMU {imu.id}, latitude {latitude:.3f} deg\n')
+    where = 'by hand' if plan.by_hand else f'on table {table.name}'
+    OUTPUT.print(f'{where} with IMU {imu.id}, latitude {latitude:.3f} deg\n')
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return

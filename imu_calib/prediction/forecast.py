@@ -13,12 +13,13 @@ import numpy as np
 
 from ..calibrator import Setup
 from ..errors import NotObservable
-from ..methods import method
+from ..methods import free, method
 from ..methods.equations import G_SENSITIVITIES, SENSORS, Equations
 from ..methods.evidence import Evidence
+from ..methods.free.ahead import deviations
 from ..methods.information import Information, told
 from ..methods.solution import Solution
-from ..model import Parameter, SensorModel, extended_parameters
+from ..model import PARAMETERS, Parameter, SensorModel, extended_parameters
 from ..stream import Floats
 from .expected import expected, wandering
 
@@ -76,6 +77,8 @@ def forecast(
 
     """
     evidence = expected(setup, truth, azimuth)
+    if setup.method_name == free.NAME:
+        return _in_the_hand(setup, truth, evidence)
     extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
     name = setup.method_name
     solver = method(name)
@@ -92,6 +95,13 @@ def forecast(
     best[:SENSORS] = np.where(told(found), best[:SENSORS], np.nan)
     std = best if name in JOINT else np.sqrt(square)
     return Forecast(evidence, name, parameters, std, best, refusal)
+
+
+def _in_the_hand(setup: Setup, truth: SensorModel, evidence: Evidence) -> Forecast:
+    """Ask what holds would tell: the method is the least squares that is the best."""
+    model = free.in_frame_of_accelerometers(truth)
+    std = deviations(setup.plan.positions, setup.imu, setup.site, model)
+    return Forecast(evidence, free.NAME, PARAMETERS, std, std, '')
 
 
 def information(

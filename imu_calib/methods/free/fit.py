@@ -173,7 +173,7 @@ def solve(holds: Sequence[Hold], swings: Sequence[Swing], site: Site) -> FreeFit
         kept = tuple(s for k, s in enumerate(system.swings) if k not in wild)
         system = replace(system, swings=kept, scatter=scatter if not wild else np.ones(3))
     check_observable(system, model, ups)
-    information = Information.of(_free_columns(system.rows(model, ups)[0]))
+    information = Information.of(free_columns(system.rows(model, ups)[0]))
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     found = int(FREE.sum())
     covariance[np.ix_(FREE, FREE)] = information.covariance[:found, :found]
@@ -220,7 +220,7 @@ def check_observable(system: System, model: SensorModel, ups: Floats) -> None:
         NotObservable: Names the parameters.
 
     """
-    jacobian = _free_columns(system.rows(model, ups)[0])
+    jacobian = free_columns(system.rows(model, ups)[0])
     found = int(FREE.sum())
     information = Information.of(jacobian)
     std = np.sqrt(np.diag(information.covariance)[:found])
@@ -285,7 +285,7 @@ def _iterate(system: System, model: SensorModel, ups: Floats) -> tuple[SensorMod
     found = int(FREE.sum())
     for _ in range(_ITERATIONS):
         jacobian, left, _ = system.rows(model, ups)
-        columns = _free_columns(jacobian)
+        columns = free_columns(jacobian)
         norms = np.linalg.norm(columns, axis=0)
         step = np.linalg.lstsq(columns / norms, left, rcond=None)[0] / norms
         vector = model.vector()
@@ -303,7 +303,7 @@ def _scatter(system: System, model: SensorModel, ups: Floats) -> Floats:
     """Return by how much each group scatters more than its noise, 1 where chance explains it."""
     _, left, groups = replace(system, scatter=np.ones(3)).rows(model, ups)
     weighted, _, _ = system.rows(model, ups)
-    basis = np.linalg.qr(_free_columns(weighted))[0]
+    basis = np.linalg.qr(free_columns(weighted))[0]
     taken = (basis**2).sum(axis=1)
     result = np.ones(3)
     for group in range(3):
@@ -326,7 +326,8 @@ def _wild_swings(system: System, model: SensorModel, ups: Floats) -> list[int]:
     return [worst] if size[worst] > _OUTLYING * usual else []
 
 
-def _free_columns(jacobian: Floats) -> Floats:
+def free_columns(jacobian: Floats) -> Floats:
+    """Return the columns of the 21 parameters and of the directions."""
     keep = np.concatenate([FREE, np.ones(jacobian.shape[1] - len(FREE), dtype=bool)])
     return np.asarray(jacobian[:, keep])
 

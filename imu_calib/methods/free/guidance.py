@@ -27,7 +27,9 @@ _SCALE_WIDTH = 0.1
 _GYRO_BIAS_WIDTH = 1.0 * DEG
 _ACCEL_BIAS_WIDTH = 0.5
 _STEPS = 40
-_TURN_SECONDS = 2.0
+_PARALLEL = 1e-6
+TURN_SECONDS = 2.0
+"""How long a turn from hold to hold is taken to last, s."""
 
 
 class Stage(Enum):
@@ -184,21 +186,35 @@ def _further(
 ) -> Floats:
     """Return the rows that a further hold would add: columns of 24, the last up, the next up."""
     noise = np.array([imu.gyro.random_walk, imu.accel.random_walk])
-    gyro, accel = model.predict(target * site.up_rate, target * site.gravity)
     variances = noise**2 / seconds
     if not (noise > 0).all():
         variances = np.array([last.gyro_variance.mean(), last.accel_variance.mean()])
         noise = np.sqrt(variances * seconds)
-    further = Hold(0, 0, gyro, accel, np.full(3, variances[0]), np.full(3, variances[1]))
-    axis = np.cross(target, up)
-    sine, cosine = float(np.linalg.norm(axis)), float(target @ up)
-    axis = axis / sine if sine > 1e-6 else np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
-    angle = np.arctan2(sine, cosine) * axis / np.linalg.norm(axis)
-    period = _TURN_SECONDS / _STEPS
-    step = model.gyro.response @ angle / _STEPS + model.gyro.bias * period
-    swing = Swing(0, np.tile(step, (_STEPS, 1)), period, float(noise[0] ** 2 * _TURN_SECONDS))
+    further = planned_hold(target, model, variances, site)
+    swing = planned_swing(0, up, target, model, float(noise[0] ** 2 * TURN_SECONDS))
     two = System((last, further), (swing,), site, np.ones(3))
     return two.rows(model, np.array([up, target]))[0][6:]
+
+
+def planned_hold(up: Floats, model: SensorModel, variances: Floats, site: Site) -> Hold:
+    """Return what a hold would read, with (2,) variances of gyros and accelerometers."""
+    gyro, accel = model.predict(up * site.up_rate, up * site.gravity)
+    return Hold(0, 0, gyro, accel, np.full(3, variances[0]), np.full(3, variances[1]))
+
+
+def planned_swing(
+    first: int, up: Floats, target: Floats, model: SensorModel, variance: float
+) -> Swing:
+    """Return the short way from one direction of up to another, at an even pace."""
+    axis = np.cross(target, up)
+    sine, cosine = float(np.linalg.norm(axis)), float(target @ up)
+    if sine < _PARALLEL:
+        # Half a turn goes about any level axis.
+        axis = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    angle = np.arctan2(sine, cosine) * axis / np.linalg.norm(axis)
+    period = TURN_SECONDS / _STEPS
+    step = model.gyro.response @ angle / _STEPS + model.gyro.bias * period
+    return Swing(first, np.tile(step, (_STEPS, 1)), period, variance)
 
 
 def _information(rows: Floats) -> Floats:
