@@ -181,3 +181,13 @@ def test_six_positions_that_never_turn_over_cannot_tell_bias_from_response() -> 
     upright = tuple(p for p in plan.positions if p.up[2] > 0.9)
     with pytest.raises(NotObservable, match=r'3 positions.*E_gxz, E_gyz, K_gz|K_gz.*D_gx'):
         check_plan('static_six', replace(plan, positions=upright), SITE)
+
+
+def test_at_rest_g_sensitivity_hides_in_the_response_to_the_vertical() -> None:
+    plan = load_plan('off_axis_four')
+    felt = outputs(plan)
+    sensitivity = 0.1 * DEG_H  # per g, channel z to Z
+    felt[:, 2] += sensitivity * np.array([p.up[2] for p in plan.positions])
+    moved = solved('off_axis_four', felt).model.gyro.response[2, 2] - TRUTH.gyro.response[2, 2]
+    assert moved == pytest.approx(sensitivity / W_U, rel=1e-6)
+    assert moved == pytest.approx(0.0119, abs=1e-4)
