@@ -56,8 +56,8 @@ REASONS = {
     'E_a': 'the same; six positions cannot tell E_a from a table that leans, which our stated '
     'deviation allows for (20 arcsec) and imucal does not mention',
     'D_a': 'its bias of an axis is that of its own two holds, ours of all six',
-    'by hand': 'its K_ga takes what gravity does to the gyros out of the turns, which 24 '
-    'parameters leave in K_g; no deviations are stated by imucal',
+    'by hand': 'K_gy and K_gz are 0.4 deg of a turn apart: its K_ga explains 50 ppm of that, the '
+    'rest may be where the turn is cut, which nobody knows; it states no deviations',
 }
 
 
