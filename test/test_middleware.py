@@ -468,6 +468,19 @@ def test_a_signal_ends_a_node_after_its_last_message(node, number):
     finish(process)
 
 
+def test_signals_that_come_on_top_of_each_other_end_a_node_too(domain):
+    processes = [start(LAST_WORD) for _ in range(3)]
+    for process in processes:
+        assert process.stdout.readline() == 'ready\n'
+        # Until the last word is out; then each has its default effect again.
+        for _ in range(2000):
+            process.send_signal(signal.SIGINT)
+            process.send_signal(signal.SIGTERM)
+    for process in processes:
+        process.communicate(timeout=15.0)
+        assert process.returncode in {0, -signal.SIGINT, -signal.SIGTERM}
+
+
 def test_a_node_that_nobody_hears_ends_all_the_same(domain):
     process = start(LAST_WORD)
     assert process.stdout.readline() == 'ready\n'

@@ -19,6 +19,21 @@ class Stoppable(Protocol):
         """Publish the last messages; return the publishers whose peers must have them."""
 
 
+class _Flag:
+    """Whether a signal has come.
+
+    No threading.Event: a second signal that comes while the first one's handler holds the lock of
+    the event would wait for it for ever.
+    """
+
+    def __init__(self) -> None:
+        self.is_set = False
+
+    def set(self, *_: Any) -> None:
+        """Take a signal."""
+        self.is_set = True
+
+
 _TICK = 0.05
 _LAST_WORD = 2.0
 _LOOK_AROUND = 2.0
@@ -32,9 +47,9 @@ def run(
 ) -> bool:
     """Spin a node until SIGINT, SIGTERM, shutdown, or until it is done.
 
-    The signal's handler sets an event only. Then `node.stop()`, where the node has it, publishes
-    its last messages and returns their publishers; these are waited for until their subscriptions
-    have acknowledged, and only then is the node destroyed and the middleware shut down.
+    The signal's handler sets a flag only. Then `node.stop()`, where the node has it, publishes its
+    last messages and returns their publishers; these are waited for until their subscriptions have
+    acknowledged, and only then is the node destroyed and the middleware shut down.
 
     Args:
         node_factory: Makes the node, after init.
@@ -47,15 +62,15 @@ def run(
     """
     from . import ExternalShutdownException, init, ok, spin_once, try_shutdown
 
-    stop = threading.Event()
-    former = _handle(lambda *_: stop.set())
+    stop = _Flag()
+    former = _handle(stop.set)
     init(args=args)
     heard = True
     try:
         node = node_factory()
         try:
             look = time.monotonic() + _LOOK_AROUND
-            while ok() and not stop.is_set() and not (done is not None and done(node)):
+            while ok() and not stop.is_set and not (done is not None and done(node)):
                 spin_once(node, timeout_sec=_TICK)
                 if time.monotonic() > look:
                     look = math.inf

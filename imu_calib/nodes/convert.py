@@ -10,7 +10,7 @@ import numpy as np
 from ..calibration import Calibration
 from ..imu import ImuSpec
 from ..middleware import messages
-from ..model import PARAMETER_NAMES
+from ..model import G_SENSITIVITIES, PARAMETER_NAMES
 from ..stream import Units
 
 _UNITS = {
@@ -37,14 +37,16 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
     message.method = str(where['method'])
     message.gravity = float(where['gravity'])
     message.latitude = math.radians(float(where['latitude_deg']))
-    vector = calibration.model.vector()
-    for name, value in zip(PARAMETER_NAMES, vector, strict=True):
-        setattr(message, name.lower(), float(value))
+    # What was not estimated has no deviation, and is no number.
+    known = np.isfinite(calibration.std[: len(PARAMETER_NAMES)])
+    vector = np.where(known, calibration.model.vector(), math.nan)
+    for name, value in zip(PARAMETER_NAMES, vector.tolist(), strict=True):
+        setattr(message, name.lower(), value)
     message.parameter_names = [parameter.name for parameter in calibration.parameters]
     message.standard_deviations = calibration.std.tolist()
     message.covariance = calibration.covariance.ravel().tolist()
     sensitivity = calibration.model.g_sensitivity
-    message.has_g_sensitivity = bool(np.any(sensitivity))
+    message.has_g_sensitivity = set(G_SENSITIVITIES) <= set(calibration.parameters)
     message.g_sensitivity = sensitivity.ravel().tolist()
     skewed = calibration.model.skewed
     if skewed is not None:
