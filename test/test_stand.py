@@ -235,7 +235,10 @@ def test_ctrl_c_stops_the_table_and_leaves_nothing_running(tmp_path):
     folder = tmp_path / 'session'
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'stand', str(plan), '-o', str(folder)]
     environment = {**os.environ, 'PYTHONPATH': str(HERE.parent)}
+    # A shell's background job ignores Ctrl-C, and so would what it starts.
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+    signal.signal(signal.SIGINT, former)
     log = folder / 'nodes' / 'turntable_node.log'
     deadline = time.monotonic() + 30
     while not (log.exists() and 'Turning' in log.read_text()):
@@ -269,5 +272,6 @@ def test_a_killed_command_line_leaves_nothing_running(tmp_path):
 
 
 def running(text):
-    listed = subprocess.run(['ps', '-eo', 'args'], capture_output=True, text=True, check=True)
+    command = ['ps', '-eww', '-o', 'args']
+    listed = subprocess.run(command, capture_output=True, text=True, check=True)
     return [line for line in listed.stdout.splitlines() if text in line]
