@@ -305,6 +305,7 @@ def test_a_file_and_a_skewed_channel(bench, tmp_path):
     assert skew.gyro[:, 0].tolist() == [-k for k in range(300)]
     assert (skew.stamp == bench.listener.samples().stamp).all()
     assert bench.until(lambda: bench.listener.heard('port', 0, 'was read to its end'))
+    assert bench.until(lambda: bench.listener.said.get('stream'))
     assert not any(level == 2 for level, _, _ in bench.listener.said['stream'])
 
 
