@@ -124,7 +124,7 @@ def test_errors_of_a_pure_walk_are_those_that_the_covariance_states() -> None:
 
 # Shorter dwells pass too few pulses for the bound: a slow counter's errors are not white then.
 DWELL = 120.0
-SEEDS = 32
+SEEDS = 12
 
 
 def one_session(seed: int) -> tuple[Floats, Floats, Floats, Floats]:
@@ -261,7 +261,7 @@ def drifting(seed: int) -> tuple[Floats, Floats]:
 
 def test_a_bias_that_wanders_widens_the_standard_deviations() -> None:
     # 20 micro-g with a correlation time of 1000 s: neighbours share it, their mean keeps it.
-    seeds = 16
+    seeds = 8
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         runs = list(pool.map(drifting, range(seeds)))
     found, closed = np.array([r[0] for r in runs]), np.array([r[1] for r in runs])

@@ -92,7 +92,7 @@ def same(one, other):
     )
 
 
-@settings(max_examples=5, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_result_is_that_of_the_journal_however_the_messages_came(tmp_path_factory, wire, seed):
     folder = tmp_path_factory.mktemp('live') / 'journal'
