@@ -139,7 +139,7 @@ def _shorter(
     while (left(start) > 0).any() and start.max() < np.log(LONGEST):
         start = np.minimum(start + 0.2, np.log(LONGEST))
     total = float(np.exp(start).sum())
-    solved = minimize(  # type: ignore[call-overload]
+    solved = minimize(  # type: ignore[call-overload, unused-ignore]
         lambda logs: float(np.exp(logs).sum()) / total,
         start,
         jac=lambda logs: np.exp(logs) / total,
