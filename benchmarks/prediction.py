@@ -1,4 +1,4 @@
-"""Predicted against achieved standard deviations of every shipped plan that a table can run.
+"""Predicted against achieved standard deviations of every shipped plan that a table runs.
 
 Every session is simulated by the hardware-level simulation, cut and solved by the plan's own
 method. The prediction knows plan, table, data sheet and truth, and no session. Of a good one the
@@ -22,33 +22,55 @@ from scipy.stats import chi2
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.earth import Site
-from imu_calib.errors import ImuCalibError
+from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.imu import load_imu
 from imu_calib.montecarlo import Study, economical, repeat
-from imu_calib.plan import load_plan
+from imu_calib.plan import Plan, load_plan
 from imu_calib.prediction import forecast
 from imu_calib.share import named_file, share_folder
 from imu_calib.simulation import StandOptions
-from imu_calib.turntable import load_table
+from imu_calib.turntable import Table, load_table
 from imu_calib.units import DEG
 
 SITE = Site.at(34.65 * DEG)
 TOLERANCE = 0.1
 UNLIKELY = 0.01
 HEADING = 30 * DEG
+TABLES = ('two_axis', 'two_axis_off_axis', 'three_axis')
+USUAL = ('fog_medium', 'cao2022_table1')
+UNITS = {'skewed': ('fog_skewed', 'fog_skewed')}
+"""Unit and truth by method, where it is not the usual one."""
 
 
 def study(name: str) -> Study:
-    """A shipped plan on the three-axis table, whose heading is known where the method needs it."""
+    """A shipped plan by its own method, on the plainest table that runs it, with a unit for it.
+
+    The heading of the table is known where the method needs it, and another in each run where not.
+    """
     plan = load_plan(name)
-    table = load_table('three_axis')
-    truth = Calibration.load(named_file('truths', 'cao2022_table1')).model
+    unit, truth = UNITS.get(plan.method, USUAL)
+    table = plainest_table(plan)
+    model = Calibration.load(named_file('truths', truth)).model
     options = economical(StandOptions(positioning_error=0.0, bias_instability=False))
-    setup = Setup(load_imu('fog_medium'), plan, table, SITE)
-    if not np.isfinite(forecast(setup, truth).std).any():
+    setup = Setup(load_imu(unit), plan, table, SITE, plan.method)
+    if not np.isfinite(forecast(setup, model).std).any():
         setup = replace(setup, table=replace(table, azimuth=HEADING))
-        return Study(setup, truth, options, HEADING)
-    return Study(setup, truth, options)
+        return Study(setup, model, options, HEADING)
+    return Study(setup, model, options)
+
+
+def plainest_table(plan: Plan) -> Table:
+    """Return the shipped table with the fewest joints that can run a plan."""
+    reasons = []
+    for name in TABLES:
+        table = load_table(name)
+        try:
+            plan.steps(table)
+        except ImuCalibError as error:
+            reasons.append(str(error))
+        else:
+            return table
+    raise InputError(f'No table runs plan {plan.name}. {" ".join(reasons)}')
 
 
 def compare(name: str, runs: int, jobs: int, keep: Path | None) -> bool:
@@ -74,7 +96,8 @@ def compare(name: str, runs: int, jobs: int, keep: Path | None) -> bool:
             for parameter, value in zip(foreseen.parameters, ratio, strict=True)
             if parameter.triad == triad and np.isfinite(value)
         ]
-        print('  ' + '  '.join(cells))
+        if cells:
+            print('  ' + '  '.join(cells))
     spread = (outcome.bias / outcome.spread * np.sqrt(count))[known]
     print(
         f'  {ratio[known].min():.3f} to {ratio[known].max():.3f}; so many runs alone spread from '
@@ -86,17 +109,9 @@ def compare(name: str, runs: int, jobs: int, keep: Path | None) -> bool:
 
 
 def shipped() -> list[str]:
-    """Plans that the three-axis table can run."""
-    names = []
-    for path in sorted((share_folder() / 'config' / 'plans').glob('*.yaml')):
-        plan = load_plan(path)
-        try:
-            plan.steps(load_table('three_axis'))
-        except ImuCalibError:
-            continue
-        if not plan.by_hand:
-            names.append(path.stem)
-    return names
+    """Plans that a table runs."""
+    paths = sorted((share_folder() / 'config' / 'plans').glob('*.yaml'))
+    return [path.stem for path in paths if not load_plan(path).by_hand]
 
 
 def main() -> int:

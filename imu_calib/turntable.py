@@ -173,9 +173,11 @@ class Table:
         if best is None:
             if closest > _REACH_TOLERANCE:
                 joints = ', '.join(self.names)
+                few = len(self.joints) < 3
+                advice = ' Any attitude needs three joints.' if few else ''
                 raise InputError(
                     f'Table {self.name} (joints: {joints}) cannot reach the attitude: its '
-                    f'closest is {closest / DEG:.3g} deg away.'
+                    f'closest is {closest / DEG:.3g} deg away.{advice}'
                 )
             raise InputError(f'The attitude lies outside the joint limits of table {self.name}.')
         return best

@@ -8,6 +8,7 @@ from bound import bound
 from scipy.stats import chi2
 from sessions import LATITUDE, SITE, paper_imu, quick_plan, session, stand, truth
 
+from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError, NotObservable
@@ -15,8 +16,9 @@ from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETER_NAMES
 from imu_calib.montecarlo import Study, economical, repeat
 from imu_calib.plan import Plan, RateTest, load_plan
-from imu_calib.prediction import duration, expected, forecast, reach
+from imu_calib.prediction import check_session, duration, expected, forecast, reach
 from imu_calib.prediction.optimise import candidates, log_information, optimise
+from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedStand
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG, DEG_H, PPM
@@ -132,6 +134,57 @@ def test_only_the_positions_that_matter_dwell() -> None:
 def test_what_dwells_cannot_reach_is_refused_by_name() -> None:
     with pytest.raises(NotObservable, match='K_gx'):
         reach(setup(method='joint'), truth().model, {'K_gx': 1 * PPM, 'D_gx': 1 * DEG_H}, 0.5)
+
+
+def test_a_skewed_gyro_is_predicted_as_sessions_give_it() -> None:
+    plan, spec = load_plan('skewed'), load_imu('fog_skewed')
+    test = RateTest((45 * DEG, -45 * DEG, 90 * DEG, -90 * DEG), 3)
+    plan = replace(plan, positions=tuple(replace(p, rate_test=test) for p in plan.positions))
+    unit = Calibration.load(named_file('truths', 'fog_skewed')).model
+    case = Setup(spec, plan, load_table('three_axis'), SITE)
+    found = forecast(case, unit)
+    names = [p.name for p in found.parameters]
+    known = np.isfinite(found.std)
+    assert [names[k] for k in np.flatnonzero(known)[-4:]] == ['R_gsx', 'R_gsy', 'R_gsz', 'D_gs']
+    assert known.sum() == 16
+    # Two turns at each of two rates and senses about three axes see the walk for 216 s.
+    assert found.std[-1] == pytest.approx(0.02 / 60 * DEG / np.sqrt(216), rel=0.05)
+    assert (found.std[known] >= found.best[known] * (1 - 1e-6)).all()
+    outcome = repeat(Study(case, unit, economical(stand())), 12, jobs=1)
+    square = (outcome.errors[:, known] / found.std[known]) ** 2
+    # Sixteen numbers, four each of a channel, in twelve runs; the weights are estimates.
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], square.size)
+    assert low < square.sum() < 1.2 * high
+
+
+def test_a_skewed_bias_that_wanders_adds_to_its_own_deviation_alone() -> None:
+    case = replace(setup('skewed'), imu=load_imu('fog_skewed'))
+    quiet = replace(case.imu, gyro=replace(case.imu.gyro, bias_instability=0.0))
+    unit = truth().model
+    still = forecast(case, unit)
+    moved = forecast(replace(case, imu=quiet), unit, wander=True)
+    names = [p.name for p in still.parameters]
+    added = moved.std[names.index('D_gs')] ** 2 - still.std[names.index('D_gs')] ** 2
+    # Well over a dozen correlation times would leave nothing, less than one all of it.
+    assert 0.2 < np.sqrt(added) / (0.02 * DEG_H) < 1
+    assert moved.std[names.index('D_gx')] == pytest.approx(still.std[names.index('D_gx')])
+
+
+def test_what_no_session_of_a_plan_could_give_is_refused_before_it_begins() -> None:
+    with pytest.raises(NotObservable, match='need north'):
+        check_session(setup('six_position'))
+    with pytest.raises(NotObservable, match='No position with X north'):
+        check_session(setup('six_position', 'off_axis_four'))
+    with pytest.raises(InputError, match=r'outer, inner.*three joints'):
+        check_session(replace(setup(), table=load_table('two_axis')))
+    check_session(setup())
+    check_session(replace(setup('skewed'), imu=load_imu('fog_skewed')))
+
+
+def test_dwells_of_a_plan_without_any_reach_nothing() -> None:
+    case = replace(setup('skewed'), imu=load_imu('fog_skewed'))
+    with pytest.raises(NotObservable, match='no dwells'):
+        reach(case, truth().model, {'D_gx': 1 * DEG_H})
 
 
 def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:

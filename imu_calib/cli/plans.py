@@ -13,7 +13,7 @@ from ..calibrator import Setup
 from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
-from ..methods import METHODS
+from ..methods import METHODS, check_plan
 from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..plan import Plan, Step, load_plan
 from ..prediction import Forecast, duration, forecast, reach
@@ -99,6 +99,7 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     truth = Calibration.load(named_file('truths', arguments.truth)).model
     setup = Setup(imu, plan, None if plan.by_hand else table, site, arguments.method)
+    check_plan(setup.method_name, plan, site)
     OUTPUT.print(f'{plan.title} ({plan.source})')
     where = 'by hand' if plan.by_hand else f'on table {table.name}'
     OUTPUT.print(f'{where} with IMU {imu.id}, latitude {latitude:.3f} deg\n')

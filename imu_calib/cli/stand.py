@@ -10,12 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from ..calibration import Calibration
+from ..calibrator import Setup
+from ..earth import Site
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..plan import load_plan
+from ..prediction import check_session
 from ..report.parameters import parameter_table
 from ..share import named_file
 from ..turntable import load_table
+from ..units import DEG
 from . import options
 from .processes import Processes, free_port, private_network
 from .simulate import LUOYANG
@@ -111,12 +115,17 @@ def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
     """Refuse what cannot work before anything moves; return the truth of a simulation."""
     if folder.exists():
         raise InputError(f'{folder} exists already; recordings are not overwritten.')
-    plan = load_plan(arguments.plan)
-    plan.steps(load_table(arguments.table))
-    load_imu(arguments.imu)
+    if arguments.port and arguments.latitude is None:
+        raise InputError('--port: a real stand needs --latitude.')
+    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
+    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    plan, table, imu = (
+        load_plan(arguments.plan),
+        load_table(arguments.table),
+        load_imu(arguments.imu),
+    )
+    check_session(Setup(imu, plan, table, site, arguments.method or None))
     if arguments.port:
-        if arguments.latitude is None:
-            raise InputError('--port: a real stand needs --latitude.')
         return None
     return Calibration.load(named_file('truths', arguments.truth))
 

@@ -184,6 +184,21 @@ def check(plan: Plan) -> None:
     check_turns(plan)
 
 
+def bound(points: RatePoints, extra: Floats | None = None) -> Floats:
+    """Return the least covariance (4, 4) of the skewed gyro's responses and bias (Gauss-Markov).
+
+    Args:
+        points: Turns that it saw.
+        extra: (t, t) covariance of its outputs beyond walk and pulses, or None.
+
+    """
+    design = np.column_stack([points.inputs, np.ones(len(points.inputs))])
+    covariance = np.diag(points.own[:, 3])
+    if extra is not None:
+        covariance = covariance + extra
+    return np.asarray(np.linalg.inv(design.T @ np.linalg.solve(covariance, design)))
+
+
 def parity(outputs: Floats, unknowns: Floats) -> tuple[Floats, Floats]:
     """Return what four channels contradict each other by, and the parity vector.
 

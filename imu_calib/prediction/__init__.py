@@ -1,8 +1,17 @@
 """What a plan will give, before it is run: its evidence, its accuracy, its time."""
 
 from .expected import expected
-from .forecast import Forecast, forecast
+from .forecast import Forecast, check_session, forecast
 from .reach import Reached, reach
 from .schedule import duration, schedule
 
-__all__ = ['Forecast', 'Reached', 'duration', 'expected', 'forecast', 'reach', 'schedule']
+__all__ = [
+    'Forecast',
+    'Reached',
+    'check_session',
+    'duration',
+    'expected',
+    'forecast',
+    'reach',
+    'schedule',
+]

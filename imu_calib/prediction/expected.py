@@ -8,7 +8,7 @@ see, goes through the very estimators that a session goes through (`segmentation
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ..calibrator import Setup
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
 from ..methods.evidence import Evidence
-from ..model import SensorModel
+from ..model import SensorModel, Skewed
 from ..segmentation.clock import ClockFit
 from ..segmentation.counter import mean_rate
 from ..segmentation.segment import Segment, Statistics, Turn
@@ -33,6 +33,8 @@ _BY_HAND_MOVE = 2.0
 _UP = np.array([0.0, 0.0, 1.0])
 _PHASE = 0.5
 _NODES = 8
+_ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
+"""A skewed gyro of which nobody says how it lies: between all three."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +70,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         InputError: The table cannot run the plan, or the IMU states no noise.
 
     """
-    walk = np.repeat([setup.imu.gyro.random_walk, setup.imu.accel.random_walk], 3)
+    walk = _walk(setup.imu)
     if not (walk > 0).all():
         raise InputError(
             f'The IMU {setup.imu.id} states no angle_random_walk or no velocity_random_walk: '
@@ -93,11 +95,23 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         spin = turning.up * (turning.rate + setup.site.up_rate)
         mean = np.concatenate(truth.predict(spin, turning.up * setup.site.gravity))
         statistics = _turning(setup.imu, mean, turning.seconds)
-        angle = turning.rate * turning.seconds
-        timed = None if setup.plan.by_hand else turning.seconds
-        end = _ns(turning.start + turning.seconds)
+        askew = None
+        if setup.imu.skewed is not None:
+            lies = truth.skewed or _ANYHOW
+            fourth = np.append(lies.predict(spin)[0], np.zeros(5))
+            askew = _turning(skewed_alone(setup.imu), fourth, turning.seconds)
         turns.append(
-            Turn(_ns(turning.start), end, statistics, angle, timed, turning.up, turning.position)
+            Turn(
+                _ns(turning.start),
+                _ns(turning.start + turning.seconds),
+                statistics,
+                turning.rate * turning.seconds,
+                None if setup.plan.by_hand else turning.seconds,
+                turning.up,
+                turning.position,
+                skewed=askew,
+                each=_each(setup.imu, statistics, askew, turning),
+            )
         )
     # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
     clock = ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, len(turns))
@@ -177,6 +191,31 @@ def _turning(spec: ImuSpec, mean: Floats, seconds: float) -> Statistics:
     return _statistics(mean, np.full(6, 1 / seconds), quantum, seconds, spec)
 
 
+def skewed_alone(spec: ImuSpec) -> ImuSpec:
+    """Return an IMU whose first gyro is the skewed one."""
+    assert spec.skewed is not None
+    return replace(spec, gyro=spec.skewed, skewed=None)
+
+
+def _each(
+    spec: ImuSpec, whole: Statistics, askew: Statistics | None, turning: _Turning
+) -> Floats | None:
+    """Return means of the single turns that scatter just as their noise would on average."""
+    count = max(1, round(abs(turning.rate) * turning.seconds / TURN))
+    if count < 2:
+        return None
+    seconds = turning.seconds / count
+    single = _turning(spec, whole.mean, seconds)
+    mean, square = whole.mean[:3], single.variance(_walk(spec))[:3]
+    if askew is not None:
+        alone = skewed_alone(spec)
+        single = _turning(alone, askew.mean, seconds)
+        mean = np.append(mean, askew.mean[0])
+        square = np.append(square, single.variance(_walk(alone))[0])
+    ramp = np.arange(count) - (count - 1) / 2
+    return np.asarray(mean + np.outer(ramp / ramp.std(ddof=1), np.sqrt(square)))
+
+
 def _statistics(
     mean: Floats, gain: Floats, quantum: Floats, seconds: float, spec: ImuSpec
 ) -> Statistics:
@@ -213,10 +252,11 @@ def _rounded(spec: ImuSpec, triad: TriadSpec) -> float:
 
 
 def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats:
-    """Return the covariance of the outputs by biases that wander, (6 s + 3 t,) square.
+    """Return the covariance of the outputs by biases that wander, (6 s + 3 t + u,) square.
 
     First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
-    instabilities, seen by the means of stretches and turns.
+    instabilities, seen by the means of stretches and turns; u is the number of turns that a skewed
+    gyro saw.
 
     Args:
         evidence: Stretches and turns in time.
@@ -224,20 +264,28 @@ def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats
         time_constant: Correlation time, s.
 
     """
-    spans = [(s.start, s.end) for s in evidence.segments]
-    spans += [(t.start, t.end) for t in evidence.turns]
+    rests, turns = evidence.segments, evidence.turns
+    spans = [(s.start, s.end) for s in rests]
+    spans += [(t.start, t.end) for t in turns]
     grid = (np.arange(_NODES) + 0.5) / _NODES
     begin, end = (np.array(spans).reshape(-1, 2).T) * 1e-9
     nodes = (begin[:, None] + (end - begin)[:, None] * grid).ravel()
     kernel = np.exp(-np.abs(nodes[:, None] - nodes) / time_constant)
     n = len(spans)
     means = kernel.reshape(n, _NODES, n, _NODES).mean(axis=(1, 3))
-    channel = [c for _ in evidence.segments for c in range(6)]
-    channel += [c for _ in evidence.turns for c in range(3)]
-    which = np.repeat(np.arange(n), [6] * len(evidence.segments) + [3] * len(evidence.turns))
-    instability = np.array([t.bias_instability for t in _triads(spec)])[channel]
+    askew = [len(rests) + k for k, t in enumerate(turns) if t.skewed is not None]
+    channel = [*(c for _ in rests for c in range(6)), *(c for _ in turns for c in range(3))]
+    channel += [6] * len(askew)
+    which = np.repeat(np.arange(n), [6] * len(rests) + [3] * len(turns))
+    which = np.concatenate([which, np.array(askew, dtype=int)])
+    figures = [t.bias_instability for t in (*_triads(spec), spec.skewed or TriadSpec())]
+    instability = np.array(figures)[channel]
     same = np.equal.outer(channel, channel)
     return np.asarray(same * means[np.ix_(which, which)] * np.outer(instability, instability))
+
+
+def _walk(spec: ImuSpec) -> Floats:
+    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
 
 
 def _triads(spec: ImuSpec) -> list[TriadSpec]:

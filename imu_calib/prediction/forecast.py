@@ -13,13 +13,16 @@ import numpy as np
 
 from ..calibrator import Setup
 from ..errors import NotObservable
-from ..methods import free, method
+from ..methods import check_plan, free, method, skewed
 from ..methods.equations import G_SENSITIVITIES, SENSORS, Equations
 from ..methods.evidence import Evidence
 from ..methods.free.ahead import deviations
 from ..methods.information import Information, told
+from ..methods.skewed import RatePoints
 from ..methods.solution import Solution
+from ..model import G_SENSITIVITIES as G_PARAMETERS
 from ..model import PARAMETERS, Parameter, SensorModel, extended_parameters
+from ..segmentation.segment import Statistics
 from ..stream import Floats
 from .expected import expected, wandering
 
@@ -82,19 +85,53 @@ def forecast(
     extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
     name = setup.method_name
     solver = method(name)
-    refusal, square = '', np.full(SENSORS, np.nan)
+    refusal = ''
+    parameters = extended_parameters(with_g=JOINT.get(name, False))
+    square = np.full(len(parameters), np.nan)
     if name not in JOINT:
         try:
-            square = _by_closed_form(evidence, solver, extra)
+            parameters, square = _by_closed_form(evidence, solver, extra)
         except NotObservable as error:
             refusal = str(error)
-    with_g = JOINT.get(name, len(square) == SENSORS + G_SENSITIVITIES)
-    parameters = extended_parameters(with_g=with_g)
-    found = information(evidence, truth, extra=extra, with_g=with_g)
-    best = np.sqrt(np.diag(found.covariance)[: len(parameters)])
-    best[:SENSORS] = np.where(told(found), best[:SENSORS], np.nan)
+    best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return Forecast(evidence, name, parameters, std, best, refusal)
+
+
+def check_session(setup: Setup) -> None:
+    """Refuse what a method could not solve even if a session of the plan went as it should.
+
+    Raises:
+        InputError: The table cannot run the plan, or there is no such method.
+        NotObservable: Says what cannot be determined, and for want of what.
+
+    """
+    check_plan(setup.method_name, setup.plan, setup.site)
+    if setup.table is not None and not setup.plan.by_hand:
+        setup.plan.steps(setup.table)
+    noisy = min(setup.imu.gyro.random_walk, setup.imu.accel.random_walk) > 0
+    if noisy and setup.method_name != free.NAME:
+        method(setup.method_name)(expected(setup, SensorModel()))
+
+
+def _best(
+    evidence: Evidence,
+    truth: SensorModel,
+    parameters: tuple[Parameter, ...],
+    extra: Floats | None,
+) -> Floats:
+    """Return the least standard deviations that a session allows, NaN for what it does not tell."""
+    with_g = set(G_PARAMETERS) <= set(parameters)
+    found = information(evidence, truth, extra=extra, with_g=with_g)
+    modelled = SENSORS + with_g * G_SENSITIVITIES
+    best = np.sqrt(np.diag(found.covariance)[:modelled])
+    best[:SENSORS] = np.where(told(found), best[:SENSORS], np.nan)
+    if len(parameters) == modelled:
+        return np.asarray(best)
+    turns = [t for t in evidence.turns if t.skewed is not None]
+    square = None if extra is None else extra[-len(turns) :, -len(turns) :]
+    askew = np.sqrt(np.diag(skewed.bound(RatePoints.of(evidence), square)))
+    return np.concatenate([best, askew])
 
 
 def _in_the_hand(setup: Setup, truth: SensorModel, evidence: Evidence) -> Forecast:
@@ -112,6 +149,8 @@ def information(
     with_g: bool = False,
 ) -> Information:
     """Return what a session tells at the truth (methods.md, section 11)."""
+    modelled = 6 * len(evidence.segments) + 3 * len(evidence.turns)
+    extra = None if extra is None else extra[:modelled, :modelled]
     equations = Equations(evidence, with_g=with_g, extra=extra)
     return Information.of(equations.whitened(state_at(equations, truth))[0])
 
@@ -127,28 +166,49 @@ def state_at(equations: Equations, truth: SensorModel) -> Floats:
 
 def _by_closed_form(
     evidence: Evidence, solver: Callable[[Evidence], Solution], extra: Floats | None
-) -> Floats:
-    """Return the variances of a method that weighs its outputs once and for all."""
-    square = np.asarray(solver(evidence).std ** 2)
-    if extra is None:
-        return square
-    gain = gains(evidence, solver)
-    return np.asarray(square + np.einsum('ij,jk,ik->i', gain, extra, gain))
+) -> tuple[tuple[Parameter, ...], Floats]:
+    """Return parameters and variances of a method that weighs its outputs once and for all."""
+    solution = solver(evidence)
+    square = np.asarray(solution.std**2)
+    if extra is not None:
+        gain = gains(evidence, solver)
+        square = square + np.einsum('ij,jk,ik->i', gain, extra, gain)
+    return estimated(solution), square
+
+
+def estimated(solution: Solution) -> tuple[Parameter, ...]:
+    """Return the parameters whose covariance a solution holds."""
+    askew = solution.model.skewed
+    channels = 0 if askew is None else len(askew.bias)
+    plain = extended_parameters(with_g=False, skewed=channels)
+    if len(solution.covariance) == len(plain):
+        return plain
+    return extended_parameters(with_g=True, skewed=channels)
 
 
 def gains(evidence: Evidence, solver: Callable[[Evidence], Solution]) -> Floats:
-    """Return the derivatives of a method's parameters by its outputs, (n, 6 s + 3 t)."""
+    """Return the derivatives of a method's parameters by its outputs, (n, 6 s + 3 t + u).
+
+    u is the number of turns that a skewed gyro saw.
+    """
 
     def parameters(output: int, step: float) -> Floats:
         solution = solver(_moved(evidence, output, step))
-        with_g = len(solution.covariance) == SENSORS + G_SENSITIVITIES
-        return solution.model.values(extended_parameters(with_g=with_g))
+        return solution.model.values(estimated(solution))
 
-    steps = _STEP * np.sqrt(Equations(evidence).own_variances)
+    steps = _STEP * np.sqrt(_own_variances(evidence))
     columns = [
         (parameters(k, step) - parameters(k, -step)) / (2 * step) for k, step in enumerate(steps)
     ]
     return np.array(columns).T
+
+
+def _own_variances(evidence: Evidence) -> Floats:
+    """Return the variances of all outputs by walk and pulses."""
+    modelled = Equations(evidence).own_variances
+    if all(turn.skewed is None for turn in evidence.turns):
+        return modelled
+    return np.concatenate([modelled, RatePoints.of(evidence).own[:, 3]])
 
 
 def _moved(evidence: Evidence, output: int, step: float) -> Evidence:
@@ -157,14 +217,23 @@ def _moved(evidence: Evidence, output: int, step: float) -> Evidence:
     if output < at_rest:
         k, c = divmod(output, 6)
         segment = evidence.segments[k]
-        mean = segment.statistics.mean.copy()
-        mean[c] += step
-        changed = replace(segment, statistics=replace(segment.statistics, mean=mean))
+        changed = replace(segment, statistics=_with_mean(segment.statistics, c, step))
         segments = (*evidence.segments[:k], changed, *evidence.segments[k + 1 :])
         return replace(evidence, segments=segments)
-    k, c = divmod(output - at_rest, 3)
-    turn = evidence.turns[k]
-    mean = turn.statistics.mean.copy()
-    mean[c] += step
-    turned = replace(turn, statistics=replace(turn.statistics, mean=mean))
-    return replace(evidence, turns=(*evidence.turns[:k], turned, *evidence.turns[k + 1 :]))
+    turns = evidence.turns
+    if output < at_rest + 3 * len(turns):
+        k, c = divmod(output - at_rest, 3)
+        turned = replace(turns[k], statistics=_with_mean(turns[k].statistics, c, step))
+    else:
+        askew = [k for k, turn in enumerate(turns) if turn.skewed is not None]
+        k = askew[output - at_rest - 3 * len(turns)]
+        seen = turns[k].skewed
+        assert seen is not None
+        turned = replace(turns[k], skewed=_with_mean(seen, 0, step))
+    return replace(evidence, turns=(*turns[:k], turned, *turns[k + 1 :]))
+
+
+def _with_mean(statistics: Statistics, channel: int, step: float) -> Statistics:
+    mean = statistics.mean.copy()
+    mean[channel] += step
+    return replace(statistics, mean=mean)

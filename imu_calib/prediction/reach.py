@@ -79,6 +79,10 @@ def reach(
         found = forecast(now, truth, azimuth)
         if found.refusal:
             raise NotObservable(found.refusal)
+        if not found.evidence.segments:
+            raise NotObservable(
+                f'Plan {plan.name} has no dwells: what its turns give, no dwell can change.'
+            )
         _check_observed(found, rows)
         if weights is None or setup.method_name in JOINT:
             weights = _weights(now, truth, found.evidence)[rows] ** 2
