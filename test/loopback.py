@@ -34,6 +34,7 @@ def start(code: str, *arguments: str, **environ: str) -> subprocess.Popen[str]:
     path = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
     return subprocess.Popen(
         [sys.executable, '-c', code, *arguments],
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

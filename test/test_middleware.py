@@ -441,6 +441,45 @@ def test_another_process_is_drained_without_loss(node):
     assert (block.stamp == np.arange(5000) * 1_000_000_000).all()
 
 
+ORPHANED = """
+import sys, threading
+from imu_calib.middleware import *
+init(args=[]); node = Node('source')
+qos = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+publisher = node.create_publisher(messages.Imu, 'imu/pulses', qos)
+heard = open_drain(node, messages.Imu, 'imu/pulses', qos)
+while publisher.get_subscription_count() < 2: spin_once(node, timeout_sec=0.01)
+print('both', flush=True); sys.stdin.readline()
+payloads = [serialize_message(messages.Imu())] * 8000
+thread = threading.Thread(target=publish_all, args=(publisher, payloads))
+thread.start()
+count = 0
+while thread.is_alive() or count < 8000: count += len(drain(heard))
+print(count); shutdown()
+"""
+LISTENER = """
+from imu_calib.middleware import *
+init(args=[]); node = Node('listener')
+qos = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+heard = open_drain(node, messages.Imu, 'imu/pulses', qos); spin(node)
+"""
+
+
+@pytest.mark.parametrize('rmw', ['rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp'])
+def test_a_killed_subscriber_costs_the_others_nothing_but_time(domain, rmw):
+    if ros.RUNTIME == 'dds' and rmw != 'rmw_cyclonedds_cpp':
+        pytest.skip('rclpy chooses its middleware, this runtime has one')
+    source = start(ORPHANED, RMW_IMPLEMENTATION=rmw)
+    listener = start(LISTENER, RMW_IMPLEMENTATION=rmw)
+    assert source.stdout.readline().strip() == 'both'
+    listener.kill()
+    listener.communicate()
+    source.stdin.write('\n')
+    source.stdin.flush()
+    # Until the lease of the dead one ends there is room for a history of some thousand at most.
+    assert finish(source, 40.0)[0].strip() == '8000'
+
+
 LAST_WORD = """
 from imu_calib.middleware import *
 latched = QoSProfile(depth=1)

@@ -1,7 +1,9 @@
-"""rclpy under the names that the nodes use, and the two things it lacks."""
+"""rclpy under the names that the nodes use, and the few things it lacks."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterable
 from itertools import repeat
 from typing import Any
 
@@ -100,6 +102,7 @@ __all__ = [
     'messages',
     'ok',
     'open_drain',
+    'publish_all',
     'qos_profile_sensor_data',
     'serialize_message',
     'shutdown',
@@ -111,6 +114,8 @@ __all__ = [
 
 RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
+
+_LONGEST_LEASE = 30.0
 
 
 def init(**options: Any) -> None:
@@ -170,6 +175,20 @@ def drain(subscription: Any, most: int | None = None) -> list[bytes]:
                 break
             payloads.append(taken[0])
     return payloads
+
+
+def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:
+    """Publish serialised messages, losing none; see `dds.drains.publish_all`."""
+    for payload in payloads:
+        until = time.monotonic() + _LONGEST_LEASE
+        while True:
+            try:
+                publisher.publish(payload)
+                break
+            except RCLError:
+                # Fast DDS waits a tenth of a second for room in the history, then refuses.
+                if time.monotonic() > until or not ok():
+                    raise
 
 
 def acknowledged(publisher: Any, timeout_sec: float) -> bool:

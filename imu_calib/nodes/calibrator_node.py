@@ -121,6 +121,8 @@ class CalibratorNode(ros.Node):
             topic,
             qos.stream(reliable=reliable),
             event_callbacks=ros.SubscriptionEventCallbacks(incompatible_qos=incompatible),
+            # The second subscription of a topic is not to be made reliable by what the first took.
+            qos_overriding_options=qos.overridable() if reliable else None,
         )
 
     def _new_session(self) -> LiveSession:

@@ -10,7 +10,7 @@ import numpy as np
 from ..cdr import PULSES, RATES, encode_imu, encode_temperatures
 from ..devices import Chunk, Decoder, DeviceClock, Health, Samples, Source, load_format
 from ..imu import load_imu
-from ..middleware import Clock, ClockType, Node, messages
+from ..middleware import Clock, ClockType, Node, messages, publish_all
 from ..stream import ImuBlock, Stamps, TemperatureBlock, Units
 from . import qos
 from .diagnostics import Diagnostics, Level
@@ -55,11 +55,16 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         self._health = Health(self._format, nominal, gap_timeout)
         self._covariances = RATES if imu.units is Units.SI else PULSES
         self._diagnostics = Diagnostics(self, imu.id)
-        self._pulses = self.create_publisher(messages.Imu, 'imu/pulses', qos.stream())
-        self._temperatures = self.create_publisher(messages.Temperature, 'imu/temperature', 10)
+        self._pulses = self._open_stream('imu/pulses')
+        self._temperatures = self.create_publisher(
+            messages.Temperature,
+            'imu/temperature',
+            10,
+            qos_overriding_options=qos.overridable(),
+        )
         self._skews = None
         if self._format.skew is not None:
-            self._skews = self.create_publisher(messages.Imu, 'imu/skew', qos.stream())
+            self._skews = self._open_stream('imu/skew')
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._held: list[tuple[Samples, Stamps]] = []
         self._waiting: list[Chunk] = []
@@ -78,6 +83,11 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         self._line.settle()
         self._release()
         return [self._pulses] if self._skews is None else [self._pulses, self._skews]
+
+    def _open_stream(self, topic: str) -> Any:
+        return self.create_publisher(
+            messages.Imu, topic, qos.stream(), qos_overriding_options=qos.overridable()
+        )
 
     def _declare_source(self) -> Source:
         port = declare(
@@ -162,15 +172,13 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
 
     def _publish(self, samples: Samples, stamp: Stamps) -> None:
         block = ImuBlock(stamp, samples.gyro, samples.accel, self._frame_id)
-        for payload in encode_imu(block, self._covariances).payloads():
-            self._pulses.publish(payload)
+        publish_all(self._pulses, encode_imu(block, self._covariances).payloads())
         if self._skews is not None and samples.skew is not None:
             nothing = np.zeros((len(samples), 3))
             gyro = nothing.copy()
             gyro[:, 0] = samples.skew
             skew = ImuBlock(stamp, gyro, nothing, self._frame_id)
-            for payload in encode_imu(skew, self._covariances).payloads():
-                self._skews.publish(payload)
+            publish_all(self._skews, encode_imu(skew, self._covariances).payloads())
         if samples.celsius is not None:
             self._publish_temperature(stamp, samples.celsius)
 

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from ..middleware import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from ..middleware import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSOverridingOptions,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 
 
 def stream(*, reliable: bool = True) -> QoSProfile:
     """Return the profile of sample streams: keep all on both ends loses nothing."""
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
     return QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=reliability)
+
+
+def overridable() -> QoSOverridingOptions:
+    """Return what parameters may change in a sample stream: history, depth, reliability.
+
+    Commands and latched states have no such parameters: that setpoints are volatile and states
+    latched is what the stand's safety rests on.
+    """
+    return QoSOverridingOptions.with_default_policies()
 
 
 def command() -> QoSProfile:

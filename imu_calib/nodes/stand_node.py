@@ -59,7 +59,10 @@ class StandNode(ros.Node):
         self._diagnostics = Diagnostics(self, 'simulated stand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self._joint_publisher = self.create_publisher(
-            messages.JointState, 'turntable/joint_states', qos.stream()
+            messages.JointState,
+            'turntable/joint_states',
+            qos.stream(),
+            qos_overriding_options=qos.overridable(),
         )
         self._setpoints: deque[Setpoint] = deque()
         self._faults: deque[str] = deque()
@@ -176,8 +179,7 @@ class StandNode(ros.Node):
         clock = messages.Clock()
         clock.clock.sec, clock.clock.nanosec = divmod(now, 1_000_000_000)
         self._clock_publisher.publish(clock)
-        for payload in encode_joints(output.joints).payloads():
-            self._joint_publisher.publish(payload)
+        ros.publish_all(self._joint_publisher, encode_joints(output.joints).payloads())
 
     def _report(self) -> None:
         refusals, self._hardware.refusals = self._hardware.refusals, []

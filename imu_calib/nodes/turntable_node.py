@@ -13,7 +13,6 @@ from ..middleware import (
     Clock,
     ClockType,
     Node,
-    QoSOverridingOptions,
     Time,
     Trigger,
     drain,
@@ -92,7 +91,7 @@ class TurntableNode(Node):
             messages.JointState,
             'turntable/joint_states',
             qos.stream(),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            qos_overriding_options=qos.overridable(),
         )
         self.create_subscription(
             messages.CalibrationProgress,

@@ -1,4 +1,4 @@
-"""The fast path: all that has arrived, as bytes, in one call."""
+"""The fast path: bytes in bulk, all that has arrived in one call, none lost on the way out."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 from .clock import Duration
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from .endpoints import Publisher, Subscription
     from .node import Node
     from .qos import QoSProfile
@@ -37,6 +39,24 @@ def drain(subscription: Subscription, most: int | None = None) -> list[bytes]:
 
     """
     return subscription.reader.drain(most)
+
+
+def publish_all(publisher: Publisher, payloads: Iterable[bytes]) -> None:
+    """Publish serialised messages, losing none.
+
+    With keep all on both ends this waits for a subscription that lags, and for one whose process
+    was killed until its lease ends: 10 s with Cyclone DDS, 20 s with Fast DDS.
+
+    Args:
+        publisher: Keeps all.
+        payloads: Messages.
+
+    Raises:
+        ImuCalibError: The middleware refuses one for good (rclpy: RCLError, after 30 s).
+
+    """
+    for payload in payloads:
+        publisher.publish(payload)
 
 
 def acknowledged(publisher: Publisher, timeout_sec: float) -> bool:
