@@ -13,11 +13,11 @@ from .calibration import Calibration, ResidualRow
 from .earth import Site
 from .errors import NotObservable
 from .imu import ImuSpec
-from .methods import check_plan, method
+from .methods import check_plan, estimates, method
 from .methods.evidence import Evidence, noise
 from .methods.information import reached
 from .methods.solution import Solution
-from .model import PARAMETERS
+from .model import PARAMETERS, Parameter
 from .plan import Plan
 from .progress import unsupported_steps
 from .segmentation.labelling import Labelled, label
@@ -76,7 +76,8 @@ class Review:
 
     Attributes:
         session: What the streams contain.
-        std: (24,) standard deviations reached, SI units; NaN for what is not determined.
+        parameters: What the method estimates.
+        std: (n,) their standard deviations reached, SI units; NaN for what is not determined.
         unsupported: Steps of the plan seen so far that left too little.
         result: The calibration, where the data determines all of it.
         refusal: Why there is none, else empty.
@@ -84,6 +85,7 @@ class Review:
     """
 
     session: Segmented
+    parameters: tuple[Parameter, ...]
     std: Floats
     unsupported: tuple[int, ...]
     result: Result | None
@@ -147,10 +149,22 @@ class Calibrator:
         try:
             result = self._solve(session)
         except NotObservable as error:
-            std = self._reached(labelled, session)
-            return Review(session, std, unsupported, None, str(error))
-        std = result.solution.std[: len(PARAMETERS)]
-        return Review(session, std, unsupported, result, '')
+            std = dict(zip(PARAMETERS, self._reached(labelled, session), strict=True))
+            return self._review(session, std, unsupported, None, str(error))
+        std = dict(zip(result.calibration.parameters, result.solution.std, strict=True))
+        return self._review(session, std, unsupported, result, '')
+
+    def _review(
+        self,
+        session: Segmented,
+        std: dict[Parameter, float],
+        unsupported: tuple[int, ...],
+        result: Result | None,
+        refusal: str,
+    ) -> Review:
+        wanted = estimates(self._setup.method_name)
+        reached = np.array([std.get(parameter, np.nan) for parameter in wanted])
+        return Review(session, wanted, reached, unsupported, result, refusal)
 
     def _reached(self, labelled: Labelled, session: Segmented) -> Floats:
         """Return the standard deviations of what is determined already, NaN for the rest."""

@@ -7,23 +7,24 @@ from .share import named_file
 from .units import DEG
 
 
-def describe(plan: str, imu: str, table: str, site: Site) -> dict[str, str]:
+def describe(plan: str, imu: str, table: str | None, site: Site) -> dict[str, str]:
     """Return a recording's own entries: full texts of the files, and the site.
 
     Args:
         plan: Name or file of the plan.
         imu: Name or file of the IMU.
-        table: Name or file of the table.
+        table: Name or file of the table; None where the unit is held by hand.
         site: Where it is taken.
 
     Raises:
         InputError: One of the files is not there.
 
     """
+    files = {'plan': named_file('plans', plan), 'imu': named_file('imus', imu)}
+    if table is not None:
+        files['table'] = named_file('tables', table)
     return {
-        'imu_calib.plan': named_file('plans', plan).read_text(encoding='utf-8'),
-        'imu_calib.imu': named_file('imus', imu).read_text(encoding='utf-8'),
-        'imu_calib.table': named_file('tables', table).read_text(encoding='utf-8'),
+        **{f'imu_calib.{what}': path.read_text(encoding='utf-8') for what, path in files.items()},
         'imu_calib.latitude_deg': repr(site.latitude / DEG),
         'imu_calib.gravity': repr(site.gravity),
         'imu_calib.gravity_source': site.gravity_source,

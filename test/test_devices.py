@@ -340,6 +340,18 @@ def test_a_frame_with_headers_between_its_fields_and_a_sum_of_zero():
     assert (samples.time * form.time.unit).tolist() == [0, 10_000_000, 20_000_000]
 
 
+def test_frames_of_the_simulated_unit_with_a_skewed_gyro_hold_its_count():
+    counts = np.arange(30.0).reshape(5, 6)
+    skew = np.array([7.0, -8, 9, -10, 2**30])
+    stamps = np.arange(1, 6) * 10_000_000
+    line = pack(ImuBlock(stamps, counts[:, :3], counts[:, 3:]), np.full(5, 21.5), skew=skew)
+    samples = Decoder(load_format('simulated_skewed')).feed(line)
+    assert np.array_equal(samples.skew, skew)
+    assert np.array_equal(np.hstack([samples.gyro, samples.accel]), counts)
+    assert samples.celsius == pytest.approx(21.5)
+    assert Decoder(SIMULATED).feed(line).skew is None
+
+
 def test_a_frame_of_registers_with_a_skewed_channel_in_some_bits():
     body = struct.pack('>2H6hhHH', 0x6800, 2, 1, -2, 3, -4, 5, -6, -50, 9, 0xABCD)
     line = body + struct.pack('>H', sum(body[2:]))

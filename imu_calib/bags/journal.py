@@ -57,15 +57,18 @@ class Journal:
         """Whether there is something to `replay`."""
         return self._former is not None
 
-    def replay(self) -> Iterator[Block]:
-        """Yield what the session before the crash left, to be read before the first `write`."""
+    def replay(self) -> Iterator[tuple[str, Block]]:
+        """Yield topic and block of what the session before the crash left.
+
+        To be read before the first `write`.
+        """
         if self._former is None:
             return
         with self._former as recording:
             filled = {t.name for t in recording.topics if t.count != 0}
             topics = {name: kind for name, kind in self._topics.items() if name in filled}
             if topics:
-                yield from (block for _, block in recording.read(topics))
+                yield from recording.read(topics)
             self.losses = recording.losses
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:

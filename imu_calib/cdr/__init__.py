@@ -1,6 +1,13 @@
 """Serialised messages (CDR) to columns and back, in bulk; for recordings and live subscriptions."""
 
-from .decode import decode_imu, decode_joints, decode_setpoints, decode_temperatures, part
+from .decode import (
+    decode_imu,
+    decode_joints,
+    decode_setpoints,
+    decode_skew,
+    decode_temperatures,
+    part,
+)
 from .encode import (
     PULSES,
     RATES,
@@ -22,6 +29,7 @@ __all__ = [
     'decode_imu',
     'decode_joints',
     'decode_setpoints',
+    'decode_skew',
     'decode_temperatures',
     'encode_imu',
     'encode_joints',

@@ -14,6 +14,7 @@ from ..stream import (
     Mode,
     Setpoint,
     SetpointBlock,
+    SkewBlock,
     TemperatureBlock,
 )
 from .layout import ENCAPSULATION, Layout, LayoutReader
@@ -48,6 +49,11 @@ def decode_imu(messages: Messages, malformed: Malformed | None = None) -> list[I
 
     """
     return _decode(messages, _imu_layout, _imu_block, malformed)
+
+
+def decode_skew(messages: Messages, malformed: Malformed | None = None) -> list[SkewBlock]:
+    """Decode the sensor_msgs/Imu of a skewed gyro; arguments, order and errors as `decode_imu`."""
+    return [SkewBlock.of(block) for block in decode_imu(messages, malformed)]
 
 
 def decode_joints(messages: Messages, malformed: Malformed | None = None) -> list[JointBlock]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from .decode import decode_imu, decode_joints, decode_setpoints, decode_temperatures
+from .decode import decode_imu, decode_joints, decode_setpoints, decode_skew, decode_temperatures
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,17 +15,18 @@ if TYPE_CHECKING:
 
 
 class Kind(Enum):
-    """What a topic carries; the value is the message type as ROS names it."""
+    """What a topic carries; the value begins with the message type as ROS names it."""
 
     IMU = 'sensor_msgs/msg/Imu'
     JOINTS = 'sensor_msgs/msg/JointState'
     SETPOINTS = 'imu_calib_msgs/msg/TurntableSetpoint'
     TEMPERATURES = 'sensor_msgs/msg/Temperature'
+    SKEW = 'sensor_msgs/msg/Imu, a skewed gyro'
 
     @property
     def type_name(self) -> str:
         """Full name of the message type."""
-        return self.value
+        return str(self.value).partition(',')[0]
 
     def decode(self, messages: Messages, malformed: Malformed | None = None) -> Sequence[Block]:
         """Decode messages of this kind, as `decode_imu` and its siblings do."""
@@ -37,4 +38,5 @@ _DECODERS: dict[Kind, Callable[[Messages, Malformed | None], Sequence[Block]]] =
     Kind.JOINTS: decode_joints,
     Kind.SETPOINTS: decode_setpoints,
     Kind.TEMPERATURES: decode_temperatures,
+    Kind.SKEW: decode_skew,
 }

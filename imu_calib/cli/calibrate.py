@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 from ..bags import Recording, open_recording
 from ..calibration import Calibration
-from ..calibrator import Calibrator, Result, Setup
+from ..calibrator import Result, Setup
 from ..errors import NotObservable
-from ..methods import METHODS, free
-from ..methods.free.session import FreeCalibrator
+from ..methods import METHODS
+from ..methods.free.session import calibrator_of
 from ..report.parameters import parameter_table
-from ..stream import Block, ImuBlock, SkewBlock
+from ..stream import Block
 from ..units import DEG
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -44,11 +44,8 @@ class Offline:
     def blocks(self, text: str) -> Iterator[Block]:
         """Read all topics, with a progress bar."""
         with progress_bar(text) as show:
-            for topic, block in self.recording.read(self.streams.kinds(), show):
-                if topic == self.streams.skew and isinstance(block, ImuBlock):
-                    yield SkewBlock.of(block)
-                else:
-                    yield block
+            for _, block in self.recording.read(self.streams.kinds(), show):
+                yield block
 
 
 def open_offline(arguments: argparse.Namespace) -> Offline:
@@ -84,8 +81,7 @@ def calibrate(offline: Offline) -> Result:
         NotObservable: The data cannot give all parameters.
 
     """
-    by_hand = offline.setup.method_name == free.NAME
-    calibrator = FreeCalibrator(offline.setup) if by_hand else Calibrator(offline.setup)
+    calibrator = calibrator_of(offline.setup)
     for block in offline.blocks('reading'):
         calibrator.feed(block)
     lost = tuple(offline.recording.losses)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..bags import Recording, Topic
+from ..calibration import Calibration
 from ..cdr import Kind
 from ..config import Section
 from ..earth import Site
@@ -68,7 +69,7 @@ class Streams:
         if self.setpoints is not None:
             named[self.setpoints] = Kind.SETPOINTS
         if self.skew is not None:
-            named[self.skew] = Kind.IMU
+            named[self.skew] = Kind.SKEW
         return named
 
 
@@ -128,6 +129,22 @@ def find_site(arguments: argparse.Namespace, data: Mapping[str, str], where: str
     return replace(site, gravity_source=data.get('imu_calib.gravity_source', 'measured'))
 
 
+def load_truth(name: str, imu: ImuSpec) -> Calibration:
+    """Return the true parameters of a simulated unit.
+
+    Raises:
+        InputError: They tell nothing of the unit's skewed gyro.
+
+    """
+    truth = Calibration.load(named_file('truths', name))
+    if imu.skewed is not None and truth.model.skewed is None:
+        raise InputError(
+            f'--truth {name} tells nothing of the skewed gyro of IMU {imu.id}: a simulated one '
+            'needs it (for instance --truth fog_skewed).'
+        )
+    return truth
+
+
 def find_streams(arguments: argparse.Namespace, recording: Recording) -> Streams:
     """Choose the topics: those that were named, or the only candidate of each type.
 
@@ -144,7 +161,10 @@ def find_streams(arguments: argparse.Namespace, recording: Recording) -> Streams
     skewed = [
         t.name
         for t in recording.topics
-        if t.type == Kind.IMU.type_name and t.name.endswith(_SKEW) and t.name != imu and t.count
+        if t.type == Kind.IMU.type_name
+        and t.name.endswith(_SKEW)
+        and t.name != imu
+        and t.count != 0
     ]
     skew = skewed[0] if len(skewed) == 1 else None
     if arguments.imu_only:

@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from ..bags import RecordingWriter
-from ..calibration import Calibration
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
 from ..earth import Site
 from ..imu import load_imu
 from ..methods import check_plan
 from ..plan import load_plan
 from ..session import describe
-from ..share import named_file
 from ..simulation import SimulatedStand, StandOptions
 from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, SkewBlock, Stamps
 from ..turntable import load_table
@@ -70,13 +68,14 @@ def run(arguments: argparse.Namespace) -> None:
     latitude = LUOYANG if arguments.latitude is None else arguments.latitude
     site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
     table = load_table(arguments.table)
-    truth = Calibration.load(named_file('truths', arguments.truth))
+    imu = load_imu(arguments.imu)
+    truth = options.load_truth(arguments.truth, imu)
     plan = load_plan(arguments.plan)
     check_plan(plan.method, plan, site)
     stand = SimulatedStand(
         plan,
         table,
-        load_imu(arguments.imu),
+        imu,
         truth.model,
         site,
         StandOptions(
@@ -111,7 +110,7 @@ def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
     if isinstance(block, ImuBlock):
         return Kind.IMU, encode_imu(block), block.stamp
     if isinstance(block, SkewBlock):
-        return Kind.IMU, encode_imu(block.as_imu()), block.stamp
+        return Kind.SKEW, encode_imu(block.as_imu()), block.stamp
     if isinstance(block, JointBlock):
         return Kind.JOINTS, encode_joints(block), block.stamp
     if isinstance(block, SetpointBlock):

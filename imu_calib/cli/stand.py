@@ -17,7 +17,6 @@ from ..imu import load_imu
 from ..plan import load_plan
 from ..prediction import check_session
 from ..report.parameters import parameter_table
-from ..share import named_file
 from ..turntable import load_table
 from ..units import DEG
 from . import options
@@ -52,7 +51,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     real.add_argument('--port', metavar='URL', help='where the IMU is, for instance /dev/ttyUSB0')
     real.add_argument(
-        '--device', default='simulated', metavar='NAME|FILE', help="format of the IMU's frames"
+        '--device', default='', metavar='NAME|FILE', help="format of the IMU's frames"
     )
     simulated = parser.add_argument_group('simulated hardware')
     simulated.add_argument(
@@ -127,7 +126,7 @@ def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
     check_session(Setup(imu, plan, table, site, arguments.method or None))
     if arguments.port:
         return None
-    return Calibration.load(named_file('truths', arguments.truth))
+    return options.load_truth(arguments.truth, imu)
 
 
 def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
@@ -145,7 +144,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
         'imu_node': {
             **clock,
             'imu': arguments.imu,
-            'device': arguments.device,
+            'device': arguments.device or _frames(arguments),
             'sample_rate': arguments.sample_rate,
             'port': arguments.port or f'socket://127.0.0.1:{port}',
         },
@@ -179,6 +178,12 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             'port': port,
         }
     return nodes
+
+
+def _frames(arguments: argparse.Namespace) -> str:
+    """Name the frames of the simulated IMU: those of a skewed gyro hold its count as well."""
+    skewed = load_imu(arguments.imu).skewed is not None
+    return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
 
 
 @dataclass

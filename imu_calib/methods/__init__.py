@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from ..earth import Site
 from ..errors import InputError
+from ..model import PARAMETERS, Parameter, extended_parameters
 from ..plan import Plan
 from . import (
     free,
@@ -53,6 +54,23 @@ def method(name: str) -> Callable[[Evidence], Solution]:
     if name not in METHODS:
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
     return METHODS[name]
+
+
+def estimates(name: str) -> tuple[Parameter, ...]:
+    """Return the parameters that a method estimates.
+
+    Raises:
+        InputError: No such method.
+
+    """
+    method(name)
+    with_g = name in {'joint_33', 'n_positions'}
+    found = extended_parameters(with_g=with_g, skewed=int(name == 'skewed'))
+    if name == free.NAME:
+        return tuple(p for p, exists in zip(PARAMETERS, free.FREE, strict=True) if exists)
+    if name in {'off_axis_four', 'skewed', 'static_six'}:
+        return tuple(p for p in found if p.triad == 'g')
+    return found
 
 
 def check_plan(name: str, plan: Plan, site: Site) -> None:

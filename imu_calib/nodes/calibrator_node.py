@@ -11,13 +11,12 @@ from typing import Any
 from .. import middleware as ros
 from ..bags import Journal
 from ..calibration import Calibration
-from ..calibrator import Setup
+from ..calibrator import Review, Setup
 from ..cdr import Kind
 from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
 from ..middleware import messages
-from ..model import PARAMETER_NAMES
 from ..plan import load_plan
 from ..session import describe
 from ..turntable import load_table
@@ -39,7 +38,10 @@ _TOPICS = {
     Kind.JOINTS: ('turntable/joint_states', messages.JointState),
     Kind.TEMPERATURES: ('imu/temperature', messages.Temperature),
     Kind.IMU: ('imu/pulses', messages.Imu),
+    Kind.SKEW: ('imu/skew', messages.Imu),
 }
+_OF_THE_TABLE = (Kind.SETPOINTS, Kind.JOINTS)
+_SILENCE_BY_HAND = 2.0
 
 
 class CalibratorNode(ros.Node):
@@ -65,13 +67,14 @@ class CalibratorNode(ros.Node):
         self._progress_publisher = self.create_publisher(
             messages.CalibrationProgress, 'calibration/progress', qos.latched()
         )
-        self._drains = {kind: self._open_drain(kind, reliable=True) for kind in _TOPICS}
+        self._drains = {kind: self._open_drain(kind, reliable=True) for kind in self._kinds()}
         self._unreliable: set[Kind] = set()
         self._state_topic = self.resolve_topic_name('turntable/state')
         self._seconds_left = math.nan
-        self.create_subscription(
-            messages.TurntableState, 'turntable/state', self._on_state, qos.latched(), raw=True
-        )
+        if self._setup.table is not None:
+            self.create_subscription(
+                messages.TurntableState, 'turntable/state', self._on_state, qos.latched(), raw=True
+            )
         self.create_service(ros.Trigger, '~/solve', self._on_solve)
         self.create_service(ros.Trigger, '~/reset', self._on_reset)
         self.create_service(ros.Trigger, '~/save', self._on_save)
@@ -103,11 +106,25 @@ class CalibratorNode(ros.Node):
         if math.isnan(latitude):
             raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
+        laid_out = load_plan(plan)
+        if laid_out.by_hand:
+            self._description = describe(plan, imu, None, site)
+            return Setup(load_imu(imu), laid_out, None, site, method or None)
         described = load_table(table)
         if not math.isnan(azimuth):
             described = replace(described, azimuth=azimuth * DEG)
         self._description = describe(plan, imu, table, site)
-        return Setup(load_imu(imu), load_plan(plan), described, site, method or None)
+        return Setup(load_imu(imu), laid_out, described, site, method or None)
+
+    def _kinds(self) -> list[Kind]:
+        """List what there is to listen to: no table, no joint states; no skewed gyro, no topic."""
+        setup = self._setup
+        left_out: set[Kind] = set()
+        if setup.table is None:
+            left_out |= set(_OF_THE_TABLE)
+        if setup.imu.skewed is None:
+            left_out.add(Kind.SKEW)
+        return [kind for kind in _TOPICS if kind not in left_out]
 
     def _open_drain(self, kind: Kind, *, reliable: bool) -> Any:
         topic, message = _TOPICS[kind]
@@ -131,9 +148,10 @@ class CalibratorNode(ros.Node):
         if self._sessions:
             path = path.with_name(f'{path.name}_{self._sessions + 1}')
         self._sessions += 1
-        topics = {kind: self.resolve_topic_name(topic) for kind, (topic, _) in _TOPICS.items()}
+        topics = {kind: self.resolve_topic_name(_TOPICS[kind][0]) for kind in self._drains}
         journal = Journal(path, self._description, {t: kind for kind, t in topics.items()})
-        journal.add_latched_topic(self._state_topic, _STATE_TYPE)
+        if self._setup.table is not None:
+            journal.add_latched_topic(self._state_topic, _STATE_TYPE)
         self._two_since: float | None = None
         self._shown: Calibration | None = None
         session = LiveSession(self._setup, journal, topics)
@@ -253,26 +271,31 @@ class CalibratorNode(ros.Node):
         stamp = messages.TimeMsg(
             sec=session.worked_until // 1_000_000_000, nanosec=session.worked_until % 1_000_000_000
         )
+        names = [parameter.name for parameter in session.parameters]
+        guidance = session.guidance
         message = messages.CalibrationProgress(
             plan=self._setup.plan.name,
-            step=session.steps_seen,
+            step=session.steps_seen if guidance is None else guidance.holds,
             steps=self._steps,
             # A full disk stops the table: what it would do now could not be kept.
             state=int(Phase.FAILED if session.trouble else session.phase),
             text=self._sentence(),
-            parameter_names=list(PARAMETER_NAMES),
-            standard_deviations=[math.nan] * 24 if review is None else review.std.tolist(),
+            parameter_names=names,
+            standard_deviations=(
+                [math.nan] * len(names) if review is None else review.std.tolist()
+            ),
             seconds_left=self._seconds_left,
             repeat_steps=[] if review is None else list(review.unsupported),
+            next_attitudes=[] if guidance is None else [c.words for c in guidance.candidates],
+            next_gains=[] if guidance is None else [float(c.gain) for c in guidance.candidates],
         )
         message.header.stamp = stamp
         self._progress_publisher.publish(message)
 
     @property
     def _steps(self) -> int:
-        table = self._setup.table
-        assert table is not None
-        return len(self._setup.plan.steps(table))
+        table, plan = self._setup.table, self._setup.plan
+        return len(plan.positions if table is None else plan.steps(table))
 
     def _sentence(self) -> str:
         session = self._session
@@ -280,9 +303,11 @@ class CalibratorNode(ros.Node):
             return session.failure or session.trouble
         known = 0 if session.review is None else int((session.review.std > 0).sum())
         imu = session.intakes[Kind.IMU]
+        if session.guidance is not None and not session.over:
+            return session.guidance.text
         words = {
             Phase.WAITING: f'waiting for {imu.topic}',
-            Phase.COLLECTING: f'{known} of 24 parameters are determined',
+            Phase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined',
             Phase.DETERMINED: f'{known} parameters are determined, and still improve',
             Phase.FINISHED: f'{known} parameters are determined',
             Phase.FAILED: session.failure,
@@ -298,7 +323,7 @@ class CalibratorNode(ros.Node):
             level = Level.ERROR
         elif session.phase is Phase.FINISHED and session.calibration is not None:
             level = Level.WARN if session.calibration.findings else Level.OK
-        figures = {} if session.review is None else _worst(session.review.std)
+        figures = {} if session.review is None else _worst(session.review)
         self._diagnostics.report('calibration', level, self._sentence(), **figures)
         if session.trouble:
             self._diagnostics.report('journal', Level.ERROR, session.trouble)
@@ -306,12 +331,15 @@ class CalibratorNode(ros.Node):
             self._diagnostics.report('journal', Level.OK, f'writes {session.journal.path}')
 
     def _report_imu(self) -> None:
-        imu, joints = self._session.intakes[Kind.IMU], self._session.intakes[Kind.JOINTS]
+        imu, joints = self._session.intakes[Kind.IMU], self._session.intakes.get(Kind.JOINTS)
         figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
         level, text = Level.OK, f'{imu.topic} comes in'
         if imu.newest is None:
             level, text = Level.WARN, f'nothing has come in on {imu.topic} yet'
-        elif joints.newest is not None and not self._session.over:
+        elif joints is None and not self._session.over:
+            if time.monotonic() - imu.heard > max(_SILENCE_BY_HAND, self._imu_timeout):
+                level, text = Level.ERROR, f'{imu.topic} is silent'
+        elif joints is not None and joints.newest is not None and not self._session.over:
             behind = (joints.newest - imu.newest) * 1e-9
             figures['behind the table'] = f'{behind:.3f} s'
             silent = time.monotonic() - imu.heard
@@ -320,6 +348,25 @@ class CalibratorNode(ros.Node):
         if imu.malformed.count:
             level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
         self._diagnostics.report('stream', level, text, **figures)
+        self._report_skew()
+
+    def _report_skew(self) -> None:
+        """Say whether a skewed gyro, where the IMU's file names one, is heard."""
+        skew = self._session.intakes.get(Kind.SKEW)
+        if skew is None:
+            return
+        level, text = Level.OK, f'{skew.topic} comes in'
+        if self._session.without_skew:
+            level = Level.WARN
+            text = (
+                f"nothing has come on {skew.topic}, though the IMU's file has a skewed_gyro: the "
+                'session goes on without it'
+            )
+        elif not skew.count:
+            level, text = Level.WARN, f'nothing has come in on {skew.topic} yet'
+        if skew.malformed.count:
+            level, text = Level.ERROR, f'{skew.topic}: {skew.malformed.reason}'
+        self._diagnostics.report('skewed gyro', level, text, samples=str(skew.count))
 
     def _save(self) -> str:
         """Write the result; return why not, or nothing."""
@@ -363,10 +410,10 @@ class CalibratorNode(ros.Node):
         return response
 
 
-def _worst(std: Any) -> dict[str, str]:
+def _worst(review: Review) -> dict[str, str]:
     return {
-        name: ('not determined' if math.isnan(value) else f'{value:.3g} (SI)')
-        for name, value in zip(PARAMETER_NAMES, std.tolist(), strict=True)
+        parameter.name: ('not determined' if math.isnan(value) else f'{value:.3g} (SI)')
+        for parameter, value in zip(review.parameters, review.std.tolist(), strict=True)
     }
 
 

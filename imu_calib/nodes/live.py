@@ -13,16 +13,16 @@ from ..calibration import Calibration
 from ..calibrator import Calibrator, Review, Setup
 from ..cdr import Kind, Malformed, Messages
 from ..errors import ImuCalibError, InputError
-from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, TemperatureBlock
+from ..methods import estimates
+from ..methods.free.guidance import Guidance, Stage
+from ..methods.free.session import FreeCalibrator, FreeReview, calibrator_of
+from ..model import Parameter, skewed_parameters
+from ..stream import Block, ImuBlock, SetpointBlock
 
 _LATE = 500_000_000
 _PATIENCE = 2.0
-_BLOCKS = {
-    Kind.IMU: ImuBlock,
-    Kind.JOINTS: JointBlock,
-    Kind.SETPOINTS: SetpointBlock,
-    Kind.TEMPERATURES: TemperatureBlock,
-}
+_SKEW_AWAITED = 10.0
+"""How much the IMU may say while a skewed gyro says nothing: s by its stamps and by the clock."""
 
 
 class Phase(IntEnum):
@@ -44,6 +44,7 @@ class Intake:
         topic: Full name.
         malformed: Messages that were left out.
         count: Samples taken in, those of the journal included.
+        oldest: Stamp of the first, ns; None before it.
         newest: Stamp of the newest, ns; None before the first.
         heard: When it came, s of the steady clock.
 
@@ -54,6 +55,7 @@ class Intake:
     malformed: Malformed
     heard: float
     count: int = 0
+    oldest: int | None = None
     newest: int | None = None
 
 
@@ -73,13 +75,17 @@ class LiveSession:
         notes: What a person should know beyond the calibration's own findings.
         review: What the last solving found; None before the first.
         calibration: The result as far as it goes; None while it is not determined.
-        worked_until: Joint stamp up to which the last review reaches, ns.
+        worked_until: Stamp up to which the last review reaches, ns: of the joints, of the IMU
+            where there is no table.
         frame_id: The IMU's frame.
+        steps_seen: Steps of the plan whose setpoints have come in.
+        without_skew: Whether the session goes on without a skewed gyro.
 
     Args:
         setup: What is calibrated, and how.
         journal: Open; what it holds from before a crash is taken in first.
-        topics: Full topic names by what they carry.
+        topics: Full topic names by what they carry; a skewed gyro is awaited where its topic is
+            among them.
 
     Raises:
         InputError: The journal holds what does not go with the set-up.
@@ -100,7 +106,14 @@ class LiveSession:
         self.worked_until = 0
         self.frame_id = ''
         self.steps_seen = 0
-        self._calibrator = Calibrator(setup)
+        self.without_skew = False
+        self._began = now
+        self._held: list[Block] = []
+        self._calibrator: Calibrator | FreeCalibrator | None = None
+        # A plan that its method cannot solve is refused now, whenever it is begun with.
+        calibrator_of(setup)
+        if setup.imu.skewed is None or Kind.SKEW not in topics:
+            self._begin(with_skew=False)
         self._solver = ThreadPoolExecutor(1, 'solver')
         self._pending: Future[Review] | None = None
         self._pending_is_final = False
@@ -108,8 +121,9 @@ class LiveSession:
         self._ending = False
         self._done_at: int | None = None
         self._done_heard = 0.0
-        for block in journal.replay():
-            self._feed(block)
+        kinds = {topic: kind for kind, topic in topics.items()}
+        for topic, block in journal.replay():
+            self._feed(kinds[topic], block)
         self.notes += journal.losses
         self._left_at = self.intakes[Kind.IMU].newest if journal.resumed else None
 
@@ -117,6 +131,21 @@ class LiveSession:
     def over(self) -> bool:
         """Whether nothing is taken in any more."""
         return self.phase in {Phase.FINISHED, Phase.FAILED}
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the session's method estimates."""
+        return estimates(self.setup.method_name)
+
+    @property
+    def guidance(self) -> Guidance | None:
+        """What a person with the unit in hand should do next; None where a table turns it."""
+        return self.review.guidance if isinstance(self.review, FreeReview) else None
+
+    @property
+    def _leader(self) -> Intake:
+        """The topic that says how far the session has come."""
+        return self.intakes[Kind.JOINTS if Kind.JOINTS in self.intakes else Kind.IMU]
 
     @property
     def _closed(self) -> bool:
@@ -135,6 +164,9 @@ class LiveSession:
         if self._closed:
             return
         intake = self.intakes[kind]
+        if kind is Kind.SKEW and self.without_skew:
+            # The recording is to hold what the result rests on.
+            return
         messages = Messages.join(payloads)
         blocks = list(kind.decode(messages, intake.malformed))
         self._write(intake, messages, now)
@@ -143,7 +175,7 @@ class LiveSession:
             if isinstance(block, ImuBlock) and len(block):
                 self._name_the_gap(int(block.stamp[0]))
                 self.frame_id = block.frame_id
-            self._feed(block)
+            self._feed(kind, block)
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
         """Keep a message that is not calibrated from."""
@@ -188,14 +220,16 @@ class LiveSession:
         """Solve for good with what is here."""
         if not self.over:
             self._ending = True
+            if self._calibrator is None:
+                self._begin(with_skew=self.intakes[Kind.SKEW].count > 0)
             self.solve()
 
     def solve(self) -> None:
         """Begin to solve with what is here, unless it is being done already."""
-        if self._pending is not None or self.over:
+        if self._pending is not None or self.over or self._calibrator is None:
             return
         self._pending_is_final = self._ending
-        self._pending_until = self.intakes[Kind.JOINTS].newest or 0
+        self._pending_until = self._leader.newest or 0
         self._pending = self._solver.submit(self._calibrator.snapshot().review)
 
     def poll(self) -> bool:
@@ -232,8 +266,11 @@ class LiveSession:
 
     def _all_here(self, done_at: int) -> bool:
         """Say whether all data up to the table's last word has come in."""
-        joints, imu = self.intakes[Kind.JOINTS].newest, self.intakes[Kind.IMU].newest
-        if joints is not None and imu is not None and joints >= done_at and imu >= done_at - _LATE:
+        awaited = {Kind.IMU: _LATE, Kind.JOINTS: 0}
+        if Kind.SKEW in self.intakes and not self.without_skew:
+            awaited[Kind.SKEW] = _LATE
+        newest = [(self.intakes[kind].newest, late) for kind, late in awaited.items()]
+        if all(stamp is not None and stamp >= done_at - late for stamp, late in newest):
             return True
         return time.monotonic() - self._done_heard > _PATIENCE
 
@@ -247,6 +284,8 @@ class LiveSession:
         elif result is not None and not self.trouble:
             self.phase = Phase.DETERMINED
             self.calibration = self._with_notes(result.calibration)
+            if self.guidance is not None and self.guidance.stage is Stage.ENOUGH:
+                self.end()
         elif self.intakes[Kind.IMU].count:
             self.phase = Phase.COLLECTING
             self.calibration = None
@@ -280,19 +319,54 @@ class LiveSession:
             # Held in memory, and written with the next flush that succeeds.
             self.trouble = str(error)
 
-    def _feed(self, block: Block) -> None:
-        intake = self.intakes[_kind(block)]
+    def _feed(self, kind: Kind, block: Block) -> None:
+        intake = self.intakes[kind]
         intake.count += len(block)
         if isinstance(block, SetpointBlock):
             steps = [s.step for s in block.setpoints if s.plan == self.setup.plan.name]
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
             intake.newest = block.setpoints[-1].stamp if block.setpoints else intake.newest
         elif len(block):
+            intake.oldest = int(block.stamp[0]) if intake.oldest is None else intake.oldest
             intake.newest = int(block.stamp[-1])
+        if self._calibrator is None:
+            self._held.append(block)
+            self._await_skew()
+        else:
+            self._pass_on(block)
+
+    def _pass_on(self, block: Block) -> None:
+        assert self._calibrator is not None
         try:
             self._calibrator.feed(block)
         except InputError as error:
             self.fail(str(error))
+
+    def _await_skew(self) -> None:
+        """Decide whether there is a skewed gyro, as reprocessing will: by what has come of it."""
+        imu = self.intakes[Kind.IMU]
+        if self.intakes[Kind.SKEW].count:
+            self._begin(with_skew=True)
+        elif imu.oldest is not None and imu.newest is not None:
+            told = (imu.newest - imu.oldest) * 1e-9
+            if min(told, time.monotonic() - self._began) > _SKEW_AWAITED:
+                self._begin(with_skew=False)
+
+    def _begin(self, *, with_skew: bool) -> None:
+        """Begin to calibrate, first of all with what has come in before."""
+        self.without_skew = not with_skew
+        imu = self.setup.imu if with_skew else replace(self.setup.imu, skewed=None)
+        self._calibrator = calibrator_of(replace(self.setup, imu=imu))
+        held, self._held = self._held, []
+        for block in held:
+            self._pass_on(block)
+        if held and self.without_skew and self.setup.method_name == 'skewed':
+            lost = ', '.join(p.name for p in skewed_parameters(1))
+            self.fail(
+                f'Nothing comes on {self.intakes[Kind.SKEW].topic}, while '
+                f'{self.intakes[Kind.IMU].topic} does: {lost} cannot be determined. Let the '
+                'driver publish it (imu_node: a device file with the field skew), and call ~/reset.'
+            )
 
     def _name_the_gap(self, first: int) -> None:
         """Say, once, how long the session was interrupted."""
@@ -304,10 +378,3 @@ class LiveSession:
             f'{self._left_at * 1e-9:.3f} s.'
         )
         self._left_at = None
-
-
-def _kind(block: Block) -> Kind:
-    for kind, blocks in _BLOCKS.items():
-        if isinstance(block, blocks):
-            return kind
-    raise TypeError(type(block).__name__)

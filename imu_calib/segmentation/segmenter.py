@@ -162,6 +162,14 @@ class Segmenter:
         """Stretches at rest found so far."""
         return tuple(self._segments)
 
+    @property
+    def still(self) -> tuple[int, int] | None:
+        """Since and until when a unit without a table stands still, ns; None in motion."""
+        tracker = self._stillness
+        if tracker is None or tracker.rest_since is None or tracker.known_until is None:
+            return None
+        return tracker.rest_since, tracker.known_until
+
     def feed(self, block: Block) -> None:
         """Take a block in.
 

@@ -25,6 +25,13 @@ FRAME = np.dtype(
 )
 """One sample, 44 bytes without gaps."""
 
+SKEWED_FRAME = np.dtype(
+    [(name, FRAME[name]) for name in ('sync', 'counter', 'time', 'gyro', 'accel')]
+    + [('skew', '<i4')]  # pulses or counts of the skewed gyro
+    + [(name, FRAME[name]) for name in ('temperature', 'status', 'crc')]
+)
+"""One sample of a unit that has a skewed gyro as well, 48 bytes."""
+
 Frames = NDArray[np.void]
 
 _INT32 = np.iinfo(np.int32)
@@ -49,7 +56,11 @@ def crc16(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 
 def pack(
-    samples: ImuBlock, celsius: Floats, first: int = 0, status: NDArray[np.uint16] | None = None
+    samples: ImuBlock,
+    celsius: Floats,
+    first: int = 0,
+    status: NDArray[np.uint16] | None = None,
+    skew: Floats | None = None,
 ) -> bytes:
     """Write samples as frames.
 
@@ -58,13 +69,17 @@ def pack(
         celsius: (n,) temperature, degrees Celsius.
         first: Frame counter of the first sample.
         status: (n,) status bits; zero if not given.
+        skew: (n,) what a skewed gyro counted; the frames are `SKEWED_FRAME`s with it.
 
     Raises:
         InputError: A value is no whole number within 32 bits.
 
     """
-    frames = np.zeros(len(samples), dtype=FRAME)
-    for name, values in (('gyro', samples.gyro), ('accel', samples.accel)):
+    frames = np.zeros(len(samples), dtype=FRAME if skew is None else SKEWED_FRAME)
+    columns = {'gyro': samples.gyro, 'accel': samples.accel}
+    if skew is not None:
+        columns['skew'] = skew
+    for name, values in columns.items():
         if not ((values == np.rint(values)) & (np.abs(values) <= _INT32.max)).all():
             raise InputError(f'A frame holds whole numbers of 32 bits; {name} has others.')
         frames[name] = values
@@ -98,4 +113,4 @@ def unpack(data: bytes) -> Frames:
 
 
 def _bytes(frames: Frames) -> NDArray[np.uint8]:
-    return frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
+    return frames.view(np.uint8).reshape(len(frames), frames.dtype.itemsize)

@@ -11,7 +11,7 @@ from ..earth import Site
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..model import SensorModel
-from ..stream import JointBlock, Mode, Setpoint
+from ..stream import Floats, JointBlock, Mode, Setpoint
 from ..turntable import Table
 from ..units import DEG
 from .frames import pack
@@ -125,6 +125,7 @@ class SimulatedHardware:
         self._options = options
         self._table = SimulatedTable(table, options, table_rng, epoch=epoch)
         self._imu = SimulatedImu(imu, model, site, options, imu_rng, epoch=epoch)
+        self._has_skew = imu.skewed is not None and model.skewed is not None
         self._phase = float(self._rng.uniform())
         self._waiting: deque[tuple[float, Setpoint]] = deque()
         self._silent_until = 0.0
@@ -182,9 +183,17 @@ class SimulatedHardware:
             except InputError as error:
                 self.refusals.append(str(error))
 
+    def _skew(self, count: int) -> Floats | None:
+        """Return what the skewed gyro said of the last samples; None where there is none."""
+        if not self._has_skew:
+            return None
+        said = self._imu.skewed
+        return np.zeros(count) if said is None else said.gyro
+
     def _line(self, end: float) -> bytes:
         """Return the bytes on the IMU's line up to a time."""
         samples = self._imu.advance(self._table.motion(end), end)
+        skew = self._skew(len(samples))
         first = self.frames
         self.frames += len(samples)
         if self.faults.clock_jump:
@@ -193,7 +202,7 @@ class SimulatedHardware:
             self._silent_until = self.time + self.faults.silence
             self.faults.silence = 0.0
         celsius = self._options.warming.celsius(np.full(len(samples), end))
-        line = b'' if end <= self._silent_until else pack(samples, celsius, first)
+        line = b'' if end <= self._silent_until else pack(samples, celsius, first, skew=skew)
         if self.faults.garbage and line:
             # In the middle of a frame, which is lost with it.
             middle = 7

@@ -26,8 +26,14 @@ from .holds import Hold, Swing
 _SCALE_WIDTH = 0.1
 _GYRO_BIAS_WIDTH = 1.0 * DEG
 _ACCEL_BIAS_WIDTH = 0.5
+_TOLD = 0.5
+"""Share of what was known beforehand below which a session has told something."""
+
 _STEPS = 40
 _PARALLEL = 1e-6
+HOLD_SECONDS = 3.0
+"""How long a hold is to last, s."""
+
 TURN_SECONDS = 2.0
 """How long a turn from hold to hold is taken to last, s."""
 
@@ -84,7 +90,8 @@ def guide(
     site: Site,
     *,
     holding: float | None = None,
-    hold_seconds: float = 3.0,
+    hold_seconds: float = HOLD_SECONDS,
+    reached: Floats | None = None,
     wanted: Wanted | None = None,
 ) -> Guidance:
     """Say what to do next.
@@ -96,6 +103,8 @@ def guide(
         site: Gravity.
         holding: How long the unit has been still, s; None while it moves.
         hold_seconds: How long a hold is to last, s.
+        reached: (21,) standard deviations that a solution states, where there is one: what
+            scatters more than its noise counts then.
         wanted: When it is enough.
 
     """
@@ -109,6 +118,8 @@ def guide(
     base = system.rows(model, ups)[0]
     now = _log_information(base)
     std = _deviations(base)
+    if reached is not None:
+        std[FREE] = reached
     found = []
     for words, up in _directions():
         block = _further(holds[-1], ups[-1], up, model, imu, site, hold_seconds)
@@ -217,9 +228,9 @@ def planned_swing(
     return Swing(first, np.tile(step, (_STEPS, 1)), period, variance)
 
 
-def _information(rows: Floats) -> Floats:
-    """Return the information on the 21 parameters, directions taken out, a wide prior put in."""
-    widths = np.array(
+def _prior() -> Floats:
+    """Return how far off a unit may be before anything is known of it, (24,)."""
+    return np.array(
         [
             _SCALE_WIDTH
             if p.kind is not ParameterKind.BIAS
@@ -227,6 +238,11 @@ def _information(rows: Floats) -> Floats:
             for p in PARAMETERS
         ]
     )
+
+
+def _information(rows: Floats) -> Floats:
+    """Return the information on the 21 parameters, directions taken out, a wide prior put in."""
+    widths = _prior()
     whole = rows.T @ rows
     n = len(PARAMETERS)
     directions = whole[n:, n:]
@@ -242,4 +258,5 @@ def _log_information(rows: Floats) -> float:
 def _deviations(rows: Floats) -> Floats:
     std = np.full(len(PARAMETERS), np.nan)
     std[FREE] = np.sqrt(np.diag(np.linalg.inv(_information(rows))))
-    return std
+    with np.errstate(invalid='ignore'):
+        return np.where(std < _TOLD * _prior(), std, np.nan)

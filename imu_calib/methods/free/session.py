@@ -2,31 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import copy
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from ... import calibrator as table_session
 from ...calibration import Calibration, ResidualRow
-from ...calibrator import Result, Setup
+from ...calibrator import Calibrator, Result, Review, Setup
 from ...errors import NotObservable
 from ...imu import ImuSpec
+from ...model import PARAMETERS
 from ...segmentation.labelling import Labelled
 from ...segmentation.segment import Segment
 from ...segmentation.segmenter import Segmented, Segmenter
 from ...segmentation.statistics import gap_free, sample_period, to_samples
 from ...stream import Block, Floats, ImuBlock, Stamps, Units
+from .. import estimates
 from ..evidence import Evidence, noise
 from ..solution import Residual, Solution
-from .fit import FreeFit, scatter_words, solve
+from . import NAME
+from .fit import FREE, FreeFit, scatter_words, solve
+from .guidance import HOLD_SECONDS, Guidance, Stage, guide
 from .holds import Hold, Swing
 
 _NEARLY = 0.999
+_NOISE = (
+    "The noise of the sensors is unknown, and the IMU's file does not state it: hold the unit "
+    'still for a minute.'
+)
 _FRAME = (
     'Frame of the result: X along the input axis of accelerometer x, the input axis of '
     'accelerometer y in the plane of X and Y (E_axy, E_axz and E_ayz are zero by that choice).'
 )
+
+
+@dataclass(frozen=True, eq=False)
+class FreeReview(Review):
+    """How far a session in the hand has come, and what to do next.
+
+    Attributes:
+        guidance: What to tell the person.
+
+    """
+
+    guidance: Guidance
 
 
 class FreeCalibrator:
@@ -63,7 +84,9 @@ class FreeCalibrator:
             NotObservable: The data cannot give all parameters; says which and why.
 
         """
-        session = self._segmenter.finish()
+        return self._solve(self._segmenter.finish())
+
+    def _solve(self, session: Segmented) -> Result:
         lost = [f'{loss}.' for loss in session.losses]
         if not session.segments:
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
@@ -76,6 +99,52 @@ class FreeCalibrator:
         except NotObservable as error:
             raise NotObservable(' '.join([str(error), *lost])) from None
         return self._result(session, segments, walk, fit, len(swings))
+
+    def snapshot(self) -> FreeCalibrator:
+        """Return a calibrator with all that came in so far; this one goes on by itself."""
+        other = copy.copy(self)
+        # Samples are never changed, only joined.
+        other._stamps, other._values = list(self._stamps), list(self._values)
+        other._segmenter = copy.deepcopy(self._segmenter)
+        return other
+
+    def review(self) -> FreeReview:
+        """End of the session, or of a snapshot: solve, and say what to do next."""
+        still = self._segmenter.still
+        session = self._segmenter.finish()
+        result, refusal = None, ''
+        try:
+            result = self._solve(session)
+        except NotObservable as error:
+            refusal = str(error)
+        reached = None if result is None else result.solution.std[: len(PARAMETERS)][FREE]
+        guidance = self._guidance(session.segments, still, reached)
+        std = guidance.std[FREE] if reached is None else reached
+        return FreeReview(session, estimates(NAME), std, (), result, refusal, guidance)
+
+    def _guidance(
+        self,
+        segments: tuple[Segment, ...],
+        still: tuple[int, int] | None,
+        reached: Floats | None,
+    ) -> Guidance:
+        holding = None
+        if still is not None:
+            since, until = still
+            holding = (until - since) * 1e-9
+            if holding < HOLD_SECONDS:
+                # It has not come to its end: what it tells so far does not count yet.
+                segments = tuple(s for s in segments if s.end <= since)
+        setup = self._setup
+        holds: list[Hold] = []
+        swings: list[Swing] = []
+        try:
+            if segments:
+                holds, swings = self._cut(segments, self._walk(segments))
+        except NotObservable:
+            told = guide((), (), setup.imu, setup.site, holding=holding)
+            return replace(told, stage=Stage.HOLD, text=_NOISE)
+        return guide(holds, swings, setup.imu, setup.site, holding=holding, reached=reached)
 
     def _walk(self, segments: tuple[Segment, ...]) -> Floats:
         return noise(segments, self._setup.imu)
@@ -136,6 +205,17 @@ class FreeCalibrator:
             setup.imu, fit.model, fit.covariance, rows, tuple(findings), provenance
         )
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
+
+
+def calibrator_of(setup: Setup) -> Calibrator | FreeCalibrator:
+    """Return the calibrator that a set-up asks for: with a table, or in free positions.
+
+    Raises:
+        InputError: The method does not exist.
+        NotObservable: The plan cannot give the method its parameters, however it is run.
+
+    """
+    return FreeCalibrator(setup) if setup.method_name == NAME else Calibrator(setup)
 
 
 def swing(

@@ -1,0 +1,156 @@
+"""A skewed gyro in a live session: heard, missed, and as reprocessing has it."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sessions import SITE, stand
+
+from imu_calib.bags import Journal
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Setup
+from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
+from imu_calib.cli import calibrate
+from imu_calib.cli.main import build_parser
+from imu_calib.imu import load_imu
+from imu_calib.nodes import live
+from imu_calib.nodes.live import LiveSession, Phase
+from imu_calib.plan import RateTest, load_plan
+from imu_calib.session import describe
+from imu_calib.share import named_file
+from imu_calib.simulation import simulate
+from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock
+from imu_calib.turntable import load_table
+from imu_calib.units import DEG
+
+TOPICS = {
+    Kind.IMU: '/imu/pulses',
+    Kind.SKEW: '/imu/skew',
+    Kind.JOINTS: '/turntable/joint_states',
+    Kind.SETPOINTS: '/turntable/setpoint',
+}
+ENCODERS = {
+    ImuBlock: (Kind.IMU, encode_imu),
+    SkewBlock: (Kind.SKEW, lambda block: encode_imu(block.as_imu())),
+    JointBlock: (Kind.JOINTS, encode_joints),
+    SetpointBlock: (Kind.SETPOINTS, encode_setpoints),
+}
+RATES = RateTest((60 * DEG, -60 * DEG, 120 * DEG, -120 * DEG), 2)
+PLAN = load_plan('skewed')
+PLAN = replace(PLAN, positions=tuple(replace(p, rate_test=RATES) for p in PLAN.positions))
+SETUP = Setup(load_imu('fog_skewed'), PLAN, load_table('three_axis'), SITE)
+TRUTH = Calibration.load(named_file('truths', 'fog_skewed')).model
+
+
+@pytest.fixture(scope='module')
+def wire():
+    """The serialised messages of a session, block after block."""
+    messages = []
+    for _, block in simulate(PLAN, SETUP.table, SETUP.imu, TRUTH, SITE, stand(), 5):
+        if type(block) in ENCODERS:
+            kind, encode = ENCODERS[type(block)]
+            messages.append((kind, encode(block).payloads()))
+    return messages
+
+
+def begin(folder, setup=SETUP):
+    journal = Journal(folder, describe('skewed', 'fog_skewed', 'three_axis', SITE), NAMES)
+    return LiveSession(setup, journal, TOPICS)
+
+
+NAMES = {topic: kind for kind, topic in TOPICS.items()}
+
+
+def send(session, wire, without=frozenset()):
+    now = 1_700_000_000_000_000_000
+    for kind, payloads in wire:
+        if kind not in without:
+            session.take(kind, payloads, now)
+            now += 10**6
+
+
+def finish(session):
+    session.end()
+    deadline = time.monotonic() + 60
+    while not session.over:
+        session.poll()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    session.close()
+    return session
+
+
+def reprocessed(folder, *options):
+    arguments = build_parser().parse_args(['calibrate', str(folder), *options])
+    offline = calibrate.open_offline(arguments)
+    with offline.recording:
+        offline = replace(offline, setup=replace(offline.setup, plan=PLAN))
+        return calibrate.calibrate(offline).calibration
+
+
+def test_sixteen_numbers_live_are_those_of_the_journal(tmp_path, wire):
+    session = begin(tmp_path / 'journal')
+    send(session, wire)
+    session = finish(session)
+    assert session.phase is Phase.FINISHED, session.failure
+    assert [p.name for p in session.parameters][-4:] == ['R_gsx', 'R_gsy', 'R_gsz', 'D_gs']
+    assert (session.review.std > 0).sum() == len(session.parameters) == 16
+    found = session.calibration
+    known = np.isfinite(found.std)
+    errors = found.values[known] - TRUTH.values(found.parameters)[known]
+    assert np.abs(errors / found.std[known]).max() < 5
+    again = reprocessed(tmp_path / 'journal')
+    assert np.array_equal(again.values[known], found.values[known])
+    assert np.array_equal(again.covariance, found.covariance, equal_nan=True)
+
+
+def test_an_interrupted_session_goes_on_with_its_skewed_gyro(tmp_path, wire):
+    half = len(wire) // 2
+    session = begin(tmp_path / 'journal')
+    send(session, wire[:half])
+    session.close()
+    session = begin(tmp_path / 'journal')
+    assert session.intakes[Kind.SKEW].count > 0
+    send(session, wire[half:])
+    found = finish(session).calibration
+    assert np.array_equal(
+        reprocessed(tmp_path / 'journal').covariance, found.covariance, equal_nan=True
+    )
+
+
+def test_a_skewed_gyro_that_nobody_publishes_ends_the_session_soon_and_by_name(
+    tmp_path, wire, monkeypatch
+):
+    monkeypatch.setattr(live, '_SKEW_AWAITED', 0.0)
+    session = begin(tmp_path / 'journal')
+    send(session, wire[:40], without={Kind.SKEW})
+    assert session.phase is Phase.FAILED
+    assert 'Nothing comes on /imu/skew' in session.failure
+    assert 'D_gs' in session.failure
+    session.close()
+
+
+def test_other_methods_go_on_without_it_and_take_it_no_more(tmp_path, wire, monkeypatch):
+    monkeypatch.setattr(live, '_SKEW_AWAITED', 0.0)
+    session = begin(tmp_path / 'journal', replace(SETUP, method='twelve_position'))
+    send(session, wire[:40], without={Kind.SKEW})
+    assert session.without_skew
+    assert not session.over
+    send(session, wire[40:80])
+    assert session.intakes[Kind.SKEW].count == 0
+    session.solve()
+    while not session.poll():
+        time.sleep(0.01)
+    assert session.phase is Phase.COLLECTING
+    assert len(session.review.std) == 24
+    session.close()
+
+
+def test_who_ends_a_session_early_need_not_wait_for_the_skewed_gyro(tmp_path, wire):
+    session = begin(tmp_path / 'journal', replace(SETUP, method='twelve_position'))
+    send(session, wire[:40], without={Kind.SKEW})
+    session.solve()
+    assert session.review is None
+    assert finish(session).phase is Phase.FAILED
+    assert session.without_skew
