@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from datetime import datetime, timezone
 
 import numpy as np
 import scipy
@@ -18,6 +19,7 @@ from .methods.evidence import Evidence, noise
 from .methods.information import reached
 from .methods.solution import Solution
 from .model import PARAMETERS, Parameter
+from .noise import session_noise
 from .plan import Plan
 from .progress import unsupported_steps
 from .segmentation.labelling import Labelled, label
@@ -25,6 +27,8 @@ from .segmentation.segmenter import Segmented, Segmenter
 from .stream import Block, Floats
 from .turntable import Table
 from .units import DEG
+
+_YEAR_2000, _YEAR_2200 = 946_684_800 * 10**9, 7_258_118_400 * 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +264,9 @@ def _provenance(
     clock = session.clock
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
     rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
+    seen = session_noise([s.statistics for s in evidence.segments], evidence.walk)
     return {
+        'recorded': _date(session.start),
         'method': setup.method_name,
         'plan': setup.plan.name,
         'table': setup.table.name if setup.table is not None else None,
@@ -274,6 +280,7 @@ def _provenance(
         'samples': sum(s.statistics.samples for s in evidence.segments)
         + sum(t.statistics.samples for t in evidence.turns),
         'random_walk': [float(v) for v in evidence.walk],
+        'noise': {name: channel.document() for name, channel in seen.items()},
         'residual_rms': [_or_none(v) for v in rms],
         'condition_number': solution.condition,
         'clock': {
@@ -289,6 +296,13 @@ def _provenance(
             'scipy': scipy.__version__,
         },
     }
+
+
+def _date(stamp: int | None) -> str | None:
+    """Return when a recording began, UTC; None where its stamps count from something else."""
+    if stamp is None or not _YEAR_2000 < stamp < _YEAR_2200:
+        return None
+    return datetime.fromtimestamp(stamp // 10**9, timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
 
 
 def _or_none(value: float) -> float | None:

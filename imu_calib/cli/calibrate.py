@@ -12,6 +12,7 @@ from ..calibrator import Result, Setup
 from ..errors import NotObservable
 from ..methods import METHODS
 from ..methods.free.session import calibrator_of
+from ..report.noise import noise_lines
 from ..report.parameters import parameter_table
 from ..stream import Block
 from ..units import DEG
@@ -136,4 +137,6 @@ def show(result: Result, truth: Calibration | None = None) -> None:
             f'ms, {clock.rate * 1e6:+.2f} +- {clock.rate_std * 1e6:.2f} ppm '
             f'({clock.motions} motions)'
         )
+    for line in noise_lines(result.calibration):
+        OUTPUT.print(line, markup=False)
     sentence_list('Worth knowing', result.calibration.findings)

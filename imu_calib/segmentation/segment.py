@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..allan import AllanSums
 from ..stream import Floats
 
 CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
@@ -31,6 +32,8 @@ class Statistics:
             middle of each, s after the segment began.
         drift: (6,) slope of the block means, rad/s^2 and m/s^3.
         drift_std: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
+        pulse: (6,) size of one pulse, rad and m/s; 0 where the values are no whole pulses.
+        allan: Sums for the Allan variance; None where they were not taken.
 
     """
 
@@ -44,6 +47,8 @@ class Statistics:
     blocks: tuple[Floats, ...]
     drift: Floats
     drift_std: Floats
+    pulse: Floats = field(default_factory=lambda: np.zeros(6))
+    allan: AllanSums | None = None
 
     def variance(self, walk: Floats) -> Floats:
         """Return the variance of `mean` for (6,) random-walk coefficients."""

@@ -100,6 +100,7 @@ class Segmented:
         clock: Table against IMU.
         samples: IMU samples taken in.
         duration: From the first to the last IMU stamp, s.
+        start: First IMU stamp, ns; None without samples.
 
     """
 
@@ -113,6 +114,7 @@ class Segmented:
     clock: ClockFit
     samples: int
     duration: float
+    start: int | None = None
 
 
 class Segmenter:
@@ -212,6 +214,7 @@ class Segmenter:
             clock,
             self._samples,
             duration,
+            self._first_stamp,
         )
 
     @property

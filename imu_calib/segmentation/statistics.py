@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..allan import allan_sums
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
 from .counter import MeanRate, block_edges, block_rates, mean_rate
@@ -143,6 +144,8 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
         blocks=blocks,
         drift=drift,
         drift_std=drift_std,
+        pulse=samples.quantum,
+        allan=allan_sums([part.increments for part in parts], samples.period),
     )
 
 

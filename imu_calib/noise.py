@@ -1,0 +1,297 @@
+"""The noise that a session shows: random walk, bias instability, quantisation of each channel."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .allan import (
+    AllanSums,
+    Term,
+    cluster_sizes,
+    counter_share,
+    octaves,
+    pooled,
+    spread,
+    unit_variances,
+)
+from .segmentation.segment import CHANNELS, Statistics
+from .stream import Floats
+
+_STEPS = 12
+_MOSTLY = 0.5
+_FEWEST_POINTS = 2
+_SIGNIFICANT = 2.0
+_NINETY_FIVE = 1.645
+_ALIKE = 0.2
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient of noise: its value where the data shows it, else what it is below (95 %)."""
+
+    value: float | None
+    std: float | None
+    below: float
+
+    @classmethod
+    def of(cls, square: float, deviation: float) -> Coefficient:
+        """Take a squared coefficient and its standard deviation."""
+        below = math.sqrt(max(square, 0.0) + _NINETY_FIVE * deviation)
+        if square < _SIGNIFICANT * deviation or square <= 0:
+            return cls(None, None, below)
+        value = math.sqrt(square)
+        return cls(value, deviation / (2 * value), below)
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelNoise:
+    """What the stretches at rest show of one channel, in SI units.
+
+    Attributes:
+        tau: (k,) averaging times, s.
+        deviation: (k,) Allan deviation, rad/s or m/s^2.
+        std: (k,) its standard deviation.
+        random_walk: rad/sqrt(s) or (m/s)/sqrt(s).
+        bias_instability: rad/s or m/s^2; the curve is flat at 0.664 of it.
+        quantisation: rad or m/s, by slope -1; of a counter the known pulse over sqrt(12).
+        rate_random_walk: (rad/s)/sqrt(s) or (m/s^2)/sqrt(s).
+        timed: Whether `tau` holds clusters whose pulses were timed, since single readings of the
+            counter hide the noise below its steps.
+
+    """
+
+    tau: Floats
+    deviation: Floats
+    std: Floats
+    random_walk: Coefficient
+    bias_instability: Coefficient
+    quantisation: Coefficient
+    rate_random_walk: Coefficient
+    timed: bool
+
+    def document(self) -> dict[str, Any]:
+        """Return it as plain numbers, for a file."""
+        found: dict[str, Any] = {}
+        for name in _COEFFICIENTS:
+            coefficient: Coefficient = getattr(self, name)
+            if coefficient.value is not None:
+                found[name] = float(coefficient.value)
+                found[f'{name}_std'] = float(coefficient.std or 0.0)
+            elif math.isfinite(coefficient.below):
+                found[f'{name}_below'] = float(coefficient.below)
+        for name in _CURVE:
+            found[name] = [float(v) for v in getattr(self, name)]
+        return {**found, 'timed': self.timed}
+
+    @classmethod
+    def read(cls, document: Mapping[str, Any]) -> ChannelNoise:
+        """Take it from what `document` returned."""
+        coefficients = {
+            name: Coefficient(
+                document.get(name),
+                document.get(f'{name}_std'),
+                document.get(f'{name}_below', math.inf),
+            )
+            for name in _COEFFICIENTS
+        }
+        tau, deviation, std = (np.array(document[n], dtype=float) for n in _CURVE)
+        return cls(tau, deviation, std, **coefficients, timed=bool(document['timed']))
+
+
+_CURVE = ('tau', 'deviation', 'std')
+_COEFFICIENTS = ('random_walk', 'bias_instability', 'quantisation', 'rate_random_walk')
+
+
+def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, ChannelNoise]:
+    """Estimate the noise of every channel from the stretches at rest of a session.
+
+    Args:
+        statistics: Of the stretches.
+        walk: (6,) random-walk coefficients as the calibration takes them: they say how fast a
+            counter's steps are smeared, rad/sqrt(s) and (m/s)/sqrt(s).
+
+    Returns:
+        By name of the channel; without those that tell nothing.
+
+    """
+    with_sums = [s for s in statistics if s.allan is not None and len(s.allan.counts)]
+    found = {}
+    for c, name in enumerate(CHANNELS):
+        points = _points(with_sums, c, float(walk[c])) if with_sums else None
+        if points is not None:
+            found[name] = _fit(points)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Allan variances of one channel, with what makes them up.
+
+    Attributes:
+        factors: (k,) cluster sizes, in steps of `period`.
+        period: s.
+        lengths: Steps of every run.
+        variance: (k,) as observed.
+        known: (k,) what quantisation adds to it by theory.
+        pulse: Size of a pulse; 0 where quantisation is to be fitted.
+        usable: (k,) those to fit noise to.
+        timed: See `ChannelNoise`.
+
+    """
+
+    factors: Floats
+    period: float
+    lengths: tuple[int, ...]
+    variance: Floats
+    known: Floats
+    pulse: float
+    usable: np.ndarray[Any, np.dtype[np.bool_]]
+    timed: bool = False
+
+
+def _points(statistics: Sequence[Statistics], channel: int, walk: float) -> _Points | None:
+    sums = pooled([s.allan for s in statistics if s.allan is not None])
+    variance = sums.variance[:, channel]
+    pulse = float(statistics[0].pulse[channel])
+    if not variance.any():
+        return None
+    known = _known_share(statistics, channel, walk, sums) if pulse else np.zeros(len(variance))
+    usable = (known < _MOSTLY * variance) & (variance > 0)
+    factors = cluster_sizes(len(variance))
+    points = _Points(factors, sums.period, sums.lengths, variance, known, pulse, usable)
+    if usable.sum() >= _FEWEST_POINTS and usable[-_FEWEST_POINTS:].all():
+        return points
+    return _timed_points(statistics, channel, pulse, walk) or points
+
+
+def _known_share(
+    statistics: Sequence[Statistics], channel: int, walk: float, sums: AllanSums
+) -> Floats:
+    """Return the Allan variance that a counter's steps add by theory, (k,)."""
+    total = np.zeros(len(sums.counts))
+    for s in statistics:
+        own = s.allan
+        if own is None:
+            continue
+        pulse, factors = float(s.pulse[channel]), cluster_sizes(len(own.counts))
+        rate, growth = float(s.mean[channel]) / pulse, (walk / pulse) ** 2
+        share = counter_share(rate * own.period, growth * own.period, factors)
+        total[: len(factors)] += own.counts * share * pulse**2
+    return np.asarray(total / (2 * sums.counts * sums.taus**2))
+
+
+def _timed_points(
+    statistics: Sequence[Statistics], channel: int, pulse: float, walk: float
+) -> _Points | None:
+    """Take the blocks, whose means use the moments of the pulses, for the samples.
+
+    Only stretches are pooled whose blocks are of one typical length, and whose pulses could be
+    timed to less than the walk.
+    """
+    rows = [s.blocks[channel] for s in statistics if len(s.blocks[channel]) > 2]
+    rows = [b for b in rows if b[:, 2].mean() < walk**2 * b[:, 1].mean()]
+    if not rows:
+        return None
+    steps = np.array([float(np.median(np.diff(b[:, 3]))) for b in rows])
+    period = float(np.median(steps))
+    rows = [b for b, step in zip(rows, steps, strict=True) if abs(step / period - 1) < _ALIKE]
+    most = max(len(b) for b in rows)
+    factors = cluster_sizes(octaves(most))
+    squares, known, counts = (np.zeros(len(factors)) for _ in range(3))
+    for block in rows:
+        phase = np.concatenate([[0.0], np.cumsum(block[:, 0] * period)])
+        reading = float(block[:, 2].mean()) * period**2
+        for k, m in enumerate(factors[factors <= len(block) // 3].astype(int)):
+            d = phase[2 * m :] - 2 * phase[m:-m] + phase[: -2 * m]
+            squares[k] += d @ d
+            # Each block has reading errors of its own.
+            known[k] += len(d) * 2 * m * reading
+            counts[k] += len(d)
+    scale = 2 * counts * (factors * period) ** 2
+    variance, share = squares / scale, known / scale
+    usable = (share < _MOSTLY * variance) & (variance > 0)
+    lengths = tuple(len(b) for b in rows)
+    return _Points(factors, period, lengths, variance, share, pulse, usable, timed=True)
+
+
+def _fit(points: _Points) -> ChannelNoise:
+    """Fit squared coefficients, none below zero, by generalised least squares.
+
+    The covariance of the points follows from the coefficients, so both are found by turns.
+    """
+    units = unit_variances(points.factors, points.period)
+    rows = points.usable
+    terms = _distinguishable(int(rows.sum()), counter=points.pulse > 0)
+    own = np.zeros(len(Term))
+    if points.pulse and not points.timed:
+        own[Term.QUANTISATION] = points.pulse**2 / 12
+    left = np.maximum(points.variance - points.known, 0.0)
+    squares, variances = np.zeros(len(Term)), np.full(len(Term), np.inf)
+    spread_all = np.diag((points.variance + 1e-300) ** 2)
+    for _ in range(_STEPS if rows.any() else 0):
+        inside = np.ix_(rows, rows)
+        before = squares
+        squares, variances = _non_negative(units[rows], left[rows], spread_all[inside], terms)
+        if not (squares + own).any():
+            break
+        spread_all = spread(len(units), points.lengths, points.period, squares + own)
+        if np.allclose(squares, before, rtol=1e-4, atol=0.0):
+            break
+    found = {t: Coefficient.of(float(squares[t]), math.sqrt(variances[t])) for t in Term}
+    if points.pulse:
+        size = points.pulse / math.sqrt(12)
+        found[Term.QUANTISATION] = Coefficient(size, 0.0, size)
+    deviation = np.sqrt(points.variance)
+    return ChannelNoise(
+        points.factors * points.period,
+        deviation,
+        np.sqrt(np.diag(spread_all)) / (2 * np.maximum(deviation, 1e-300)),
+        found[Term.RANDOM_WALK],
+        found[Term.BIAS_INSTABILITY],
+        found[Term.QUANTISATION],
+        found[Term.RATE_RANDOM_WALK],
+        points.timed,
+    )
+
+
+def _distinguishable(points: int, *, counter: bool) -> list[Term]:
+    """Return the terms that so many points can tell apart, the commonest first."""
+    order = [Term.RANDOM_WALK, Term.BIAS_INSTABILITY, Term.QUANTISATION, Term.RATE_RANDOM_WALK]
+    if counter:
+        order.remove(Term.QUANTISATION)
+    return order[: max(1, points - 1)]
+
+
+def _non_negative(
+    units: Floats, variance: Floats, covariance: Floats, terms: Sequence[Term]
+) -> tuple[Floats, Floats]:
+    """Return the squared coefficients (4,) that fit best, none below zero, and their variances.
+
+    A handful of terms has few subsets: each is solved, and the best without a negative number is
+    taken. What is not in it is zero, and known as well as if it were added.
+    """
+    root = np.linalg.cholesky(covariance)
+    design = np.linalg.solve(root, units)
+    observed = np.linalg.solve(root, variance)
+    size = np.linalg.norm(design, axis=0)
+    design = design / size
+    best: tuple[float, Floats, tuple[Term, ...]] = (float(observed @ observed), np.empty(0), ())
+    for count in range(1, len(terms) + 1):
+        for subset in itertools.combinations(terms, count):
+            solved, *_ = np.linalg.lstsq(design[:, subset], observed, rcond=None)
+            misfit = float(np.sum((observed - design[:, subset] @ solved) ** 2))
+            if solved.min() >= 0 and misfit < best[0]:
+                best = misfit, solved, subset
+    squares, variances = np.zeros(len(Term)), np.full(len(Term), np.inf)
+    squares[list(best[2])] = best[1] / size[list(best[2])]
+    for term in terms:
+        among = list(dict.fromkeys((term, *best[2])))
+        information = design[:, among].T @ design[:, among]
+        variances[term] = np.linalg.pinv(information)[0, 0] / size[term] ** 2
+    return squares, variances

@@ -1,0 +1,195 @@
+"""The Allan variance against published values, and its fit against streams of known noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sessions import calibrate, paper_imu, quick_plan, session, stand
+
+from imu_calib.allan import (
+    FLICKER_FLOOR,
+    allan_sums,
+    cluster_sizes,
+    counter_share,
+    pooled,
+    second_differences,
+    spread,
+    unit_variances,
+)
+from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.noise import ChannelNoise, session_noise
+from imu_calib.report.noise import noise_lines
+from imu_calib.segmentation.segment import Statistics
+from imu_calib.segmentation.statistics import statistics_at_rest, to_samples
+from imu_calib.stream import Floats, Units
+
+PERIOD = 0.01
+
+
+def nist_data() -> Iterator[float]:
+    """The 1000-point test suite of NIST SP 1065 (Riley 2008), section 12.4."""
+    n = 1234567890
+    for _ in range(1000):
+        yield n / 2147483647
+        n = 16807 * n % 2147483647
+
+
+@pytest.mark.parametrize(
+    ('clusters', 'deviation'), [(1, 2.922319e-1), (10, 9.159953e-2), (100, 3.241343e-2)]
+)
+def test_published_deviations_of_the_nist_test_suite(clusters: int, deviation: float) -> None:
+    # NIST SP 1065, Table 31, overlapping Allan deviation.
+    phase = np.concatenate([[0.0], np.cumsum(list(nist_data()))])
+    total, count = second_differences(phase, clusters)
+    assert np.sqrt(total / (2 * count * clusters**2)) == pytest.approx(deviation, rel=5e-7)
+
+
+# Greenhall and Riley's algorithm as allantools 2024.6 has it (edf_greenhall, d = 2, overlapping),
+# for 1001 phases and clusters of 4, 8, 16. For noise of rate it takes the limit of large clusters.
+@pytest.mark.parametrize(
+    ('term', 'freedom', 'within'),
+    [
+        (0, [511.746, 508.696, 502.611], 1e-4),
+        (1, [306.092, 165.988, 86.370], 0.14),
+        (2, [282.358, 143.288, 71.306], 0.03),
+        (3, [227.092, 114.023, 56.411], 0.02),
+    ],
+)
+def test_degrees_of_freedom_of_each_noise(term: int, freedom: list[float], within: float) -> None:
+    squares = np.eye(4)[term]
+    variance = unit_variances(cluster_sizes(5), 1.0) @ squares
+    found = 2 * variance**2 / np.diag(spread(5, (1000,), 1.0, squares))
+    assert found[2:] == pytest.approx(freedom, rel=within)
+
+
+def test_the_spread_is_that_of_simulated_stretches() -> None:
+    # Cross-covariances too: a thousand pairs of stretches of white rate noise.
+    rng = np.random.default_rng(1)
+    rows = []
+    for _ in range(1000):
+        runs = [rng.normal(size=(n, 1)) for n in (200, 130)]
+        rows.append(allan_sums(runs, 1.0).variance[:, 0])
+    expected = spread(7, (200, 130), 1.0, np.array([0, 1.0, 0, 0]))
+    scale = np.sqrt(np.diag(expected))
+    # 1 / sqrt(n / 2) = 4.5 % of a variance; correlations of chi-squared tails scatter more.
+    assert np.cov(np.array(rows).T) / np.outer(scale, scale) == pytest.approx(
+        expected / np.outer(scale, scale), abs=0.2
+    )
+
+
+def test_stretches_add_up_and_a_gap_joins_nothing() -> None:
+    rng = np.random.default_rng(2)
+    first, second = rng.normal(size=(500, 6)), rng.normal(size=(400, 6)) + 5.0
+    both = allan_sums([first, second], PERIOD)
+    added = pooled([allan_sums([first], PERIOD), allan_sums([second], PERIOD)])
+    assert np.array_equal(both.squares, added.squares)
+    assert both.lengths == added.lengths == (500, 400)
+    # A step of 5 between the stretches would be seen at once.
+    assert both.variance[0] == pytest.approx(np.full(6, 1 / PERIOD**2), rel=0.2)
+
+
+def flicker(rng: np.random.Generator, count: int) -> Floats:
+    """Rate noise with B = 1, by fractional differences (Kasdin 1995)."""
+    k = np.arange(1, count)
+    response = np.cumprod(np.concatenate([[1.0], (k - 0.5) / k]))
+    size = 1 << (2 * count - 1).bit_length()
+    spectrum = np.fft.rfft(response, size) * np.fft.rfft(rng.normal(size=2 * count), size)
+    # The first half has not yet seen the whole past.
+    return np.fft.irfft(spectrum, size)[count // 2 : count]
+
+
+def statistics_of(rates: Floats, spec: ImuSpec) -> Statistics:
+    """Of a stretch of (n, 6) rates or pulses."""
+    stamp = np.arange(1, len(rates) + 1) * round(PERIOD * 1e9)
+    samples = to_samples(stamp, rates, spec, PERIOD)
+    return statistics_at_rest(samples, np.full(6, 1e-6))
+
+
+SI = ImuSpec('si', Units.SI, 100.0, TriadSpec(), TriadSpec())
+N, B, Q = 2e-5, 1.2e-5, 2e-6
+
+
+def mixed_noise(seed: int) -> dict[str, ChannelNoise]:
+    """Six channels of four stretches with quantisation, random walk and bias instability."""
+    rng = np.random.default_rng(seed)
+    stretches = []
+    for _ in range(4):
+        walk = rng.normal(size=(16384, 6)) * N / np.sqrt(PERIOD)
+        wander = np.column_stack([flicker(rng, 32768) for _ in range(6)]) * B
+        reading = np.diff(rng.normal(size=(16385, 6)), axis=0) * Q / PERIOD
+        stretches.append(statistics_of(walk + wander + reading + 1e-3, SI))
+    return session_noise(stretches, np.full(6, N))
+
+
+def test_known_noise_is_found_within_its_deviations() -> None:
+    found = [c for seed in range(4) for c in mixed_noise(seed).values()]
+    for name, truth in (('random_walk', N), ('bias_instability', B), ('quantisation', Q)):
+        values = [getattr(c, name) for c in found]
+        errors = np.array([(v.value - truth) / v.std for v in values])
+        # 24 channels: 1 / sqrt(48) = 0.14.
+        assert 0.5 < np.sqrt(np.mean(errors**2)) < 1.5, name
+        assert np.mean([v.std for v in values]) < 0.35 * truth
+
+
+def test_the_curve_is_flat_where_bias_instability_rules() -> None:
+    rng = np.random.default_rng(5)
+    rates = np.column_stack([flicker(rng, 131072) for _ in range(6)])
+    floor = np.sqrt(allan_sums([rates * PERIOD], PERIOD).variance[4:10])
+    assert floor == pytest.approx(np.full((6, 6), FLICKER_FLOOR), rel=0.15)
+
+
+def test_noise_that_does_not_show_is_bounded_not_invented() -> None:
+    rng = np.random.default_rng(6)
+    white = [statistics_of(rng.normal(size=(8192, 6)) * 1e-4, SI) for _ in range(4)]
+    for channel in session_noise(white, np.full(6, 1e-5)).values():
+        # White rate of 1e-4 per sample is a walk of 1e-5; flat by then is 0.664 B.
+        assert channel.random_walk.value == pytest.approx(1e-5, rel=0.03)
+        assert channel.bias_instability.below < 1e-5
+    values = [c.bias_instability.value for c in session_noise(white, np.full(6, 1e-5)).values()]
+    assert values.count(None) >= 4
+
+
+@pytest.mark.parametrize(('rate', 'walk'), [(0.02, 0.0), (0.3, 0.05), (9.81, 0.02), (0.007, 0.1)])
+def test_what_the_steps_of_a_counter_add(rate: float, walk: float) -> None:
+    rng = np.random.default_rng(7)
+    true = rng.uniform(size=(400, 1)) + np.cumsum(
+        rate + walk * rng.normal(size=(400, 3000)), axis=1
+    )
+    error = np.floor(true) - true
+    for m in (1, 8, 64):
+        d = error[:, 2 * m :] - 2 * error[:, m:-m] + error[:, : -2 * m]
+        expected = counter_share(rate, walk**2, np.array([float(m)]))[0]
+        # A hundred or more phases, each with a chi-squared of its own.
+        assert expected == pytest.approx(np.mean(d**2), rel=0.1, abs=0.01)
+
+
+def test_a_session_shows_the_noise_that_was_put_in_and_no_other() -> None:
+    spec = paper_imu()
+    plan = quick_plan('twelve_position', 60.0)
+    result = calibrate(session(plan, stand(), 3), plan)
+    document = result.calibration.provenance['noise']
+    seen = {name: ChannelNoise.read(entry) for name, entry in document.items()}
+    assert list(seen) == ['gx', 'gy', 'gz', 'ax', 'ay', 'az']
+    for name, channel in seen.items():
+        triad = spec.gyro if name[0] == 'g' else spec.accel
+        walk = channel.random_walk
+        assert walk.value is not None and walk.std is not None
+        assert abs(walk.value - triad.random_walk) < 4.5 * walk.std < 1.5 * triad.random_walk
+        assert channel.quantisation.value == pytest.approx(triad.scale_factor / np.sqrt(12))
+        # The accelerometers' pulse hides 0.01 (m/s)/pulse against 2e-4 (m/s)/sqrt(s): pulses timed.
+        assert channel.timed is (name[0] == 'a')
+        assert channel.document() == document[name]
+    gyro, accel = noise_lines(result.calibration)
+    assert 'deg/sqrt(h) (data sheet 0.05)' in gyro
+    assert '(m/s)/sqrt(h) (data sheet 0.012)' in accel and accel.endswith('ug')
+
+
+def test_a_channel_that_shows_nothing_is_left_out() -> None:
+    rates = np.zeros((6000, 6))
+    rates[:, 0] = np.random.default_rng(8).normal(size=6000)
+    assert list(session_noise([statistics_of(rates, SI)], np.full(6, 0.1))) == ['gx']
+    bare = replace(statistics_of(rates, SI), allan=None)
+    assert session_noise([bare], np.full(6, 0.1)) == {}
