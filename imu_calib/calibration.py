@@ -110,7 +110,7 @@ class Calibration:
             'accelerometer': (
                 _triad_document(self.imu.accel, self.model.accel, std.accel)
                 if self.has_accelerometers
-                else {'scale_factor': float(self.imu.accel.scale_factor)}
+                else _spec_document(self.imu.accel)
             ),
             **self._skewed_document(),
             'covariance': {
@@ -130,19 +130,20 @@ class Calibration:
 
     def _head_of_further(self) -> str:
         further = ''
-        if self._has_g:
+        if self.has_g:
             further += '# To the gyros add g_sensitivity times specific force.\n'
         if not self.has_accelerometers:
             further += '# The accelerometers were not calibrated.\n'
         return further
 
     @property
-    def _has_g(self) -> bool:
+    def has_g(self) -> bool:
+        """Whether the g-sensitivities were estimated."""
         return extended_parameters(with_g=True)[-1] in self.parameters
 
     def _gyro_document(self, std: Triad) -> dict[str, Any]:
         document = _triad_document(self.imu.gyro, self.model.gyro, std)
-        if self._has_g:
+        if self.has_g:
             nine = self.std[len(PARAMETERS) : len(PARAMETERS) + 9].reshape(3, 3)
             document['g_sensitivity'] = _rows(self.model.g_sensitivity)
             document['std']['g_sensitivity'] = _rows(nine)
@@ -156,7 +157,7 @@ class Calibration:
         std = self.std[-4 * len(skewed.bias) :].reshape(-1, 4)
         return {
             'skewed_gyro': {
-                'scale_factor': float(spec.scale_factor),
+                **_spec_document(spec),
                 'response': _rows(skewed.response),
                 'bias': _row(skewed.bias),
                 'std': {'response': _rows(std[:, :3]), 'bias': _row(std[:, 3])},
@@ -175,7 +176,7 @@ class Calibration:
             InputError: No calibration; names file, key, what was found and what was expected.
 
         """
-        return cls._read(Section.parse(text, where))
+        return cls.read(Section.parse(text, where))
 
     def save(self, path: Path) -> None:
         """Write the file whole or not at all.
@@ -184,12 +185,7 @@ class Calibration:
             InputError: It cannot be written.
 
         """
-        temporary = path.with_name(path.name + '.part')
-        try:
-            temporary.write_text(self.to_yaml(), encoding='utf-8')
-            temporary.replace(path)
-        except OSError as error:
-            raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
+        write_whole(path, self.to_yaml())
 
     @classmethod
     def load(cls, path: Path) -> Calibration:
@@ -199,10 +195,16 @@ class Calibration:
             InputError: Unreadable, or no calibration.
 
         """
-        return cls._read(Section.load(path))
+        return cls.read(Section.load(path))
 
     @classmethod
-    def _read(cls, section: Section) -> Calibration:
+    def read(cls, section: Section) -> Calibration:
+        """Read a calibration from its YAML mapping.
+
+        Raises:
+            InputError: No calibration.
+
+        """
         version = section.number('format')
         if version != _FORMAT:
             raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
@@ -230,6 +232,21 @@ class Calibration:
         return cls(spec, model, covariance, residuals, tuple(findings), provenance)
 
 
+def write_whole(path: Path, text: str) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        InputError: It cannot be written.
+
+    """
+    temporary = path.with_name(path.name + '.part')
+    try:
+        temporary.write_text(text, encoding='utf-8')
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
+
+
 class _Dumper(yaml.SafeDumper):
     """Keys on lines of their own, rows of numbers on one line, floats to the last bit."""
 
@@ -251,9 +268,17 @@ def _rows(matrix: Floats) -> list[list[float]]:
     return [_row(row) for row in matrix]
 
 
+def _spec_document(spec: TriadSpec) -> dict[str, Any]:
+    """Return what is known of a triad beforehand; a range that is not stated is left out."""
+    document = {'scale_factor': float(spec.scale_factor)}
+    if np.isfinite(spec.range):
+        document['range'] = float(spec.range)
+    return document
+
+
 def _triad_document(spec: TriadSpec, triad: Triad, std: Triad) -> dict[str, Any]:
     return {
-        'scale_factor': float(spec.scale_factor),
+        **_spec_document(spec),
         'error_matrix': _rows(triad.error_matrix),
         'bias': _row(triad.bias),
         'std': {'error_matrix': _rows(std.error_matrix), 'bias': _row(std.bias)},
@@ -295,8 +320,16 @@ def _read_triad(section: Section) -> tuple[TriadSpec, Triad | None]:
     if section.has('error_matrix') or section.has('bias'):
         triad = Triad(_matrix(section, 'error_matrix', (3, 3)), _matrix(section, 'bias', (3,)))
     section.has('std')
+    return _finish_spec(section, scale), triad
+
+
+def _finish_spec(section: Section, scale: float) -> TriadSpec:
+    limit = section.number('range', np.inf)
+    if not (scale > 0 and limit > 0):
+        key, found = ('range', limit) if scale > 0 else ('scale_factor', scale)
+        raise InputError(f'{section.key(key)}: found {found:g}, expected above 0.')
     section.finish()
-    return TriadSpec(scale), triad
+    return TriadSpec(scale, range=limit)
 
 
 def _read_skewed(section: Section) -> tuple[TriadSpec | None, Skewed | None]:
@@ -308,8 +341,7 @@ def _read_skewed(section: Section) -> tuple[TriadSpec | None, Skewed | None]:
         raise InputError(f'{block.key("bias")}: found {channels}, expected at most {MOST_SKEWED}.')
     skewed = Skewed(_matrix(block, 'response', (channels, 3)), _matrix(block, 'bias', (channels,)))
     block.has('std')
-    block.finish()
-    return TriadSpec(scale), skewed
+    return _finish_spec(block, scale), skewed
 
 
 def _read_residuals(section: Section) -> tuple[ResidualRow, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 
 import numpy as np
@@ -283,6 +283,8 @@ def _provenance(
         'noise': {name: channel.document() for name, channel in seen.items()},
         'residual_rms': [_or_none(v) for v in rms],
         'condition_number': solution.condition,
+        'highest_rate': max((abs(float(t.rate())) for t in evidence.turns), default=None),
+        'temperature': None if session.temperature is None else asdict(session.temperature),
         'clock': {
             'offset_s': clock.offset,
             'offset_std_s': clock.offset_std,

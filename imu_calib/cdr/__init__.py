@@ -13,6 +13,7 @@ from .encode import (
     RATES,
     encode_imu,
     encode_joints,
+    encode_rates,
     encode_setpoints,
     encode_temperatures,
 )
@@ -33,6 +34,7 @@ __all__ = [
     'decode_temperatures',
     'encode_imu',
     'encode_joints',
+    'encode_rates',
     'encode_setpoints',
     'encode_temperatures',
     'part',

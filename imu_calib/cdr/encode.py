@@ -120,6 +120,32 @@ def encode_imu(block: ImuBlock, first_covariances: tuple[float, float, float] = 
         CdrError: A stamp does not fit the header.
 
     """
+    return _imu(block, first_covariances, None)
+
+
+def encode_rates(block: ImuBlock, rate_covariance: Floats, force_covariance: Floats) -> Messages:
+    """Encode sensor_msgs/Imu in SI units without orientation, as REP 145 asks.
+
+    Args:
+        block: Samples in rad/s and m/s^2.
+        rate_covariance: (n, 9) row by row, (rad/s)^2.
+        force_covariance: (n, 9) row by row, (m/s^2)^2.
+
+    Returns:
+        One message per sample.
+
+    Raises:
+        CdrError: A stamp does not fit the header.
+
+    """
+    return _imu(block, RATES, (rate_covariance, force_covariance))
+
+
+def _imu(
+    block: ImuBlock,
+    first_covariances: tuple[float, float, float],
+    covariances: tuple[Floats, Floats] | None,
+) -> Messages:
     template = _Template()
     template.string(block.frame_id)
     template.doubles([0.0, 0.0, 0.0, 1.0])
@@ -131,6 +157,10 @@ def encode_imu(block: ImuBlock, first_covariances: tuple[float, float, float] = 
     rows = template.repeat(block.stamp)
     _column(rows, gyro, '<f8', 3)[:] = block.gyro
     _column(rows, accel, '<f8', 3)[:] = block.accel
+    if covariances is not None:
+        # Each lies right after the vector that it belongs to.
+        _column(rows, gyro + 24, '<f8', 9)[:] = covariances[0]
+        _column(rows, accel + 24, '<f8', 9)[:] = covariances[1]
     return _messages(rows)
 
 

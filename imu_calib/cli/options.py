@@ -21,6 +21,7 @@ from ..turntable import Table, load_table, read_table
 from ..units import DEG
 
 _SKEW = 'imu/skew'
+_TEMPERATURE = 'imu/temperature'
 
 
 def add_site_options(parser: argparse.ArgumentParser) -> None:
@@ -60,6 +61,7 @@ class Streams:
     joints: str | None
     setpoints: str | None
     skew: str | None = None
+    temperature: str | None = None
 
     def kinds(self) -> dict[str, Kind]:
         """Return what each topic carries."""
@@ -70,6 +72,8 @@ class Streams:
             named[self.setpoints] = Kind.SETPOINTS
         if self.skew is not None:
             named[self.skew] = Kind.SKEW
+        if self.temperature is not None:
+            named[self.temperature] = Kind.TEMPERATURES
         return named
 
 
@@ -167,11 +171,21 @@ def find_streams(arguments: argparse.Namespace, recording: Recording) -> Streams
         and t.count != 0
     ]
     skew = skewed[0] if len(skewed) == 1 else None
+    temperature = find_temperature(recording)
     if arguments.imu_only:
-        return Streams(imu, None, None, skew)
+        return Streams(imu, None, None, skew, temperature)
     joints = _choose(recording, Kind.JOINTS, arguments.joint_topic, '--joint-topic')
     setpoints = _choose(recording, Kind.SETPOINTS, arguments.setpoint_topic, '--setpoint-topic')
-    return Streams(imu, joints, setpoints, skew)
+    return Streams(imu, joints, setpoints, skew, temperature)
+
+
+def find_temperature(recording: Recording) -> str | None:
+    """Return the topic of the unit's thermometer: the only one, or the one that is called so."""
+    kind = Kind.TEMPERATURES.type_name
+    filled = [t.name for t in recording.topics if t.type == kind and t.count != 0]
+    if len(filled) > 1:
+        filled = [name for name in filled if name.endswith(_TEMPERATURE)]
+    return filled[0] if len(filled) == 1 else None
 
 
 def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -> str | None:

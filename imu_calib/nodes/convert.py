@@ -8,9 +8,17 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration
-from ..imu import ImuSpec
+from ..errors import InputError
+from ..imu import ImuSpec, TriadSpec
 from ..middleware import messages
-from ..model import G_SENSITIVITIES, PARAMETER_NAMES
+from ..model import (
+    G_SENSITIVITIES,
+    PARAMETER_NAMES,
+    SensorModel,
+    Skewed,
+    Triad,
+    extended_parameters,
+)
 from ..stream import Units
 
 _UNITS = {
@@ -60,7 +68,85 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
         float(np.sqrt(np.mean(part**2))) for part in (residuals[:3], residuals[3:])
     )
     message.condition_number = float(where['condition_number'])
+    message.random_walk = [float(walk) for walk in where['random_walk']]
+    if where['highest_rate'] is not None:
+        message.highest_rate = float(where['highest_rate'])
+    if where['temperature'] is not None:
+        message.reference_temperature = float(where['temperature']['mean'])
+        message.lowest_temperature = float(where['temperature']['lowest'])
+        message.highest_temperature = float(where['temperature']['highest'])
     return message
+
+
+def calibration_of(message: Any) -> Calibration:
+    """Return what imu_calib_msgs/ImuCalibration holds, as far as compensation needs it.
+
+    Raises:
+        InputError: The message is not VALID or PROVISIONAL, or contradicts itself.
+
+    """
+    if message.status == messages.ImuCalibration.REFUSED:
+        raise InputError(f'The calibration is refused: {message.status_text}')
+    units = {value: unit for unit, value in _UNITS.items()}.get(message.units)
+    skewed = None
+    if message.has_skew:
+        response = np.array([message.skew_response], dtype=float)
+        skewed = Skewed(response, np.array([message.skew_bias]))
+    parameters = extended_parameters(
+        with_g=message.has_g_sensitivity, skewed=1 if message.has_skew else 0
+    )
+    names, size = [p.name for p in parameters], len(parameters)
+    covariance = np.array(message.covariance, dtype=float)
+    if units is None or list(message.parameter_names) != names or covariance.size != size**2:
+        raise InputError(
+            f'A calibration of {message.imu_id or "no name"} cannot be used: its units '
+            f'({message.units}), parameters ({len(message.parameter_names)}) and covariance '
+            f'({covariance.size} numbers) do not belong to a model of {size}.'
+        )
+    vector = np.array([getattr(message, name.lower()) for name in PARAMETER_NAMES])
+    if not np.isfinite(vector[:12]).all():
+        raise InputError(f'A calibration of {message.imu_id} cannot be used: no gyro parameters.')
+    accel = Triad.from_vector(vector[12:]) if np.isfinite(vector[12:]).all() else Triad()
+    sensitivity = np.array(message.g_sensitivity, dtype=float).reshape(3, 3)
+    spec = ImuSpec(
+        message.imu_id,
+        units,
+        None,
+        TriadSpec(float(message.gyro_scale_factor), range=_limit(message.gyro_range)),
+        TriadSpec(float(message.accel_scale_factor), range=_limit(message.accel_range)),
+    )
+    return Calibration(
+        spec,
+        SensorModel(Triad.from_vector(vector[:12]), accel, sensitivity, skewed),
+        covariance.reshape(size, size),
+        provenance=_provenance(message),
+    )
+
+
+def _provenance(message: Any) -> dict[str, Any]:
+    """Return the entries that compensation looks at, as the file has them."""
+    temperature = {
+        'mean': float(message.reference_temperature),
+        'lowest': float(message.lowest_temperature),
+        'highest': float(message.highest_temperature),
+    }
+    known = all(math.isfinite(value) for value in temperature.values())
+    return {
+        'method': message.method,
+        'plan': message.plan,
+        'random_walk': [float(value) for value in message.random_walk],
+        'highest_rate': _known(message.highest_rate),
+        'temperature': temperature if known else None,
+    }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _limit(value: float) -> float:
+    """Return a range; a publisher that knows none may leave zero."""
+    return float(value) if value > 0 else math.inf
 
 
 def refusal_message(imu: ImuSpec, plan: str, text: str, frame_id: str, stamp: Any) -> Any:
@@ -82,5 +168,10 @@ def _empty(imu: ImuSpec, status: int, text: str, frame_id: str, stamp: Any) -> A
     message.units = _UNITS[imu.units]
     message.gyro_scale_factor = float(imu.gyro.scale_factor)
     message.accel_scale_factor = float(imu.accel.scale_factor)
-    message.reference_temperature = math.nan
+    message.gyro_range = float(imu.gyro.range)
+    message.accel_range = float(imu.accel.range)
+    message.random_walk = [math.nan] * 6
+    for name in ('reference', 'lowest', 'highest'):
+        setattr(message, f'{name}_temperature', math.nan)
+    message.highest_rate = math.nan
     return message

@@ -21,6 +21,7 @@ from ..stream import (
     SetpointBlock,
     SkewBlock,
     Stamps,
+    TemperatureBlock,
     Units,
 )
 from ..turntable import TURN, Table
@@ -39,6 +40,7 @@ from .statistics import (
     to_samples,
 )
 from .stillness import StillnessTracker
+from .thermometer import Temperature, Thermometer
 
 _MARGIN_NS = 1_000_000_000
 _LONGEST_REST = 1 << 20
@@ -101,6 +103,7 @@ class Segmented:
         samples: IMU samples taken in.
         duration: From the first to the last IMU stamp, s.
         start: First IMU stamp, ns; None without samples.
+        temperature: What the unit's thermometer showed; None where it has none.
 
     """
 
@@ -115,6 +118,7 @@ class Segmented:
     samples: int
     duration: float
     start: int | None = None
+    temperature: Temperature | None = None
 
 
 class Segmenter:
@@ -158,6 +162,7 @@ class Segmenter:
         self._slips: list[Slip] = []
         self._seen_motions: list[tuple[float, Seen]] = []
         self._dropped: dict[str, tuple[int, int]] = {}
+        self._thermometer = Thermometer()
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -187,6 +192,8 @@ class Segmenter:
             self._take_setpoints(block)
         elif isinstance(block, SkewBlock):
             self._take_skew(block)
+        elif isinstance(block, TemperatureBlock):
+            self._thermometer.feed(block.celsius)
         self._work()
 
     def finish(self) -> Segmented:
@@ -215,6 +222,7 @@ class Segmenter:
             self._samples,
             duration,
             self._first_stamp,
+            self._thermometer.temperature,
         )
 
     @property

@@ -18,7 +18,7 @@ from ...segmentation.labelling import Labelled
 from ...segmentation.segment import Segment
 from ...segmentation.segmenter import Segmented, Segmenter
 from ...segmentation.statistics import gap_free, sample_period, to_samples
-from ...stream import Block, Floats, ImuBlock, Stamps, Units
+from ...stream import Block, Floats, ImuBlock, Stamps, TemperatureBlock, Units
 from .. import estimates
 from ..evidence import Evidence, noise
 from ..solution import Residual, Solution
@@ -64,6 +64,8 @@ class FreeCalibrator:
 
     def feed(self, block: Block) -> None:
         """Take a block in."""
+        if isinstance(block, TemperatureBlock):
+            self._segmenter.feed(block)
         if not isinstance(block, ImuBlock):
             return
         self._stamps.append(block.stamp)

@@ -1,0 +1,42 @@
+"""imu-calib combine: calibrations of one unit at several temperatures to one file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..calibration import Calibration
+from ..thermal import combine
+from . import options
+from .terminal import OUTPUT
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        'combine', help='several temperatures to one calibration', description=__doc__
+    )
+    parser.add_argument('files', nargs='+', metavar='FILE', help='calibration files of one unit')
+    parser.add_argument('-o', '--output', required=True, metavar='FILE', help='file to write')
+    parser.add_argument(
+        '--order',
+        type=int,
+        metavar='N',
+        help='of a polynomial in temperature (default: straight lines between neighbours)',
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Combine and print the temperatures.
+
+    Raises:
+        InputError: Unreadable, or not of one unit at different temperatures.
+
+    """
+    path = options.output_path(arguments.output)
+    calibrations = [Calibration.load(Path(name).expanduser()) for name in arguments.files]
+    combined = combine(calibrations, arguments.files, arguments.order)
+    combined.save(path)
+    listed = ', '.join(f'{celsius:.2f}' for celsius in combined.temperatures)
+    OUTPUT.print(f'{combined.calibrations[0].imu.id} at {listed} degC, written to {path}')

@@ -1,0 +1,347 @@
+"""Pulses to rates and specific forces: a calibration applied, with covariances and marks.
+
+Every sum has a fixed order, so that a sample gives the same bits alone as among a million.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+from itertools import combinations_with_replacement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .calibration import Calibration
+from .errors import NotObservable
+from .imu import TriadSpec
+from .model import Parameter, ParameterKind
+from .stream import Floats, Units
+
+Marks = NDArray[np.uint8]
+
+_AXES = 3
+_RATE, _ONE, _FORCE = slice(0, 3), 3, slice(4, 7)
+_LEVERS = 7
+"""What a parameter's error is multiplied by: rate, one, specific force."""
+
+_PAIRS = tuple(combinations_with_replacement(range(_LEVERS), 2))
+_ELEMENTS = tuple((i, j) for i in range(_AXES) for j in range(_AXES))
+
+_NEARLY = 0.999
+_BEYOND = 1.05
+_PARITY = 6.0
+_AT_ONCE = 512
+_FULL_SCALES = np.array([32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0])
+
+
+class Mark(IntFlag):
+    """What a person should know of a sample; any number of them."""
+
+    GYRO_RANGE = 1
+    """A gyro stands at the end of its range: the rate is unknown."""
+    ACCEL_RANGE = 2
+    """An accelerometer stands at the end of its range: the specific force is unknown."""
+    RATE = 4
+    """Faster than the unit was turned when it was calibrated."""
+    TEMPERATURE = 8
+    """Colder or warmer than it was calibrated at; the nearest calibration is used."""
+    PARITY = 16
+    """Four gyros contradict each other."""
+    NO_NUMBER = 32
+    """A value is not finite."""
+
+
+_BITS = {mark: np.uint8(mark) for mark in Mark}
+_RATE_UNKNOWN = np.uint8(Mark.GYRO_RANGE | Mark.NO_NUMBER)
+_FORCE_UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
+
+
+@dataclass(frozen=True, eq=False)
+class Compensated:
+    """Samples in SI units along the body axes.
+
+    Attributes:
+        rate: (n, 3) angular rate, rad/s.
+        force: (n, 3) specific force, m/s^2; gravity included, +g up at rest.
+        rate_covariance: (n, 9) row by row, (rad/s)^2; element 0 is -1 where the rate is unknown.
+        force_covariance: (n, 9) likewise, (m/s^2)^2.
+        marks: (n,) of `Mark`.
+        parity: (n,) what a skewed gyro and the three contradict each other by, rad/s; None
+            without one.
+
+    """
+
+    rate: Floats
+    force: Floats
+    rate_covariance: Floats
+    force_covariance: Floats
+    marks: Marks
+    parity: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.rate)
+
+
+class Compensation:
+    """A calibration made ready to be applied.
+
+    f = (I + M_a)^-1 (dW / tau - d_a), w = (I + M_g)^-1 (dTheta / tau - d_g - G f), with dW and
+    dTheta the pulses of one sample times the nominal scale factor and tau the sample interval
+    (Luo 2018, eqs. (2-190) to (2-193)). With skewed gyros the rate is the weighted least-squares
+    solution of all of them, weighted by their noise, and what is left over is their parity.
+
+    The covariances add the calibration's own, propagated to first order at the rate and force of
+    each sample, to the noise of one sample: N^2 / tau of the random walk N that the calibration
+    measured, and of a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an
+    accumulating counter (methods.md, section 11); of an ADC's step q^2 / 12.
+
+    Args:
+        calibration: What to apply.
+        skewed: Whether samples come with the skewed gyros' values.
+        mark: Put on every sample.
+
+    Raises:
+        NotObservable: I + M is singular.
+
+    """
+
+    def __init__(self, calibration: Calibration, *, skewed: bool = False, mark: int = 0) -> None:
+        self.calibration = calibration
+        self._units = calibration.imu.units
+        self._mark = mark
+        model, imu = calibration.model, calibration.imu
+        channels = model.skewed if skewed else None
+        specs = [imu.gyro] * 3 + [imu.skewed or imu.gyro] * (len(channels.bias) if channels else 0)
+        self._gyros = len(specs)
+        response = model.gyro.response
+        bias = model.gyro.bias
+        sensitivity = model.g_sensitivity
+        if channels is not None:
+            response = np.vstack([response, channels.response])
+            bias = np.concatenate([bias, channels.bias])
+            sensitivity = np.vstack([sensitivity, np.zeros((len(channels.bias), _AXES))])
+        self._set_channels([*specs, *[imu.accel] * 3], np.concatenate([bias, model.accel.bias]))
+        self._walk = _random_walk(calibration, len(specs))
+        force = _inverse(model.accel.response, np.ones(_AXES))
+        rate = _inverse(response, self._weights(specs))
+        from_force = -rate @ sensitivity
+        # Columns: gyro channels, then specific forces.
+        self._to_rate = np.hstack([rate, from_force]).T.copy()
+        self._to_force = force.T.copy()
+        self._known_force = calibration.has_accelerometers
+        self._covariance = self._covariances(rate, force, from_force @ force)
+        self._parity_vector: Floats | None = None
+        if channels is not None:
+            self._set_parity(response, sensitivity)
+        # Most levers do nothing where there is no g-sensitivity.
+        used = self._covariance[: len(_PAIRS)].any(axis=1)
+        self._first, self._second = _FIRST[used], _SECOND[used]
+        self._covariance = np.vstack(
+            [self._covariance[: len(_PAIRS)][used], self._covariance[len(_PAIRS) :]]
+        )
+        highest = calibration.provenance.get('highest_rate')
+        self._highest = np.inf if highest is None else _BEYOND * float(highest)
+
+    @property
+    def takes_skewed(self) -> bool:
+        """Whether skewed gyros' values are expected."""
+        return self._gyros > _AXES
+
+    def apply(
+        self, gyro: Floats, accel: Floats, interval: Floats, skewed: Floats | None = None
+    ) -> Compensated:
+        """Return rates and specific forces.
+
+        Args:
+            gyro: (n, 3) as the sensor delivers them: pulses, counts or SI.
+            accel: (n, 3) likewise.
+            interval: (n,) sample intervals, s.
+            skewed: (n, k) skewed gyros likewise, where `takes_skewed`.
+
+        """
+        triads = [gyro, accel] if skewed is None else [gyro, skewed, accel]
+        raw = np.concatenate(triads, axis=1)
+        if len(raw) <= _AT_ONCE:
+            return self._apply(raw, interval)
+        parts = [
+            self._apply(raw[k : k + _AT_ONCE], interval[k : k + _AT_ONCE])
+            for k in range(0, len(raw), _AT_ONCE)
+        ]
+        return joined(parts)
+
+    def _apply(self, raw: Floats, interval: Floats) -> Compensated:
+        tau = interval[:, None]
+        outputs = raw * self._scale
+        if self._units is Units.PULSES:
+            outputs = outputs / tau
+        free = outputs - self._bias
+        force = _mix(free[:, self._gyros :], self._to_force)
+        channels = np.concatenate([free[:, : self._gyros], force], axis=1)
+        rate = _mix(channels, self._to_rate)
+        covariance = _mix(self._terms(rate, force, tau), self._covariance)
+        rate_covariance, force_covariance = covariance[:, :9], covariance[:, 9:18]
+        marks, parity = self._judge(raw, outputs, rate), None
+        if self._parity_vector is not None:
+            parity = _mix(channels, self._parity_vector)[:, 0]
+            marks |= (parity**2 > _PARITY**2 * covariance[:, 18]) * _BITS[Mark.PARITY]
+        if marks.any():
+            rate_covariance[marks & _RATE_UNKNOWN > 0, 0] = -1.0
+            force_covariance[marks & _FORCE_UNKNOWN > 0, 0] = -1.0
+        if not self._known_force:
+            force_covariance[:, 0] = -1.0
+        return Compensated(rate, force, rate_covariance, force_covariance, marks, parity)
+
+    def _set_channels(self, specs: list[TriadSpec], bias: Floats) -> None:
+        self._scale = np.array([spec.scale_factor for spec in specs])
+        self._limit = _NEARLY * np.array([spec.range for spec in specs])
+        self._bias = bias
+        steps = {Units.PULSES: 1 / 6, Units.COUNTS: 1 / 12, Units.SI: 0.0}
+        self._quantum = self._scale**2 * steps[self._units]
+
+    def _weights(self, specs: list[TriadSpec]) -> Floats:
+        """Return the weights of the gyros: by their random walk, else alike."""
+        walk = self._walk[: len(specs)]
+        return np.asarray(1 / walk**2 if (walk > 0).all() else np.ones(len(specs)))
+
+    def _set_parity(self, response: Floats, sensitivity: Floats) -> None:
+        """Prepare the combination of gyros that no rate can move (CN103697918A)."""
+        vector = np.linalg.svd(response)[0][:, -1]
+        from_force = -vector @ sensitivity
+        self._parity_vector = np.concatenate([vector, from_force])[:, None]
+        accel = from_force @ self._to_force.T
+        rows = self._propagated(vector[None], accel[None], ((0, 0),))
+        self._covariance = np.hstack([self._covariance, rows])
+
+    def _covariances(self, rate: Floats, force: Floats, through: Floats) -> Floats:
+        """Return what `_terms` are to be multiplied with, (t, 18): nine of rate, nine of force."""
+        nothing = np.zeros((_AXES, self._gyros))
+        return np.hstack(
+            [
+                self._propagated(rate, through, _ELEMENTS),
+                self._propagated(nothing, force, _ELEMENTS),
+            ]
+        )
+
+    def _propagated(
+        self, gyros: Floats, accels: Floats, elements: tuple[tuple[int, int], ...]
+    ) -> Floats:
+        """Return the coefficients of covariance elements of an output.
+
+        Args:
+            gyros: (m, channels) how the output takes the error of each gyro channel.
+            accels: (m, 3) how it takes the error of each accelerometer channel.
+            elements: Which of the (m, m) covariances.
+
+        Returns:
+            (t, e): a row per pair of levers, then one per channel's variance.
+
+        """
+        parameters = self.calibration.parameters
+        square = np.nan_to_num(self.calibration.covariance)
+        effect = np.zeros((_LEVERS, len(gyros), len(parameters)))
+        for k, parameter in enumerate(parameters):
+            _add_effect(effect[:, :, k], parameter, gyros, accels)
+        spread = np.einsum('amp,pq,bnq->abmn', effect, square, effect)
+        # Errors act against the output, whose sign the square does not see.
+        rows = [
+            [spread[a, b, i, j] + (spread[b, a, i, j] if a != b else 0.0) for i, j in elements]
+            for a, b in _PAIRS
+        ]
+        noise = np.hstack([gyros, accels]).T
+        rows += [[row[i] * row[j] for i, j in elements] for row in noise]
+        return np.array(rows)
+
+    def _terms(self, rate: Floats, force: Floats, tau: Floats) -> Floats:
+        """Return the products of levers and the variances of the channels, (n, t)."""
+        levers = np.concatenate([rate, np.ones((len(rate), 1)), force], axis=1)
+        products = levers[:, self._first] * levers[:, self._second]
+        quantum = self._quantum / (tau * tau) if self._units is Units.PULSES else self._quantum
+        return np.concatenate([products, self._walk**2 / tau + quantum], axis=1)
+
+    def _judge(self, raw: Floats, outputs: Floats, rate: Floats) -> Marks:
+        marks = np.full(len(raw), self._mark, np.uint8)
+        size = np.abs(outputs)
+        # A comparison with what is no number is false.
+        if (
+            (size < self._limit).all()
+            and (np.abs(rate) <= self._highest).all()
+            and (self._units is Units.SI or (np.abs(raw) < _FULL_SCALES[0]).all())
+        ):
+            return marks
+        far = size >= self._limit
+        if self._units is not Units.SI:
+            far |= np.isin(np.abs(raw), _FULL_SCALES)
+        marks |= far[:, : self._gyros].any(axis=1) * _BITS[Mark.GYRO_RANGE]
+        marks |= far[:, self._gyros :].any(axis=1) * _BITS[Mark.ACCEL_RANGE]
+        marks |= (np.abs(rate) > self._highest).any(axis=1) * _BITS[Mark.RATE]
+        marks |= ~np.isfinite(outputs).all(axis=1) * _BITS[Mark.NO_NUMBER]
+        return marks
+
+
+_FIRST, _SECOND = np.array(_PAIRS).T
+
+
+def joined(parts: list[Compensated]) -> Compensated:
+    """Return samples that follow each other as one; at least one part."""
+    if len(parts) == 1:
+        return parts[0]
+    parities = [p.parity for p in parts if p.parity is not None]
+    return Compensated(
+        np.concatenate([p.rate for p in parts]),
+        np.concatenate([p.force for p in parts]),
+        np.concatenate([p.rate_covariance for p in parts]),
+        np.concatenate([p.force_covariance for p in parts]),
+        np.concatenate([p.marks for p in parts]),
+        np.concatenate(parities) if len(parities) == len(parts) else None,
+    )
+
+
+def _mix(columns: Floats, matrix: Floats) -> Floats:
+    """Return (n, k) columns times (k, m), summed column by column.
+
+    A BLAS product of many rows may round otherwise than that of one.
+    """
+    return np.asarray((columns.T[:, :, None] * matrix[:, None, :]).sum(axis=0))
+
+
+def _inverse(response: Floats, weights: Floats) -> Floats:
+    """Return the weighted least-squares inverse of (m, 3) responses, (3, m).
+
+    Raises:
+        NotObservable: The responses do not span three axes.
+
+    """
+    weighted = response * weights[:, None]
+    try:
+        if len(response) == _AXES:
+            return np.asarray(np.linalg.inv(response))
+        return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
+    except np.linalg.LinAlgError:
+        raise NotObservable('The model cannot be inverted: I + M is singular.') from None
+
+
+def _random_walk(calibration: Calibration, gyros: int) -> Floats:
+    """Return the random walk of every channel; zero where nobody measured it.
+
+    That of a skewed gyro is the mean of the three: its own is in no calibration.
+    """
+    walk = np.nan_to_num(
+        np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
+    )
+    return np.concatenate([walk[:3], np.full(gyros - _AXES, walk[:3].mean()), walk[3:]])
+
+
+def _add_effect(effect: Floats, parameter: Parameter, gyros: Floats, accels: Floats) -> None:
+    """Add what an error of a parameter does to the output, by lever: (levers, m)."""
+    gyro = parameter.triad == 'g'
+    if parameter.row >= gyros.shape[1]:
+        return
+    reach = gyros[:, parameter.row] if gyro else accels[:, parameter.row]
+    if parameter.column is None:
+        lever = _ONE
+    elif gyro and parameter.kind is not ParameterKind.G_SENSITIVITY:
+        lever = _RATE.start + parameter.column
+    else:
+        lever = _FORCE.start + parameter.column
+    effect[lever] += reach

@@ -1,0 +1,301 @@
+"""The compensator: blocks as a unit delivers them in, rates and forces out, live as offline."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from .calibration import Calibration
+from .compensation import Compensated, Compensation, Mark, joined
+from .sample_clock import SampleClock
+from .stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
+from .thermal import AnyCalibration, ThermalCalibration, temperature_range
+
+_LAG = 500_000_000
+_PATIENCE = 50_000_000
+_MOST_WAITING = 1 << 16
+_STEP = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Consecutive samples with one frame, compensated.
+
+    Attributes:
+        stamp: (n,) header stamps, ns, as they came in.
+        values: What they mean.
+        frame_id: As it came in.
+
+    """
+
+    stamp: Stamps
+    values: Compensated
+    frame_id: str
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+
+@dataclass(frozen=True, eq=False)
+class _Timed:
+    """Samples whose intervals are known."""
+
+    block: ImuBlock
+    interval: Floats
+
+    def cut(self, start: int, stop: int) -> _Timed:
+        part = slice(start, stop)
+        b = self.block
+        block = ImuBlock(b.stamp[part], b.gyro[part], b.accel[part], b.frame_id)
+        return _Timed(block, self.interval[part])
+
+
+class Compensator:
+    """Applies a calibration to the streams of a unit.
+
+    What comes out depends on the sequence of every topic and its stamps. A temperature counts for
+    the samples stamped half a second after it and later, so that it is there in time when they are
+    live, too; the first counts for all before. Where a calibration depends on the temperature,
+    samples wait for the first one. A skewed gyro's value belongs to the sample of the same stamp;
+    a sample without one after 50 ms goes without. A recording's other topics are therefore taken
+    in before its samples.
+
+    Args:
+        calibration: Single or combined.
+
+    Raises:
+        NotObservable: It cannot be inverted.
+
+    Attributes:
+        celsius: The latest temperature, degrees Celsius; NaN before the first.
+        counts: How often each `Mark` was put.
+        dropped: Samples that waited too long for the first temperature, or could not be timed.
+        alone: Samples that went without a skewed gyro's value that was due.
+
+    """
+
+    def __init__(self, calibration: AnyCalibration) -> None:
+        self.celsius = float('nan')
+        self.counts: Counter[Mark] = Counter()
+        self.alone = 0
+        self._dropped = 0
+        self._clock = SampleClock()
+        self._untimed: list[ImuBlock] = []
+        self._timed: list[_Timed] = []
+        self._skewed: list[SkewBlock] = []
+        self._temperatures: list[tuple[int, float]] = []
+        self._used: float | None = None
+        self._mark = 0
+        self._set(calibration)
+
+    def replace(self, calibration: AnyCalibration) -> None:
+        """Go on with another calibration from the next sample on.
+
+        Raises:
+            NotObservable: It cannot be inverted; the one before stays.
+
+        """
+        self._set(calibration)
+
+    @property
+    def calibration(self) -> AnyCalibration:
+        """What is applied."""
+        return self._calibration
+
+    @property
+    def waiting(self) -> int:
+        """Samples that came in and did not go out yet."""
+        return sum(map(len, self._untimed)) + sum(len(t.interval) for t in self._timed)
+
+    @property
+    def waits_for_temperature(self) -> bool:
+        """Whether nothing goes out because no temperature has come in."""
+        return isinstance(self._calibration, ThermalCalibration) and self._used is None
+
+    @property
+    def dropped(self) -> int:
+        """Samples that will not go out."""
+        return self._dropped + self._clock.lost
+
+    @property
+    def period(self) -> float:
+        """Sample interval, s; 0 before it is known."""
+        return self._clock.typical
+
+    @property
+    def odd_steps(self) -> int:
+        """Steps between stamps that are no sample interval."""
+        return self._clock.odd
+
+    def take(self, block: Block) -> list[Reading]:
+        """Take a block of any topic in; return what can go out."""
+        if isinstance(block, TemperatureBlock):
+            self._take_temperature(block)
+        elif isinstance(block, SkewBlock):
+            if self._takes_skewed and len(block):
+                self._skewed.append(block)
+                del self._skewed[:-_MOST_WAITING]
+        elif isinstance(block, ImuBlock) and len(block):
+            lost = self._clock.lost
+            self._untimed.append(block)
+            self._time(self._clock.take(block.stamp), self._clock.lost - lost)
+        return self._release(last=False)
+
+    def finish(self) -> list[Reading]:
+        """End of all topics: return what waits."""
+        lost = self._clock.lost
+        intervals = self._clock.finish()
+        self._time(intervals, self._clock.lost - lost)
+        return self._release(last=True)
+
+    def _set(self, calibration: AnyCalibration) -> None:
+        if isinstance(calibration, ThermalCalibration):
+            single = calibration.calibrations[0]
+        else:
+            single = calibration
+        ready = {skewed: Compensation(single, skewed=skewed) for skewed in _ways(single)}
+        self._calibration = calibration
+        self._range = temperature_range(calibration)
+        self._ready = ready
+        self._takes_skewed = single.model.skewed is not None
+        celsius, self._used = self._used, None
+        if celsius is not None:
+            self._use(celsius)
+
+    def _use(self, celsius: float) -> None:
+        """Prepare for a temperature, unless it is the one that is prepared for."""
+        if self._used is not None and abs(celsius - self._used) < _STEP:
+            return
+        low, high = self._range
+        mark = 0 if low <= celsius <= high else int(Mark.TEMPERATURE)
+        single = self._calibration
+        if isinstance(single, ThermalCalibration):
+            single = single.at(celsius)
+        elif self._used is not None and mark == self._mark:
+            self._used = celsius
+            return
+        self._mark = mark
+        self._used = celsius
+        self._ready = {s: Compensation(single, skewed=s, mark=mark) for s in _ways(single)}
+
+    def _take_temperature(self, block: TemperatureBlock) -> None:
+        sound = np.isfinite(block.celsius)
+        for stamp, celsius in zip(
+            block.stamp[sound].tolist(), block.celsius[sound].tolist(), strict=True
+        ):
+            self.celsius = celsius
+            self._temperatures.append((stamp + _LAG, celsius))
+
+    def _time(self, intervals: Floats, lost: int) -> None:
+        """Give the oldest samples their intervals, those lost in front of them left out."""
+        while self._untimed and (lost or len(intervals)):
+            block = self._untimed.pop(0)
+            skip = min(lost, len(block))
+            count = min(len(intervals), len(block) - skip)
+            lost -= skip
+            if count:
+                self._timed.append(_Timed(_rows(block, skip, skip + count), intervals[:count]))
+                intervals = intervals[count:]
+            if skip + count < len(block):
+                self._untimed.insert(0, _rows(block, skip + count, len(block)))
+
+    def _release(self, *, last: bool) -> list[Reading]:
+        if self.waits_for_temperature and not self._temperatures:
+            self._hold(last=last)
+            return []
+        if self._used is None and self._temperatures:
+            self._use(self._temperatures.pop(0)[1])
+        readings: list[Reading] = []
+        while self._timed:
+            timed = self._timed[0]
+            count = len(timed.interval) if last else self._ready_count(timed.block.stamp)
+            if not count:
+                break
+            self._timed.pop(0)
+            if count < len(timed.interval):
+                self._timed.insert(0, timed.cut(count, len(timed.interval)))
+            readings += self._by_temperature(timed.cut(0, count))
+        return readings
+
+    def _hold(self, *, last: bool) -> None:
+        """Keep the latest samples while no temperature has come; the oldest make room."""
+        while self._timed and (last or self.waiting > _MOST_WAITING):
+            self._dropped += len(self._timed.pop(0).interval)
+
+    def _ready_count(self, stamp: Stamps) -> int:
+        """Return how many of the oldest samples have all that belongs to them."""
+        if not self._takes_skewed:
+            return len(stamp)
+        newest = int(self._timed[-1].block.stamp[-1]) - _PATIENCE
+        if self._skewed:
+            newest = max(newest, int(self._skewed[-1].stamp[-1]))
+        late = np.flatnonzero(stamp > newest)
+        return int(late[0]) if len(late) else len(stamp)
+
+    def _by_temperature(self, timed: _Timed) -> list[Reading]:
+        """Compensate samples, each at the temperature that counts for it."""
+        readings = []
+        while self._temperatures and len(timed.interval):
+            since, celsius = self._temperatures[0]
+            beyond = np.flatnonzero(timed.block.stamp >= since)
+            if not len(beyond):
+                break
+            first = int(beyond[0])
+            readings.append(self._compensated(timed.cut(0, first)))
+            timed = timed.cut(first, len(timed.interval))
+            self._temperatures.pop(0)
+            self._use(celsius)
+        readings.append(self._compensated(timed))
+        return [reading for reading in readings if len(reading)]
+
+    def _compensated(self, timed: _Timed) -> Reading:
+        block, interval = timed.block, timed.interval
+        if not self._takes_skewed or not len(block):
+            values = self._ready[False].apply(block.gyro, block.accel, interval)
+        else:
+            values = self._with_skewed(block, interval)
+        if values.marks.any():
+            for mark in Mark:
+                self.counts[mark] += int(np.count_nonzero(values.marks & mark))
+        return Reading(block.stamp, values, block.frame_id)
+
+    def _with_skewed(self, block: ImuBlock, interval: Floats) -> Compensated:
+        """Compensate with the fourth gyro where there is a value of the same stamp."""
+        stamp, gyro = self._skewed_until(int(block.stamp[-1]))
+        place = np.minimum(np.searchsorted(stamp, block.stamp), max(len(stamp) - 1, 0))
+        there = stamp[place] == block.stamp if len(stamp) else np.zeros(len(block), np.bool_)
+        self.alone += int((~there).sum())
+        edges = [0, *(np.flatnonzero(np.diff(there)) + 1).tolist(), len(block)]
+        parts = []
+        for first, end in pairwise(edges):
+            run = slice(first, end)
+            fourth = gyro[place[run]][:, None] if there[first] else None
+            way = self._ready[fourth is not None]
+            parts.append(way.apply(block.gyro[run], block.accel[run], interval[run], fourth))
+        return joined(parts)
+
+    def _skewed_until(self, end: int) -> tuple[Stamps, Floats]:
+        """Take out the skewed gyro's samples up to a stamp."""
+        stamps, values = [np.empty(0, np.int64)], [np.empty(0)]
+        while self._skewed and int(self._skewed[0].stamp[0]) <= end:
+            block = self._skewed.pop(0)
+            count = int(np.searchsorted(block.stamp, end, side='right'))
+            stamps.append(block.stamp[:count])
+            values.append(block.gyro[:count])
+            if count < len(block):
+                self._skewed.insert(0, SkewBlock(block.stamp[count:], block.gyro[count:]))
+        return np.concatenate(stamps), np.concatenate(values)
+
+
+def _ways(calibration: Calibration) -> tuple[bool, ...]:
+    return (False,) if calibration.model.skewed is None else (False, True)
+
+
+def _rows(block: ImuBlock, start: int, stop: int) -> ImuBlock:
+    if start == 0 and stop == len(block):
+        return block
+    rows = slice(start, stop)
+    return ImuBlock(block.stamp[rows], block.gyro[rows], block.accel[rows], block.frame_id)

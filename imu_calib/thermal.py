@@ -1,0 +1,249 @@
+"""Calibrations of one unit at several temperatures, combined: parameters by temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import yaml
+
+from .calibration import Calibration, write_whole
+from .config import Section
+from .errors import InputError
+from .model import SensorModel, Skewed
+from .stream import Floats
+
+_FORMAT = 1
+_APART = 0.5
+_MARGIN = 5.0
+_MOST = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalCalibration:
+    """What a unit was found to be at several temperatures.
+
+    Every parameter is interpolated by itself: p(T) = sum of c_i(T) p_i, with c the weights of
+    straight lines between neighbours, or of the polynomial that fits best. The sessions are
+    independent, so the covariance is the sum of c_i(T)^2 P_i. Straight lines cut corners: where a
+    neighbour shows how much the parameters bend there, p'' (T - a) (b - T) / 2 is added as doubt
+    (the remainder of linear interpolation, e.g. Abramowitz and Stegun, 25.2.1).
+    Beyond the ends nothing is known: the nearest calibration holds.
+
+    Attributes:
+        calibrations: At least two of one unit, coldest first.
+        order: Of the polynomial; None for straight lines.
+
+    """
+
+    calibrations: tuple[Calibration, ...]
+    order: int | None = None
+
+    @property
+    def temperatures(self) -> Floats:
+        """(k,) mean temperatures of the sessions, degrees Celsius."""
+        return np.array([c.provenance['temperature']['mean'] for c in self.calibrations])
+
+    def weights(self, celsius: float) -> Floats:
+        """Return the (k,) weights of the calibrations at a temperature."""
+        points = self.temperatures
+        held = float(np.clip(celsius, points[0], points[-1]))
+        if self.order is None:
+            lines = np.eye(len(points))
+            return np.array([np.interp(held, points, line) for line in lines])
+        middle, half = (points[0] + points[-1]) / 2, (points[-1] - points[0]) / 2
+        design = np.vander((points - middle) / half, self.order + 1)
+        at = np.vander([(held - middle) / half], self.order + 1)[0]
+        return np.asarray(at @ np.linalg.pinv(design))
+
+    def at(self, celsius: float) -> Calibration:
+        """Return the calibration at a temperature; beyond the ends that of the end."""
+        weights = self.weights(celsius)
+        values = np.array([c.values for c in self.calibrations])
+        square = np.array([c.covariance for c in self.calibrations])
+        covariance = np.einsum('k,kij->ij', weights**2, square)
+        bend = self._bend(celsius, values)
+        covariance = covariance + np.outer(bend, bend)
+        walks = np.array([c.provenance.get('random_walk', [0.0] * 6) for c in self.calibrations])
+        rates = [c.provenance.get('highest_rate') for c in self.calibrations]
+        first = self.calibrations[0]
+        provenance = {
+            **first.provenance,
+            'random_walk': np.sqrt((walks.astype(float) ** 2).mean(axis=0)).tolist(),
+            'highest_rate': min((r for r in rates if r is not None), default=None),
+            'temperature': {'mean': celsius, 'lowest': celsius, 'highest': celsius},
+        }
+        return replace(
+            first,
+            model=_model(first, weights @ values),
+            covariance=covariance,
+            residuals=(),
+            provenance=provenance,
+        )
+
+    def _bend(self, celsius: float, values: Floats) -> Floats:
+        """Return by how much straight lines may miss each parameter, (p,)."""
+        points = self.temperatures
+        place = int(np.searchsorted(points, celsius))
+        if self.order is not None or len(points) < 3 or not 0 < place < len(points):
+            return np.zeros(values.shape[1])
+        rise = np.diff(values, axis=0) / np.diff(points)[:, None]
+        # Second divided differences, one at each inner point; p'' is twice that.
+        second = np.diff(rise, axis=0) / (points[2:] - points[:-2])[:, None]
+        near = [k for k in (place - 2, place - 1) if 0 <= k < len(second)]
+        largest = second[near][np.abs(second[near]).argmax(axis=0), np.arange(values.shape[1])]
+        a, b = points[place - 1], points[place]
+        return np.asarray(largest * (celsius - a) * (b - celsius))
+
+    def to_yaml(self) -> str:
+        """Return the file's text: the calibrations one below the other, each as in its own file."""
+        documents = [yaml.safe_load(c.to_yaml()) for c in self.calibrations]
+        head: dict[str, Any] = {'format': _FORMAT, 'imu': self.calibrations[0].imu.id}
+        head['order'] = 'lines' if self.order is None else self.order
+        text = (
+            '# Calibrations of one IMU at several temperatures, coldest first, SI units.\n'
+            '# In between each parameter lies on straight lines, or on a polynomial.\n'
+        )
+        text += yaml.safe_dump(head, sort_keys=False)
+        text += yaml.safe_dump(
+            {'calibrations': documents}, sort_keys=False, default_flow_style=None, width=200
+        )
+        return text
+
+    def save(self, path: Path) -> None:
+        """Write the file whole or not at all.
+
+        Raises:
+            InputError: It cannot be written.
+
+        """
+        write_whole(path, self.to_yaml())
+
+
+AnyCalibration: TypeAlias = Calibration | ThermalCalibration
+
+
+def combine(
+    calibrations: Sequence[Calibration], names: Sequence[str], order: int | None = None
+) -> ThermalCalibration:
+    """Combine calibrations of one unit at several temperatures.
+
+    Args:
+        calibrations: At least two, in any order.
+        names: Their files, for messages.
+        order: Of a polynomial; None for straight lines between neighbours.
+
+    Raises:
+        InputError: They are not of one unit, a temperature is missing or comes twice, or they
+            are too few for the order.
+
+    """
+    if len(calibrations) < 2:
+        raise InputError(f'Found {len(calibrations)} calibration, expected two or more to combine.')
+    for calibration, name in zip(calibrations, names, strict=True):
+        _check_temperature(calibration, name)
+        _check_alike(calibration, name, calibrations[0], names[0])
+    if order is not None and not 1 <= order <= min(_MOST, len(calibrations) - 1):
+        raise InputError(
+            f'A polynomial of order {order}: found {len(calibrations)} temperatures, expected an '
+            f'order from 1 to {min(_MOST, len(calibrations) - 1)}.'
+        )
+    ordered = sorted(calibrations, key=lambda c: float(c.provenance['temperature']['mean']))
+    result = ThermalCalibration(tuple(ordered), order)
+    points = result.temperatures
+    close = np.flatnonzero(np.diff(points) < _APART)
+    if len(close):
+        k = int(close[0])
+        raise InputError(
+            f'Two calibrations at {points[k]:.2f} and {points[k + 1]:.2f} degC: expected at least '
+            f'{_APART:g} K between them.'
+        )
+    return result
+
+
+def temperature_range(calibration: AnyCalibration) -> tuple[float, float]:
+    """Return within which temperatures a calibration counts, degrees Celsius.
+
+    A single one is taken to count 5 K beyond what its session saw, a combined one from the lowest
+    to the highest temperature of its sessions; one that knows no temperature counts everywhere.
+    """
+    if isinstance(calibration, ThermalCalibration):
+        seen = [c.provenance['temperature'] for c in calibration.calibrations]
+        return min(float(s['lowest']) for s in seen), max(float(s['highest']) for s in seen)
+    seen_once = calibration.provenance.get('temperature')
+    if seen_once is None:
+        return -np.inf, np.inf
+    return float(seen_once['lowest']) - _MARGIN, float(seen_once['highest']) + _MARGIN
+
+
+def load_calibration(path: Path) -> AnyCalibration:
+    """Read a calibration file, single or combined.
+
+    Raises:
+        InputError: Unreadable, or no calibration; names file and key.
+
+    """
+    section = Section.load(path)
+    if not section.has('calibrations'):
+        return Calibration.load(path)
+    version = section.number('format')
+    if version != _FORMAT:
+        raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
+    section.text('imu')
+    text = section.text('order', 'lines')
+    if text != 'lines' and not text.isdigit():
+        raise InputError(f"{section.key('order')}: found {text!r}, expected 'lines' or a number.")
+    parts = section.sections('calibrations')
+    section.finish()
+    names = [part.where for part in parts]
+    order = None if text == 'lines' else int(text)
+    return combine([Calibration.read(part) for part in parts], names, order)
+
+
+def _check_temperature(calibration: Calibration, name: str) -> None:
+    found = calibration.provenance.get('temperature')
+    keys = ('mean', 'lowest', 'highest')
+    numbers = [found.get(key) for key in keys] if isinstance(found, dict) else []
+    if not numbers or not all(isinstance(v, (int, float)) and np.isfinite(v) for v in numbers):
+        raise InputError(
+            f'{name}: provenance: temperature: found {found!r}, expected mean, lowest and highest '
+            'in degC. They are recorded where the session has a topic imu/temperature.'
+        )
+
+
+def _check_alike(calibration: Calibration, name: str, first: Calibration, other: str) -> None:
+    """Refuse what is not of one unit, or does not know the same parameters."""
+    compared = {
+        'imu': (calibration.imu.id, first.imu.id),
+        'units': (calibration.imu.units.value, first.imu.units.value),
+        'gyro: scale_factor': (calibration.imu.gyro.scale_factor, first.imu.gyro.scale_factor),
+        'accelerometer: scale_factor': (
+            calibration.imu.accel.scale_factor,
+            first.imu.accel.scale_factor,
+        ),
+        'covariance: parameters': (_known(calibration), _known(first)),
+    }
+    for key, (found, expected) in compared.items():
+        if found != expected:
+            raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {other}.')
+
+
+def _known(calibration: Calibration) -> str:
+    names = [p.name for p in calibration.parameters]
+    known = np.isfinite(calibration.std)
+    return ', '.join(name for name, yes in zip(names, known, strict=True) if yes)
+
+
+def _model(like: Calibration, values: Floats) -> SensorModel:
+    """Return a model of the same kind from the values of its parameters."""
+    model = SensorModel.from_vector(values[:24])
+    rest = values[24:]
+    if like.has_g:
+        model, rest = replace(model, g_sensitivity=rest[:9].reshape(3, 3)), rest[9:]
+    if len(rest):
+        four = rest.reshape(-1, 4)
+        model = replace(model, skewed=Skewed(four[:, :3], four[:, 3]))
+    return model
