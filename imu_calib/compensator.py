@@ -12,7 +12,7 @@ from .calibration import Calibration
 from .compensation import Compensated, Compensation, Mark, joined
 from .sample_clock import SampleClock
 from .stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
-from .thermal import AnyCalibration, ThermalCalibration, temperature_range
+from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
 _LAG = 500_000_000
 _PATIENCE = 50_000_000
@@ -152,10 +152,7 @@ class Compensator:
         return self._release(last=True)
 
     def _set(self, calibration: AnyCalibration) -> None:
-        if isinstance(calibration, ThermalCalibration):
-            single = calibration.calibrations[0]
-        else:
-            single = calibration
+        single = first_of(calibration)
         ready = {skewed: Compensation(single, skewed=skewed) for skewed in _ways(single)}
         self._calibration = calibration
         self._range = temperature_range(calibration)

@@ -13,6 +13,7 @@ import yaml
 from .calibration import Calibration, write_whole
 from .config import Section
 from .errors import InputError
+from .imu import ImuSpec
 from .model import SensorModel, Skewed
 from .stream import Floats
 
@@ -214,21 +215,58 @@ def _check_temperature(calibration: Calibration, name: str) -> None:
         )
 
 
-def _check_alike(calibration: Calibration, name: str, first: Calibration, other: str) -> None:
-    """Refuse what is not of one unit, or does not know the same parameters."""
+def first_of(calibration: AnyCalibration) -> Calibration:
+    """Return what stands for the unit."""
+    if isinstance(calibration, ThermalCalibration):
+        return calibration.calibrations[0]
+    return calibration
+
+
+def check_same_unit(
+    calibration: AnyCalibration, name: str, other: AnyCalibration, other_name: str
+) -> None:
+    """Refuse calibrations that are not of one unit, or of numbers with different meanings.
+
+    Raises:
+        InputError: Names the key, what was found and what was expected.
+
+    """
+    check_unit(first_of(calibration), name, first_of(other).imu, other_name)
+
+
+def check_unit(calibration: AnyCalibration, name: str, imu: ImuSpec, where: str) -> None:
+    """Refuse a calibration of another unit than an IMU's description.
+
+    Args:
+        calibration: Single or combined.
+        name: Its file, for the message.
+        imu: What is to be compensated.
+        where: Who says so.
+
+    Raises:
+        InputError: Names the key, what was found and what was expected.
+
+    """
+    own = first_of(calibration).imu
     compared = {
-        'imu': (calibration.imu.id, first.imu.id),
-        'units': (calibration.imu.units.value, first.imu.units.value),
-        'gyro: scale_factor': (calibration.imu.gyro.scale_factor, first.imu.gyro.scale_factor),
-        'accelerometer: scale_factor': (
-            calibration.imu.accel.scale_factor,
-            first.imu.accel.scale_factor,
-        ),
-        'covariance: parameters': (_known(calibration), _known(first)),
+        'imu': (own.id, imu.id),
+        'units': (own.units.value, imu.units.value),
+        'gyro: scale_factor': (own.gyro.scale_factor, imu.gyro.scale_factor),
+        'accelerometer: scale_factor': (own.accel.scale_factor, imu.accel.scale_factor),
     }
     for key, (found, expected) in compared.items():
         if found != expected:
-            raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {other}.')
+            raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
+
+
+def _check_alike(calibration: Calibration, name: str, first: Calibration, other: str) -> None:
+    """Refuse what is not of one unit, or does not know the same parameters."""
+    check_same_unit(calibration, name, first, other)
+    found, expected = _known(calibration), _known(first)
+    if found != expected:
+        raise InputError(
+            f'{name}: covariance: parameters: found {found}, expected {expected} as in {other}.'
+        )
 
 
 def _known(calibration: Calibration) -> str:

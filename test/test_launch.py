@@ -22,6 +22,7 @@ NODES = {
     'turntable_node': 'TurntableNode',
     'imu_node': 'ImuNode',
     'calibrator_node': 'CalibratorNode',
+    'compensator_node': 'CompensatorNode',
     'stand_node': 'StandNode',
 }
 TYPES = {'bool': bool, 'int': int, 'double': float, 'string': str}

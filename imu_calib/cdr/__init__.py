@@ -1,6 +1,7 @@
 """Serialised messages (CDR) to columns and back, in bulk; for recordings and live subscriptions."""
 
 from .decode import (
+    ImuDecoder,
     decode_imu,
     decode_joints,
     decode_setpoints,
@@ -24,6 +25,7 @@ __all__ = [
     'PULSES',
     'RATES',
     'CdrError',
+    'ImuDecoder',
     'Kind',
     'Malformed',
     'Messages',

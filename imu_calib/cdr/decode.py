@@ -56,6 +56,34 @@ def decode_skew(messages: Messages, malformed: Malformed | None = None) -> list[
     return [SkewBlock.of(block) for block in decode_imu(messages, malformed)]
 
 
+class ImuDecoder:
+    """Decodes sensor_msgs/Imu as they come, often one by one.
+
+    A message like the one before needs no second reading of what it looks like.
+    """
+
+    def __init__(self) -> None:
+        self._layout: Layout | None = None
+
+    def decode(self, payloads: list[bytes], malformed: Malformed) -> list[ImuBlock]:
+        """Decode serialised messages; order and what is left out as `decode_imu`."""
+        layout = self._layout
+        if len(payloads) > 1 or layout is None or len(payloads[0]) != layout.size:
+            return self._decode(payloads, malformed)
+        rows = np.frombuffer(payloads[0], np.uint8)[None]
+        if not layout.holds(rows)[0]:
+            return self._decode(payloads, malformed)
+        return [_imu_block(layout, rows)]
+
+    def _decode(self, payloads: list[bytes], malformed: Malformed) -> list[ImuBlock]:
+        blocks = decode_imu(Messages.join(payloads), malformed)
+        try:
+            self._layout = _imu_layout(payloads[-1])
+        except CdrError:
+            self._layout = None
+        return blocks
+
+
 def decode_joints(messages: Messages, malformed: Malformed | None = None) -> list[JointBlock]:
     """Decode sensor_msgs/JointState; arguments, order and errors as `decode_imu`.
 

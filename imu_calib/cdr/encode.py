@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -146,14 +147,7 @@ def _imu(
     first_covariances: tuple[float, float, float],
     covariances: tuple[Floats, Floats] | None,
 ) -> Messages:
-    template = _Template()
-    template.string(block.frame_id)
-    template.doubles([0.0, 0.0, 0.0, 1.0])
-    template.doubles([first_covariances[0], *[0.0] * 8])
-    gyro = template.doubles([0.0] * 3)
-    template.doubles([first_covariances[1], *[0.0] * 8])
-    accel = template.doubles([0.0] * 3)
-    template.doubles([first_covariances[2], *[0.0] * 8])
+    template, gyro, accel = _imu_template(block.frame_id, first_covariances)
     rows = template.repeat(block.stamp)
     _column(rows, gyro, '<f8', 3)[:] = block.gyro
     _column(rows, accel, '<f8', 3)[:] = block.accel
@@ -162,6 +156,25 @@ def _imu(
         _column(rows, gyro + 24, '<f8', 9)[:] = covariances[0]
         _column(rows, accel + 24, '<f8', 9)[:] = covariances[1]
     return _messages(rows)
+
+
+@lru_cache(maxsize=64)
+def _imu_template(
+    frame_id: str, first_covariances: tuple[float, float, float]
+) -> tuple[_Template, int, int]:
+    """Return a message without its numbers, and where those of gyro and accelerometer start.
+
+    Live streams encode sample by sample, and a template takes half of that.
+    """
+    template = _Template()
+    template.string(frame_id)
+    template.doubles([0.0, 0.0, 0.0, 1.0])
+    template.doubles([first_covariances[0], *[0.0] * 8])
+    gyro = template.doubles([0.0] * 3)
+    template.doubles([first_covariances[1], *[0.0] * 8])
+    accel = template.doubles([0.0] * 3)
+    template.doubles([first_covariances[2], *[0.0] * 8])
+    return template, gyro, accel
 
 
 def encode_joints(block: JointBlock, frame_id: str = '') -> Messages:

@@ -11,8 +11,9 @@
 
 Which one it is, `RUNTIME` says; IMU_CALIB_MIDDLEWARE=rclpy|dds forces it. Beside rclpy's names
 there are `open_drain` and `drain` (all that has arrived as serialised bytes, in bulk),
-`publish_all`, `acknowledged` and `run`. What rclpy offers and the subset does not is said in
-`dds.node.Node`; services over DDS do not reach peers on rmw_fastrtps.
+`open_stream` (the same as soon as it arrives), `publish_all`, `acknowledged` and `run`. What rclpy
+offers and the subset does not is said in `dds.node.Node`; services over DDS do not reach peers on
+rmw_fastrtps.
 """
 
 from typing import TYPE_CHECKING

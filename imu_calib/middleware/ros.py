@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import repeat
 from typing import Any
 
@@ -102,6 +102,7 @@ __all__ = [
     'messages',
     'ok',
     'open_drain',
+    'open_stream',
     'publish_all',
     'qos_profile_sensor_data',
     'serialize_message',
@@ -111,6 +112,8 @@ __all__ = [
     'spin_until_future_complete',
     'try_shutdown',
 ]
+
+_AT_ONCE = 4096
 
 RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
@@ -160,6 +163,25 @@ def open_drain(node: Any, msg_type: Any, topic: str, qos_profile: Any, **options
         callback_group=_Never(),
         **options,
     )
+
+
+def open_stream(
+    node: Any,
+    msg_type: Any,
+    topic: str,
+    callback: Callable[[list[bytes]], Any],
+    qos_profile: Any,
+    **options: Any,
+) -> Any:
+    """Subscribe with a callback that takes all that has arrived; see `dds.drains.open_stream`."""
+    subscription: Any = None
+
+    def take(payload: bytes) -> None:
+        # The executor has taken the oldest; what came in meanwhile costs no further round of it.
+        callback([payload, *drain(subscription, _AT_ONCE)])
+
+    subscription = node.create_subscription(msg_type, topic, take, qos_profile, raw=True, **options)
+    return subscription
 
 
 def drain(subscription: Any, most: int | None = None) -> list[bytes]:

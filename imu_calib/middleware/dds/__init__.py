@@ -4,7 +4,7 @@ from . import standard as messages
 from .clock import Clock, ClockType, Duration, Time
 from .codec import deserialize_message, serialize_message
 from .context import Context, get_default_context, init, ok, shutdown, try_shutdown
-from .drains import acknowledged, drain, open_drain, publish_all
+from .drains import acknowledged, drain, open_drain, open_stream, publish_all
 from .executor import (
     ExternalShutdownException,
     SingleThreadedExecutor,
@@ -81,6 +81,7 @@ __all__ = [
     'messages',
     'ok',
     'open_drain',
+    'open_stream',
     'publish_all',
     'qos_profile_sensor_data',
     'serialize_message',

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from .clock import Duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from .endpoints import Publisher, Subscription
     from .node import Node
@@ -28,6 +28,35 @@ def open_drain(
 
     """
     return node.create_subscription(msg_type, topic, None, qos_profile, raw=True, **options)
+
+
+def open_stream(
+    node: Node,
+    msg_type: Any,
+    topic: str,
+    callback: Callable[[list[bytes]], Any],
+    qos_profile: QoSProfile | int,
+    **options: Any,
+) -> Subscription:
+    """Subscribe with a callback that takes all that has arrived, serialised, oldest first.
+
+    It is called as soon as something is there, so that one message waits for no timer, and many
+    are taken at once.
+
+    Args:
+        node: Node that subscribes.
+        msg_type: Class of the messages.
+        topic: Name of the topic.
+        callback: Takes at least one message.
+        qos_profile: Keep all, here and at the publisher, loses nothing.
+        **options: Further arguments of create_subscription.
+
+    """
+    subscription = node.create_subscription(
+        msg_type, topic, callback, qos_profile, raw=True, **options
+    )
+    subscription.in_bulk = True
+    return subscription
 
 
 def drain(subscription: Subscription, most: int | None = None) -> list[bytes]:

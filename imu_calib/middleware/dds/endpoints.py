@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from .qos import PublisherEventCallbacks, QoSProfile, SubscriptionEventCallbacks
 
 
+_AT_ONCE = 4096
+
+
 class _TopicEnd:
     """What a publisher and a subscription have in common."""
 
@@ -131,6 +134,7 @@ class Subscription(_TopicEnd):
     ) -> None:
         self.raw = raw
         self.callback = callback
+        self.in_bulk = False
         self.reader = Reader(node.context, f'rt{topic}', msg_type.TYPE_NAME, qos)
         super().__init__(node, msg_type, topic, qos, events, self.reader)
 
@@ -142,6 +146,11 @@ class Subscription(_TopicEnd):
         """Hand messages that have arrived to the callback; return whether there were any."""
         if self.callback is None:
             return False
+        if self.in_bulk:
+            payloads = self.reader.drain(_AT_ONCE)
+            if payloads:
+                self.callback(payloads)
+            return bool(payloads)
         payloads = self.reader.drain(most)
         for payload in payloads:
             if self.destroyed:

@@ -1,0 +1,180 @@
+"""Latency and load of compensator_node beside a node that only hands the bytes on.
+
+A source publishes imu/pulses at a steady rate, stamped when each message leaves; the node under
+test is a process of its own; this process takes imu/data_raw and compares with the stamps. Both
+nodes run on the runtime that IMU_CALIB_MIDDLEWARE chooses, in turns, so that whatever else the
+machine does meets both.
+
+    python benchmarks/compensator.py [--rate 1000 --seconds 10 --rounds 3]
+
+Exit code 1: the median latency is more than 0.2 ms above that of handing on, or a message is lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+# The benchmark keeps to the loopback interface and to a domain of its own.
+os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 101))
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+os.environ.setdefault('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
+os.environ.setdefault(
+    'CYCLONEDDS_URI',
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
+    '</General></Domain></CycloneDDS>',
+)
+
+from imu_calib import middleware as ros
+from imu_calib.cdr import Messages, decode_imu, encode_imu
+from imu_calib.nodes import qos
+from imu_calib.share import named_file
+from imu_calib.stream import ImuBlock
+
+PROMISED = 0.2e-3
+_TICKS = os.sysconf('SC_CLK_TCK')
+
+
+class HandOn(ros.Node):
+    """Publishes what it gets, byte for byte."""
+
+    def __init__(self) -> None:
+        super().__init__('hand_on')
+        publisher = self.create_publisher(
+            ros.messages.Imu, 'imu/data_raw', ros.qos_profile_sensor_data
+        )
+
+        def take(payloads: list[bytes]) -> None:
+            for payload in payloads:
+                publisher.publish(payload)
+
+        ros.open_stream(self, ros.messages.Imu, 'imu/pulses', take, qos.stream())
+
+
+@dataclass
+class Measured:
+    """What one kind of node showed, over all rounds."""
+
+    name: str
+    command: list[str]
+    latency: list[np.ndarray] = field(default_factory=list)
+    share: list[float] = field(default_factory=list)
+    lost: int = 0
+
+    @property
+    def median(self) -> float:
+        """Of the rounds' medians, s."""
+        return float(np.median([np.median(one) for one in self.latency]))
+
+
+def source(rate: float, seconds: float) -> None:
+    """Publish at a steady rate, each message stamped as it leaves."""
+    ros.init(args=[])
+    node = ros.Node('source')
+    publisher = node.create_publisher(ros.messages.Imu, 'imu/pulses', qos.stream())
+    while publisher.get_subscription_count() == 0:
+        time.sleep(0.01)
+    time.sleep(1.0)
+    pulses = np.array([[3.0, -1.0, 2.0]])
+    begin = time.monotonic()
+    for k in range(int(rate * seconds)):
+        wait = begin + k / rate - time.monotonic()
+        if wait > 0:
+            time.sleep(wait)
+        block = ImuBlock(np.array([time.time_ns()]), pulses, pulses, 'imu_link')
+        publisher.publish(encode_imu(block).payloads()[0])
+    ros.acknowledged(publisher, 10.0)
+    ros.shutdown()
+
+
+def measure(measured: Measured, rate: float, seconds: float) -> None:
+    """Run a node between a source and this process."""
+    ros.init(args=[])
+    node = ros.Node('sink')
+    stamps: list[int] = []
+    arrivals: list[int] = []
+
+    def take(payloads: list[bytes]) -> None:
+        now = time.time_ns()
+        for block in decode_imu(Messages.join(payloads)):
+            stamps.extend(block.stamp.tolist())
+            arrivals.extend([now] * len(block))
+
+    ros.open_stream(node, ros.messages.Imu, 'imu/data_raw', take, qos.stream(reliable=False))
+    under_test = subprocess.Popen(measured.command)
+    while node.count_publishers('imu/data_raw') == 0:
+        ros.spin_once(node, timeout_sec=0.05)
+    arguments = [sys.executable, __file__, '--source', '--rate', str(rate)]
+    sender = subprocess.Popen([*arguments, '--seconds', str(seconds)])
+    count, begun, used = int(rate * seconds), 0.0, 0.0
+    end = time.monotonic() + seconds + 20
+    while len(stamps) < count and time.monotonic() < end:
+        ros.spin_once(node, timeout_sec=0.05)
+        if stamps and not begun:
+            begun, used = time.monotonic(), processor_time(under_test.pid)
+    share = (processor_time(under_test.pid) - used) / (time.monotonic() - begun)
+    for process in (sender, under_test):
+        process.terminate()
+        process.wait(timeout=20)
+    ros.shutdown()
+    # The first second is that of caches, and of samples that wait for the sample interval.
+    latency = (np.array(arrivals) - np.array(stamps))[int(rate) :] * 1e-9
+    measured.latency.append(latency)
+    measured.share.append(share)
+    measured.lost += count - len(set(stamps))
+
+
+def processor_time(pid: int) -> float:
+    """Return what a process has used so far, s."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / _TICKS
+
+
+def main() -> int:
+    """Measure both kinds of node in turns, and print what they show."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--rate', type=float, default=1000.0)
+    parser.add_argument('--seconds', type=float, default=10.0)
+    parser.add_argument('--rounds', type=int, default=3)
+    parser.add_argument('--source', action='store_true', help=argparse.SUPPRESS)
+    parser.add_argument('--hand-on', action='store_true', help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.source:
+        source(options.rate, options.seconds)
+        return 0
+    if options.hand_on:
+        ros.run(HandOn, args=[])
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / 'calibration.yaml'
+        file.write_text(named_file('truths', 'cao2022_table1').read_text())
+        module = [sys.executable, '-m', 'imu_calib.nodes.compensator_node']
+        kinds = [
+            Measured('hand on', [sys.executable, __file__, '--hand-on']),
+            Measured('compensate', [*module, '--ros-args', '-p', f'calibration:={file}']),
+        ]
+        for _ in range(options.rounds):
+            for kind in kinds:
+                measure(kind, options.rate, options.seconds)
+    for kind in kinds:
+        all_ = np.concatenate(kind.latency) * 1e3
+        print(
+            f'{ros.RUNTIME:6} {kind.name:11} median {kind.median * 1e3:6.3f} ms, '
+            f'99 % {np.quantile(all_, 0.99):6.3f} ms, CPU {np.median(kind.share):5.1%}, '
+            f'lost {kind.lost}'
+        )
+    above = kinds[1].median - kinds[0].median
+    print(f'above handing on: {above * 1e3:.3f} ms   promised {PROMISED * 1e3:.1f} ms')
+    return 0 if above <= PROMISED and kinds[0].lost == kinds[1].lost == 0 else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,338 @@
+"""compensator_node: raw samples in, rates and specific forces in SI units out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import middleware as ros
+from ..cdr import ImuDecoder, Malformed, Messages, decode_imu, decode_temperatures, encode_rates
+from ..compensation import Mark
+from ..compensator import Compensator, Reading
+from ..errors import ImuCalibError
+from ..middleware import messages
+from ..stream import ImuBlock, SkewBlock
+from ..thermal import (
+    AnyCalibration,
+    ThermalCalibration,
+    check_same_unit,
+    first_of,
+    load_calibration,
+)
+from . import qos
+from .convert import calibration_of
+from .diagnostics import Diagnostics, Level
+from .entry import entry_point
+from .parameters import declare
+
+_SECOND = 1.0
+_GHOST = 15.0
+_STALE = 10.0
+_WORDS = {
+    Mark.GYRO_RANGE: 'a gyro at the end of its range',
+    Mark.ACCEL_RANGE: 'an accelerometer at the end of its range',
+    Mark.RATE: 'faster than the unit was turned when it was calibrated',
+    Mark.TEMPERATURE: 'colder or warmer than it was calibrated at',
+    Mark.PARITY: 'four gyros that contradict each other',
+    Mark.NO_NUMBER: 'values that are no numbers',
+}
+
+
+@dataclass
+class _Second:
+    """What happened since the last report."""
+
+    since: float
+    taken: int = 0
+    given: int = 0
+    newest: int = 0
+    work: list[float] = field(default_factory=list)
+    marked: dict[Mark, int] = field(default_factory=dict)
+
+
+class CompensatorNode(ros.Node):
+    """Publishes imu/data_raw from imu/pulses, by the calibration of a file or of a topic."""
+
+    def __init__(self) -> None:
+        super().__init__('compensator_node')
+        file = declare(
+            self, 'calibration', '', 'file; read again when it changes; empty: the topic alone'
+        )
+        self._frame_id = declare(
+            self, 'frame_id', '', "frame of the output; empty: the input's own"
+        )
+        self._file = Path(file).expanduser() if file else None
+        self._version: tuple[int, int] | None = None
+        self._compensator: Compensator | None = None
+        self._source = ''
+        self._made_at = 0.0
+        self._malformed = Malformed()
+        self._decoder = ImuDecoder()
+        self._unused = 0
+        self._heard_temperature = time.monotonic()
+        self._two_since: float | None = None
+        self._mixed = False
+        self._unreliable = False
+        self._diagnostics = Diagnostics(self, '')
+        self._publisher = self.create_publisher(
+            messages.Imu,
+            'imu/data_raw',
+            ros.qos_profile_sensor_data,
+            qos_overriding_options=ros.QoSOverridingOptions.with_default_policies(),
+        )
+        self._second = _Second(time.monotonic())
+        self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
+        self._read_file()
+        self._report_calibration()
+        self.create_subscription(
+            messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
+        )
+        ros.open_stream(self, messages.Temperature, 'imu/temperature', self._on_temperature, 10)
+        ros.open_stream(self, messages.Imu, 'imu/skew', self._on_skew, qos.stream())
+        self._pulses = self._subscribe(reliable=True)
+        steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
+        self.create_timer(_SECOND, self._on_second, clock=steady)
+
+    def stop(self) -> list[Any]:
+        """Give out what waits for others to tell the sample interval."""
+        if self._compensator is not None:
+            self._publish(self._compensator.finish())
+        return [self._publisher]
+
+    def _subscribe(self, *, reliable: bool) -> Any:
+        def incompatible(_: Any) -> None:
+            self._unreliable = True
+
+        return ros.open_stream(
+            self,
+            messages.Imu,
+            'imu/pulses',
+            self._on_pulses,
+            qos.stream(reliable=reliable),
+            event_callbacks=ros.SubscriptionEventCallbacks(incompatible_qos=incompatible),
+        )
+
+    def _on_pulses(self, payloads: list[bytes]) -> None:
+        begun = time.perf_counter()
+        self._second.taken += len(payloads)
+        if self._compensator is None or self._mixed:
+            self._unused += len(payloads)
+            return
+        for block in self._decoder.decode(payloads, self._malformed):
+            self._publish(self._compensator.take(block))
+        self._second.work.append(time.perf_counter() - begun)
+
+    def _on_skew(self, payloads: list[bytes]) -> None:
+        if self._compensator is None:
+            return
+        for block in decode_imu(Messages.join(payloads), self._malformed):
+            self._publish(self._compensator.take(SkewBlock.of(block)))
+
+    def _on_temperature(self, payloads: list[bytes]) -> None:
+        self._heard_temperature = time.monotonic()
+        if self._compensator is None:
+            return
+        for block in decode_temperatures(Messages.join(payloads), self._malformed):
+            self._publish(self._compensator.take(block))
+
+    def _publish(self, readings: list[Reading]) -> None:
+        for reading in readings:
+            values = reading.values
+            block = ImuBlock(
+                reading.stamp, values.rate, values.force, self._frame_id or reading.frame_id
+            )
+            encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
+            for payload in encoded.payloads():
+                self._publisher.publish(payload)
+            self._second.given += len(reading)
+            self._second.newest = int(reading.stamp[-1])
+
+    def _on_calibration(self, message: Any) -> None:
+        """Take a calibration that is good over."""
+        if message.status != messages.ImuCalibration.VALID:
+            return
+        topic = self.resolve_topic_name('calibration')
+        stamp = message.header.stamp
+        try:
+            calibration = calibration_of(message)
+            self._check(calibration, topic)
+            self._use(calibration, topic, stamp.sec + stamp.nanosec * 1e-9)
+        except ImuCalibError as error:
+            self._diagnostics.report('calibration offered', Level.WARN, str(error))
+
+    def _check(self, calibration: AnyCalibration, name: str) -> None:
+        """Refuse the calibration of another unit than the one that is being compensated.
+
+        Raises:
+            InputError: Says in what they differ.
+
+        """
+        if self._compensator is not None:
+            check_same_unit(calibration, name, self._compensator.calibration, self._source)
+
+    def _use(self, calibration: AnyCalibration, source: str, made_at: float) -> None:
+        if self._compensator is None:
+            self._compensator = Compensator(calibration)
+        else:
+            self._compensator.replace(calibration)
+        self._source, self._made_at = source, made_at
+        self._diagnostics.hardware_id = first_of(calibration).imu.id
+        self._diagnostics.report('calibration offered', Level.OK, f'{source} is used')
+        self._report_calibration()
+
+    def _read_file(self) -> None:
+        """Read the file where it is new or has changed."""
+        if self._file is None:
+            return
+        try:
+            found = self._file.stat()
+        except OSError:
+            # Whoever writes it anew may be in the middle of that.
+            self._version = None
+            return
+        version = found.st_mtime_ns, found.st_size
+        if version == self._version:
+            return
+        self._version = version
+        try:
+            self._use(load_calibration(self._file), str(self._file), found.st_mtime)
+        except ImuCalibError as error:
+            self._diagnostics.report('calibration offered', Level.ERROR, str(error))
+
+    def _on_second(self) -> None:
+        self._read_file()
+        self._count_publishers()
+        if self._unreliable:
+            self._subscribe_anew()
+        self._report_calibration()
+        self._report_stream()
+        self._report_range()
+        self._report_temperature()
+        self._second = _Second(time.monotonic())
+
+    def _count_publishers(self) -> None:
+        """Give nothing while two devices publish; one that was killed is seen for a while more."""
+        if self.count_publishers('imu/pulses') < 2:
+            self._two_since, self._mixed = None, False
+        elif self._two_since is None:
+            self._two_since = time.monotonic()
+        elif time.monotonic() - self._two_since > _GHOST:
+            self._mixed = True
+
+    def _subscribe_anew(self) -> None:
+        """Take what a publisher offers that does not send again what is lost, and say so."""
+        self.destroy_subscription(self._pulses)
+        self._pulses = self._subscribe(reliable=False)
+        self._unreliable = False
+        topic = self.resolve_topic_name('imu/pulses')
+        self._diagnostics.report(
+            'quality of service',
+            Level.WARN,
+            f'{topic} is published best effort: messages can be lost on the way',
+        )
+
+    def _report_calibration(self) -> None:
+        if self._compensator is None:
+            topic = self.resolve_topic_name('calibration')
+            where = topic if self._file is None else f'{self._file} or {topic}'
+            self._diagnostics.report(
+                'calibration',
+                Level.WARN,
+                f'No calibration: nothing is published until there is one in {where}.',
+            )
+            return
+        calibration = self._compensator.calibration
+        single = first_of(calibration)
+        age = time.time() - self._made_at
+        self._diagnostics.report(
+            'calibration',
+            Level.OK,
+            f'{self._source} is applied',
+            imu=single.imu.id,
+            source=self._source,
+            age=f'{age / 3600:.1f} h',
+            temperatures=_degrees(calibration),
+            method=str(single.provenance.get('method', 'not stated')),
+        )
+
+    def _report_stream(self) -> None:
+        second, topic = self._second, self.resolve_topic_name('imu/pulses')
+        span = max(time.monotonic() - second.since, 1e-3)
+        figures = {
+            'in': f'{second.taken / span:.1f} Hz',
+            'out': f'{second.given / span:.1f} Hz',
+            'without calibration': str(self._unused),
+            'malformed': str(self._malformed.count),
+        }
+        level, text = Level.OK, f'{topic} comes in and goes out'
+        compensator = self._compensator
+        if compensator is not None:
+            figures['sample interval'] = f'{compensator.period * 1e3:.6f} ms'
+            figures['odd steps between stamps'] = str(compensator.odd_steps)
+            figures['waiting'] = str(compensator.waiting)
+            figures['left out'] = str(compensator.dropped)
+        if second.work:
+            work = np.array(second.work) * 1e6
+            figures['latency in the node'] = (
+                f'{np.median(work):.0f} us, at most {work.max():.0f} us'
+            )
+            age = self.get_clock().now().nanoseconds - second.newest
+            figures['age of the latest sample'] = f'{age * 1e-6:.3f} ms'
+        if self._mixed:
+            level, text = Level.ERROR, f'Two publishers on {topic}: stop one of them.'
+        elif self._malformed.count:
+            level, text = Level.ERROR, f'{topic}: {self._malformed.reason}'
+        elif not second.taken:
+            level, text = Level.WARN, f'nothing comes in on {topic}'
+        elif compensator is not None and not second.given:
+            level, text = Level.WARN, f'{topic} comes in, but nothing goes out'
+        self._diagnostics.report('stream', level, text, **figures)
+
+    def _report_range(self) -> None:
+        """Say what was marked in the last second, and how much of it there was in all."""
+        if self._compensator is None:
+            return
+        counts = self._compensator.counts
+        fresh = [m for m in Mark if counts[m] > self._counted[m]]
+        self._counted = {mark: counts[mark] for mark in Mark}
+        level, text = Level.OK, 'all samples are within what was calibrated'
+        if fresh:
+            level = Level.WARN
+            text = f'samples with {", ".join(_WORDS[mark] for mark in fresh)}'
+        figures = {_WORDS[mark]: str(counts[mark]) for mark in Mark}
+        if self._compensator.alone:
+            figures["without the skewed gyro's value"] = str(self._compensator.alone)
+        self._diagnostics.report('range', level, text, **figures)
+
+    def _report_temperature(self) -> None:
+        compensator = self._compensator
+        if compensator is None or not isinstance(compensator.calibration, ThermalCalibration):
+            return
+        topic = self.resolve_topic_name('imu/temperature')
+        figures = {'temperature': f'{compensator.celsius:.2f} degC'}
+        level, text = Level.OK, f'{topic} comes in'
+        if compensator.waits_for_temperature:
+            level, text = Level.ERROR, f'The calibration needs {topic}: nothing is published.'
+        elif time.monotonic() - self._heard_temperature > _STALE:
+            level, text = Level.WARN, f'{topic} is silent: its last value counts on'
+        self._diagnostics.report('temperature', level, text, **figures)
+
+
+def _degrees(calibration: AnyCalibration) -> str:
+    if isinstance(calibration, ThermalCalibration):
+        return ', '.join(f'{celsius:.2f}' for celsius in calibration.temperatures) + ' degC'
+    seen = calibration.provenance.get('temperature')
+    return 'not measured' if seen is None else f'{float(seen["mean"]):.2f} degC'
+
+
+def main() -> int:
+    """Run the node; return the exit code."""
+    return entry_point(CompensatorNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
