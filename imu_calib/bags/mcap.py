@@ -19,6 +19,7 @@ from .storage import (
     Cache,
     Losses,
     Stretch,
+    Times,
     Topic,
     first_and_last,
 )
@@ -74,7 +75,8 @@ class Unpacked:
             order = np.argsort(offset)
             offset, size = offset[order], size[order]
         log_ns = min(p.log_ns for p in placed)
-        return Stretch(Messages(self.buffer, offset, size), log_ns, position)
+        times = partial(_times, self.buffer, offset)
+        return Stretch(Messages(self.buffer, offset, size), log_ns, position, times)
 
 
 class McapStorage:
@@ -110,7 +112,7 @@ class McapStorage:
         for channel in self._catalogue.channels.values():
             before = topics.get(channel.topic)
             count = counts.get(channel.id, 0) if counts is not None else None
-            topic = Topic(channel.topic, channel.type, count, channel.encoding)
+            topic = Topic(channel.topic, channel.type, count, channel.encoding, channel.described)
             topics[channel.topic] = before.merged(topic) if before else topic
         return topics
 
@@ -313,6 +315,13 @@ def _heads(buffer: Bytes, offsets: Indices) -> np.ndarray[Any, Any]:
 def _placed(offsets: Indices, heads: np.ndarray[Any, Any], log_ns: int) -> Placed:
     size = heads['length'].astype(np.int64) - MESSAGE_HEAD
     return Placed(offsets + _HEAD, size, log_ns)
+
+
+def _times(buffer: Bytes, offset: Indices) -> Times:
+    """Read log and publish times, the last two fields of a message's head."""
+    anywhere = np.ndarray((len(buffer) - 15,), 'V16', buffer, 0, (1,))
+    pairs = anywhere[offset - 16].view('<i8').reshape(-1, 2)
+    return Times(pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64))
 
 
 def _log_time(buffer: Bytes, offset: int) -> int:

@@ -12,6 +12,7 @@ from enum import IntEnum
 import numpy as np
 
 from ..cdr.messages import Bytes, Indices
+from .storage import Described
 
 MAGIC = b'\x89MCAP0\r\n'
 RECORD_HEAD = 9
@@ -49,6 +50,7 @@ class Channel:
     topic: str
     type: str
     encoding: str
+    described: Described = field(default_factory=Described, compare=False)
 
 
 @dataclass
@@ -56,7 +58,7 @@ class Catalogue:
     """What records say of the file as a whole.
 
     Attributes:
-        schemas: Message type by schema id.
+        schemas: Message type, language and text of the definition by schema id.
         channels: Channels by id.
         metadata: Contents of the metadata records by their names.
         counts: Messages by channel id, from the statistics; None without.
@@ -64,7 +66,7 @@ class Catalogue:
 
     """
 
-    schemas: dict[int, str] = field(default_factory=dict)
+    schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: dict[int, int] | None = None
@@ -85,11 +87,15 @@ class Catalogue:
     def _add(self, op: int, fields: Fields) -> None:
         if op == Op.SCHEMA:
             key = fields.number('H')
-            self.schemas[key] = fields.string()
+            name, language, text = fields.string(), fields.string(), fields.block()
+            self.schemas[key] = name, language, text.decode(errors='replace')
         elif op == Op.CHANNEL:
             key, schema = fields.number('H'), fields.number('H')
             topic, encoding = fields.string(), fields.string()
-            self.channels[key] = Channel(key, topic, self.schemas.get(schema, ''), encoding)
+            profiles = fields.strings().get('offered_qos_profiles', '')
+            name, language, text_ = self.schemas.get(schema, ('', '', ''))
+            described = Described(text_, language, profiles)
+            self.channels[key] = Channel(key, topic, name, encoding, described)
         elif op == Op.METADATA:
             self.metadata.setdefault(fields.string(), {}).update(fields.strings())
         elif op == Op.CHUNK_INDEX:

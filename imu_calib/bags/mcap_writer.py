@@ -81,17 +81,26 @@ class McapWriter:
         self.start_ns = 2**63 - 1
         self.end_ns = 0
 
-    def add_channel(self, topic: str, type_name: str, definition: str, qos: str) -> int:
+    def add_channel(
+        self,
+        topic: str,
+        type_name: str,
+        definition: str,
+        qos: str,
+        *,
+        language: str = 'ros2msg',
+        encoding: str = 'cdr',
+    ) -> int:
         """Describe a topic; return the id of its channel."""
         if type_name not in self._schemas:
             key = len(self._schemas) + 1
-            names = string(type_name) + string('ros2msg') + string(definition)
+            names = string(type_name) + string(language) + string(definition)
             self._schemas[type_name] = record(Op.SCHEMA, struct.pack('<H', key) + names)
             self._chunk.append(self._schemas[type_name])
         channel = len(self._channels) + 1
         schema = list(self._schemas).index(type_name) + 1
         metadata = strings({'offered_qos_profiles': qos, 'topic_type_hash': ''})
-        content = struct.pack('<HH', channel, schema) + string(topic) + string('cdr') + metadata
+        content = struct.pack('<HH', channel, schema) + string(topic) + string(encoding) + metadata
         self._channels.append(record(Op.CHANNEL, content))
         self._chunk.append(self._channels[-1])
         self.counts[channel] = 0
@@ -104,8 +113,14 @@ class McapWriter:
         self._put(content)
         self._metadata_index.append(record(Op.METADATA_INDEX, place))
 
-    def write(self, channel: int, messages: Messages, log_time: Indices) -> None:
-        """Append messages, closing chunks as they fill.
+    def write(
+        self,
+        channel: int,
+        messages: Messages,
+        log_time: Indices,
+        publish_time: Indices | None = None,
+    ) -> None:
+        """Append messages, closing chunks as they fill; published when logged if not told.
 
         Raises:
             OSError: The disk takes no more; the messages are held, and `flush` tries again.
@@ -113,6 +128,7 @@ class McapWriter:
         """
         start = 0
         trouble: OSError | None = None
+        published = log_time if publish_time is None else publish_time
         ends = np.cumsum(messages.size + _HEAD)
         while start < len(messages):
             done = int(ends[start - 1]) if start else 0
@@ -121,7 +137,8 @@ class McapWriter:
             if trouble is not None:
                 stop = len(messages)
             some = slice(start, stop)
-            self._append(channel, messages.select(some), log_time[some])
+            times = log_time[some], published[some]
+            self._append(channel, messages.select(some), *times)
             if trouble is None and (stop < len(messages) or self._is_full()):
                 try:
                     self.flush()
@@ -135,10 +152,12 @@ class McapWriter:
         span = self._chunk.end_ns - self._chunk.start_ns
         return self._chunk.size >= self._chunk_bytes or span >= self._chunk_ns
 
-    def _append(self, channel: int, messages: Messages, log_time: Indices) -> None:
+    def _append(
+        self, channel: int, messages: Messages, log_time: Indices, publish_time: Indices
+    ) -> None:
         chunk = self._chunk
         sequence = self.counts[channel] + 1
-        content = _records(channel, sequence, messages, log_time)
+        content = _records(channel, sequence, messages, log_time, publish_time)
         ends = np.cumsum(messages.size + _HEAD)
         offsets = chunk.size + ends - messages.size - _HEAD
         chunk.index.setdefault(channel, []).append(np.stack([log_time, offsets], 1).astype('<u8'))
@@ -227,13 +246,15 @@ class McapWriter:
         return content + offsets + record(Op.FOOTER, footer) + MAGIC
 
 
-def _records(channel: int, sequence: int, messages: Messages, log_time: Indices) -> bytes:
+def _records(
+    channel: int, sequence: int, messages: Messages, log_time: Indices, publish_time: Indices
+) -> bytes:
     """Build message records; those of equal size are filled in column by column."""
     size = int(messages.size[0])
     if not (messages.size == size).all():
         return b''.join(
-            _records(channel, sequence + i, messages.select(slice(i, i + 1)), log_time[i : i + 1])
-            for i in range(len(messages))
+            _records(channel, sequence + i, messages.select(one), log_time[one], publish_time[one])
+            for i, one in enumerate(slice(i, i + 1) for i in range(len(messages)))
         )
     kind = np.dtype(
         [
@@ -251,6 +272,6 @@ def _records(channel: int, sequence: int, messages: Messages, log_time: Indices)
     table['length'] = MESSAGE_HEAD + size
     table['channel'] = channel
     table['sequence'] = np.arange(sequence, sequence + len(messages)) % 2**32
-    table['log_time'] = table['publish_time'] = log_time
+    table['log_time'], table['publish_time'] = log_time, publish_time
     table['data'] = messages.rows(size).view(f'V{size}')[:, 0]
     return table.tobytes()

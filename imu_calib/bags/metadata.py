@@ -110,6 +110,17 @@ def qos_profile(*, transient_local: bool = False) -> dict[str, Any]:
     }
 
 
+def offered_profiles(text: str) -> list[dict[str, Any]]:
+    """Return the QoS profiles that a recorder wrote as YAML; none where that is no list."""
+    try:
+        profiles = yaml.load(text, Loader=_LOADER)
+    except yaml.YAMLError:
+        return []
+    if not isinstance(profiles, list) or not all(isinstance(p, dict) for p in profiles):
+        return []
+    return profiles
+
+
 def dump(value: Any) -> str:
     """Write a value as YAML, in the order it has."""
     return yaml.safe_dump(value, sort_keys=False, default_flow_style=False)
@@ -137,7 +148,7 @@ class FileSpan:
 def information(
     files: Sequence[FileSpan],
     topics: Sequence[Topic],
-    profiles: Mapping[str, dict[str, Any]],
+    profiles: Mapping[str, Sequence[dict[str, Any]]],
     custom_data: Mapping[str, str],
 ) -> dict[str, Any]:
     """Build the metadata of a recording in mcap files, as ROS 2 Jazzy writes it.
@@ -167,7 +178,7 @@ def information(
                     'name': topic.name,
                     'type': topic.type,
                     'serialization_format': topic.encoding,
-                    'offered_qos_profiles': [profiles[topic.name]],
+                    'offered_qos_profiles': list(profiles[topic.name]),
                     'type_description_hash': '',
                 },
                 'message_count': topic.count or 0,

@@ -8,11 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..cdr import Malformed, Messages
 from .codec import ZSTD_MAGIC, CodecError, decompressor
 from .files import Found, Scratch, find_files, open_storage
 from .merge import Piece, merge
-from .storage import Cache, Losses, RecordingError, Storage, Stretch, Topic, first_and_last
+from .storage import (
+    Cache,
+    Losses,
+    RecordingError,
+    Storage,
+    Stretch,
+    Times,
+    Topic,
+    first_and_last,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -171,6 +182,34 @@ class Recording:
         self._check(topics)
         return self._read(topics, progress)
 
+    def messages(
+        self, progress: Callable[[int, int], None] | None = None
+    ) -> Iterator[tuple[Topic, Messages, Times]]:
+        """Read all topics as serialised messages, unpacked but else as they were recorded.
+
+        Args:
+            progress: Called now and then with the bytes that are done and their total.
+
+        Yields:
+            Topic, messages and their times; file after file, the topics of a file in step with
+            each other, each in its own order.
+
+        """
+        before, total = 0, sum(storage.size for storage in self._storages)
+        held = {topic.name: topic for topic in self.topics}
+        malformed = {name: Malformed() for name in held}
+        for storage in self._storages:
+            cursors = storage.cursors(frozenset(held), Cache(CACHE_BYTES))
+            heads = {name: next(cursor, None) for name, cursor in cursors.items()}
+            while ready := {name: head for name, head in heads.items() if head is not None}:
+                name = min(ready, key=lambda n: (ready[n].log_ns, n))
+                yield (held[name], *_as_recorded(ready[name], malformed[name]))
+                if progress:
+                    progress(before + min(h.position for h in ready.values()), total)
+                heads[name] = next(cursors[name], None)
+            before += storage.size
+        self._state_malformed(malformed)
+
     def _read(
         self, topics: Mapping[str, Kind], progress: Callable[[int, int], None] | None
     ) -> Iterator[tuple[str, Block]]:
@@ -269,6 +308,23 @@ def _decoded(
             messages = _unpacked(stretch.messages, malformed)
             for block in kind.decode(messages, malformed):
                 yield Piece(block, stretch.log_ns, base + stretch.position)
+
+
+def _as_recorded(stretch: Stretch, malformed: Malformed) -> tuple[Messages, Times]:
+    """Return messages with their times; those that do not unpack are left out of both."""
+    times, messages = stretch.times(), stretch.messages
+    if not messages.payload(0).startswith(ZSTD_MAGIC):
+        return messages, times
+    kept = []
+    plain = []
+    for k in range(len(messages)):
+        before = malformed.count
+        one = _unpacked(messages.select(slice(k, k + 1)), malformed)
+        if malformed.count == before:
+            kept.append(k)
+            plain += one.payloads()
+    rows = np.array(kept, dtype=np.int64)
+    return Messages.join(plain), Times(times.log[rows], times.publish[rows])
 
 
 def _unpacked(messages: Messages, malformed: Malformed) -> Messages:

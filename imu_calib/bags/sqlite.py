@@ -9,9 +9,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+import numpy as np
+
 from ..cdr import Messages
 from .metadata import custom_data_of
-from .storage import Cache, Losses, RecordingError, Stretch, Topic
+from .storage import Cache, Described, Losses, RecordingError, Stretch, Times, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -72,10 +74,28 @@ class SqliteStorage:
                 rows, following = self._load(database, topics, start, width)
                 if rows:
                     log_ns = _log_time(database, start)
-                    yield Stretch(_messages(rows), log_ns, self._position(following))
+                    times = partial(self._times, topics, start, following, len(rows), log_ns)
+                    yield Stretch(_messages(rows), log_ns, self._position(following), times)
                 wider = len(rows) < width // 8
                 width = min(2 * width, _MAX_ROWS) if wider else max(width // 2, _MIN_ROWS)
                 start = following
+
+    def _times(
+        self, topics: tuple[int, ...], start: int, end: int | None, count: int, log_ns: int
+    ) -> Times:
+        """Look up log times; where a damaged file does not give them, all are the first's."""
+        query = (
+            'SELECT timestamp FROM messages '
+            f'WHERE id >= ? AND id < ? AND topic_id {_among(topics)} ORDER BY id'
+        )
+        last = 2**63 - 1 if end is None else end
+        log = np.full(count, log_ns, np.int64)
+        with suppress(*_DAMAGE, TypeError, ValueError, OverflowError):
+            with closing(self._connect()) as database:
+                rows = database.execute(query, (start, last, *topics)).fetchall()
+            if len(rows) == count:
+                log = np.array([row[0] for row in rows], np.int64)
+        return Times(log, log)
 
     def _position(self, row: int | None) -> int:
         """Estimate how many bytes of the file lie before a row."""
@@ -135,7 +155,8 @@ class SqliteStorage:
             self.topics: dict[str, Topic] = {}
             for _, name, kind, encoding in topics:
                 # Counting would take a pass over the whole file; metadata.yaml mostly knows.
-                topic = Topic(str(name), str(kind), None, str(encoding))
+                described = _described(database, str(name), str(kind))
+                topic = Topic(str(name), str(kind), None, str(encoding), described)
                 before = self.topics.get(topic.name)
                 self.topics[topic.name] = before.merged(topic) if before else topic
             self._find_ranges(database)
@@ -262,6 +283,23 @@ def _messages(rows: list[tuple[Any]]) -> Messages:
     except TypeError:
         # A foreign value instead of bytes becomes an empty message, which the decoder counts.
         return Messages.join([blob if isinstance(blob, bytes) else b'' for blob in blobs])
+
+
+def _described(database: sqlite3.Connection, topic: str, kind: str) -> Described:
+    """Return what the file says of a topic: later versions of the schema hold more."""
+    profiles, definition, language = '', '', ''
+    with suppress(*_DAMAGE):
+        query = 'SELECT offered_qos_profiles FROM topics WHERE name = ?'
+        row = database.execute(query, (topic,)).fetchone()
+        profiles = str(row[0]) if row else ''
+    with suppress(*_DAMAGE):
+        query = (
+            'SELECT encoding, encoded_message_definition FROM message_definitions '
+            'WHERE topic_type = ?'
+        )
+        row = database.execute(query, (kind,)).fetchone()
+        language, definition = (str(row[0]), str(row[1])) if row else ('', '')
+    return Described(definition, language, profiles)
 
 
 def _custom_data(database: sqlite3.Connection) -> dict[str, str]:

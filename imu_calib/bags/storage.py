@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from ..errors import InputError
@@ -13,10 +13,35 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..cdr.messages import Messages
+    from ..stream import Stamps
 
 
 class RecordingError(InputError):
     """A recording, or a file of it, cannot be read."""
+
+
+@dataclass(frozen=True)
+class Described:
+    """What a recorder says of a topic beyond its name and type; empty where it says nothing.
+
+    Attributes:
+        definition: Text of the message definition.
+        language: Of that text: ros2msg or ros2idl.
+        profiles: Offered QoS as YAML.
+
+    """
+
+    definition: str = ''
+    language: str = ''
+    profiles: str = ''
+
+
+@dataclass(frozen=True)
+class Times:
+    """When messages were logged and published, (n,) ns each."""
+
+    log: Stamps
+    publish: Stamps
 
 
 @dataclass(frozen=True)
@@ -28,6 +53,7 @@ class Topic:
         type: Message type, for instance sensor_msgs/msg/Imu.
         count: Messages in the recording; None where only reading it through would tell.
         encoding: How messages are serialised.
+        described: How the recorder described the topic, to be handed on.
 
     """
 
@@ -35,6 +61,7 @@ class Topic:
     type: str
     count: int | None
     encoding: str = 'cdr'
+    described: Described = field(default_factory=Described, compare=False)
 
     def merged(self, other: Topic) -> Topic:
         """Return the union with the same topic of another file or publisher."""
@@ -44,6 +71,7 @@ class Topic:
             type=' and '.join(sorted({*self.type.split(' and '), other.type})),
             count=None if unknown else (self.count or 0) + (other.count or 0),
             encoding=' and '.join(sorted({*self.encoding.split(' and '), other.encoding})),
+            described=self.described if self.described.definition else other.described,
         )
 
 
@@ -55,12 +83,14 @@ class Stretch:
         messages: The serialised messages, in the order of the file.
         log_ns: Log time of the first message, or of one shortly before.
         position: Bytes of the storage file that lie before the end of the stretch.
+        times: Looks up when each message was logged and published.
 
     """
 
     messages: Messages
     log_ns: int
     position: int
+    times: Callable[[], Times]
 
 
 class Losses:

@@ -62,7 +62,8 @@ class RecordingWriter:
         self._custom_data = dict(custom_data or {})
         self._former: list[_Former] = []
         self._topics: dict[str, tuple[int, str]] = {}
-        self._profiles: dict[str, dict[str, Any]] = {}
+        self._profiles: dict[str, list[dict[str, Any]]] = {}
+        self._encodings: dict[str, str] = {}
         self._open = True
         pack = compressor(compression)
         if resume:
@@ -117,9 +118,37 @@ class RecordingWriter:
         text = definition(type_name)
         channel = self._file.add_channel(topic, type_name, text, metadata.dump([profile]))
         self._topics[topic] = channel, type_name
-        self._profiles[topic] = profile
+        self._profiles[topic] = [profile]
 
-    def write(self, topic: str, type_name: str, messages: Messages, log_time: Stamps) -> None:
+    def copy_topic(self, topic: Topic) -> None:
+        """Describe a topic as another recorder did, whatever its type is.
+
+        Args:
+            topic: As a recording has it.
+
+        """
+        known = topic.described
+        profiles = metadata.offered_profiles(known.profiles)
+        channel = self._file.add_channel(
+            topic.name,
+            topic.type,
+            known.definition,
+            known.profiles if profiles else metadata.dump([]),
+            language=known.language,
+            encoding=topic.encoding,
+        )
+        self._topics[topic.name] = channel, topic.type
+        self._encodings[topic.name] = topic.encoding
+        self._profiles[topic.name] = profiles
+
+    def write(
+        self,
+        topic: str,
+        type_name: str,
+        messages: Messages,
+        log_time: Stamps,
+        publish_time: Stamps | None = None,
+    ) -> None:
         """Append messages of one topic.
 
         Args:
@@ -127,6 +156,7 @@ class RecordingWriter:
             type_name: Message type, for instance sensor_msgs/msg/Imu.
             messages: Serialised messages.
             log_time: (n,) when each was received, ns.
+            publish_time: (n,) when each was published, ns; None: when it was received.
 
         Raises:
             InputError: The topic has another type already, the type is not known, or the disk
@@ -138,7 +168,7 @@ class RecordingWriter:
         if times.shape != (len(messages),) or (times < 0).any():
             raise ValueError(f'{len(messages)} messages need as many log times, none negative.')
         with _in_words(self.path):
-            self._file.write(self._topics[topic][0], messages, times)
+            self._file.write(self._topics[topic][0], messages, times, publish_time)
 
     def add_custom_data(self, pairs: Mapping[str, str]) -> None:
         """Add entries to the metadata, for instance a result."""
@@ -167,7 +197,7 @@ class RecordingWriter:
     def _finish(self) -> None:
         self._file.flush()
         counts = {
-            name: Topic(name, kind, self._file.counts[channel])
+            name: Topic(name, kind, self._file.counts[channel], self._encodings.get(name, 'cdr'))
             for name, (channel, kind) in self._topics.items()
         }
         own = sum(self._file.counts.values())
@@ -176,7 +206,7 @@ class RecordingWriter:
         files.append(metadata.FileSpan(self._name, *span, own))
         for topic in (topic for former in self._former for topic in former.topics):
             counts[topic.name] = counts[topic.name].merged(topic) if topic.name in counts else topic
-            self._profiles.setdefault(topic.name, metadata.qos_profile())
+            self._profiles.setdefault(topic.name, [metadata.qos_profile()])
         content = metadata.information(
             files, [counts[name] for name in sorted(counts)], self._profiles, self._custom_data
         )

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import ImuCalibError
-from . import calibrate, combine, compare, info, montecarlo, plans, simulate, stand
+from . import calibrate, combine, compare, compensate, info, montecarlo, plans, simulate, stand
 from .terminal import ERRORS
 
 _INTERRUPTED = 130
@@ -22,7 +22,17 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=f'imu-calib {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    for module in (stand, simulate, calibrate, combine, compare, plans, montecarlo, info):
+    for module in (
+        stand,
+        simulate,
+        calibrate,
+        compensate,
+        combine,
+        compare,
+        plans,
+        montecarlo,
+        info,
+    ):
         module.add_parser(commands)
     return parser
 

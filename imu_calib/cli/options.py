@@ -156,12 +156,34 @@ def find_streams(arguments: argparse.Namespace, recording: Recording) -> Streams
         InputError: No IMU topic, or several candidates; they are listed.
 
     """
-    imu = _choose(recording, Kind.IMU, arguments.imu_topic, '--imu-topic')
+    imu = find_imu_topic(arguments.imu_topic, recording)
+    skew = find_skew(recording, imu)
+    temperature = find_temperature(recording)
+    if arguments.imu_only:
+        return Streams(imu, None, None, skew, temperature)
+    joints = _choose(recording, Kind.JOINTS, arguments.joint_topic, '--joint-topic')
+    setpoints = _choose(recording, Kind.SETPOINTS, arguments.setpoint_topic, '--setpoint-topic')
+    return Streams(imu, joints, setpoints, skew, temperature)
+
+
+def find_imu_topic(wanted: str | None, recording: Recording) -> str:
+    """Return the topic of the IMU: the one that was named, or the only candidate.
+
+    Raises:
+        InputError: There is none, or several; they are listed.
+
+    """
+    imu = _choose(recording, Kind.IMU, wanted, '--imu-topic')
     if imu is None:
         listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics) or 'none at all'
         raise InputError(
             f'{recording.path}: no topic of type {Kind.IMU.type_name}; its topics: {listed}.'
         )
+    return imu
+
+
+def find_skew(recording: Recording, imu: str) -> str | None:
+    """Return the topic of a skewed gyro beside an IMU's; None without one, or with several."""
     skewed = [
         t.name
         for t in recording.topics
@@ -170,13 +192,7 @@ def find_streams(arguments: argparse.Namespace, recording: Recording) -> Streams
         and t.name != imu
         and t.count != 0
     ]
-    skew = skewed[0] if len(skewed) == 1 else None
-    temperature = find_temperature(recording)
-    if arguments.imu_only:
-        return Streams(imu, None, None, skew, temperature)
-    joints = _choose(recording, Kind.JOINTS, arguments.joint_topic, '--joint-topic')
-    setpoints = _choose(recording, Kind.SETPOINTS, arguments.setpoint_topic, '--setpoint-topic')
-    return Streams(imu, joints, setpoints, skew, temperature)
+    return skewed[0] if len(skewed) == 1 else None
 
 
 def find_temperature(recording: Recording) -> str | None:
