@@ -82,7 +82,7 @@ class CompensatorNode(ros.Node):
             messages.Imu,
             'imu/data_raw',
             ros.qos_profile_sensor_data,
-            qos_overriding_options=ros.QoSOverridingOptions.with_default_policies(),
+            qos_overriding_options=qos.overridable(),
         )
         self._second = _Second(time.monotonic())
         self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
@@ -91,8 +91,22 @@ class CompensatorNode(ros.Node):
         self.create_subscription(
             messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
         )
-        ros.open_stream(self, messages.Temperature, 'imu/temperature', self._on_temperature, 10)
-        ros.open_stream(self, messages.Imu, 'imu/skew', self._on_skew, qos.stream())
+        ros.open_stream(
+            self,
+            messages.Temperature,
+            'imu/temperature',
+            self._on_temperature,
+            10,
+            qos_overriding_options=qos.overridable(),
+        )
+        ros.open_stream(
+            self,
+            messages.Imu,
+            'imu/skew',
+            self._on_skew,
+            qos.stream(),
+            qos_overriding_options=qos.overridable(),
+        )
         self._pulses = self._subscribe(reliable=True)
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
         self.create_timer(_SECOND, self._on_second, clock=steady)
@@ -114,6 +128,8 @@ class CompensatorNode(ros.Node):
             self._on_pulses,
             qos.stream(reliable=reliable),
             event_callbacks=ros.SubscriptionEventCallbacks(incompatible_qos=incompatible),
+            # The second subscription is not to be made reliable by what the first took.
+            qos_overriding_options=qos.overridable() if reliable else None,
         )
 
     def _on_pulses(self, payloads: list[bytes]) -> None:
@@ -146,8 +162,7 @@ class CompensatorNode(ros.Node):
                 reading.stamp, values.rate, values.force, self._frame_id or reading.frame_id
             )
             encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
-            for payload in encoded.payloads():
-                self._publisher.publish(payload)
+            ros.publish_all(self._publisher, encoded.payloads())
             self._second.given += len(reading)
             self._second.newest = int(reading.stamp[-1])
 
