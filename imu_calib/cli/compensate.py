@@ -15,7 +15,7 @@ from ..compensator import Compensator, Reading
 from ..config import Section
 from ..errors import InputError
 from ..imu import load_imu, read_imu
-from ..stream import ImuBlock, SkewBlock, Stamps
+from ..stream import ImuBlock, Stamps
 from ..thermal import (
     AnyCalibration,
     ThermalCalibration,
@@ -197,14 +197,11 @@ def _take_aside(compensator: Compensator, recording: Recording, topic: Topic) ->
         )
     skewed = options.find_skew(recording, topic.name)
     if first_of(calibration).model.skewed is not None and skewed is not None:
-        named[skewed] = Kind.IMU
+        named[skewed] = Kind.SKEW
     if named:
         with progress_bar('reading') as show:
             for _, block in recording.read(named, show):
-                if isinstance(block, ImuBlock):
-                    compensator.take(SkewBlock.of(block))
-                else:
-                    compensator.take(block)
+                compensator.take(block)
     return sorted(named)
 
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from .. import middleware as ros
-from ..cdr import ImuDecoder, Malformed, Messages, decode_imu, decode_temperatures, encode_rates
+from ..cdr import ImuDecoder, Malformed, Messages, decode_skew, decode_temperatures, encode_rates
 from ..compensation import Mark
 from ..compensator import Compensator, Reading
 from ..errors import ImuCalibError
 from ..middleware import messages
-from ..stream import ImuBlock, SkewBlock
+from ..stream import ImuBlock
 from ..thermal import (
     AnyCalibration,
     ThermalCalibration,
@@ -145,8 +145,8 @@ class CompensatorNode(ros.Node):
     def _on_skew(self, payloads: list[bytes]) -> None:
         if self._compensator is None:
             return
-        for block in decode_imu(Messages.join(payloads), self._malformed):
-            self._publish(self._compensator.take(SkewBlock.of(block)))
+        for block in decode_skew(Messages.join(payloads), self._malformed):
+            self._publish(self._compensator.take(block))
 
     def _on_temperature(self, payloads: list[bytes]) -> None:
         self._heard_temperature = time.monotonic()
