@@ -1,0 +1,225 @@
+"""compensator_node: what it publishes, from which calibration, and what it says."""
+
+import os
+import shutil
+from functools import cache
+
+import numpy as np
+import pytest
+from loopback import environment, until
+from sessions import calibrate, quick_plan, session, truth
+from test_thermal import point
+
+from imu_calib.bags import RecordingWriter, open_recording
+from imu_calib.cdr import Kind, encode_imu, encode_temperatures
+from imu_calib.cli.main import main
+from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.stream import ImuBlock, TemperatureBlock
+from imu_calib.thermal import combine
+
+try:
+    from imu_calib import middleware as ros
+    from imu_calib.nodes import qos
+    from imu_calib.nodes.compensator_node import CompensatorNode
+    from imu_calib.nodes.convert import calibration_message, calibration_of, refusal_message
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+COUNT = 2000
+STAMP = 1_700_000_000 * 10**9 + np.arange(COUNT) * 1_000_000
+M = ros.messages
+
+
+def block(count=COUNT, seed=0):
+    rng = np.random.default_rng(seed)
+    pulses = np.rint(rng.normal(0, 3, (count, 6)))
+    return ImuBlock(STAMP[:count], pulses[:, :3], pulses[:, 3:] / 100, 'imu_link')
+
+
+class Bench:
+    """A compensator_node between a source and a sink, in one thread."""
+
+    def __init__(self, monkeypatch, reliable=True, **parameters):
+        for name, value in environment().items():
+            monkeypatch.setenv(name, value)
+        words = [w for k, v in parameters.items() for w in ('-p', f'{k}:={v}')]
+        # A recorder that is to miss nothing.
+        overrides = 'qos_overrides./imu/data_raw.publisher'
+        words += [
+            '-p',
+            f'{overrides}.reliability:=reliable',
+            '-p',
+            f'{overrides}.history:=keep_all',
+        ]
+        ros.init(args=['--ros-args', *words])
+        self.node = CompensatorNode()
+        self.peer = ros.Node('peer')
+        self.words, self.payloads = {}, []
+        stream = qos.stream(reliable=reliable)
+        self.pulses = self.peer.create_publisher(M.Imu, 'imu/pulses', stream)
+        self.temperatures = self.peer.create_publisher(M.Temperature, 'imu/temperature', 10)
+        self.calibrations = self.peer.create_publisher(
+            M.ImuCalibration, 'calibration', qos.latched()
+        )
+        ros.open_stream(self.peer, M.Imu, 'imu/data_raw', self.payloads.extend, qos.stream())
+        self.peer.create_subscription(M.DiagnosticArray, '/diagnostics', self._hear, 100)
+        assert self.until(
+            lambda: (
+                self.temperatures.get_subscription_count()
+                and self.calibrations.get_subscription_count()
+                and self.peer.count_subscribers('imu/pulses')
+                and self.peer.count_publishers('imu/data_raw')
+            )
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.node.destroy_node()
+        self.peer.destroy_node()
+        ros.try_shutdown()
+
+    def _hear(self, message):
+        self.words |= {s.name.partition(': ')[2]: s for s in message.status}
+
+    def spin(self):
+        ros.spin_once(self.node, timeout_sec=0.002)
+        ros.spin_once(self.peer, timeout_sec=0.002)
+
+    def until(self, condition, seconds=15.0):
+        return until(condition, seconds, self.spin)
+
+    def send(self, payloads, at_once=50):
+        for k in range(0, len(payloads), at_once):
+            ros.publish_all(self.pulses, payloads[k : k + at_once])
+            self.spin()
+
+    def said(self, part, *words):
+        return part in self.words and all(word in self.words[part].message for word in words)
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / 'unit.yaml'
+    truth().save(path)
+    return path
+
+
+def offline(tmp_path, file, samples, *options):
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        writer.write('/imu/pulses', Kind.IMU.type_name, encode_imu(samples), samples.stamp)
+    target = tmp_path / 'out'
+    words = ['compensate', str(tmp_path / 'bag'), '--calibration', str(file), '-o', str(target)]
+    assert main([*words, *options]) == 0
+    with open_recording(target) as recording:
+        return [p for _, m, _ in recording.messages() for p in m.payloads()]
+
+
+def test_live_and_offline_give_the_same_bytes(monkeypatch, tmp_path, file):
+    with Bench(monkeypatch, calibration=file, frame_id='base_imu') as bench:
+        bench.send(encode_imu(block()).payloads(), at_once=7)
+        assert bench.until(lambda: len(bench.payloads) >= COUNT)
+        expected = offline(tmp_path, file, block(), '--frame-id', 'base_imu')
+        assert [bytes(p) for p in bench.payloads] == expected
+        assert bench.until(lambda: bench.said('stream', 'comes in and goes out'))
+        assert bench.said('calibration', 'unit.yaml is applied')
+        figures = {v.key: v.value for v in bench.words['stream'].values}
+        assert figures['sample interval'] == '1.000000 ms'
+        assert figures['left out'] == '0'
+
+
+def test_without_a_calibration_nothing_comes_and_it_says_so_until_the_file_is_there(
+    monkeypatch, tmp_path, file
+):
+    late = tmp_path / 'late.yaml'
+    with Bench(monkeypatch, calibration=late) as bench:
+        bench.send(encode_imu(block(500)).payloads())
+        assert bench.until(lambda: bench.said('calibration', 'No calibration', 'late.yaml'))
+        assert not bench.payloads
+        shutil.copy(file, late)
+        assert bench.until(lambda: bench.said('calibration', 'late.yaml is applied'))
+        bench.send(encode_imu(block()).payloads())
+        assert bench.until(lambda: len(bench.payloads) == COUNT)
+        # It changes, and is read again; then it is broken, and the one before stays.
+        text = late.read_text()
+        late.write_text(text.replace('bias: [8.48', 'bias: [1.48'))
+        os.utime(late, ns=(1, 1))
+        assert bench.until(lambda: bench.node._compensator.calibration.model.gyro.bias[0] < 2e-6)
+        late.write_text('hello')
+        assert bench.until(lambda: bench.said('calibration offered', 'late.yaml', 'a text'))
+        assert bench.said('calibration', 'late.yaml is applied')
+
+
+@cache
+def result():
+    plan = quick_plan('twelve_position', 6.0)
+    return calibrate(session(plan), plan).calibration
+
+
+def test_a_calibration_comes_by_topic_if_it_is_good_and_of_this_unit(monkeypatch, file):
+    with Bench(monkeypatch) as bench:
+        now = bench.peer.get_clock().now().to_msg()
+        send = bench.calibrations.publish
+        send(refusal_message(truth().imu, 'any', 'no data', 'imu_link', now))
+        provisional = calibration_message(result(), M.ImuCalibration.PROVISIONAL, 'imu_link', now)
+        send(provisional)
+        bench.until(lambda: False, 1.5)
+        assert bench.said('calibration', 'No calibration', '/calibration')
+        send(calibration_message(result(), M.ImuCalibration.VALID, 'imu_link', now))
+        assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
+        bench.send(encode_imu(block(200)).payloads())
+        assert bench.until(lambda: len(bench.payloads) == 200)
+        other = calibration_message(result(), M.ImuCalibration.VALID, 'imu_link', now)
+        other.imu_id = 'another'
+        send(other)
+        words = 'imu: found another, expected fog_medium as in /calibration'
+        assert bench.until(lambda: bench.said('calibration offered', words))
+        assert bench.said('calibration', '/calibration is applied')
+
+
+def test_a_message_holds_what_the_file_holds():
+    calibration = result()
+    message = calibration_message(
+        calibration, M.ImuCalibration.VALID, 'imu_link', M.TimeMsg(sec=1, nanosec=0)
+    )
+    again = calibration_of(message)
+    assert np.array_equal(again.model.vector(), calibration.model.vector())
+    assert np.array_equal(again.covariance, calibration.covariance)
+    assert again.imu.gyro.scale_factor == calibration.imu.gyro.scale_factor
+    assert again.imu.accel.range == calibration.imu.accel.range
+    for key in ('random_walk', 'highest_rate', 'temperature'):
+        assert again.provenance[key] == calibration.provenance[key]
+    message.parameter_names = list(message.parameter_names)[1:]
+    with pytest.raises(InputError, match='do not belong to a model'):
+        calibration_of(message)
+
+
+def test_a_driver_that_publishes_best_effort_is_heard(monkeypatch, file):
+    with Bench(monkeypatch, reliable=False, calibration=file) as bench:
+        payloads = encode_imu(block(40)).payloads()
+
+        def heard():
+            bench.send(payloads)
+            return len(bench.payloads) > 0
+
+        assert bench.until(heard)
+        assert bench.until(lambda: bench.said('quality of service', 'best effort'))
+
+
+def test_a_combined_calibration_waits_for_the_temperature_and_says_where_it_ends(
+    monkeypatch, tmp_path
+):
+    both = tmp_path / 'both.yaml'
+    combine([point(0.0, 0.0), point(20.0, 1e-3)], ['a', 'b']).save(both)
+    with Bench(monkeypatch, calibration=both) as bench:
+        bench.send(encode_imu(block(500)).payloads())
+        assert bench.until(lambda: bench.said('temperature', 'needs /imu/temperature'))
+        assert not bench.payloads
+        warm = TemperatureBlock(STAMP[:1], np.array([35.0]))
+        bench.temperatures.publish(encode_temperatures(warm).payloads()[0])
+        assert bench.until(lambda: len(bench.payloads) == 500)
+        assert bench.until(lambda: bench.said('range', 'colder or warmer'))
+        assert bench.words['range'].level in {b'\x01', 1}
+        figures = {v.key: v.value for v in bench.words['temperature'].values}
+        assert figures['temperature'] == '35.00 degC'
