@@ -10,13 +10,13 @@ import shlex
 import signal
 import subprocess
 import sys
-import sysconfig
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import rich
 import yaml
 from loopback import CHECKOUT, environment, until
 from test_interop import ROS, SETUP, has_wheel, without_ros
@@ -70,8 +70,8 @@ class Network:
 
     def ros(self, *words):
         """Return a command line in the workspace."""
-        # What rosdep would install for ROS's own Python is where these tests run.
-        extra = sysconfig.get_path('purelib') if sys.version_info[:2] == _ros_python() else ''
+        # What rosdep would install for ROS's own Python is where these tests find it.
+        extra = str(Path(rich.__path__[0]).parent) if sys.version_info[:2] == _ros_python() else ''
         path = f'export PYTHONPATH=$PYTHONPATH:{shlex.quote(extra)}'
         return ['bash', '-c', f'. {ROS} && . {SETUP} && {path} && exec {shlex.join(words)}']
 
