@@ -85,7 +85,7 @@ def _text(value):
     return str(value) or "''"
 
 
-@pytest.mark.parametrize('name', ['stand', 'simulated_stand'])
+@pytest.mark.parametrize('name', ['stand', 'simulated_stand', 'bringup'])
 def test_parameter_files_hold_what_the_nodes_declare(declared, name):
     content = yaml.safe_load((CHECKOUT / 'config' / 'nodes' / f'{name}.yaml').read_text())
     for pattern, parameters in content.items():

@@ -1,0 +1,122 @@
+"""A robot's IMU: its device, where there is one to read, and the calibration applied.
+
+    ros2 launch imu_calib bringup.launch.py port:=/dev/ttyUSB0 device:=my_frames.yaml \
+        imu:=my_imu.yaml calibrations:=/etc/robot/imu serial:=A1234
+
+applies /etc/robot/imu/A1234.yaml. Without a port another driver's raw stream is taken (imu_topic).
+"""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from launch import LaunchContext, LaunchDescription
+
+SHARE = Path(get_package_share_directory('imu_calib'))
+_AGAIN = 1.0
+ARGUMENTS = {
+    'calibrations': ('', 'Folder of calibration files, one per unit: SERIAL.yaml.'),
+    'serial': ('', 'Serial number of the unit: which file of that folder.'),
+    'calibration': ('', 'File instead of these two; neither: the topic calibration alone.'),
+    'port': ('', 'Of the IMU; empty: another driver publishes imu_topic.'),
+    'device': ('', "Name or file of the frames' format; needed with a port."),
+    'imu': ('', 'Name or file: what its numbers mean; needed with a port.'),
+    'baud': ('115200', 'Of a serial port, bit/s.'),
+    'frame_id': ('', "Frame of imu/data_raw; empty: the raw stream's (imu_link from a port)."),
+    'namespace': ('', 'Of nodes and topics.'),
+    'imu_topic': ('imu/pulses', 'Raw sensor_msgs/Imu.'),
+    'skew_topic': ('imu/skew', 'Of a skewed gyro, where there is one.'),
+    'temperature_topic': ('imu/temperature', 'sensor_msgs/Temperature of the unit.'),
+    'output_topic': ('imu/data_raw', 'Rates and specific forces, SI units.'),
+    'use_sim_time': ('false', 'Whether /clock is the time.'),
+    'params_file': (
+        str(SHARE / 'config' / 'nodes' / 'bringup.yaml'),
+        'Parameters that are no arguments.',
+    ),
+}
+
+
+class BringupError(RuntimeError):
+    """An argument that cannot be used; the text is for a person."""
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the IMU of a robot."""
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=description)
+                for name, (default, description) in ARGUMENTS.items()
+            ),
+            OpaqueFunction(function=_nodes),
+        ]
+    )
+
+
+def _nodes(context: LaunchContext) -> list:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    compensator = {'calibration': str(_calibration(given))}
+    nodes = []
+    if given['port']:
+        missing = [name for name in ('device', 'imu') if not given[name]]
+        if missing:
+            raise BringupError(f'With port:={given["port"]}, give {" and ".join(missing)} too.')
+        read = {name: given[name] for name in ('port', 'device', 'imu')}
+        read['baud'] = int(given['baud'])
+        if given['frame_id']:
+            read['frame_id'] = given['frame_id']
+        nodes.append(_node('imu_node', given, read))
+    if given['frame_id']:
+        compensator['frame_id'] = given['frame_id']
+    return [*nodes, _node('compensator_node', given, compensator)]
+
+
+def _calibration(given: dict[str, str]) -> Path | str:
+    """Return the file of the unit, which must be there; nothing where none is named."""
+    if given['calibration'] and (given['calibrations'] or given['serial']):
+        raise BringupError('Give either calibration, or calibrations and serial.')
+    if given['calibration']:
+        file = Path(given['calibration']).expanduser()
+        if not file.is_file():
+            raise BringupError(f'calibration: there is no file {file}.')
+        return file
+    if not (given['calibrations'] or given['serial']):
+        return ''
+    if not (given['calibrations'] and given['serial']):
+        raise BringupError('calibrations (a folder) and serial (of the unit) go together.')
+    folder = Path(given['calibrations']).expanduser()
+    file = folder / f'{given["serial"]}.yaml'
+    if not file.is_file():
+        known = ', '.join(sorted(path.stem for path in folder.glob('*.yaml'))) or 'none'
+        raise BringupError(
+            f'No calibration of the unit with serial number {given["serial"]}: expected the file '
+            f'{file}; the serial numbers there are: {known}.'
+        )
+    return file
+
+
+def _node(name: str, given: dict[str, str], parameters: dict[str, object]) -> Node:
+    """Return a node that is started anew where it ends: a robot goes on."""
+    time = ParameterValue(given['use_sim_time'].lower() in {'true', '1'}, value_type=bool)
+    typed = {
+        key: ParameterValue(value, value_type=type(value)) for key, value in parameters.items()
+    }
+    return Node(
+        package='imu_calib',
+        executable=name,
+        namespace=given['namespace'],
+        parameters=[given['params_file'], {'use_sim_time': time, **typed}],
+        remappings=[
+            ('imu/pulses', given['imu_topic']),
+            ('imu/skew', given['skew_topic']),
+            ('imu/temperature', given['temperature_topic']),
+            ('imu/data_raw', given['output_topic']),
+        ],
+        output='screen',
+        respawn=True,
+        respawn_delay=_AGAIN,
+    )

@@ -1,0 +1,119 @@
+"""The launch file that a robot includes: which file, which names, and words for what is missing."""
+
+import importlib.util
+
+import pytest
+from loopback import CHECKOUT
+from sessions import truth
+from test_interop import ROS, has_wheel
+from test_ros_stand import LAUNCHABLE, Network, nothing_left
+
+pytestmark = [
+    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
+    pytest.mark.skipif(not LAUNCHABLE, reason='not built: colcon build, source install/setup.bash'),
+]
+FILE = CHECKOUT / 'launch' / 'bringup.launch.py'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for serial in ('A1', 'B2'):
+        truth().save(tmp_path / f'{serial}.yaml')
+    return tmp_path
+
+
+def bringup():
+    pytest.importorskip('launch')
+    spec = importlib.util.spec_from_file_location('bringup', FILE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def described(**arguments):
+    """Return the nodes that the launch file makes of arguments."""
+    module = bringup()
+    context = importlib.import_module('launch').LaunchContext()
+    for name, (default, _) in module.ARGUMENTS.items():
+        context.launch_configurations[name] = str(arguments.pop(name, default))
+    assert not arguments
+    return {node.node_executable: node for node in module._nodes(context)}
+
+
+def test_the_serial_number_tells_the_file(folder):
+    given = {'calibration': '', 'calibrations': str(folder), 'serial': 'B2'}
+    assert bringup()._calibration(given) == folder / 'B2.yaml'
+    assert set(described(calibrations=folder, serial='B2')) == {'compensator_node'}
+
+
+def test_a_port_brings_the_imu_node(folder):
+    given = {'port': '/dev/null', 'device': 'simulated', 'imu': 'fog_medium'}
+    assert set(described(calibration=folder / 'A1.yaml', **given)) == {
+        'imu_node',
+        'compensator_node',
+    }
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'sentence'),
+    [
+        ({'serial': 'C3'}, 'serial number C3: expected the file .*C3.yaml.* there are: A1, B2'),
+        ({'serial': ''}, 'go together'),
+        ({'serial': 'A1', 'calibration': 'x.yaml'}, 'either calibration'),
+        ({'serial': 'A1', 'port': '/dev/null'}, 'give device and imu too'),
+    ],
+)
+def test_what_cannot_be_used_is_said_in_a_sentence(folder, arguments, sentence):
+    with pytest.raises(RuntimeError, match=sentence):
+        described(calibrations=folder, **arguments)
+
+
+@pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
+def test_in_a_namespace_the_robots_topics_carry_rates(folder, tmp_path):
+    net = Network(tmp_path)
+    with nothing_left(net):
+        given = {
+            'namespace': 'robot',
+            'calibrations': str(folder),
+            'serial': 'A1',
+            'imu_topic': 'driver/raw',
+            'frame_id': 'base_imu',
+        }
+        listed = [f'{name}:={value}' for name, value in given.items()]
+        net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'bringup.launch.py', *listed))
+        net.says('launch', 'A1.yaml is applied')
+        answer = net.ask('topic', 'list', '--no-daemon', '--spin-time', '3')
+        assert {'/robot/driver/raw', '/robot/imu/data_raw'} <= set(answer.split())
+        net.start('source', _python(net, _SOURCE))
+        message = net.ask('topic', 'echo', '--no-daemon', '--once', *_TYPED)
+        assert 'frame_id: base_imu' in message
+        assert '- -1.0' in message
+        net.says('launch', 'comes in and goes out')
+        net.stop('source')
+        net.stop('launch')
+
+
+_TYPED = ('/robot/imu/data_raw', 'sensor_msgs/msg/Imu')
+_SOURCE = """
+import time
+import numpy as np
+from imu_calib import middleware as ros
+from imu_calib.cdr import encode_imu
+from imu_calib.nodes import qos
+from imu_calib.stream import ImuBlock
+ros.init(args=[])
+node = ros.Node('driver')
+publisher = node.create_publisher(ros.messages.Imu, '/robot/driver/raw', qos.stream())
+ones = np.ones((1, 3))
+try:
+    while True:
+        block = ImuBlock(np.array([time.time_ns()]), ones, ones, 'imu_link')
+        publisher.publish(encode_imu(block).payloads()[0])
+        time.sleep(0.01)
+except KeyboardInterrupt:
+    pass
+"""
+
+
+def _python(net, code):
+    return net.ros('python3', '-c', code)
