@@ -161,6 +161,7 @@ class Fault:
         mask: Bits that it concerns.
         when_set: It is there when one of the bits is set; else when one of them is clear.
         words: What it means, for a person.
+        error: Whether the data must not be trusted; else it is worth a warning.
 
     """
 
@@ -168,6 +169,7 @@ class Fault:
     mask: int
     when_set: bool
     words: str
+    error: bool = True
 
     def read(self, rows: Bytes) -> NDArray[np.bool_]:
         """Return in which of the (n, length) contiguous frames it is there."""
@@ -412,7 +414,10 @@ def _fault(section: Section, number: Number) -> Fault:
     when = section.text('when', 'set')
     if when not in {'set', 'clear'}:
         raise InputError(f"{section.key('when')}: found {when!r}, expected 'set' or 'clear'.")
-    return Fault(number, mask, when == 'set', section.text('says'))
+    level = section.text('level', 'error')
+    if level not in {'warn', 'error'}:
+        raise InputError(f"{section.key('level')}: found {level!r}, expected 'warn' or 'error'.")
+    return Fault(number, mask, when == 'set', section.text('says'), level == 'error')
 
 
 def _constant(section: Section, length: int) -> tuple[tuple[int, int], ...]:

@@ -235,11 +235,12 @@ class Health:
         for words in self._faults_new:
             self._events[f'fault {words}'] = words, steady
         self._faults_new.clear()
-        now = [text for name, (text, _) in self._events.items() if name.startswith('fault ')]
+        now = {text for name, (text, _) in self._events.items() if name.startswith('fault ')}
         figures = {words: f'{count} frames' for words, count in self._faults.items()}
         if now:
             text = f'The device reports: {", ".join(sorted(now))}.'
-            return [Word('status', Severity.ERROR, text, figures)]
+            grave = any(fault.error and fault.words in now for fault in self._format.faults)
+            return [Word('status', Severity.ERROR if grave else Severity.WARN, text, figures)]
         return [Word('status', Severity.OK, 'The device reports no fault.', figures)]
 
 
