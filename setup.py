@@ -15,7 +15,14 @@ def shared(folder: str) -> list[tuple[str, list[str]]]:
 
 
 # As `ros2 run imu_calib` and the launch files call them.
-NODES = ('calibrator_node', 'compensator_node', 'imu_node', 'stand_node', 'turntable_node')
+NODES = (
+    'calibrator_node',
+    'compensator_node',
+    'hand_node',
+    'imu_node',
+    'stand_node',
+    'turntable_node',
+)
 
 # The wheel has no build for other machines; there the nodes need ROS 2.
 DDS = "cyclonedds>=11; platform_machine == 'x86_64'"

@@ -24,6 +24,7 @@ NODES = {
     'calibrator_node': 'CalibratorNode',
     'compensator_node': 'CompensatorNode',
     'stand_node': 'StandNode',
+    'hand_node': 'HandNode',
 }
 TYPES = {'bool': bool, 'int': int, 'double': float, 'string': str}
 
@@ -50,6 +51,7 @@ def declared(monkeypatch, tmp_path):
             'imu_node': {'port': f'socket://127.0.0.1:{port}'},
             'calibrator_node': {'latitude': 30.0},
             'stand_node': {'port': port},
+            'hand_node': {'port': port},
         }
         words = [w for k, v in given.get(name, {}).items() for w in ('-p', f'{k}:={v}')]
         ros.init(args=['--ros-args', *words])

@@ -25,6 +25,9 @@ class Monitor:
         self._node = ros.Node('imu_calib_stand')
         self._state: Any = None
         self._progress: Any = None
+        self._service: Any = None
+        self._answer: Any = None
+        self._span = (0.0, 0.0)
         self._first: float | None = None
         self._last = 0.0
         self.outcome: tuple[bool, str] | None = None
@@ -69,6 +72,30 @@ class Monitor:
             words.append(f'{known} of {len(progress.parameter_names)} parameters')
         return ', '.join(words)
 
+    @property
+    def progress(self) -> Any:
+        """The last imu_calib_msgs/CalibrationProgress; None before the first."""
+        return self._progress
+
+    @property
+    def worked(self) -> float:
+        """Between the first and the last data that progress was told of, s."""
+        return self._span[1] - self._span[0]
+
+    def solve(self) -> None:
+        """Ask the calibrator to end the session with what is here."""
+        if self._service is None:
+            self._service = self._node.create_client(ros.Trigger, 'calibrator_node/solve')
+        self._answer = self._service.call_async(ros.Trigger.Request())
+
+    @property
+    def refusal(self) -> str:
+        """Why the calibrator did not end the session when asked, else empty."""
+        answer = self._answer
+        if answer is None or not answer.done() or answer.result() is None:
+            return ''
+        return '' if answer.result().success else str(answer.result().message)
+
     def close(self) -> None:
         """Leave."""
         self._node.destroy_node()
@@ -85,6 +112,9 @@ class Monitor:
 
     def _on_progress(self, message: Any) -> None:
         self._progress = message
+        now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        if now > 0:
+            self._span = (self._span[0] or now, now)
 
     def _on_calibration(self, message: Any) -> None:
         if message.status == message.VALID:

@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -27,6 +28,22 @@ _DOMAINS = range(1, 102)
 """Those whose ports lie below what Linux gives to other programs."""
 
 _PATIENCE = 6.0
+
+
+@dataclass
+class Outcome:
+    """How a session ended.
+
+    Attributes:
+        finished: Whether there is a calibration.
+        text: What the calibrator said last, or why it came to nothing.
+        duration: What it took, s of the stand's time.
+
+    """
+
+    finished: bool
+    text: str
+    duration: float
 
 
 class Processes:

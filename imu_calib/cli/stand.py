@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,19 @@ from ..calibrator import Setup
 from ..earth import Site
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
+from ..methods import free
 from ..plan import load_plan
 from ..prediction import check_session
 from ..report.parameters import parameter_table
 from ..turntable import load_table
 from ..units import DEG
-from . import options
-from .processes import Processes, free_port, private_network
+from . import by_hand, options
+from .processes import Outcome, Processes, free_port, private_network
 from .simulate import LUOYANG
 from .terminal import OUTPUT, progress_bar, sentence_list
 
-_ORDER = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
+_ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
+_IMU, _TRUTH, _HELD = 'fog_medium', 'cao2022_table1', 'mems_counts'
 _JOURNAL = 'journal'
 _RESULT = 'calibration.yaml'
 _START = 30.0
@@ -39,7 +40,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         '-o', '--output', default='stand', metavar='DIR', help='folder to create (default: stand)'
     )
     parser.add_argument(
-        '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
+        '--imu',
+        metavar='NAME|FILE',
+        help=f'default: {_IMU}; {_HELD} where the unit is held by hand',
     )
     parser.add_argument(
         '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
@@ -55,7 +58,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     simulated = parser.add_argument_group('simulated hardware')
     simulated.add_argument(
-        '--truth', default='cao2022_table1', metavar='NAME|FILE', help="the unit's true parameters"
+        '--truth',
+        metavar='NAME|FILE',
+        help=f"the unit's true parameters (default: {_TRUTH}; {_HELD} where it is held by hand)",
     )
     simulated.add_argument(
         '--azimuth', type=float, default=0.0, metavar='DEG', help="true heading of the table's zero"
@@ -83,6 +88,7 @@ def run(arguments: argparse.Namespace) -> None:
 
     """
     folder = Path(arguments.output).expanduser()
+    _complete(arguments)
     truth = _check(arguments, folder)
     folder.mkdir(parents=True)
     environment = {} if arguments.port else private_network()
@@ -95,7 +101,10 @@ def run(arguments: argparse.Namespace) -> None:
         for node in _ORDER:
             if node in parameters:
                 processes.start(node, parameters[node])
-        outcome = _follow(processes, environment)
+        if load_plan(arguments.plan).by_hand:
+            outcome = by_hand.follow(processes, environment)
+        else:
+            outcome = _follow(processes, environment)
     if not outcome.finished:
         raise NotObservable(outcome.text)
     calibration = Calibration.load(folder / _RESULT)
@@ -118,19 +127,30 @@ def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
         raise InputError('--port: a real stand needs --latitude.')
     latitude = LUOYANG if arguments.latitude is None else arguments.latitude
     site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
-    plan, table, imu = (
-        load_plan(arguments.plan),
-        load_table(arguments.table),
-        load_imu(arguments.imu),
-    )
-    check_session(Setup(imu, plan, table, site, arguments.method or None))
+    plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
+    table = None if plan.by_hand else load_table(arguments.table)
+    setup = Setup(imu, plan, table, site, arguments.method or None)
+    check_session(setup)
+    if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
+        raise InputError(
+            f'Plan {plan.name} is for a hand: give --port, where the IMU is. Simulated hands hold '
+            f'free positions alone (plan {free.NAME}).'
+        )
     if arguments.port:
         return None
     return options.load_truth(arguments.truth, imu)
 
 
+def _complete(arguments: argparse.Namespace) -> None:
+    """Put in what goes without saying: the IMU, and what it truly is where it is simulated."""
+    held = load_plan(arguments.plan).by_hand
+    arguments.imu = arguments.imu or (_HELD if held else _IMU)
+    arguments.truth = arguments.truth or (_HELD if held else _TRUTH)
+
+
 def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
     """Return the parameters of every node that is to run."""
+    _complete(arguments)
     simulated = not arguments.port
     site = {
         'latitude': LUOYANG if arguments.latitude is None else arguments.latitude,
@@ -164,6 +184,19 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             'autostart': True,
         },
     }
+    if load_plan(arguments.plan).by_hand:
+        del nodes['turntable_node'], nodes['calibrator_node']['table']
+        if simulated:
+            nodes['hand_node'] = {
+                **site,
+                'imu': arguments.imu,
+                'truth': arguments.truth,
+                'sample_rate': arguments.sample_rate,
+                'seed': arguments.seed,
+                'speed': arguments.speed,
+                'port': port,
+            }
+        return nodes
     if simulated:
         # Simulated time stands still while a busy machine catches up: that is no silence.
         nodes['turntable_node'] |= {'watchdog_timeout': 10.0, 'calibrator_timeout': 10.0}
@@ -184,22 +217,6 @@ def _frames(arguments: argparse.Namespace) -> str:
     """Name the frames of the simulated IMU: those of a skewed gyro hold its count as well."""
     skewed = load_imu(arguments.imu).skewed is not None
     return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
-
-
-@dataclass
-class Outcome:
-    """How a session ended.
-
-    Attributes:
-        finished: Whether there is a calibration.
-        text: What the calibrator said last, or why it came to nothing.
-        duration: What the plan took, s of the stand's time.
-
-    """
-
-    finished: bool
-    text: str
-    duration: float
 
 
 def _follow(processes: Processes, environment: dict[str, str]) -> Outcome:

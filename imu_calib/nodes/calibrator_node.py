@@ -30,6 +30,7 @@ from .parameters import declare
 
 _TICK = 0.005
 _SECOND = 1.0
+_GLANCE = 0.25
 _MOST = 4096
 _GHOST = 15.0
 _STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
@@ -82,6 +83,9 @@ class CalibratorNode(ros.Node):
         self._session = self._new_session()
         self.create_timer(_TICK, self._on_tick, clock=steady)
         self.create_timer(_SECOND, self._on_second, clock=steady)
+        if self._setup.table is None:
+            # A person looks at what it says while holding still.
+            self.create_timer(_GLANCE, self._on_glance, clock=steady)
 
     def stop(self) -> list[Any]:
         """Leave the journal such that the next start goes on with it."""
@@ -175,6 +179,9 @@ class CalibratorNode(ros.Node):
                 self._two_publishers()
             else:
                 self._session.take(kind, payloads, now)
+
+    def _on_glance(self) -> None:
+        self._session.solve()
 
     def _on_second(self) -> None:
         self._subscribe_anew()
@@ -324,7 +331,12 @@ class CalibratorNode(ros.Node):
         elif session.phase is Phase.FINISHED and session.calibration is not None:
             level = Level.WARN if session.calibration.findings else Level.OK
         figures = {} if session.review is None else _worst(session.review)
-        self._diagnostics.report('calibration', level, self._sentence(), **figures)
+        text = self._sentence()
+        if session.guidance is not None and not session.over:
+            known = int((session.review.std > 0).sum()) if session.review is not None else 0
+            total = len(session.parameters)
+            text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined'
+        self._diagnostics.report('calibration', level, text, **figures)
         if session.trouble:
             self._diagnostics.report('journal', Level.ERROR, session.trouble)
         elif not session.over:
@@ -383,8 +395,13 @@ class CalibratorNode(ros.Node):
 
     def _on_solve(self, _: Any, response: Any) -> Any:
         """End the session with what is here."""
-        response.success = not self._session.over
+        session = self._session
+        response.success = not session.over
         response.message = self._sentence()
+        review = session.review
+        if session.guidance is not None and review is not None and review.result is None:
+            # In the hand there is always another hold to be made.
+            response.success, response.message = False, review.refusal
         if response.success:
             self._session.end()
             response.message = 'solving; the result comes on calibration'

@@ -7,9 +7,7 @@ frames, and at the pace of the wall clock while nobody leads the table.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import socket
 import threading
 import time
 from collections import deque
@@ -31,15 +29,14 @@ from ..units import DEG
 from . import qos
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
+from .line import Line
 from .parameters import declare
 
 _STEP = 0.1
 _AHEAD = 0.25
 _ALIVE = 2.0
 _REST = 0.0005
-_STUCK = 20.0
 _PATIENCE = 5.0
-_BUFFER = 1 << 16
 _LUOYANG = 34.65
 _EPOCH = 1_700_000_000_000_000_000
 
@@ -55,7 +52,7 @@ class StandNode(ros.Node):
         )
         self._pace = _Pace(speed)
         port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
-        self._line = _Line(port)
+        self._line = Line(port)
         self._diagnostics = Diagnostics(self, 'simulated stand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self._joint_publisher = self.create_publisher(
@@ -233,78 +230,6 @@ class _Pace:
         if self._anchor is None or self._anchor[2] != speed:
             self._anchor = (now, wall, speed)
         return now - self._anchor[0] <= (wall - self._anchor[1]) * speed
-
-
-class _Line:
-    """A TCP server with one reader at a time; what nobody reads is lost, as on a serial line."""
-
-    def __init__(self, port: int) -> None:
-        self.port = port
-        self.dropped = 0
-        try:
-            self._server = socket.create_server(('127.0.0.1', port))
-        except OSError as error:
-            raise InputError(f'Parameter port: {port} cannot be used ({error.strerror}).') from None
-        # A small buffer: a reader that lags is to hold simulated time back soon.
-        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
-        self._server.setblocking(False)
-        self._reader: socket.socket | None = None
-        self._left = memoryview(b'')
-        self._moved = time.monotonic()
-
-    @property
-    def connected(self) -> bool:
-        """Whether somebody reads."""
-        return self._reader is not None
-
-    @property
-    def idle(self) -> bool:
-        """Whether the reader has taken all that was sent."""
-        return not self._left
-
-    def tend(self) -> None:
-        """Accept a reader, and send on what the last one has not taken."""
-        with contextlib.suppress(BlockingIOError):
-            reader, _ = self._server.accept()
-            reader.setblocking(False)
-            self._drop()
-            self._reader = reader
-        self._push()
-        if self._left and time.monotonic() - self._moved > _STUCK:
-            self._drop()
-
-    def send(self, line: bytes) -> None:
-        """Send bytes, or lose them where nobody reads."""
-        if self._reader is None:
-            self.dropped += len(line)
-            return
-        self._left = memoryview(line)
-        self._push()
-
-    def close(self) -> None:
-        """Hang up."""
-        self._drop()
-        self._server.close()
-
-    def _push(self) -> None:
-        while self._left and self._reader is not None:
-            try:
-                sent = self._reader.send(self._left)
-            except BlockingIOError:
-                return
-            except OSError:
-                self._drop()
-                return
-            self._left = self._left[sent:]
-            self._moved = time.monotonic()
-
-    def _drop(self) -> None:
-        self.dropped += len(self._left)
-        self._left = memoryview(b'')
-        if self._reader is not None:
-            self._reader.close()
-        self._reader = None
-        self._moved = time.monotonic()
 
 
 def main() -> int:

@@ -17,10 +17,12 @@ from .motion import Motion
 from .options import ImuOptions
 from .profile import Track, side_by_side, trapezoid
 
-_PAUSE = 0.2
+PAUSE = 0.2
+"""From the end of a turn to a hand that is quiet, s."""
+
 _BLOCK_SECONDS = 10.0
 _EPOCH = 1_700_000_000_000_000_000
-_AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
+AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +88,8 @@ def by_hand(
                 for a, b in zip(angles[k], angles[k + 1], strict=True)
             ]
             tracks = [track.followed_by(move) for track, move in zip(tracks, moves, strict=True)]
-            now = max(move.end for move in moves) + _PAUSE
-    motion = Motion(np.eye(3), _AXES, np.zeros(3), np.eye(3), side_by_side(tracks))
+            now = max(move.end for move in moves) + PAUSE
+    motion = Motion(np.eye(3), AXES, np.zeros(3), np.eye(3), side_by_side(tracks))
     return HandSession(motion, np.array(holds), now)
 
 
@@ -102,13 +104,18 @@ def anyhow(holds: int, seed: int = 0, shortest: float = 2.0, longest: float = 4.
 
     """
     rng = np.random.default_rng(seed)
-    # Points of a spiral of equal area (Saff and Kuijlaars 1997): up in body axes.
-    height = 1 - (2 * np.arange(holds) + 1) / holds
-    turn = np.pi * (1 + np.sqrt(5)) * np.arange(holds)
-    order = rng.permutation(holds)
-    level = np.sqrt(1 - height**2)
-    up = np.column_stack([level * np.cos(turn), level * np.sin(turn), height])[order]
+    up = directions(holds, rng)
     pitch, roll = -np.arcsin(up[:, 0]), np.arctan2(up[:, 1], up[:, 2])
     yaw = rng.uniform(-np.pi, np.pi, holds)
     seconds = rng.uniform(shortest, longest, holds)
     return by_hand(np.column_stack([yaw, pitch, roll]), seconds)
+
+
+def directions(count: int, rng: np.random.Generator) -> Floats:
+    """Return (count, 3) directions of up in body axes, spread evenly, in any order."""
+    # Points of a spiral of equal area (Saff and Kuijlaars 1997).
+    height = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(count)
+    level = np.sqrt(1 - height**2)
+    order = rng.permutation(count)
+    return np.column_stack([level * np.cos(turn), level * np.sin(turn), height])[order]

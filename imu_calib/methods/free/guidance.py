@@ -29,6 +29,10 @@ _ACCEL_BIAS_WIDTH = 0.5
 _TOLD = 0.5
 """Share of what was known beforehand below which a session has told something."""
 
+_CHECKED = 2 * FEWEST
+"""Fewest holds that are enough: as many again as gravity has to tell, so that one that was no
+hold, or noise that is more than it should be, shows."""
+
 _STEPS = 40
 _PARALLEL = 1e-6
 HOLD_SECONDS = 3.0
@@ -133,7 +137,7 @@ def guide(
     angle = np.array([p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS])
     with np.errstate(invalid='ignore'):
         good = std <= np.where(scale, wanted.scale_factor, np.where(angle, wanted.angle, np.inf))
-    enough = bool(good[FREE & (scale | angle)].all())
+    enough = len(holds) >= _CHECKED and bool(good[FREE & (scale | angle)].all())
     return _told(holding, hold_seconds, len(holds), std, tuple(found), enough=enough)
 
 
@@ -154,6 +158,11 @@ def _told(
     else:
         stage, text = Stage.TURN, f'{holds} holds so far. Turn to {best}, and hold still.'
     return Guidance(stage, text, holds, std, candidates)
+
+
+def direction(words: str) -> Floats | None:
+    """Return up in body axes that a candidate's words stand for; None for other words."""
+    return dict(_directions()).get(words)
 
 
 def _directions() -> list[tuple[str, Floats]]:

@@ -112,8 +112,8 @@ class FreeCalibrator:
 
     def review(self) -> FreeReview:
         """End of the session, or of a snapshot: solve, and say what to do next."""
-        still = self._segmenter.still
         session = self._segmenter.finish()
+        still = self._segmenter.still
         result, refusal = None, ''
         try:
             result = self._solve(session)

@@ -1,0 +1,143 @@
+"""hand_node: a simulated IMU in a simulated hand, which does what the calibrator asks for.
+
+The IMU sends frames over a TCP socket, as a device would. Simulated time goes as fast as they are
+read, and at the pace of the wall clock while the person waits for advice.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import Any
+
+from .. import middleware as ros
+from ..calibration import Calibration
+from ..earth import Site
+from ..errors import ImuCalibError
+from ..imu import load_imu
+from ..methods.free.guidance import direction
+from ..middleware import messages
+from ..share import named_file
+from ..simulation import ImuOptions
+from ..simulation.held import HeldHardware
+from ..units import DEG
+from . import qos
+from .diagnostics import Diagnostics, Level
+from .entry import entry_point
+from .line import Line
+from .parameters import declare
+
+_STEP = 0.1
+_REST = 0.0005
+_PATIENCE = 5.0
+_LUOYANG = 34.65
+_EPOCH = 1_700_000_000_000_000_000
+
+
+class HandNode(ros.Node):
+    """Publishes /clock, listens to calibration/progress, serves frames."""
+
+    def __init__(self) -> None:
+        super().__init__('hand_node')
+        self._hardware = self._read_hardware()
+        self._speed = declare(
+            self, 'speed', 0.0, 'times the wall clock at most; 0: as fast as is followed', lower=0.0
+        )
+        port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
+        self._line = Line(port)
+        self._diagnostics = Diagnostics(self, 'simulated hand')
+        self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
+        self.create_subscription(
+            messages.CalibrationProgress, 'calibration/progress', self._on_progress, qos.latched()
+        )
+        self.create_timer(0.1, self._report, clock=ros.Clock(clock_type=ros.ClockType.STEADY_TIME))
+        self._anchor: tuple[float, float, float] | None = None
+        self._ending = threading.Event()
+        self._life = threading.Thread(target=self._live, name='hand', daemon=True)
+        self._life.start()
+
+    def stop(self) -> list[Any]:
+        """Switch off."""
+        self._ending.set()
+        self._life.join(timeout=_PATIENCE)
+        self._line.close()
+        self.get_logger().info(
+            f'{self._hardware.holds} holds; the IMU made {self._hardware.frames} frames, '
+            f'{self._line.dropped} bytes of them met no reader'
+        )
+        return []
+
+    def _read_hardware(self) -> HeldHardware:
+        imu = load_imu(declare(self, 'imu', 'mems_counts', 'name or file of the IMU'))
+        truth = declare(self, 'truth', 'mems_counts', "name or file of the unit's true parameters")
+        latitude = declare(self, 'latitude', _LUOYANG, 'deg, negative in the south')
+        height = declare(self, 'height', 0.0, 'm above the ellipsoid')
+        gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
+        wander = declare(self, 'bias_instability', False, 'whether the biases wander')
+        rate = declare(self, 'sample_rate', 0.0, 'of the IMU, Hz; 0: its own', lower=0.0)
+        seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
+        return HeldHardware(
+            imu,
+            Calibration.load(named_file('truths', truth)).model,
+            Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity),
+            ImuOptions(bias_instability=wander, sample_rate=rate or None),
+            seed=seed,
+            epoch=_EPOCH,
+        )
+
+    def _on_progress(self, message: Any) -> None:
+        best = message.next_attitudes
+        self._hardware.advise(int(message.step), direction(best[0]) if best else None)
+
+    def _live(self) -> None:
+        """Let simulated time pass until the node ends."""
+        while not self._ending.is_set():
+            self._line.tend()
+            if not (self._line.idle and self._may_go_on()):
+                time.sleep(_REST)
+                continue
+            try:
+                self._advance()
+            except ImuCalibError as error:
+                self.get_logger().fatal(f'the simulation ends: {error}')
+                return
+
+    def _may_go_on(self) -> bool:
+        """Say whether the next step may be made.
+
+        Who waits for advice, or for somebody who reads, waits by the wall clock.
+        """
+        waits = self._hardware.waits or not self._line.connected
+        speed = (self._speed or 1.0) if waits else self._speed
+        if not speed:
+            self._anchor = None
+            return True
+        now, wall = self._hardware.time, time.monotonic()
+        if self._anchor is None or self._anchor[2] != speed:
+            self._anchor = now, wall, speed
+        return now - self._anchor[0] <= (wall - self._anchor[1]) * speed
+
+    def _advance(self) -> None:
+        # The line before the clock: what a frame is stamped with is then never early.
+        self._line.send(self._hardware.advance(_STEP))
+        clock = messages.Clock()
+        now = _EPOCH + round(self._hardware.time * 1e9)
+        clock.clock.sec, clock.clock.nanosec = divmod(now, 1_000_000_000)
+        self._clock_publisher.publish(clock)
+
+    def _report(self) -> None:
+        connected = self._line.connected
+        text = 'is read' if connected else f'waits for a reader on port {self._line.port}'
+        level = Level.OK if connected else Level.WARN
+        frames = str(self._hardware.frames)
+        self._diagnostics.report('IMU', level, text, frames=frames)
+
+
+def main() -> int:
+    """Run the node; return the exit code."""
+    return entry_point(HandNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,84 @@
+"""The line of a simulated device: a socket that serves its frames."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+
+from ..errors import InputError
+
+_STUCK = 20.0
+_BUFFER = 1 << 16
+
+
+class Line:
+    """A TCP server with one reader at a time; what nobody reads is lost, as on a serial line."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self.dropped = 0
+        try:
+            self._server = socket.create_server(('127.0.0.1', port))
+        except OSError as error:
+            raise InputError(f'Parameter port: {port} cannot be used ({error.strerror}).') from None
+        # A small buffer: a reader that lags is to hold simulated time back soon.
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+        self._server.setblocking(False)
+        self._reader: socket.socket | None = None
+        self._left = memoryview(b'')
+        self._moved = time.monotonic()
+
+    @property
+    def connected(self) -> bool:
+        """Whether somebody reads."""
+        return self._reader is not None
+
+    @property
+    def idle(self) -> bool:
+        """Whether the reader has taken all that was sent."""
+        return not self._left
+
+    def tend(self) -> None:
+        """Accept a reader, and send on what the last one has not taken."""
+        with contextlib.suppress(BlockingIOError):
+            reader, _ = self._server.accept()
+            reader.setblocking(False)
+            self._drop()
+            self._reader = reader
+        self._push()
+        if self._left and time.monotonic() - self._moved > _STUCK:
+            self._drop()
+
+    def send(self, line: bytes) -> None:
+        """Send bytes, or lose them where nobody reads."""
+        if self._reader is None:
+            self.dropped += len(line)
+            return
+        self._left = memoryview(line)
+        self._push()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._drop()
+        self._server.close()
+
+    def _push(self) -> None:
+        while self._left and self._reader is not None:
+            try:
+                sent = self._reader.send(self._left)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._drop()
+                return
+            self._left = self._left[sent:]
+            self._moved = time.monotonic()
+
+    def _drop(self) -> None:
+        self.dropped += len(self._left)
+        self._left = memoryview(b'')
+        if self._reader is not None:
+            self._reader.close()
+        self._reader = None
+        self._moved = time.monotonic()

@@ -1,0 +1,123 @@
+"""A unit in somebody's hand that lives: time passes in steps, advice comes in, bytes go out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..earth import Site
+from ..imu import ImuSpec
+from ..model import SensorModel
+from ..stream import Floats
+from ..units import DEG
+from .frames import pack
+from .hand import AXES, PAUSE, directions
+from .imu import SimulatedImu
+from .motion import Motion
+from .options import ImuOptions
+from .profile import Track, side_by_side, trapezoid
+
+_SHORTEST, _LONGEST = 3.3, 4.0
+_RATE = 180 * DEG
+_ACCELERATION = 720 * DEG
+_AIM = 4 * DEG
+_ROUND = 30
+_MEMORY = 5.0
+
+
+class HeldHardware:
+    """A unit and the person who holds it, with one clock.
+
+    The person holds it still for three or four seconds, and then on until there is advice that
+    counts this hold, or patience ends; turns it where the advice says, as well as a hand can, or on
+    in an order of its own; and so forth without an end.
+
+    Attributes:
+        time: s since the epoch.
+        frames: How many frames the IMU has made.
+        holds: Holds so far, the one that goes on among them.
+        waits: Whether the person holds on for advice.
+
+    """
+
+    def __init__(
+        self,
+        imu: ImuSpec,
+        model: SensorModel,
+        site: Site,
+        options: ImuOptions,
+        *,
+        seed: int = 0,
+        epoch: int = 0,
+        patience: float = 10.0,
+    ) -> None:
+        imu_rng, self._rng = np.random.default_rng(seed).spawn(2)
+        self._imu = SimulatedImu(imu, model, site, options, imu_rng, epoch=epoch)
+        self._options = options
+        self._patience = patience
+        self._order = list(directions(_ROUND, self._rng))
+        self._angles = self._aimed(self._order.pop())
+        self._track = Track.standing(0.0, self._angles)
+        self._arrived = 0.0
+        self._wanted = float(self._rng.uniform(_SHORTEST, _LONGEST))
+        self._advice: tuple[int, Floats | None] = 0, None
+        self._counted = 0
+        self.time = 0.0
+        self.frames = 0
+        self.holds = 1
+
+    @property
+    def waits(self) -> bool:
+        """Whether it has been held long enough, and no advice has counted that yet."""
+        return self._held >= self._wanted and self._advice[0] <= self._counted
+
+    @property
+    def _held(self) -> float:
+        return self.time - self._arrived
+
+    def advise(self, holds: int, up: Floats | None) -> None:
+        """Hear what to do next.
+
+        Args:
+            holds: How many holds the advice knows of.
+            up: (3,) where up should be next, in body axes; None for anywhere else.
+
+        """
+        self._advice = holds, up
+
+    def advance(self, seconds: float) -> bytes:
+        """Let time pass; return the bytes on the IMU's line."""
+        if self._held >= self._wanted and (not self.waits or self._held >= self._patience):
+            self._turn()
+        end = self.time + seconds
+        motion = Motion(np.eye(3), AXES, np.zeros(3), np.eye(3), self._track)
+        samples = self._imu.advance(motion, end)
+        celsius = self._options.warming.celsius(np.full(len(samples), end))
+        line = pack(samples, celsius, self.frames)
+        self.frames += len(samples)
+        self.time = end
+        self._track = self._track.since(end - _MEMORY)
+        return line
+
+    def _turn(self) -> None:
+        waited, up = self.waits, self._advice[1]
+        self._counted = self._advice[0]
+        if up is None or waited:
+            self._order = self._order or list(directions(_ROUND, self._rng))
+            up = self._order.pop()
+        target = self._aimed(up)
+        moves = [
+            trapezoid(self.time, float(a), float(b), _RATE, _ACCELERATION)
+            for a, b in zip(self._angles, target, strict=True)
+        ]
+        track = side_by_side([self._track.columns(slice(k, k + 1)) for k in range(3)])
+        self._track = track.followed_by(side_by_side(moves))
+        self._angles = target
+        self._arrived = max(move.end for move in moves) + PAUSE
+        self._wanted = float(self._rng.uniform(_SHORTEST, _LONGEST))
+        self.holds += 1
+
+    def _aimed(self, up: Floats) -> Floats:
+        """Return yaw, pitch and roll that have `up` about there, and any heading."""
+        pitch, roll = -np.arcsin(np.clip(up[0], -1, 1)), np.arctan2(up[1], up[2])
+        off = self._rng.normal(0.0, _AIM, 2)
+        return np.array([self._rng.uniform(-np.pi, np.pi), pitch + off[0], roll + off[1]])

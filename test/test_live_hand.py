@@ -1,0 +1,169 @@
+"""A unit in the hand, live: the calibrator says what to do next, and the hand does it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from live import Stand
+from rich.console import Console
+from sessions import SITE
+
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Setup
+from imu_calib.cli.by_hand import reached, view
+from imu_calib.cli.main import main
+from imu_calib.devices import Decoder, load_format
+from imu_calib.imu import load_imu
+from imu_calib.methods.free import FREE
+from imu_calib.methods.free.guidance import Stage, direction
+from imu_calib.methods.free.session import FreeCalibrator
+from imu_calib.model import PARAMETER_NAMES, ParameterKind
+from imu_calib.plan import load_plan
+from imu_calib.share import named_file
+from imu_calib.simulation import ImuOptions
+from imu_calib.simulation.held import HeldHardware
+from imu_calib.stream import ImuBlock
+from imu_calib.units import ARCMIN, DEG, PPM
+
+SPEC = load_imu('mems_counts')
+TRUTH = Calibration.load(named_file('truths', 'mems_counts'))
+NODES = ('hand_node', 'imu_node', 'calibrator_node')
+
+
+def held(seed=0):
+    return HeldHardware(SPEC, TRUTH.model, SITE, ImuOptions(bias_instability=False), seed=seed)
+
+
+class Session:
+    """A hand and a calibrator that hear each other at once."""
+
+    def __init__(self, seed=0):
+        self.hand = held(seed)
+        self.decoder = Decoder(load_format('simulated'))
+        self.calibrator = FreeCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
+        self.said = []
+
+    def goes_on(self, seconds):
+        samples = self.decoder.feed(self.hand.advance(seconds))
+        self.calibrator.feed(ImuBlock(samples.time, samples.gyro, samples.accel))
+
+    def advises(self):
+        review = self.calibrator.snapshot().review()
+        guidance = review.guidance
+        self.said.append(guidance)
+        self.hand.advise(guidance.holds, direction(guidance.candidates[0].words))
+        return review
+
+
+def test_a_hand_that_does_what_it_is_told_is_soon_told_that_it_is_enough():
+    session = Session()
+    for _ in range(120):
+        session.goes_on(1.0)
+        if session.hand.waits:
+            review = session.advises()
+            if review.guidance.stage is Stage.ENOUGH:
+                break
+    assert review.guidance.stage is Stage.ENOUGH
+    assert review.guidance.holds == session.hand.holds <= 20
+    found = review.result.calibration
+    errors = (found.values - TRUTH.values)[FREE] / found.std[FREE]
+    assert np.sqrt(np.mean(errors**2)) < 1.6
+    scales = [p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in review.parameters]
+    assert review.std[scales].max() < 300 * PPM
+    # Live is offline: the last review is what the end of the session gives.
+    assert np.array_equal(session.calibrator.finish().calibration.values, found.values)
+
+
+def test_the_countdown_runs_while_the_unit_is_held_and_the_hold_counts_at_its_end():
+    session = Session()
+    told = []
+    for _ in range(36):
+        session.goes_on(0.1)
+        told.append(session.calibrator.snapshot().review().guidance)
+    stages = [guidance.stage for guidance in told]
+    assert stages[10] is Stage.HOLD
+    assert told[10].text == 'Hold still: 2 s more.'
+    assert told[10].holds == 0
+    assert stages[-1] is Stage.TURN
+    assert told[-1].holds == 1
+    assert 'Hold still' not in told[-1].text
+
+
+def test_the_hand_goes_where_it_is_told_and_nowhere_while_it_waits():
+    hand = held()
+    for _ in range(45):
+        hand.advance(0.1)
+    assert hand.waits
+    assert hand.holds == 1
+    hand.advise(1, direction('Y down'))
+    line = b''.join(hand.advance(0.1) for _ in range(40))
+    assert hand.holds == 2
+    accel = Decoder(load_format('simulated')).feed(line).accel[-50:].mean(axis=0)
+    force = TRUTH.model.compensate(np.zeros(3), accel * SPEC.accel.scale_factor)[1]
+    # A hand aims to within a few degrees.
+    assert force @ [0, -1, 0] > SITE.gravity * np.cos(15 * DEG)
+    for _ in range(120):
+        hand.advance(0.1)
+    assert hand.holds == 3
+
+
+def progress(**changed):
+    std = np.full(21, np.nan)
+    free = [name for name, kept in zip(PARAMETER_NAMES, FREE, strict=True) if kept]
+    return SimpleNamespace(
+        **{
+            'text': '5 holds so far. Turn to Z down, and hold still.',
+            'step': 5,
+            'parameter_names': free,
+            'standard_deviations': std.tolist(),
+            'next_attitudes': ['Z down', 'half X up, half Z down'],
+            'next_gains': [4.0, 1.0],
+            **changed,
+        }
+    )
+
+
+def test_a_person_sees_what_to_do_and_what_each_next_hold_gains():
+    console = Console(width=100)
+    with console.capture() as capture:
+        console.print(view(progress(), 'too few holds'))
+    lines = capture.get().splitlines()
+    assert 'Turn to Z down' in lines[0]
+    assert lines[1].startswith('5 holds, scale factors open')
+    first, second = (next(x for x in lines[2:] if w in x) for w in ('4.00', '1.00'))
+    assert first.count('#') == 4 * second.count('#')
+    assert any('Not yet: too few holds' in line for line in lines)
+    known = np.full(21, 2 * ARCMIN)
+    known[:3] = 90 * PPM
+    assert 'misalignments to 2 arcmin' in reached(progress(standard_deviations=known))
+
+
+def test_a_session_of_nodes_ends_when_it_is_enough_in_what_its_journal_gives(tmp_path):
+    with Stand(tmp_path, plan='free_positions', nodes=NODES) as stand:
+        assert stand.wait(lambda: any(p.next_attitudes for p in stand.progress))
+        agreed, why = stand.call('/calibrator_node/solve')
+        assert not agreed
+        assert 'hold' in why
+        final = stand.ended()
+        assert final.status == final.VALID
+        assert final.method == 'free_positions'
+        guided = [p for p in stand.progress if p.next_gains]
+        assert guided[-1].step >= 18
+        assert {p.step for p in guided} >= set(range(1, 18))
+        assert any(p.text.startswith('Hold still') for p in guided)
+        found = stand.check_reprocessing().live
+        errors = (found.values - TRUTH.values)[FREE] / found.std[FREE]
+        assert np.abs(errors).max() < 5
+        assert set(stand.recorded_samples()) == {'/imu/pulses', '/imu/temperature'}
+
+
+def test_plans_for_a_hand_that_nobody_simulates_need_a_port(tmp_path, capsys):
+    assert main(['stand', 'six_position_by_hand', '-o', str(tmp_path / 'x')]) == 2
+    assert '--port' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('words', ['X up', 'half X down, half Y up, half Z down'])
+def test_the_words_for_an_attitude_name_one(words):
+    up = direction(words)
+    assert np.linalg.norm(up) == pytest.approx(1)
+    assert direction('sideways') is None
