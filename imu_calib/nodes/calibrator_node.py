@@ -399,7 +399,7 @@ class CalibratorNode(ros.Node):
         response.success = not session.over
         response.message = self._sentence()
         review = session.review
-        if session.guidance is not None and review is not None and review.result is None:
+        if self._setup.table is None and review is not None and review.result is None:
             # In the hand there is always another hold to be made.
             response.success, response.message = False, review.refusal
         if response.success:
