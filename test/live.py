@@ -38,6 +38,15 @@ def short_plan(folder, dwell=4.0, rates=(120, -120)):
     return path
 
 
+def same_middleware():
+    """Return what makes a process speak as this one does, whatever was loaded here first."""
+    if ros.RUNTIME == 'dds':
+        return {}
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    return {'RMW_IMPLEMENTATION': get_rmw_implementation_identifier()}
+
+
 class Stand:
     """The nodes of `imu-calib stand`, one by one, and what they say."""
 
@@ -48,7 +57,7 @@ class Stand:
         for name, more in changed.items():
             self.parameters[name] |= more
         self.folder.mkdir()
-        self.environment = private_network()
+        self.environment = {**private_network(), **same_middleware()}
         self.processes = Processes(self.folder, self.environment)
         self.states, self.progress, self.calibrations, self.words = [], [], [], []
         self.setpoints = []
