@@ -9,7 +9,18 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import ImuCalibError
-from . import calibrate, combine, compare, compensate, info, montecarlo, plans, simulate, stand
+from . import (
+    calibrate,
+    combine,
+    compare,
+    compensate,
+    info,
+    montecarlo,
+    plans,
+    simulate,
+    stand,
+    verify,
+)
 from .terminal import ERRORS
 
 _INTERRUPTED = 130
@@ -26,6 +37,7 @@ def build_parser() -> argparse.ArgumentParser:
         stand,
         simulate,
         calibrate,
+        verify,
         compensate,
         combine,
         compare,

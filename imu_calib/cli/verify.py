@@ -1,0 +1,98 @@
+"""imu-calib verify: the acceptance test of a calibration, by a recording that did not make it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..bags import Recording, open_recording
+from ..calibration import Calibration
+from ..errors import NotObservable
+from ..report.verification import (
+    limits_line,
+    moved_table,
+    rest_table,
+    triad_lines,
+    turn_table,
+    verdict_line,
+)
+from ..segmentation.segmenter import Segmenter
+from ..verification import Verdict, Verification, observe, verify
+from . import options
+from .terminal import OUTPUT, progress_bar, sentence_list
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        'verify',
+        help='a calibration against another recording',
+        description=__doc__,
+        epilog='Exit codes: 0 accepted, 1 rejected, 2 wrong usage or unreadable input.',
+    )
+    parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
+    parser.add_argument(
+        '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
+    )
+    options.add_session_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Verify and print.
+
+    Raises:
+        NotObservable: The calibration is rejected, or cannot be judged.
+
+    """
+    calibration = Calibration.load(Path(arguments.calibration))
+    with open_recording(arguments.bag) as recording:
+        verification, same = _verify(arguments, recording, calibration)
+    _show(verification, same)
+    if verification.verdict is Verdict.FAIL:
+        raise NotObservable(f'{arguments.calibration} is rejected by {arguments.bag}.')
+
+
+def _verify(
+    arguments: argparse.Namespace, recording: Recording, calibration: Calibration
+) -> tuple[Verification, bool]:
+    data, where = recording.custom_data, str(recording.path)
+    streams = options.find_streams(arguments, recording)
+    # What nobody says is left out: a plan gives names, a table attitudes.
+    plan = None
+    if arguments.plan is not None or 'imu_calib.plan' in data:
+        plan = options.find_plan(arguments, data, where)
+    imu = calibration.imu
+    if arguments.imu is not None or 'imu_calib.imu' in data:
+        imu = options.find_imu(arguments, data, where)
+    site = options.find_site(arguments, data, where)
+    table = options.find_table(arguments, data, where) if streams.joints is not None else None
+    segmenter = Segmenter(imu, table)
+    kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}
+    with progress_bar('reading') as show:
+        for _, block in recording.read(kinds, show):
+            segmenter.feed(block)
+    observed = observe(segmenter.finish(), imu, site, plan, table)
+    same = calibration.provenance.get('sha256') == recording.sha256()
+    return verify(calibration, observed), same
+
+
+def _show(verification: Verification, same: bool) -> None:
+    for table in (rest_table(verification), turn_table(verification)):
+        if table is not None:
+            OUTPUT.print(table)
+            OUTPUT.print()
+    OUTPUT.print(limits_line(verification))
+    for line in triad_lines(verification):
+        OUTPUT.print(line)
+    findings = list(verification.findings)
+    if same:
+        findings.insert(0, 'This recording made the calibration: it cannot but bear it out.')
+    sentence_list('Worth knowing', findings)
+    diagnoses = [t.diagnosis for t in verification.triads if t.diagnosis is not None]
+    sentence_list('Symptoms', [d.symptom for d in diagnoses])
+    for diagnosis in diagnoses:
+        if diagnosis.moved:
+            OUTPUT.print()
+            OUTPUT.print(moved_table(diagnosis.moved))
+    OUTPUT.print(f'\n{verdict_line(verification)}', style='bold')

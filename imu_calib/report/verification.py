@@ -1,0 +1,132 @@
+"""A verification on the screen: rests and turns by position, worst first, in engineers' units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.table import Table
+
+from ..units import ARCSEC, DEG, DEG_H, MICRO_G
+from ..verification import Compared, Moved, Quantity, Verdict, Verification
+from .parameters import Shown, decimals, engineering
+
+_SHOWN = {
+    Quantity.GRAVITY: Shown('ug', MICRO_G),
+    Quantity.DIRECTION: Shown('arcsec', ARCSEC),
+    Quantity.EARTH_RATE: Shown('deg/h', DEG_H),
+    Quantity.UP_RATE: Shown('deg/h', DEG_H),
+    Quantity.TURN: Shown('arcsec', ARCSEC),
+    Quantity.TURN_AXIS: Shown('arcsec', ARCSEC),
+}
+_AT_REST = (Quantity.GRAVITY, Quantity.DIRECTION, Quantity.EARTH_RATE, Quantity.UP_RATE)
+_IN_TURNS = (Quantity.TURN, Quantity.TURN_AXIS)
+_WORDS = {Verdict.PASS: 'pass', Verdict.MARGINAL: 'marginal', Verdict.FAIL: 'fail'}
+
+
+def verdict_line(verification: Verification) -> str:
+    """Return the outcome in one line."""
+    words = {
+        Verdict.PASS: 'ACCEPTED: the recording bears the calibration out.',
+        Verdict.MARGINAL: 'MARGINAL, accepted: the recording casts a doubt on the calibration.',
+        Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
+    }
+    return words[verification.verdict]
+
+
+def triad_lines(verification: Verification) -> list[str]:
+    """Return what came of gyros and accelerometers, a line each."""
+    return [
+        f'{"gyros" if judged.gyros else "accelerometers"}: {_WORDS[judged.verdict]}, chi-square '
+        f'{judged.square:.1f} with {judged.freedom} degrees of freedom'
+        for judged in verification.triads
+    ]
+
+
+def limits_line(verification: Verification) -> str:
+    """Say what the verdicts go by."""
+    doubt, rejection = verification.limits
+    return (
+        f'Limits: {doubt:.1f} standard deviations for a doubt, {rejection:.1f} for a rejection '
+        '(1 in 100 and 1 in a million sessions of sound data), and the same chances for the '
+        'chi-square of all equations.'
+    )
+
+
+def rest_table(verification: Verification) -> Table | None:
+    """Return the stretches at rest, worst first; None without any."""
+    return _table(verification, _AT_REST)
+
+
+def turn_table(verification: Verification) -> Table | None:
+    """Return the turns, worst first; None without any."""
+    return _table(verification, _IN_TURNS)
+
+
+def moved_table(moved: Sequence[Moved]) -> Table:
+    """Return the parameters that a session sees elsewhere, by how much they are."""
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    for heading in ('parameter', 'moved by', 'std', 'unit', 'in std'):
+        left = heading in {'parameter', 'unit'}
+        table.add_column(heading, justify='left' if left else 'right')
+    for one in sorted(moved, key=lambda m: -abs(m.difference / m.std)):
+        shown = engineering(one.parameter)
+        std = one.std / shown.scale
+        table.add_row(
+            one.parameter.name,
+            f'{one.difference / shown.scale:+.{decimals(std)}f}',
+            f'{std:.{decimals(std)}f}',
+            shown.unit,
+            f'{one.difference / one.std:+.1f}',
+        )
+    return table
+
+
+def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table | None:
+    mine = [c for c in verification.compared if c.quantity in quantities]
+    if not mine:
+        return None
+    present = [q for q in quantities if any(c.quantity is q for c in mine)]
+    turns = quantities is _IN_TURNS
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    table.add_column('position')
+    table.add_column('rate, deg/s' if turns else 'at, s', justify='right')
+    for quantity in present:
+        table.add_column(f'{quantity.value}, {_SHOWN[quantity].unit}', justify='right')
+        table.add_column('std', justify='right')
+    table.add_column('worst/std', justify='right')
+    table.add_column('')
+    places = {q: _places([c for c in mine if c.quantity is q]) for q in present}
+    for row in sorted(_rows(mine), key=lambda r: -_worst(r)):
+        first = row[0]
+        cells = [first.name, f'{first.rate / DEG:+.4g}' if turns else f'{first.at:.1f}']
+        for quantity in present:
+            one = next(c for c in row if c.quantity is quantity)
+            scale, digits = _SHOWN[quantity].scale, places[quantity]
+            sign = '' if quantity in {Quantity.DIRECTION, Quantity.TURN_AXIS} else '+'
+            cells += [f'{one.deviation / scale:{sign}.{digits}f}', f'{one.std / scale:.{digits}f}']
+        worst = _worst(row)
+        passed = sum(worst > limit for limit in verification.limits)
+        table.add_row(*cells, f'{worst:.1f}', _WORDS[Verdict(passed)])
+    return table
+
+
+def _rows(compared: Sequence[Compared]) -> list[list[Compared]]:
+    """Gather what belongs to one rest or one turn; a quantity that comes again begins another."""
+    rows: dict[tuple[str, float, float, int], list[Compared]] = {}
+    seen: dict[tuple[str, float, float, Quantity], int] = {}
+    for one in compared:
+        place = (one.name, 0.0 if np.isnan(one.at) else one.at, one.rate)
+        times = seen.get((*place, one.quantity), 0)
+        seen[(*place, one.quantity)] = times + 1
+        rows.setdefault((*place, times), []).append(one)
+    return list(rows.values())
+
+
+def _worst(row: Sequence[Compared]) -> float:
+    return max(abs(c.ratio) for c in row)
+
+
+def _places(compared: Sequence[Compared]) -> int:
+    scale = _SHOWN[compared[0].quantity].scale
+    return decimals(float(np.median([c.std for c in compared])) / scale)

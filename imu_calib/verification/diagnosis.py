@@ -1,0 +1,237 @@
+"""Which mistake a calibration suffers from: the candidates are tried, and the data decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from ..errors import NotObservable
+from ..model import PARAMETERS, Parameter, ParameterKind, Triad, extended_parameters
+from ..stream import Floats
+from ..units import ARCMIN, DEG
+from .equations import Fit, Sensors, System
+from .hypotheses import Hypothesis, mistakes, share_in_words
+
+_EXPLAINED = 1e-5
+_AS_GOOD = 6.0
+_ODDS = 12.0
+_EXCESS = 1e-3
+_ENOUGH = 8.0
+_MOVED = 5.0
+_HALF = 0.5
+_FAR = 0.05
+_DETERMINED = 0.3
+_LARGEST_ROTATION = 3 * DEG
+_NO_SENSE = 1.0 * DEG
+_WIDE = 0.2
+_WIDE_BIAS = {True: 0.05, False: 0.5}
+_WIDE_G = 1e-3
+_ALL_BUT_ZERO = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """A parameter that the session sees elsewhere: by how much, and its deviation, SI units."""
+
+    parameter: Parameter
+    difference: float
+    std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What is wrong, in a sentence, and the parameters that are elsewhere."""
+
+    symptom: str
+    moved: tuple[Moved, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A hypothesis as the data judges it: what it frees counts against it."""
+
+    diagnosis: Diagnosis
+    when: str
+    fit: Fit
+    freed: int = 0
+
+    def score(self) -> float:
+        """Schwarz's criterion, with odds in favour of a plain mistake."""
+        price = self.freed * float(np.log(max(self.fit.freedom, 2)))
+        return self.fit.square + price + (_ODDS if self.freed else 0.0)
+
+
+def new_parameters(system: System) -> Fit:
+    """Fit all parameters anew, from a unit without errors: what no calibration explains is left.
+
+    The outputs are taken as the recording describes them.
+    """
+    own = replace(system, reading=1.0)
+    return own.fit(Sensors(Triad(), np.zeros((3, 3))), _wide(system))
+
+
+def with_true_noise(system: System) -> System:
+    """Widen the noise to what the session scatters by, whatever the parameters.
+
+    A session of few rests cannot tell: the data sheet's bias instability then counts.
+
+    Raises:
+        NotObservable: It scatters so much that no calibration can be judged by it.
+
+    """
+    if new_parameters(system).spare < _ENOUGH:
+        imu = system.observed.imu
+        system = replace(system, wander=(imu.gyro if system.gyros else imu.accel).bias_instability)
+    for _ in range(2):
+        fit = new_parameters(system)
+        if chdtrc(max(fit.freedom, 1), fit.square) > _EXCESS:
+            break
+        system = system.inflated(fit.ratios)
+    sigma = float(np.sqrt(np.median(system.variances))) / system.reading
+    if not system.gyros and sigma > _NO_SENSE * system.magnitude:
+        raise NotObservable(
+            'No parameters whatever explain the accelerometers of this recording: plan, table, '
+            'mounting or the description of the IMU are not those of the recording.'
+        )
+    return system
+
+
+def diagnose(system: System, sensors: Sensors, factor: Floats) -> Diagnosis:
+    """Try the candidate mistakes and name the one that explains the data.
+
+    Args:
+        system: The session as one triad sees it, with its true noise.
+        sensors: The triad as the calibration has it.
+        factor: (p, k) of the covariance of its parameters.
+
+    """
+    name = 'gyros' if system.gyros else 'accelerometers'
+    candidates = [*mistakes(sensors, gyros=system.gyros), *_readings(system, sensors)]
+    tried = [
+        _Tried(Diagnosis(h.why), h.when, fit)
+        for h in candidates
+        if (fit := _under(system, h, factor)) is not None
+    ]
+    tried += _freed(system, sensors, factor)
+    good = [t for t in tried if t.fit.chance > _EXPLAINED]
+    if not good:
+        return _another_unit(system, sensors, factor, name)
+    best = min(t.score() for t in good)
+    first, *others = [t for t in good if t.score() < best + _AS_GOOD]
+    text = f'The residuals of the {name} vanish when {first.when}. {first.diagnosis.symptom}'
+    if others:
+        text += f' As good: {"; ".join(t.when for t in others[:3])}.'
+    return replace(first.diagnosis, symptom=text)
+
+
+def _under(system: System, hypothesis: Hypothesis, factor: Floats) -> Fit | None:
+    reading = system.reading * hypothesis.reading
+    try:
+        return replace(system, reading=reading).fit(hypothesis.sensors, factor)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _readings(system: System, sensors: Sensors) -> list[Hypothesis]:
+    """Take the outputs for those of another scale: the recording's own, or any that fits."""
+    found = []
+    if abs(system.reading - 1) > _ALL_BUT_ZERO:
+        found.append(
+            Hypothesis(
+                f'the outputs are read as the recording describes them ({system.observed.imu.id})',
+                'Units or nominal scale factor of the file are not those of the recording: '
+                f'it reads {system.reading:.6g} times too much.',
+                sensors,
+                1 / system.reading,
+            )
+        )
+    if system.observed.with_attitudes:
+        rows = system.rows(sensors, system.world, level_known=True)
+        seen, expected = rows.outputs / rows.sigma, (rows.outputs - rows.residual) / rows.sigma
+        share = float(seen @ expected) / float(seen @ seen)
+    else:
+        length = np.linalg.norm(system.outputs - sensors.triad.bias, axis=1)
+        share = system.magnitude / float(np.median(length))
+    if share > 0 and abs(share - 1) > _FAR:
+        found.append(
+            Hypothesis(
+                f'the outputs are multiplied by {share:.5g}',
+                f'They are of another scale than the file says: '
+                f'{share_in_words(share, gyros=system.gyros)}.',
+                sensors,
+                share,
+            )
+        )
+    return found
+
+
+def _freed(system: System, sensors: Sensors, factor: Floats) -> list[_Tried]:
+    """Let go of some parameters, or of the mount: what has moved since the calibration."""
+    wide = _wide(system)
+    tried = []
+    for when, why, columns in (
+        ('the biases are others', 'They have moved: another temperature, or time.', range(9, 12)),
+        ('the scale factors are others', 'They have moved: temperature, or time.', range(3)),
+        (
+            'the misalignments are others',
+            'The unit or its axes have moved, or the '
+            "table's arrivals are off by as much (positioning in its YAML).",
+            range(3, 9),
+        ),
+    ):
+        fit = system.fit(sensors, np.hstack([factor, wide[:, list(columns)]]))
+        mine = _parameters(system)
+        moved = [Moved(mine[k], float(fit.delta[k]), float(fit.std[k])) for k in columns]
+        far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
+        tried.append(_Tried(Diagnosis(why, far), when, fit, len(columns)))
+    if system.observed.with_attitudes:
+        fit = system.fit(sensors, factor, mount_free=True)
+        angle = float(np.linalg.norm(fit.mounted))
+        if angle < _LARGEST_ROTATION:
+            about = ', '.join(
+                f'{v / ARCMIN:+.2f} arcmin about {axis}'
+                for v, axis in zip(fit.mounted, 'XYZ', strict=True)
+            )
+            why = 'It sits otherwise in its mount than when it was calibrated.'
+            tried.append(_Tried(Diagnosis(why), f'the unit is turned by {about}', fit, 3))
+    return tried
+
+
+def _another_unit(system: System, sensors: Sensors, factor: Floats, name: str) -> Diagnosis:
+    """Compare with parameters fitted anew, since no single mistake explains the data."""
+    fit = new_parameters(system)
+    file = np.concatenate([sensors.triad.vector(), sensors.g.ravel()])[: system.size]
+    mine = _parameters(system)
+    wide = np.diag(_wide(system))
+    determined = np.flatnonzero(fit.std < _DETERMINED * wide)
+    moved = []
+    for k in determined:
+        std = float(np.hypot(fit.std[k], np.linalg.norm(factor[k])))
+        moved.append(Moved(mine[k], float(fit.delta[k] - file[k]), std))
+    far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
+    if len(far) >= _HALF * len(moved):
+        return Diagnosis(
+            f'No single mistake explains the {name}, other parameters do: {len(far)} of the '
+            f"{len(moved)} that the session tells are off. The calibration is another unit's, or "
+            'the unit is not what it was.',
+            far,
+        )
+    return Diagnosis(
+        f'No single mistake explains the {name}, other parameters do: these have moved.', far
+    )
+
+
+def _parameters(system: System) -> tuple[Parameter, ...]:
+    mine = PARAMETERS[:12] if system.gyros else PARAMETERS[12:]
+    return (*mine, *extended_parameters(with_g=True)[24:])[: system.size]
+
+
+def _wide(system: System) -> Floats:
+    """Return a prior that says little, (p, p): standard deviations of any unit's parameters."""
+    sizes = {
+        ParameterKind.BIAS: _WIDE_BIAS[system.gyros],
+        ParameterKind.G_SENSITIVITY: _WIDE_G,
+    }
+    return np.diag([sizes.get(p.kind, _WIDE) for p in _parameters(system)])

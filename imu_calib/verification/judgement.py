@@ -1,0 +1,205 @@
+"""The acceptance test of a calibration: accepted, marginal or rejected, and with which symptom.
+
+Accepted is what the data does not contradict: errors of the calibration's parameters within their
+covariance, noise of the session, tilt and azimuth of the table are allowed for. The limits are
+those of a false alarm in a session of sound data: one in a hundred for a doubt, one in a million
+for a rejection, shared among all that is compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from scipy.special import ndtri
+
+from ..calibration import Calibration
+from ..stream import Floats
+from .comparison import Compared, compare
+from .diagnosis import Diagnosis, diagnose, with_true_noise
+from .equations import Fit, Sensors, System
+from .observed import Observed
+
+DOUBT, REJECTION = 1e-2, 1e-6
+"""Chances of a false alarm in a session of sound data."""
+
+
+class Verdict(IntEnum):
+    """The outcome, better ones first."""
+
+    PASS = 0
+    MARGINAL = 1
+    FAIL = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """How the gyros or the accelerometers came out.
+
+    Attributes:
+        gyros: Which.
+        verdict: The outcome.
+        square: Chi-square of all their equations.
+        freedom: Its degrees of freedom.
+        diagnosis: What is wrong; None where nothing is.
+
+    """
+
+    gyros: bool
+    verdict: Verdict
+    square: float
+    freedom: int
+    diagnosis: Diagnosis | None
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """A calibration held against a session.
+
+    Attributes:
+        triads: Gyros and accelerometers, as far as they were calibrated.
+        compared: Every quantity at every position, in the order of the session.
+        limits: Standard deviations beyond which a quantity is doubtful, and rejected.
+        findings: What a person should know, in sentences.
+
+    """
+
+    triads: tuple[Judged, ...]
+    compared: tuple[Compared, ...]
+    limits: tuple[float, float]
+    findings: tuple[str, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worse of the two triads' verdicts."""
+        return max(t.verdict for t in self.triads)
+
+
+def verify(calibration: Calibration, observed: Observed) -> Verification:
+    """Hold a calibration against a session that did not make it.
+
+    Args:
+        calibration: What is to be accepted.
+        observed: The session.
+
+    Raises:
+        NotObservable: No parameters whatever explain the session, or the model has no inverse.
+
+    """
+    trials = [_Trial.of(calibration, observed, gyros=True)]
+    if calibration.has_accelerometers:
+        trials.append(_Trial.of(calibration, observed, gyros=False))
+    compared = [c for t in trials for c in compare(t.system, t.sensors, t.factor, t.fit)]
+    limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
+    return Verification(
+        tuple(trial.judge(compared, limits) for trial in trials),
+        tuple(compared),
+        limits,
+        (
+            *_not_seen(calibration, observed),
+            *(f for t in trials for f in t.excess()),
+            *observed.notes,
+        ),
+    )
+
+
+def _limit(chance: float, count: int) -> float:
+    """Return the limit that the largest of some standard normal numbers exceeds by chance."""
+    return float(-ndtri(chance / (2 * count)))
+
+
+def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
+    notes = []
+    if not observed.with_attitudes:
+        notes.append(
+            'Attitudes are unknown: lengths are compared, and the rate along gravity. Axes that '
+            'changed places and a matrix that was transposed hardly show in them.'
+        )
+    elif not observed.turns:
+        notes.append(
+            'No turns by an encoder: scale factors and misalignments of the gyros show in the '
+            'Earth rate alone.'
+        )
+    if not calibration.has_accelerometers:
+        notes.append('The accelerometers were not calibrated: they are not verified.')
+    if calibration.model.skewed is not None:
+        notes.append('The skewed gyro is not verified.')
+    return notes
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """One triad of a calibration against one session."""
+
+    system: System
+    sensors: Sensors
+    factor: Floats
+    fit: Fit
+
+    @classmethod
+    def of(cls, calibration: Calibration, observed: Observed, *, gyros: bool) -> _Trial:
+        reading = observed.reading(calibration.imu)
+        with_g = gyros and calibration.has_g
+        system = with_true_noise(
+            System(
+                observed,
+                gyros,
+                reading[0] if gyros else reading[1],
+                _forces(calibration, observed, reading[1]),
+                size=21 if with_g else 12,
+            )
+        )
+        sensors = Sensors.of(calibration.model, gyros=gyros)
+        factor = _factor(calibration, system)
+        return cls(system, sensors, factor, system.fit(sensors, factor))
+
+    @property
+    def name(self) -> str:
+        return 'gyros' if self.system.gyros else 'accelerometers'
+
+    def excess(self) -> list[str]:
+        """Say by how much more the session scatters than its noise."""
+        return [
+            f'Between {what} the {self.name} scatter {factor:.1f} times more than within them, '
+            'whatever the parameters (arrivals of the table, drift): the limits are widened.'
+            for what, factor in zip(('positions', 'turns'), self.system.inflation, strict=True)
+            if factor > 1
+        ]
+
+    def judge(self, compared: list[Compared], limits: tuple[float, float]) -> Judged:
+        """Give the verdict and, for anything but acceptance, the symptom."""
+        mine = [abs(c.ratio) for c in compared if c.quantity.of_gyros == self.system.gyros]
+        chance, worst = self.fit.chance, max(mine)
+        verdict = Verdict.PASS
+        if not (chance > DOUBT and worst < limits[0]):
+            verdict = Verdict.MARGINAL
+        if not (chance > REJECTION and worst < limits[1]):
+            verdict = Verdict.FAIL
+        diagnosis = None
+        if verdict is Verdict.FAIL:
+            diagnosis = diagnose(self.system, self.sensors, self.factor)
+        return Judged(self.system.gyros, verdict, self.fit.square, self.fit.freedom, diagnosis)
+
+
+def _forces(calibration: Calibration, observed: Observed, reading: float) -> Floats:
+    """Return the specific forces at rest: by attitude, or else by the accelerometers, (s, 3)."""
+    if observed.with_attitudes:
+        up = np.array([r.attitude[2] for r in observed.rests if r.attitude is not None])
+        return np.asarray(up * observed.site.gravity)
+    raw = np.array([r.output for r in observed.rests])
+    _, force = calibration.model.compensate(raw[:, :3], raw[:, 3:] * reading)
+    return np.asarray(force * (observed.site.gravity / np.linalg.norm(force, axis=1))[:, None])
+
+
+def _factor(calibration: Calibration, system: System) -> Floats:
+    """Return a factor of the parameters' covariance, the wandering of the biases included."""
+    mine = np.r_[0:12, 24:33][: system.size] if system.gyros else np.arange(12, 24)
+    covariance = calibration.covariance[np.ix_(mine, mine)].copy()
+    spec = system.observed.imu.gyro if system.gyros else system.observed.imu.accel
+    bias = np.arange(9, 12)
+    covariance[bias, bias] += spec.bias_instability**2
+    size = np.sqrt(np.diag(covariance))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -1,0 +1,282 @@
+"""The acceptance test of a calibration: the right one passes, every spoilt one is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sessions import SITE, calibrate, paper_imu, quick_plan, session, stand
+
+from imu_calib.bags import RecordingWriter
+from imu_calib.calibration import Calibration
+from imu_calib.cli.main import main
+from imu_calib.cli.simulate import serialised
+from imu_calib.errors import NotObservable
+from imu_calib.model import Triad
+from imu_calib.segmentation.segmenter import Segmented, Segmenter
+from imu_calib.session import describe
+from imu_calib.stream import Floats, ImuBlock, Units
+from imu_calib.turntable import Table, load_table, rotation
+from imu_calib.units import ARCMIN, DEG, DEG_H, STANDARD_GRAVITY
+from imu_calib.verification import Observed, Quantity, Verdict, Verification, observe, verify
+
+PLAN = quick_plan('six_position', 20.0)
+HEADING = 0.7
+EXCHANGE = np.eye(3)[[1, 0, 2]]
+REVERSED_Y = np.diag([1.0, -1.0, 1.0])
+
+
+@cache
+def calibration() -> Calibration:
+    """Twelve positions, 60 s each, another day and another azimuth."""
+    plan = quick_plan('twelve_position', 60.0)
+    return calibrate(session(plan, stand(azimuth=0.3), seed=100), plan).calibration
+
+
+def segmented(seed: int, table: Table | None, mounted: Table | None = None) -> Segmented:
+    """A session of the table `mounted`, read as if it were of `table`; None: by the IMU alone."""
+    segmenter = Segmenter(paper_imu(), table)
+    blocks = session(PLAN, stand(azimuth=HEADING), seed, table=mounted or table)
+    for _, block in blocks:
+        if table is not None or isinstance(block, ImuBlock):
+            segmenter.feed(block)
+    return segmenter.finish()
+
+
+@cache
+def observed(seed: int = 0) -> Observed:
+    table = load_table('three_axis')
+    return observe(segmented(seed, table), paper_imu(), SITE, PLAN, table)
+
+
+@cache
+def by_the_imu_alone() -> Observed:
+    return observe(segmented(2, None), paper_imu(), SITE, None, None)
+
+
+def symptom(verification: Verification, *, gyros: bool) -> str:
+    (judged,) = [t for t in verification.triads if t.gyros == gyros]
+    return judged.diagnosis.symptom if judged.diagnosis is not None else ''
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_right_calibration_is_accepted(seed: int) -> None:
+    verification = verify(calibration(), observed(seed))
+    assert verification.verdict is not Verdict.FAIL
+    for judged in verification.triads:
+        assert judged.diagnosis is None
+        # Five standard deviations of chi-square.
+        assert abs(judged.square - judged.freedom) < 5 * np.sqrt(2 * judged.freedom)
+
+
+def test_what_is_compared_scatters_as_stated() -> None:
+    ratios = [c.ratio for seed in range(3) for c in verify(calibration(), observed(seed)).compared]
+    assert len(ratios) == 3 * (6 * 4 + 18 * 2)
+    # 180 ratios, not all independent of each other.
+    assert 0.75 < np.sqrt(np.mean(np.square(ratios))) < 1.3
+
+
+def gyro(matrix: Floats | None = None, bias: Floats | None = None) -> Calibration:
+    return _spoilt('gyro', matrix, bias)
+
+
+def accel(matrix: Floats | None = None, bias: Floats | None = None) -> Calibration:
+    return _spoilt('accel', matrix, bias)
+
+
+def _spoilt(name: str, matrix: Floats | None, bias: Floats | None) -> Calibration:
+    good = getattr(calibration().model, name)
+    bad = Triad(
+        good.error_matrix if matrix is None else matrix, good.bias if bias is None else bias
+    )
+    return replace(calibration(), model=replace(calibration().model, **{name: bad}))
+
+
+def scaled(**changes: float) -> Calibration:
+    """The nominal scale factors of another description."""
+    imu = calibration().imu
+    triads = {k: replace(getattr(imu, k), scale_factor=v) for k, v in changes.items()}
+    return replace(calibration(), imu=replace(imu, **triads))
+
+
+def g() -> Triad:
+    return calibration().model.gyro
+
+
+def a() -> Triad:
+    return calibration().model.accel
+
+
+DEFECTS: dict[str, tuple[Callable[[], Calibration], bool, str]] = {
+    'gyro matrix transposed': (
+        lambda: gyro(g().error_matrix.T),
+        True,
+        'the gyro error matrix is transposed',
+    ),
+    'accelerometer matrix transposed': (
+        lambda: accel(a().error_matrix.T),
+        False,
+        'the accelerometer error matrix is transposed',
+    ),
+    'gyro matrix negated': (
+        lambda: gyro(-g().error_matrix),
+        True,
+        'the gyro error matrix has the opposite sign',
+    ),
+    'gyro biases negated': (
+        lambda: gyro(bias=-g().bias),
+        True,
+        'the biases have the opposite sign',
+    ),
+    'one gyro bias negated': (
+        lambda: gyro(bias=g().bias * np.array([1.0, -1.0, 1.0])),
+        True,
+        'the bias of y has the opposite sign',
+    ),
+    'accelerometer biases negated': (
+        lambda: accel(bias=-a().bias),
+        False,
+        'the biases have the opposite sign',
+    ),
+    'gyro channel reversed': (
+        lambda: gyro(REVERSED_Y @ g().response - np.eye(3), REVERSED_Y @ g().bias),
+        True,
+        'channels are reversed (y is -y)',
+    ),
+    'axes of the file exchanged': (
+        lambda: accel(EXCHANGE @ a().error_matrix @ EXCHANGE, EXCHANGE @ a().bias),
+        False,
+        'the axes of the file change places (y for x, x for y)',
+    ),
+    'channels exchanged': (
+        lambda: accel(EXCHANGE @ a().response - np.eye(3), EXCHANGE @ a().bias),
+        False,
+        'channels are exchanged or reversed (x is y, y is x)',
+    ),
+    'biases in deg/s': (lambda: gyro(bias=g().bias / DEG), True, 'the biases are read as deg/s'),
+    'biases in g': (
+        lambda: accel(bias=a().bias / STANDARD_GRAVITY),
+        False,
+        'the biases are read as g.',
+    ),
+    'misalignments in arc minutes': (
+        lambda: accel(
+            np.diag(np.diag(a().error_matrix))
+            + (a().error_matrix - np.diag(np.diag(a().error_matrix))) / ARCMIN
+        ),
+        False,
+        'the misalignments are read as arc minutes',
+    ),
+    'another scale factor': (
+        lambda: scaled(gyro=2 * paper_imu().gyro.scale_factor),
+        True,
+        'reads 2 times too much',
+    ),
+    'counts for pulses': (
+        lambda: replace(calibration(), imu=replace(calibration().imu, units=Units.SI)),
+        True,
+        'the outputs are read as the recording describes them',
+    ),
+    'gyro biases that have moved': (
+        lambda: gyro(bias=g().bias + np.array([2 * DEG_H, 0.0, 0.0])),
+        True,
+        'the biases are others',
+    ),
+}
+
+
+@pytest.mark.parametrize('name', DEFECTS)
+def test_a_spoilt_calibration_is_rejected_with_its_symptom(name: str) -> None:
+    spoil, gyros, words = DEFECTS[name]
+    verification = verify(spoil(), observed())
+    assert verification.verdict is Verdict.FAIL
+    assert words in symptom(verification, gyros=gyros).split('As good')[0]
+
+
+def test_what_has_moved_is_told_with_its_size() -> None:
+    verification = verify(gyro(bias=g().bias + np.array([2 * DEG_H, 0.0, 0.0])), observed())
+    diagnosis = verification.triads[0].diagnosis
+    assert diagnosis is not None
+    (moved,) = diagnosis.moved
+    assert moved.parameter.name == 'D_gx'
+    assert abs(moved.difference + 2 * DEG_H) < 4 * moved.std < 0.6 * 2 * DEG_H
+
+
+def test_the_calibration_of_another_unit_is_told_from_a_mistake() -> None:
+    rng = np.random.default_rng(3)
+    vector = calibration().model.vector() * rng.uniform(-1.0, 0.5, 24)
+    other = replace(calibration(), model=calibration().model.from_vector(vector))
+    verification = verify(other, observed())
+    for gyros in (True, False):
+        assert "another unit's" in symptom(verification, gyros=gyros)
+
+
+def test_a_unit_turned_in_its_mount_is_told_by_how_much() -> None:
+    table = load_table('three_axis')
+    small = np.array([1.0, -2.0, 1.5]) * ARCMIN
+    angle = float(np.linalg.norm(small))
+    otherwise = replace(table, mount=rotation(small / angle, angle))
+    seen = observe(segmented(7, table, otherwise), paper_imu(), SITE, PLAN, table)
+    verification = verify(calibration(), seen)
+    # The body turns with the mount; what it sees turns the other way.
+    for gyros in (True, False):
+        words = symptom(verification, gyros=gyros)
+        assert 'the unit is turned by -1.0' in words or 'the unit is turned by -0.9' in words
+
+
+def test_without_plan_and_table_lengths_are_compared() -> None:
+    verification = verify(calibration(), by_the_imu_alone())
+    assert verification.verdict is not Verdict.FAIL
+    assert {c.quantity for c in verification.compared} == {
+        Quantity.GRAVITY,
+        Quantity.EARTH_RATE,
+        Quantity.UP_RATE,
+    }
+    assert any('Attitudes are unknown' in finding for finding in verification.findings)
+
+
+@pytest.mark.parametrize(
+    'name', ['accelerometer biases negated', 'gyro biases negated', 'another scale factor']
+)
+def test_lengths_alone_tell_biases_and_scales(name: str) -> None:
+    spoil, gyros, words = DEFECTS[name]
+    verification = verify(spoil(), by_the_imu_alone())
+    assert verification.verdict is Verdict.FAIL
+    assert words in symptom(verification, gyros=gyros)
+
+
+def test_a_recording_of_nothing_known_is_no_judge() -> None:
+    first, _, third, *_ = seen = list(observed().rests)
+    # Two positions exchanged: no parameters explain the outputs.
+    seen[0], seen[2] = (
+        replace(first, attitude=third.attitude),
+        replace(third, attitude=first.attitude),
+    )
+    with pytest.raises(NotObservable, match='No parameters whatever explain'):
+        verify(calibration(), replace(observed(), rests=tuple(seen)))
+
+
+def test_the_command_accepts_rejects_and_refuses_by_its_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / 'bag'
+    with RecordingWriter(bag, describe('six_position', 'fog_medium', 'three_axis', SITE)) as writer:
+        for topic, block in session(PLAN, stand(azimuth=HEADING), seed=1):
+            kind, messages, stamp = serialised(block)
+            writer.write(f'/{topic}', kind.type_name, messages, stamp)
+    good, bad = tmp_path / 'good.yaml', tmp_path / 'bad.yaml'
+    calibration().save(good)
+    gyro(g().error_matrix.T).save(bad)
+    assert main(['verify', str(bag), '--calibration', str(good)]) == 0
+    told = capsys.readouterr().out
+    assert 'ACCEPTED' in told
+    assert 'x_down' in told
+    assert main(['verify', str(bag), '--calibration', str(bad)]) == 1
+    told = capsys.readouterr().out
+    assert 'REJECTED' in told
+    assert 'vanish when the gyro error matrix is transposed' in told
+    assert main(['verify', str(bag), '--calibration', str(tmp_path / 'none.yaml')]) == 2
