@@ -23,6 +23,8 @@ from imu_calib.methods.free.session import FreeCalibrator
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
+from imu_calib.segmentation.motion import Motion, Rest
+from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import HandSession, anyhow, by_hand
 from imu_calib.turntable import rotation
@@ -188,6 +190,38 @@ def test_the_plan_says_beforehand_what_thirty_holds_give() -> None:
     # Other attitudes, longer ways and a walk that 30 short holds know to a few percent.
     assert np.sqrt(np.mean((given[FREE] / ahead[FREE]) ** 2)) == pytest.approx(1, abs=0.35)
     assert (ahead[~FREE] == 0).all()
+
+
+def test_a_gyro_bias_of_degrees_a_second_hides_no_hold() -> None:
+    model = unit(0)
+    large = replace(model, gyro=replace(model.gyro, bias=np.array([3.0, -6.0, 25.0]) * DEG))
+    session = anyhow(30)
+    found = calibrator(session, large, 0).finish()
+    assert len(found.session.segments) == 30
+    wrong = found.calibration.values - in_frame_of_accelerometers(large).vector()
+    assert np.abs(wrong[SCALES]).max() < 300 * PPM
+    assert np.abs(wrong[ANGLES]).max() < 1 * ARCMIN
+
+
+def test_a_steady_turn_is_no_rest_however_the_stream_begins() -> None:
+    # A second at rest, then whole turns about the vertical at an even pace.
+    tracker = StillnessTracker(0.01)
+    rates = np.zeros((1100, 6))
+    rates[:, 5] = SITE.gravity
+    rates[100:, 2] = 30 * DEG
+    stamp = np.arange(1, len(rates) + 1) * 10_000_000
+    done = [*tracker.feed(stamp, rates), *tracker.finish()]
+    rests = [part for part in done if isinstance(part, Rest)]
+    assert len(rests) == 1
+    assert rests[0].end == pytest.approx(1e9, abs=2e8)
+    assert isinstance(done[-1], Motion)
+    assert done[-1].end == stamp[-1]
+    # Cut as it may be, the answer is the same.
+    again = StillnessTracker(0.01)
+    parts = [again.feed(stamp[k : k + 7], rates[k : k + 7]) for k in range(0, len(stamp), 7)]
+    assert [(p.start, p.end) for part in [*parts, again.finish()] for p in part] == [
+        (p.start, p.end) for p in done
+    ]
 
 
 def test_swings_without_holds_between_are_values() -> None:

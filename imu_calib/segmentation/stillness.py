@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from ..stream import Floats, Stamps
@@ -13,8 +15,13 @@ _WINDOWS_TO_SETTLE = 3
 _RATE_TOLERANCE = 0.5 * DEG
 _LARGEST_BIAS = 1.0 * DEG
 _FORCE_TOLERANCE = 0.02 * STANDARD_GRAVITY
+_WINDOWS_TO_OPEN = 20
 _NO_JOINTS = np.empty((0, 0))
 _NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
+
+
+_Window: TypeAlias = tuple[int, int, Floats]
+"""First and last stamp, ns, and the (6,) mean."""
 
 
 class StillnessTracker:
@@ -22,14 +29,18 @@ class StillnessTracker:
 
     Windows are counted from the first sample, so the outcome does not depend on how the stream was
     cut into blocks. A unit counts as still while its windows stay near those that began the rest
-    and its rate is below 1 deg/s; a gyro bias above that needs joint states.
+    and its rate is below 1 deg/s. A steady turn about the vertical looks like a rest with a large
+    bias: only a stream that begins with two quiet seconds shows such a bias, and rates are then
+    counted from there.
     """
 
     def __init__(self, period: float) -> None:
         self._length = max(1, round(_WINDOW_SECONDS / period))
         self._stamp: Stamps = _NO_STAMPS
         self._rates: Floats = np.empty((0, 6))
-        self._windows: list[tuple[int, int, Floats]] = []
+        self._windows: list[_Window] = []
+        self._opening: list[_Window] = []
+        self._bias: Floats | None = None
         self._reference: Floats | None = None
         self._start: int | None = None
 
@@ -60,15 +71,19 @@ class StillnessTracker:
                 self._rates[: self._length].mean(axis=0),
                 self._rates[self._length :],
             )
-            done += self._judge(int(head[0]), int(head[-1]), mean)
+            done += self._open((int(head[0]), int(head[-1]), mean))
         return done
 
     def finish(self) -> list[Rest | Motion]:
         """End of the stream: return the rest or motion that was going on."""
+        done = self._opened() if self._bias is None else []
         end = self.known_until
         if end is None or self._start is None:
             return []
-        return [Rest(self._start, end) if self._reference is not None else self._motion(end)]
+        return [
+            *done,
+            Rest(self._start, end) if self._reference is not None else self._motion(end),
+        ]
 
     def split_rest(self, end: int) -> Rest | None:
         """Close the rest that goes on at `end` (ns) and go on with another; None in motion."""
@@ -78,7 +93,27 @@ class StillnessTracker:
         self._start = end
         return rest
 
+    def _open(self, window: _Window) -> list[Rest | Motion]:
+        """Wait with the first windows until they show the bias."""
+        if self._bias is not None:
+            return self._judge(*window)
+        self._opening.append(window)
+        if len(self._opening) < _WINDOWS_TO_OPEN and _steady(self._opening):
+            return []
+        return self._opened()
+
+    def _opened(self) -> list[Rest | Motion]:
+        self._bias = np.zeros(3)
+        if len(self._opening) >= _WINDOWS_TO_OPEN and _steady(self._opening):
+            level = np.mean([mean[:3] for _, _, mean in self._opening], axis=0)
+            if (np.abs(level) >= _LARGEST_BIAS).any():
+                self._bias = level
+        opening, self._opening = self._opening, []
+        return [done for window in opening for done in self._judge(*window)]
+
     def _judge(self, start: int, end: int, mean: Floats) -> list[Rest | Motion]:
+        assert self._bias is not None
+        mean = mean - np.append(self._bias, np.zeros(3))
         self._start = start if self._start is None else self._start
         self._windows = [*self._windows, (start, end, mean)][-_WINDOWS_TO_SETTLE:]
         if self._reference is not None:
@@ -101,6 +136,13 @@ class StillnessTracker:
 
     def _motion(self, end: int) -> Motion:
         return Motion(self._start or 0, end, _NO_STAMPS, _NO_JOINTS)
+
+
+def _steady(windows: list[_Window]) -> bool:
+    """Say whether windows lie near their mean, whatever that is."""
+    means = np.array([mean for _, _, mean in windows])
+    off = np.abs(means - means.mean(axis=0))
+    return bool((off[:, :3] < _RATE_TOLERANCE).all() and (off[:, 3:] < _FORCE_TOLERANCE).all())
 
 
 def _near(mean: Floats, reference: Floats) -> bool:
