@@ -9,6 +9,7 @@ from pathlib import Path
 from .config import Section
 from .errors import InputError
 from .share import named_file
+from .specification import Specification, read_specification
 from .stream import Units
 from .units import Dimension
 
@@ -42,6 +43,7 @@ class ImuSpec:
         gyro: The gyro triad.
         accel: The accelerometer triad.
         skewed: A further gyro that lies askew to the three, None where there is none.
+        specification: What its parameters may be; None when not stated.
 
     """
 
@@ -51,6 +53,7 @@ class ImuSpec:
     gyro: TriadSpec
     accel: TriadSpec
     skewed: TriadSpec | None = None
+    specification: Specification | None = None
 
 
 def load_imu(name: str | Path) -> ImuSpec:
@@ -114,7 +117,10 @@ def read_imu(section: Section) -> ImuSpec:
             Dimension.ANGLE_RANDOM_WALK,
             Dimension.RATE,
         )
-    spec = ImuSpec(section.text('id'), units, rate, gyro, accel, skewed)
+    limits = None
+    if section.has('specification'):
+        limits = read_specification(section.section('specification'))
+    spec = ImuSpec(section.text('id'), units, rate, gyro, accel, skewed, limits)
     section.finish()
     return spec
 

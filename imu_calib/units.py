@@ -67,6 +67,11 @@ class Dimension(Enum):
         'deg/s/sqrt(Hz)': DEG,
         '(deg/h)/sqrt(Hz)': DEG_H,
     }
+    G_SENSITIVITY = {
+        '(rad/s)/(m/s^2)': 1.0,
+        '(deg/h)/g': DEG_H / STANDARD_GRAVITY,
+        '(deg/s)/g': DEG / STANDARD_GRAVITY,
+    }
     VELOCITY_RANDOM_WALK = {
         '(m/s)/sqrt(s)': 1.0,
         '(m/s)/sqrt(h)': 1 / _ROOT_HOUR,

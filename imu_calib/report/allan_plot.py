@@ -1,0 +1,130 @@
+"""The Allan deviation of a session's stretches at rest, and the noise read from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+
+import numpy as np
+
+from ..imu import ImuSpec, TriadSpec
+from ..noise import ChannelNoise, Coefficient
+from .html import paragraph, table
+from .noise import TRIADS, TriadUnits, written
+from .svg import COLOURS, Axis, Panel, drawing, label, legend
+
+_WIDTH, _HEIGHT, _LEFT, _TOP = 760.0, 250.0, 56.0, 42.0
+_FRAME = 300.0
+_LEAST = 0.02
+_CHANNELS = 'xyz'
+
+
+def noise_plots(seen: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
+    """Draw one panel per triad, with the random walk of the data sheet where it is known."""
+    shown = [t for t in TRIADS if any(c in seen for c in t.channels)]
+    if not shown:
+        return ''
+    parts = [legend('XYZ', _WIDTH - 220, 14)]
+    for k, units in enumerate(shown):
+        channels = {c: seen[c] for c in units.channels if c in seen}
+        left = _LEFT + k * (_WIDTH / 2 + 4)
+        spec = None if imu is None else _of(units, imu)
+        parts += _panel(units, channels, spec, left).parts
+    return drawing(parts, _WIDTH, _TOP + _HEIGHT + 42, 'Allan deviation')
+
+
+def _of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
+    return imu.gyro if units.name == 'gyro' else imu.accel
+
+
+def _panel(
+    units: TriadUnits, channels: Mapping[str, ChannelNoise], spec: TriadSpec | None, left: float
+) -> Panel:
+    scale = units.rate_scale
+    taus = np.concatenate([c.tau for c in channels.values()])
+    heights = np.concatenate([c.deviation for c in channels.values()]) / scale
+    panel = Panel(
+        Axis.decades(taus.tolist()),
+        Axis.decades(heights[heights > 0].tolist()),
+        left,
+        _TOP,
+        _FRAME,
+        _HEIGHT,
+    )
+    rate = units.rate.replace('ug', '\u00b5g')
+    panel.frame('averaging time, s', f'{units.name}s: Allan deviation, {rate}')
+    ends = panel.x.low, panel.x.high
+    if spec is not None and spec.random_walk > 0:
+        stated = [(t, spec.random_walk / np.sqrt(t) / scale) for t in ends]
+        inside = _clipped(panel, stated)
+        panel.curve(inside, '#555555', '5 3')
+        x, y = inside[-1]
+        at = panel.across(x) - 5, panel.down(y) - 10
+        panel.parts.append(label('data sheet', *at, class_='tick', text_anchor='end'))
+    for name, channel in channels.items():
+        k = units.channels.index(name)
+        points = [
+            (float(t), float(d) / scale)
+            for t, d in zip(channel.tau, channel.deviation, strict=True)
+            if d > 0
+        ]
+        panel.curve(points, COLOURS[k])
+        for t, d, s in zip(channel.tau, channel.deviation, channel.std, strict=True):
+            if d > 0:
+                spread = max(float(d - s), _LEAST * float(d)) / scale, float(d + s) / scale
+                panel.point(float(t), float(d) / scale, k, spread)
+    return panel
+
+
+def _clipped(panel: Panel, line: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Cut a line of slope -1/2 where it leaves the frame above or below."""
+    (first, high), (last, low) = line
+    if high > panel.y.high:
+        first, high = first * (high / panel.y.high) ** 2, panel.y.high
+    if low < panel.y.low:
+        last, low = last * (low / panel.y.low) ** 2, panel.y.low
+    return [(first, high), (last, low)]
+
+
+def noise_table(seen: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
+    """Return the coefficients of all channels beside those of the data sheet."""
+    rows = []
+    for units in TRIADS:
+        spec = TriadSpec() if imu is None else _of(units, imu)
+        for axis, name in zip(_CHANNELS, units.channels, strict=True):
+            if name not in seen:
+                continue
+            channel = seen[name]
+            rows.append(
+                [
+                    f'{units.name} {axis.upper()}',
+                    *_both(channel.random_walk, spec.random_walk, units.walk_scale),
+                    units.walk,
+                    *_both(channel.bias_instability, spec.bias_instability, units.rate_scale),
+                    units.rate.replace('ug', '\u00b5g'),
+                ]
+            )
+    headings = ['', 'random walk', 'stated', '', 'bias instability', 'stated', '']
+    return table(headings, rows, 'plain', 'lrrlrrl') if rows else ''
+
+
+def _both(coefficient: Coefficient, stated: float, scale: float) -> tuple[str, str]:
+    seen = written(coefficient, scale).replace('+-', ' \u00b1 ').replace('<', 'below ')
+    return escape(seen), f'{stated / scale:.3g}' if stated else '-'
+
+
+def noise_notes(seen: Mapping[str, ChannelNoise]) -> str:
+    """Say how the curves came about."""
+    if not seen:
+        return ''
+    text = (
+        'Overlapping Allan deviation of all stretches at rest together, with one standard '
+        'deviation; "below" is a 95 % bound. A dwell of two minutes shows the random walk and '
+        'seldom the bias instability: for that, let the unit stand for hours.'
+    )
+    if any(c.timed for c in seen.values()):
+        text += (
+            ' Where single pulses hide the noise, the curve begins at ten seconds: its points are '
+            'made of the moments at which pulses came.'
+        )
+    return paragraph(text, 'note')

@@ -1,0 +1,164 @@
+"""The parameters against the unit's specification: numbers, error bars, verdicts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..model import Parameter, ParameterKind
+from ..specification import COVERAGE, Specification, Verdict, judge
+from .html import table
+from .parameters import decimals, engineering
+from .svg import drawing, number, tag
+
+_WIDTH, _HEIGHT = 150.0, 16.0
+_SHOWN = 1.4
+_NAMES = {
+    ParameterKind.SCALE_FACTOR_ERROR: 'scale-factor error',
+    ParameterKind.MISALIGNMENT: 'misalignment',
+    ParameterKind.BIAS: 'bias',
+    ParameterKind.G_SENSITIVITY: 'g-sensitivity',
+    ParameterKind.RESPONSE: 'response',
+}
+_GROUPS = (
+    ('Gyros', 'g', False),
+    ('Accelerometers', 'a', False),
+    ('g-sensitivity of the gyros', 'g', True),
+)
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """A parameter with what is known of it, in SI units.
+
+    Attributes:
+        parameter: Which.
+        value: As estimated.
+        std: Its standard deviation.
+        limit: Largest amount that the specification allows; None where it says nothing.
+
+    """
+
+    parameter: Parameter
+    value: float
+    std: float
+    limit: float | None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """What the value says of the limit; None without one."""
+        return None if self.limit is None else judge(self.value, self.std, self.limit)
+
+
+def assess(calibration: Calibration, specification: Specification | None) -> list[Assessed]:
+    """Return all parameters that were estimated, in the order of the covariance."""
+    limits = specification or Specification()
+    return [
+        Assessed(parameter, float(value), float(std), limits.limit(parameter))
+        for parameter, value, std in zip(
+            calibration.parameters, calibration.values, calibration.std, strict=True
+        )
+        if np.isfinite(std)
+    ]
+
+
+def summary(assessed: Sequence[Assessed]) -> str:
+    """Return how many parameters pass, in words."""
+    counts = Counter(a.verdict for a in assessed)
+    if not sum(counts[v] for v in Verdict):
+        return 'No specification was given: values without verdicts.'
+    words = [
+        f'{counts[Verdict.PASS]} of {len(assessed)} parameters within the specification',
+        f'{counts[Verdict.MARGINAL]} marginal',
+        f'{counts[Verdict.FAIL]} outside',
+    ]
+    text = ', '.join(words)
+    return f'{text}, {counts[None]} without a limit.' if counts[None] else f'{text}.'
+
+
+def worst(assessed: Sequence[Assessed]) -> Verdict | None:
+    """Return the verdict on the unit: that of its worst parameter; None without any limit."""
+    found = {a.verdict for a in assessed}
+    for verdict in (Verdict.FAIL, Verdict.MARGINAL, Verdict.PASS):
+        if verdict in found:
+            return verdict
+    return None
+
+
+def tables(assessed: Sequence[Assessed]) -> str:
+    """Return one table per group of parameters."""
+    parts = []
+    for title, triad, sensitive in _GROUPS:
+        rows = [
+            _row(a)
+            for a in assessed
+            if a.parameter.triad == triad
+            and (a.parameter.kind is ParameterKind.G_SENSITIVITY) is sensitive
+        ]
+        if rows:
+            headings = ['', 'kind', 'value', f'\u00b1 {COVERAGE:g} std', 'unit', 'limit', '', '']
+            inside = tag('h3', title) + table(headings, rows, 'parameters', 'llrrlrll')
+            parts.append(tag('div', inside, class_='whole'))
+    return ''.join(parts)
+
+
+def _row(assessed: Assessed) -> list[str]:
+    shown = engineering(assessed.parameter)
+    value, std = assessed.value / shown.scale, assessed.std / shown.scale
+    places = decimals(std)
+    limit, bar, verdict = '', '', ''
+    if assessed.limit is not None:
+        limit = f'\u00b1{assessed.limit / shown.scale:g}'
+        bar = _bar(assessed)
+        verdict = badge(assessed.verdict)
+    return [
+        tag('b', assessed.parameter.name),
+        _NAMES[assessed.parameter.kind],
+        f'{value:.{places}f}'.replace('-', '\u2212'),
+        f'{COVERAGE * std:.{places}f}',
+        escape(shown.unit.replace('ug', '\u00b5g')),
+        limit,
+        bar,
+        verdict,
+    ]
+
+
+def badge(verdict: Verdict | None) -> str:
+    """Return a verdict as a coloured word."""
+    return '' if verdict is None else tag('span', verdict.value, class_=f'badge {verdict.value}')
+
+
+def _bar(assessed: Assessed) -> str:
+    """Draw the value with its error bar against the limits to either side of zero."""
+    limit, middle = assessed.limit or 1.0, _HEIGHT / 2
+
+    def across(value: float) -> float:
+        share = min(max(value / limit, -_SHOWN), _SHOWN)
+        return _WIDTH / 2 * (1 + share / _SHOWN)
+
+    low, high = across(-limit), across(limit)
+    reach = COVERAGE * assessed.std
+    ends = across(assessed.value - reach), across(assessed.value + reach)
+    mark = across(assessed.value)
+    beyond = abs(assessed.value) > _SHOWN * limit
+    kind = f'mark {assessed.verdict.value}' if assessed.verdict else 'mark'
+    tip = mark + (5 if assessed.value > 0 else -5) * beyond
+    parts = [
+        tag('rect', x=low, y=1.0, width=high - low, height=_HEIGHT - 2, class_='allowed'),
+        tag('line', x1=_WIDTH / 2, y1=1.0, x2=_WIDTH / 2, y2=_HEIGHT - 1, class_='zero'),
+        tag('line', x1=ends[0], y1=middle, x2=ends[1], y2=middle, class_='bar'),
+    ]
+    if beyond:
+        back = mark + (-7 if assessed.value > 0 else 7)
+        corners = [(back, middle - 5), (mark, middle), (back, middle + 5)]
+        points = ' '.join(f'{number(x)},{number(y)}' for x, y in corners)
+        parts.append(tag('polygon', points=points, class_=kind))
+    else:
+        parts.append(tag('circle', cx=tip, cy=middle, r=3.6, class_=kind))
+    words = f'{assessed.parameter.name}: {assessed.value / limit:.0%} of its limit'
+    return drawing(parts, _WIDTH, _HEIGHT, words)

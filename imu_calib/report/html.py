@@ -1,0 +1,66 @@
+"""The few elements of HTML that the report is made of, well-formed as XML too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from .svg import tag
+
+
+def table(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], kind: str = '', numbers: str = ''
+) -> str:
+    """Return a table.
+
+    Args:
+        headings: Plain texts.
+        rows: Cells as HTML.
+        kind: Class of the table.
+        numbers: For every column 'r' where it is aligned at the right, else 'l'.
+
+    """
+    sides = numbers or 'l' * len(headings)
+    head = ''.join(
+        tag('th', escape(h) or ' ', scope='col', class_=side)
+        for h, side in zip(headings, sides, strict=True)
+    )
+    body = ''.join(
+        tag(
+            'tr',
+            ''.join(
+                tag('td', cell or ' ', class_=side) for cell, side in zip(row, sides, strict=True)
+            ),
+        )
+        for row in rows
+    )
+    return tag(
+        'table', tag('thead', tag('tr', head)) + tag('tbody', body or ' '), class_=kind or None
+    )
+
+
+def section(title: str, *content: str, kind: str = '') -> str:
+    """Return a section with a heading; empty where it has no content."""
+    inside = ''.join(content)
+    if not inside:
+        return ''
+    return tag('section', tag('h2', escape(title)) + inside, class_=kind or None)
+
+
+def paragraph(text: str, kind: str = '') -> str:
+    """Return a paragraph of plain text."""
+    return tag('p', escape(text), class_=kind or None)
+
+
+def bullets(sentences: Sequence[str]) -> str:
+    """Return a list of plain texts; empty without any."""
+    return tag('ul', ''.join(tag('li', escape(s)) for s in sentences)) if sentences else ''
+
+
+def facts(pairs: Sequence[tuple[str, str]]) -> str:
+    """Return names with values, plain texts."""
+    inside = ''.join(
+        tag('div', tag('dt', escape(name)) + tag('dd', escape(value) or '-'))
+        for name, value in pairs
+    )
+    return tag('dl', inside)

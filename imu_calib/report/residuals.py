@@ -1,0 +1,142 @@
+"""What the model leaves unexplained, stretch by stretch, plain and in standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..calibrator import Result
+from ..stream import Floats
+from ..units import DEG_H, MICRO_G
+from .html import paragraph, table
+from .svg import Axis, Panel, drawing, label, legend
+
+_WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
+_LABELS = 24
+_EXPECTED = 3.0
+_LEAST_RANGE = 3.5
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of a session.
+
+    Attributes:
+        positions: Name of every stretch at rest.
+        value: (s, 6) rad/s and m/s^2; NaN where a triad was not estimated.
+        std: (s, 6) standard deviation of each stretch's own mean; None without the recording.
+
+    """
+
+    positions: tuple[str, ...]
+    value: Floats
+    std: Floats | None
+
+    @property
+    def normalised(self) -> Floats | None:
+        """Residuals in standard deviations, (s, 6)."""
+        if self.std is None:
+            return None
+        return np.divide(
+            self.value, self.std, out=np.full_like(self.value, np.nan), where=self.std > 0
+        )
+
+
+def residuals_of(calibration: Calibration, result: Result | None) -> Residuals:
+    """Return the residuals of a calibration, with their deviations where its recording is there."""
+    rows = calibration.residuals
+    value = np.array([[*r.gyro, *r.accel] for r in rows], dtype=float).reshape(-1, 6)
+    std = None
+    if result is not None and len(result.solution.residuals) == len(rows):
+        std = np.array([r.std for r in result.solution.residuals], dtype=float).reshape(-1, 6)
+    return Residuals(tuple(r.position for r in rows), value, std)
+
+
+def residual_plots(residuals: Residuals) -> str:
+    """Draw the residuals of both triads, and below them what they are in standard deviations."""
+    if not residuals.positions:
+        return ''
+    both = [
+        ('gyros, deg/h', slice(0, 3), DEG_H),
+        ('accelerometers, \u00b5g', slice(3, 6), MICRO_G),
+    ]
+    shown = [b for b in both if np.isfinite(residuals.value[:, b[1]]).any()]
+    parts = [legend('XYZ', _WIDTH - 220, 14)]
+    top = _TOP
+    for title, channels, scale in shown:
+        std = None if residuals.std is None else residuals.std[:, channels] / scale
+        panel = _panel(residuals, top, residuals.value[:, channels] / scale, std, title)
+        parts += panel.parts
+        top += _HEIGHT + _GAP
+    normalised = residuals.normalised
+    if normalised is not None:
+        for title, channels, _ in shown:
+            name = f'{title.partition(",")[0]}, residual / std'
+            panel = _panel(residuals, top, normalised[:, channels], None, name, limits=True)
+            parts += panel.parts
+            top += _HEIGHT + _GAP
+    return drawing(parts, _WIDTH, top - _GAP + 36, 'Residuals of every stretch at rest')
+
+
+def _panel(
+    residuals: Residuals,
+    top: float,
+    values: Floats,
+    std: Floats | None,
+    title: str,
+    *,
+    limits: bool = False,
+) -> Panel:
+    count = len(residuals.positions)
+    reach = np.abs(values) + (0 if std is None else std)
+    largest = float(np.nanmax(reach)) if np.isfinite(reach).any() else 1.0
+    largest = max(largest, _LEAST_RANGE) if limits else largest
+    x, y = Axis(0.0, float(count)), Axis.around([-largest, largest])
+    panel = Panel(x, y, _LEFT, top, _WIDTH - _LEFT - 12, _HEIGHT)
+    panel.frame('', title, x_ticks=False)
+    panel.level(0.0, 'zero')
+    if limits:
+        panel.level(_EXPECTED)
+        panel.level(-_EXPECTED)
+    every = -(-count // _LABELS)
+    for k, name in enumerate(residuals.positions):
+        if k % every == 0:
+            at = panel.across(k + 0.5)
+            bottom = top + _HEIGHT + 15
+            panel.parts.append(label(name, at, bottom, class_='tick', text_anchor='middle'))
+        for c in range(3):
+            value = float(values[k, c])
+            if np.isfinite(value):
+                spread = None
+                if std is not None:
+                    spread = value - float(std[k, c]), value + float(std[k, c])
+                panel.point(k + 0.25 + 0.25 * c, value, c, spread)
+    return panel
+
+
+def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
+    """Say how large the residuals are, and how many stand out."""
+    parts = []
+    if rms is not None and len(rms) == 6:
+        cells = [
+            '-' if not isinstance(v, (int, float)) else f'{float(v) / scale:.3g}'
+            for v, scale in zip(rms, [DEG_H] * 3 + [MICRO_G] * 3, strict=True)
+        ]
+        headings = ['RMS', *(f'g{a}, deg/h' for a in 'xyz'), *(f'a{a}, \u00b5g' for a in 'xyz')]
+        parts.append(table(headings, [['', *cells]], 'plain', 'lrrrrrr'))
+    normalised = residuals.normalised
+    if normalised is not None:
+        finite = normalised[np.isfinite(normalised)]
+        beyond = int(np.sum(np.abs(finite) > _EXPECTED))
+        parts.append(
+            paragraph(
+                f'{beyond} of {len(finite)} residuals are beyond {_EXPECTED:g} standard deviations '
+                "of the stretch's own noise (dashed lines). More than a few of them mean that "
+                'something else moved: the table between its arrivals, or the biases with time.',
+                'note',
+            )
+        )
+    return ''.join(parts)

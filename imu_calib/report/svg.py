@@ -1,0 +1,247 @@
+"""Plots as inline SVG: a panel with axes, and what is drawn into it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+
+COLOURS = ('#0072b2', '#d55e00', '#00805c')
+"""Of X, Y, Z: Okabe and Ito's, which colour-blind readers tell apart; the green is darkened."""
+
+_FEWEST_TICKS = 4
+_MOST_LABELS = 7
+_NARROW, _WIDE = 1e-3, 1e5
+
+
+def number(value: float) -> str:
+    """Return a coordinate: hundredths of a pixel are enough."""
+    return f'{value:.2f}'.rstrip('0').rstrip('.')
+
+
+def tag(element: str, content: str = '', /, **attributes: object) -> str:
+    """Return an element; underscores in the names of attributes stand for hyphens."""
+    written = ''.join(
+        f' {key.rstrip("_").replace("_", "-")}="{escape(_text(value))}"'
+        for key, value in attributes.items()
+        if value is not None
+    )
+    return f'<{element}{written}>{content}</{element}>' if content else f'<{element}{written}/>'
+
+
+def _text(value: object) -> str:
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def label(text: str, x: float, y: float, **attributes: object) -> str:
+    """Return a text at a place."""
+    return tag('text', escape(text), x=x, y=y, **attributes)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """How values become positions.
+
+    Attributes:
+        low: Smallest value shown.
+        high: Largest value shown.
+        logarithmic: By decades.
+
+    """
+
+    low: float
+    high: float
+    logarithmic: bool = False
+
+    @classmethod
+    def around(cls, values: Sequence[float], margin: float = 0.08) -> Axis:
+        """Return a linear axis that shows all finite values, and zero where it is near."""
+        finite = [v for v in values if math.isfinite(v)] or [0.0]
+        low, high = min(finite), max(finite)
+        room = margin * (high - low) or abs(high) * margin or 1.0
+        return cls(low - room, high + room)
+
+    @classmethod
+    def decades(cls, values: Sequence[float]) -> Axis:
+        """Return a logarithmic axis of whole decades about all positive values."""
+        positive = [v for v in values if math.isfinite(v) and v > 0] or [1.0]
+        low = 10.0 ** math.floor(math.log10(min(positive)) + 1e-9)
+        high = 10.0 ** math.ceil(math.log10(max(positive)) - 1e-9)
+        return cls(low, high if high > low else 10 * low, logarithmic=True)
+
+    def share(self, value: float) -> float:
+        """Return where between low (0) and high (1) a value lies."""
+        if self.logarithmic:
+            value = max(value, 1e-300)
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Return where ticks stand, and what is written there."""
+        if self.logarithmic:
+            first, last = round(math.log10(self.low)), round(math.log10(self.high))
+            every = -(-(last - first) // _MOST_LABELS)
+            return [(10.0**k, _power(k)) for k in range(first, last + 1, every)]
+        step = _step((self.high - self.low) / _FEWEST_TICKS)
+        places = max(0, -math.floor(math.log10(step) + 1e-9))
+        first = math.ceil(self.low / step - 1e-9)
+        last = math.floor(self.high / step + 1e-9)
+        return [(k * step, _signed(k * step, places)) for k in range(first, last + 1)]
+
+
+def _step(rough: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, at most `rough`."""
+    decade = 10.0 ** math.floor(math.log10(rough))
+    return decade * max(m for m in (1, 2, 5) if m * decade <= rough * (1 + 1e-9))
+
+
+def _signed(value: float, places: int) -> str:
+    return f'{value:.{places}f}'.replace('-', '\u2212') if value else '0'
+
+
+def _power(exponent: int) -> str:
+    value = 10.0**exponent
+    if _NARROW <= value <= _WIDE:
+        return f'{value:g}'
+    return f'1e{exponent}'
+
+
+@dataclass
+class Panel:
+    """One pair of axes in a drawing, filled mark by mark.
+
+    Attributes:
+        x: Horizontal axis.
+        y: Vertical axis.
+        left: Where the frame begins, px.
+        top: Likewise.
+        width: Of the frame, px.
+        height: Likewise.
+        parts: Elements so far.
+
+    """
+
+    x: Axis
+    y: Axis
+    left: float
+    top: float
+    width: float
+    height: float
+    parts: list[str] = field(default_factory=list)
+
+    def across(self, value: float) -> float:
+        """Return the horizontal position of a value, px."""
+        return self.left + self.width * self.x.share(value)
+
+    def down(self, value: float) -> float:
+        """Return the vertical position of a value, px; kept within the frame's surroundings."""
+        share = min(max(self.y.share(value), -0.02), 1.02)
+        return self.top + self.height * (1 - share)
+
+    def frame(self, x_title: str, y_title: str, *, x_ticks: bool = True) -> None:
+        """Draw axes, grid and titles."""
+        bottom = self.top + self.height
+        for value, text in self.y.ticks():
+            y = self.down(value)
+            self.parts.append(self._line(self.left, y, self.left + self.width, y, 'grid'))
+            self.parts.append(label(text, self.left - 6, y + 4, class_='tick', text_anchor='end'))
+        for value, text in self.x.ticks() if x_ticks else []:
+            x = self.across(value)
+            self.parts.append(self._line(x, self.top, x, bottom, 'grid'))
+            self.parts.append(label(text, x, bottom + 16, class_='tick', text_anchor='middle'))
+        self.parts.append(
+            tag(
+                'rect',
+                x=self.left,
+                y=self.top,
+                width=self.width,
+                height=self.height,
+                class_='frame',
+            )
+        )
+        if x_title:
+            middle = self.left + self.width / 2
+            self.parts.append(
+                label(x_title, middle, bottom + 34, class_='axis', text_anchor='middle')
+            )
+        self.parts.append(label(y_title, self.left, self.top - 8, class_='axis'))
+
+    def _line(self, x1: float, y1: float, x2: float, y2: float, kind: str) -> str:
+        return tag('line', x1=x1, y1=y1, x2=x2, y2=y2, class_=kind)
+
+    def level(self, value: float, kind: str = 'level') -> None:
+        """Draw a horizontal line through the frame."""
+        y = self.down(value)
+        self.parts.append(self._line(self.left, y, self.left + self.width, y, kind))
+
+    def curve(self, points: Sequence[tuple[float, float]], colour: str, dash: str = '') -> None:
+        """Draw a line through points."""
+        path = ' '.join(f'{number(self.across(x))},{number(self.down(y))}' for x, y in points)
+        self.parts.append(
+            tag(
+                'polyline',
+                points=path,
+                stroke=colour,
+                fill='none',
+                stroke_width=1.5,
+                stroke_dasharray=dash or None,
+            )
+        )
+
+    def point(
+        self, x: float, y: float, channel: int, spread: tuple[float, float] | None = None
+    ) -> None:
+        """Draw a value with its error bar (from, to), in colour and shape of a channel."""
+        across, down = self.across(x), self.down(y)
+        colour = COLOURS[channel % len(COLOURS)]
+        if spread is not None:
+            ends = [self.down(v) for v in spread]
+            self.parts.append(
+                tag('line', x1=across, y1=ends[0], x2=across, y2=ends[1], stroke=colour)
+            )
+        self.parts.append(marker(across, down, channel))
+
+
+def marker(x: float, y: float, channel: int, size: float = 3.5) -> str:
+    """Return the mark of a channel: disc, square and triangle for X, Y and Z."""
+    colour = COLOURS[channel % len(COLOURS)]
+    if channel % len(COLOURS) == 0:
+        return tag('circle', cx=x, cy=y, r=size, fill=colour)
+    if channel % len(COLOURS) == 1:
+        side = 1.8 * size
+        return tag('rect', x=x - side / 2, y=y - side / 2, width=side, height=side, fill=colour)
+    corners = [
+        (x, y - 1.2 * size),
+        (x - 1.1 * size, y + 0.8 * size),
+        (x + 1.1 * size, y + 0.8 * size),
+    ]
+    return tag(
+        'polygon', points=' '.join(f'{number(a)},{number(b)}' for a, b in corners), fill=colour
+    )
+
+
+def legend(names: Sequence[str], x: float, y: float) -> str:
+    """Return the marks of channels with their names, in a row."""
+    parts = []
+    for k, name in enumerate(names):
+        parts += [marker(x + 74 * k, y - 4, k), label(name, x + 74 * k + 9, y, class_='tick')]
+    return ''.join(parts)
+
+
+def drawing(parts: Sequence[str], width: float, height: float, title: str) -> str:
+    """Return a drawing of its own that scales with the page.
+
+    Args:
+        parts: Its elements.
+        width: px.
+        height: px.
+        title: What it shows, for those who cannot see it.
+
+    """
+    return tag(
+        'svg',
+        tag('title', escape(title)) + ''.join(parts),
+        viewBox=f'0 0 {number(width)} {number(height)}',
+        role='img',
+    )

@@ -1,0 +1,131 @@
+"""The course of a session: where the unit stood, where it turned, what was not used and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from html import escape
+
+from ..calibrator import Result
+from ..units import DEG
+from .html import table
+from .svg import Axis, Panel, drawing, label, tag
+
+_WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
+_LETTER = 6.4
+_MINUTES = 300.0
+_MOST_ROWS = 40
+
+
+class Lane(Enum):
+    """What happened in a stretch; the value is the lane's name."""
+
+    STATIC = 'at rest'
+    TURN = 'turning'
+    REJECTED = 'not used'
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of the session, s from its first sample.
+
+    Attributes:
+        lane: What happened.
+        start: s.
+        end: s.
+        name: Position of the plan, or what is known of it.
+        reason: Why it was not used; empty for what was.
+
+    """
+
+    lane: Lane
+    start: float
+    end: float
+    name: str
+    reason: str = ''
+
+
+def stretches(result: Result) -> list[Stretch]:
+    """Return what a session consists of, in order of time."""
+    labelled = result.labelled
+    zero = result.session.start or 0
+
+    def at(stamp: int) -> float:
+        return (stamp - zero) * 1e-9
+
+    found = [
+        Stretch(Lane.STATIC, at(s.start), at(s.end), s.position or '?') for s in labelled.segments
+    ]
+    found += [
+        Stretch(
+            Lane.TURN, at(t.start), at(t.end), f'{t.position or "?"}: {t.rate() / DEG:+.3g} deg/s'
+        )
+        for t in labelled.turns
+    ]
+    found += [
+        Stretch(Lane.REJECTED, at(r.start), at(r.end), r.position or '?', r.reason)
+        for r in labelled.rejected
+    ]
+    return sorted(found, key=lambda s: s.start)
+
+
+def time_line(found: Sequence[Stretch], duration: float) -> str:
+    """Draw the stretches on three lanes."""
+    minutes = duration > _MINUTES
+    scale = 60.0 if minutes else 1.0
+    width = _WIDTH - _LEFT - 12
+    panel = Panel(Axis(0.0, max(duration / scale, 1e-3)), Axis(0.0, 1.0), _LEFT, _TOP, width, 0.0)
+    panel.height = _ROW * len(Lane)
+    bottom = _TOP + panel.height
+    parts = []
+    for k, lane in enumerate(Lane):
+        y = _TOP + k * _ROW
+        parts.append(tag('rect', x=_LEFT, y=y, width=width, height=_ROW - 3, class_='lane'))
+        parts.append(label(lane.value, _LEFT - 8, y + 18, class_='axis', text_anchor='end'))
+        parts += [_block(panel, s, y, scale) for s in found if s.lane is lane and s.end > s.start]
+    for value, text in panel.x.ticks():
+        x = panel.across(value)
+        parts.append(tag('line', x1=x, y1=_TOP, x2=x, y2=bottom, class_='grid'))
+        parts.append(label(text, x, bottom + 14, class_='tick', text_anchor='middle'))
+    unit = 'min' if minutes else 's'
+    parts.append(
+        label(f'time, {unit}', _LEFT + width / 2, bottom + 30, class_='axis', text_anchor='middle')
+    )
+    return drawing(parts, _WIDTH, bottom + 38, 'Time line of the session')
+
+
+def _block(panel: Panel, stretch: Stretch, y: float, scale: float) -> str:
+    left, right = panel.across(stretch.start / scale), panel.across(stretch.end / scale)
+    width = max(right - left, 1.2)
+    words = f'{stretch.name}, {stretch.start:.1f} s to {stretch.end:.1f} s'
+    words += f': {stretch.reason}' if stretch.reason else ''
+    shape = tag(
+        'rect',
+        tag('title', escape(words)),
+        x=left,
+        y=y + 2,
+        width=width,
+        height=_ROW - 7,
+        class_=f'block {stretch.lane.name.lower()}',
+    )
+    if stretch.lane is Lane.TURN or len(stretch.name) * _LETTER > width:
+        return shape
+    return shape + label(
+        stretch.name, left + width / 2, y + 18, class_='inside', text_anchor='middle'
+    )
+
+
+def rejected_table(found: Sequence[Stretch]) -> str:
+    """Return what was not used and why; empty when all was."""
+    rows = [
+        [escape(s.name), f'{s.start:.1f}', f'{s.end - s.start:.1f}', escape(s.reason)]
+        for s in found
+        if s.lane is Lane.REJECTED
+    ]
+    if not rows:
+        return ''
+    more = len(rows) - _MOST_ROWS
+    if more > 0:
+        rows = [*rows[:_MOST_ROWS], ['', '', '', f'and {more} more']]
+    return table(['position', 'at, s', 'for, s', 'why it was not used'], rows, 'plain', 'lrrl')

@@ -1,0 +1,324 @@
+"""The report: one file whose numbers are the calibration's, that asks nobody for anything."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sessions import calibrate, paper_imu, quick_plan, session, stand
+
+from imu_calib.bags import RecordingWriter
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Result
+from imu_calib.cli.main import main
+from imu_calib.cli.simulate import serialised
+from imu_calib.config import Section
+from imu_calib.errors import InputError
+from imu_calib.imu import ImuSpec, load_imu, read_imu
+from imu_calib.model import PARAMETER_NAMES, PARAMETERS
+from imu_calib.report.page import Contents, page
+from imu_calib.report.repeatability import Repeated, repeated
+from imu_calib.report.svg import Axis
+from imu_calib.segmentation.segmenter import Rejected
+from imu_calib.specification import Specification, TriadLimits, Verdict, judge
+from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
+
+BROWSER = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'chrome'))), None)
+UNITS = {'ppm': PPM, 'arcmin': ARCMIN, 'deg/h': DEG_H, 'µg': MICRO_G}
+PLAN = quick_plan('twelve_position', 20.0)
+
+
+@pytest.fixture(scope='module')
+def result() -> Result:
+    """A short session; a stretch of it was not sound."""
+    found = calibrate(session(PLAN, stand(), 1), PLAN)
+    start = found.session.start or 0
+    disturbed = Rejected(start + 10**9, start + 3 * 10**9, 'somebody <knocked> on the table', '7')
+    return replace(found, labelled=replace(found.labelled, rejected=(disturbed,)))
+
+
+@pytest.fixture(scope='module')
+def contents(result: Result) -> Contents:
+    imu = load_imu('fog_medium')
+    calibration = result.calibration
+    dated = [
+        replace(calibration, provenance={**calibration.provenance, 'recorded': day})
+        for day in ('2026-01-01T00:00:00Z', '2026-03-01T00:00:00Z')
+    ]
+    return Contents(calibration, 'c.yaml', imu, result, {'b.yaml': dated[0], 'd.yaml': dated[1]})
+
+
+@pytest.fixture(scope='module')
+def text(contents: Contents) -> str:
+    return page(contents)
+
+
+def parsed(text: str) -> ET.Element:
+    return ET.fromstring(text.removeprefix('<!DOCTYPE html>\n'))
+
+
+def words(element: ET.Element) -> str:
+    return ' '.join(t.strip() for t in element.itertext() if t.strip())
+
+
+def parameter_rows(text: str) -> dict[str, list[str]]:
+    tables = [t for t in parsed(text).iter('table') if t.get('class') == 'parameters']
+    rows = [[words(cell) for cell in row] for t in tables for row in t.find('tbody') or ()]
+    return {row[0]: row[1:] for row in rows}
+
+
+def test_all_parameters_are_there_with_the_numbers_of_the_calibration(
+    text: str, result: Result
+) -> None:
+    rows, calibration = parameter_rows(text), result.calibration
+    assert tuple(rows) == PARAMETER_NAMES
+    for name, value, std in zip(rows, calibration.values, calibration.std, strict=True):
+        shown, bar, scale = rows[name][1].replace('−', '-'), rows[name][2], UNITS[rows[name][3]]
+        places = len(shown.partition('.')[2])
+        assert float(shown) == pytest.approx(value / scale, abs=0.51 * 10**-places)
+        assert float(bar) == pytest.approx(2 * std / scale, abs=0.51 * 10**-places)
+        assert float(bar) > 0
+
+
+def test_verdicts_stand_beside_the_limits_of_the_specification(text: str) -> None:
+    # Truth of Table 1 against fog_medium.yaml: E_azy 7.55 arcmin of 6, K_gx 1927 ppm of 3000.
+    rows = parameter_rows(text)
+    assert rows['E_azy'][4] == '±6' and rows['E_azy'][-1] == 'fail'
+    assert rows['K_gx'][4] == '±3000' and rows['K_gx'][-1] == 'pass'
+    head = words(parsed(text).find('body') or ET.Element('none'))
+    assert re.search(r'fail \d+ of 24 parameters within the specification, \d+ marginal', head)
+
+
+@pytest.mark.parametrize(
+    ('value', 'std', 'verdict'),
+    [
+        (0.8, 0.1, Verdict.PASS),  # 0.8 + 2 x 0.1 reaches the limit and no further
+        (0.81, 0.1, Verdict.MARGINAL),
+        (-1.0, 0.0, Verdict.PASS),
+        (-1.0, 0.1, Verdict.MARGINAL),
+        (1.2, 0.1, Verdict.MARGINAL),
+        (-1.21, 0.1, Verdict.FAIL),
+        (1.0 + 1e-12, 0.0, Verdict.FAIL),
+        (0.0, 0.6, Verdict.MARGINAL),
+    ],
+)
+def test_verdicts_at_the_limit(value: float, std: float, verdict: Verdict) -> None:
+    assert judge(value, std, 1.0) is verdict
+
+
+def test_without_a_specification_no_verdict_is_given(contents: Contents) -> None:
+    bare = replace(contents, imu=paper_imu_without_limits())
+    assert 'No specification was given' in page(bare)
+    assert {row[-1] for row in parameter_rows(page(bare)).values()} == {''}
+
+
+def paper_imu_without_limits() -> ImuSpec:
+    return replace(paper_imu(), specification=None)
+
+
+def test_what_was_not_used_is_named_with_its_reason(text: str) -> None:
+    cells = [[words(c) for c in row] for row in parsed(text).iter('tr')]
+    assert ['7', '1.0', '2.0', 'somebody <knocked> on the table'] in cells
+    titles = [words(t) for t in parsed(text).iter('title')]
+    assert any('somebody <knocked>' in t for t in titles)
+
+
+def test_every_stretch_is_on_the_time_line(text: str, result: Result) -> None:
+    blocks = [e.get('class') for e in parsed(text).iter('rect') if 'block' in str(e.get('class'))]
+    assert blocks.count('block static') == len(result.labelled.segments) == 12
+    assert blocks.count('block turn') == len(result.labelled.turns) == 18
+    assert blocks.count('block rejected') == 1
+
+
+def test_the_page_asks_nobody_for_anything_and_is_small(text: str, contents: Contents) -> None:
+    names = {e.tag for e in parsed(text).iter()}
+    assert not names & {'script', 'link', 'img', 'iframe', 'object', 'image', 'use', 'a'}
+    attributes = {key for e in parsed(text).iter() for key in e.attrib}
+    assert not attributes & {'src', 'href', 'action', 'data', 'background', 'onload'}
+    assert not re.search(r'https?:|//[a-z]|url\(|@import', text)
+    policies = [e.get('content', '') for e in parsed(text).iter('meta') if e.get('http-equiv')]
+    assert len(policies) == 1 and policies[0].startswith("default-src 'none';")
+    assert len(text.encode()) < 300_000
+    assert page(contents) == text
+
+
+def test_findings_are_texts_whatever_they_hold(contents: Contents) -> None:
+    nasty = replace(contents.calibration, findings=('<script>alert(1)</script> & "so"',))
+    found = page(replace(contents, calibration=nasty))
+    assert [words(e) for e in parsed(found).iter('li')] == ['<script>alert(1)</script> & "so"']
+
+
+def test_a_calibration_alone_gives_a_report_too(contents: Contents, tmp_path: Path) -> None:
+    path = tmp_path / 'c.yaml'
+    contents.calibration.save(path)
+    assert main(['report', str(path), '-o', str(tmp_path / 'r.html')]) == 0
+    found = (tmp_path / 'r.html').read_text(encoding='utf-8')
+    assert list(parameter_rows(found)) == list(PARAMETER_NAMES)
+    assert 'Course of the session' not in found and 'Allan deviation' in found
+
+
+@pytest.fixture(scope='module')
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording that says nothing of itself."""
+    folder = tmp_path_factory.mktemp('recording') / 'bag'
+    with RecordingWriter(folder, {}) as writer:
+        for topic, block in session('six_position', stand(), 2):
+            kind, messages, stamp = serialised(block)
+            writer.write(f'/{topic}', kind.type_name, messages, stamp)
+    return folder
+
+
+def test_calibration_and_recording_on_the_command_line(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = ['--plan', 'six_position', '--imu', 'fog_medium', '--latitude', '34.65']
+    said += ['--azimuth', '0']
+    made, report = str(tmp_path / 'c.yaml'), tmp_path / 'r.html'
+    assert main(['calibrate', str(recording), *said, '-o', made]) == 0
+    assert main(['report', made, str(recording), *said, '-o', str(report)]) == 0
+    found = report.read_text(encoding='utf-8')
+    assert 'Course of the session' in found and 'residual / std' in found
+    capsys.readouterr()
+    # Another latitude gives other numbers: no report that mixes the two.
+    said[5] = '30'
+    assert main(['report', made, str(recording), *said, '-o', str(report)]) != 0
+    other = Calibration.load(Path(made))
+    replace(other, provenance={**other.provenance, 'sha256': 'f' * 64}).save(Path(made))
+    assert main(['report', made, str(recording), *said, '-o', str(report)]) == 2
+    assert 'is not the recording that' in capsys.readouterr().err.replace('\n', ' ')
+
+
+def test_spread_and_drift_of_a_hand_worked_case() -> None:
+    # 1, 2, 3 on days 0, 1, 2, each +-0.1: slope 1 +- 0.1 / sqrt(2), spread 1, chi-squared 200.
+    row = Repeated(
+        PARAMETERS[0], np.array([1.0, 2.0, 3.0]), np.full(3, 0.1), np.array([0.0, 1.0, 2.0])
+    )
+    assert row.spread == pytest.approx(1.0) and row.stated == pytest.approx(0.1)
+    assert row.drift == pytest.approx((1.0, 0.1 / np.sqrt(2)))
+    assert row.chance == pytest.approx(np.exp(-100), rel=1e-9)
+    assert replace(row, days=None).drift is None
+    # Off the line by 0.5, -1, 0.5 the deviation grows by sqrt(chi-squared of one) = sqrt(150).
+    bent = replace(row, value=np.array([1.5, 1.0, 3.5]))
+    assert bent.drift == pytest.approx((1.0, 0.1 / np.sqrt(2) * np.sqrt(150)))
+
+
+def test_only_calibrations_of_one_unit_are_compared(contents: Contents) -> None:
+    own = contents.calibration
+    foreign = replace(own, imu=replace(own.imu, id='another'))
+    with pytest.raises(InputError, match=r"b\.yaml: is of unit 'another', expected 'fog_medium'"):
+        repeated([own, foreign], ['a.yaml', 'b.yaml'])
+    scaled = replace(own, imu=replace(own.imu, accel=replace(own.imu.accel, scale_factor=0.02)))
+    with pytest.raises(InputError, match='nominal scale factors'):
+        repeated([own, scaled], ['a.yaml', 'b.yaml'])
+    undated = replace(own, provenance={**own.provenance, 'recorded': None})
+    assert repeated([own, undated], ['a', 'b'])[0].days is None
+    wrong = replace(own, provenance={**own.provenance, 'recorded': 'yesterday'})
+    with pytest.raises(InputError, match='recorded: found'):
+        repeated([own, wrong], ['a', 'b'])
+
+
+def test_the_recording_dates_the_calibration(result: Result) -> None:
+    # The simulated stand begins at 1.7e9 s after the epoch.
+    assert result.calibration.provenance['recorded'] == '2023-11-14T22:13:20Z'
+
+
+SPECIFIED = 'id: a\nunits: si\nspecification: {gyro: {bias: 1 deg/h}, accelerometer: {%s}}'
+
+
+def test_a_specification_is_read_in_si() -> None:
+    spec = read_imu(Section.parse(SPECIFIED % 'scale_factor_error: 500 ppm', 'my.yaml'))
+    assert spec.specification == Specification(
+        TriadLimits(bias=pytest.approx(DEG_H)),
+        TriadLimits(scale_factor_error=pytest.approx(5e-4)),
+    )
+
+
+@pytest.mark.parametrize(
+    ('entry', 'message'),
+    [
+        ('bias: 1 deg/h', r"my\.yaml: specification: accelerometer: bias: found '1 deg/h'"),
+        ('bias: 0 ug', 'expected above 0'),
+        ('biass: 1 ug', "unknown key 'biass'; known are bias, misalignment"),
+        ('g_sensitivity: 1 (deg/h)/g', "unknown key 'g_sensitivity'"),
+    ],
+)
+def test_a_wrong_specification_is_refused_in_words(entry: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_imu(Section.parse(SPECIFIED % entry, 'my.yaml'))
+
+
+def test_axes_stand_at_round_numbers() -> None:
+    assert [t for _, t in Axis(-1.1, 2.2).ticks()] == [
+        '−1.0',
+        '−0.5',
+        '0',
+        '0.5',
+        '1.0',
+        '1.5',
+        '2.0',
+    ]
+    assert [t for _, t in Axis.decades([0.02, 30.0]).ticks()] == ['0.01', '0.1', '1', '10', '100']
+    assert Axis.decades([0.02, 30.0]).share(1.0) == pytest.approx(0.5)
+
+
+def browse(path: Path, folder: Path, *arguments: str) -> tuple[str, set[str]]:
+    """Open a page without a network; return what the console says, and what was asked for."""
+    log = folder / 'net.json'
+    done = subprocess.run(
+        [
+            str(BROWSER),
+            '--headless',
+            '--no-sandbox',
+            '--disable-gpu',
+            '--no-first-run',
+            '--disable-background-networking',
+            '--host-resolver-rules=MAP * ~NOTFOUND',
+            f'--user-data-dir={folder / "profile"}',
+            '--enable-logging=stderr',
+            f'--log-net-log={log}',
+            *(arguments or ('--dump-dom',)),
+            path.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    asked = set(
+        re.findall(r'"url":"(\w+://[^/"?]+)', json.dumps(log.read_text()).replace('\\', ''))
+    )
+    # The browser asks for its own updates, whatever the page.
+    own = re.compile(r'google|gvt1|googleapis')
+    console = '\n'.join(line for line in done.stderr.splitlines() if ':CONSOLE' in line)
+    return console, {url for url in asked if not own.search(url)}
+
+
+needs_browser = pytest.mark.skipif(BROWSER is None, reason='chromium is not installed')
+
+
+@needs_browser
+def test_a_browser_shows_it_without_an_error_or_a_request(text: str, tmp_path: Path) -> None:
+    path, printed = tmp_path / 'report.html', tmp_path / 'report.pdf'
+    path.write_text(text, encoding='utf-8')
+    console, asked = browse(path, tmp_path, f'--print-to-pdf={printed}', '--no-pdf-header-footer')
+    assert (console, asked) == ('', set())
+    sizes = re.findall(rb'/MediaBox \[([\d. ]+)\]', printed.read_bytes())
+    # A4 is 595 by 842 points.
+    assert {tuple(round(float(v)) for v in s.split()) for s in sizes} == {(0, 0, 595, 842)}
+    assert 3 <= len(sizes) <= 7
+
+
+@needs_browser
+def test_the_browser_would_tell_of_a_request_and_of_an_error(tmp_path: Path) -> None:
+    path = tmp_path / 'bad.html'
+    path.write_text('<img src="http://elsewhere.invalid/a.png"><script>nothing()</script>')
+    console, asked = browse(path, tmp_path)
+    assert 'nothing is not defined' in console
+    assert asked == {'http://elsewhere.invalid'}
