@@ -15,6 +15,7 @@ from imu_calib.cdr import (
     PULSES,
     RATES,
     CdrError,
+    ImuDecoder,
     Kind,
     Malformed,
     Messages,
@@ -24,6 +25,7 @@ from imu_calib.cdr import (
     decode_temperatures,
     encode_imu,
     encode_joints,
+    encode_rates,
     encode_setpoints,
     encode_temperatures,
     part,
@@ -120,6 +122,35 @@ def test_imu_of_any_frame_and_byte_order_equals_rosbags_in_order(samples):
         for i in range(len(b))
     ]
     assert decoded == [sample for sample, _ in samples]
+
+
+def test_one_by_one_gives_what_all_at_once_gives():
+    payloads = [
+        *encode_imu(imu_block()).payloads(),
+        *encode_imu(imu_block(frame='other_link')).payloads(),
+        encode_imu(imu_block()).payloads()[0][:77],
+        *encode_imu(imu_block(frame='imu_lynx')).payloads(),
+    ]
+    decoder, malformed, expected_malformed = ImuDecoder(), Malformed(), Malformed()
+    found = [b for p in payloads for b in decoder.decode([p], malformed)]
+    expected = decode_imu(Messages.join(payloads), expected_malformed)
+    for name in ('stamp', 'gyro', 'accel'):
+        joined = [np.concatenate([getattr(b, name) for b in all_]) for all_ in (found, expected)]
+        assert np.array_equal(*joined)
+    assert [b.frame_id for b in found] == [b.frame_id for b in expected for _ in range(len(b))]
+    assert malformed == expected_malformed
+
+
+def test_rates_carry_their_covariances():
+    block, rng = imu_block(), np.random.default_rng(2)
+    rate, force = rng.normal(size=(2, len(block), 9))
+    for k, payload in enumerate(encode_rates(block, rate, force).payloads()):
+        message = STORE.deserialize_cdr(payload, Kind.IMU.type_name)
+        assert message.orientation_covariance[0] == -1
+        assert message.header.frame_id == 'imu_link'
+        assert message.angular_velocity.y == block.gyro[k, 1]
+        assert np.array_equal(message.angular_velocity_covariance, rate[k])
+        assert np.array_equal(message.linear_acceleration_covariance, force[k])
 
 
 @st.composite

@@ -402,6 +402,23 @@ def test_keep_all_loses_nothing_when_drained_late(node):
     assert (block.accel == -counts).all()
 
 
+def test_a_stream_is_handed_over_in_order_as_it_comes(node):
+    batches = []
+    ros.open_stream(node, ros.messages.Imu, 'imu/pulses', batches.append, KEEP_ALL)
+    publisher = node.create_publisher(ros.messages.Imu, 'imu/pulses', KEEP_ALL)
+    assert spun(node, lambda: publisher.get_subscription_count() == 1)
+    stamps, zeros = np.arange(2000, dtype=np.int64), np.zeros((2000, 3))
+    payloads = encode_imu(ImuBlock(stamps, zeros, zeros, 'imu')).payloads()
+    publisher.publish(payloads[0])
+    assert spun(node, lambda: len(batches) == 1)
+    ros.publish_all(publisher, payloads[1:])
+    assert spun(node, lambda: sum(map(len, batches)) == 2000)
+    (block,) = decode_imu(Messages.join([p for batch in batches for p in batch]))
+    assert (block.stamp == stamps).all()
+    # What had piled up came at once.
+    assert len(batches) < 1000
+
+
 def test_a_drain_may_be_bounded(node):
     subscription = ros.open_drain(node, ros.messages.String, 'text', KEEP_ALL)
     publisher = node.create_publisher(ros.messages.String, 'text', KEEP_ALL)
