@@ -16,6 +16,7 @@ def shared(folder: str) -> list[tuple[str, list[str]]]:
 
 # As `ros2 run imu_calib` and the launch files call them.
 NODES = (
+    'ascii_table_node',
     'calibrator_node',
     'compensator_node',
     'hand_node',

@@ -25,6 +25,7 @@ NODES = {
     'compensator_node': 'CompensatorNode',
     'stand_node': 'StandNode',
     'hand_node': 'HandNode',
+    'ascii_table_node': 'AsciiTableNode',
 }
 TYPES = {'bool': bool, 'int': int, 'double': float, 'string': str}
 
@@ -52,6 +53,7 @@ def declared(monkeypatch, tmp_path):
             'calibrator_node': {'latitude': 30.0},
             'stand_node': {'port': port},
             'hand_node': {'port': port},
+            'ascii_table_node': {'port': f'socket://127.0.0.1:{port}'},
         }
         words = [w for k, v in given.get(name, {}).items() for w in ('-p', f'{k}:={v}')]
         ros.init(args=['--ros-args', *words])

@@ -1,12 +1,23 @@
 """The shipped formats of devices that can be bought, on bytes written by the makers' documents."""
 
+import re
 import struct
 
 import numpy as np
 import pytest
+from loopback import CHECKOUT
 
-from imu_calib.devices import Decoder, DeviceClock, Health, Severity, Source, load_format
-from imu_calib.imu import load_imu
+from imu_calib.config import Section
+from imu_calib.devices import (
+    Decoder,
+    DeviceClock,
+    Health,
+    Severity,
+    Source,
+    load_format,
+    read_format,
+)
+from imu_calib.imu import load_imu, read_imu
 from imu_calib.stream import Units
 
 NS = 1_000_000_000
@@ -181,3 +192,25 @@ def test_what_a_device_says_of_itself_reaches_the_diagnostics(
 def test_every_real_device_has_an_imu_that_says_what_its_numbers_are():
     units = {name: load_imu(imu).units for name, imu in IMUS.items()}
     assert units == {'kvh_1750': Units.SI, 'stim300': Units.PULSES, 'xsens_mti': Units.SI}
+
+
+def test_the_device_that_the_documentation_writes_down_reads_the_frame_beside_it():
+    text = (CHECKOUT / 'docs' / 'devices.md').read_text()
+
+    def block(name):
+        found = re.search(rf'<!-- {name} -->\n```yaml\n(.*?)```', text, re.DOTALL)
+        return Section.parse(found[1], name)
+
+    form, imu = read_format(block('device')), read_imu(block('imu'))
+    frame = bytes.fromhex(re.search(r'<!-- frame -->\n +([0-9A-F ]+)\n', text)[1])
+    samples = Decoder(form).feed(frame)
+    assert len(samples) == 1
+    assert samples.counter[0] == 1
+    assert samples.time[0] * form.time.unit == 5_000_000
+    assert samples.celsius[0] == 30
+    assert samples.faults[0] == 0
+    # 5000 arcsec in a two-hundredth of a second, and gravity to a pulse of 0.4 mm/s^2.
+    rate = samples.gyro[0] * imu.gyro.scale_factor * imu.sample_rate * 180 / np.pi
+    np.testing.assert_allclose(rate, [0, -0.05 / 18, 5000 / 18], rtol=1e-9)
+    force = samples.accel[0] * imu.accel.scale_factor * imu.sample_rate
+    np.testing.assert_allclose(force, [0, 0, 9.80665], atol=4e-4)

@@ -1,0 +1,124 @@
+"""ascii_table_node: a turntable whose controller speaks ASCII lines; see docs/tables.md."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..cdr import Messages, decode_setpoints, encode_joints
+from ..middleware import Clock, ClockType, Node, messages, publish_all
+from ..tables import Control, Follower, Line, tcp_address
+from ..turntable import load_table
+from . import qos
+from .diagnostics import Diagnostics, Level
+from .entry import entry_point
+from .parameters import declare
+
+_PUBLISH_PERIOD = 0.005
+_REPORT_PERIOD = 0.25
+_PATIENCE = 3.0
+
+
+class AsciiTableNode(Node):
+    """Follows turntable/setpoint and publishes turntable/joint_states.
+
+    The controller is talked to in a thread of its own. Publishing waits for subscribers that lag;
+    while it does no setpoint is heard, and that thread stops the table.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('ascii_table_node')
+        table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
+        port = declare(self, 'port', '', 'Serial port or socket://host:port of the controller.')
+        tcp_address(port)  # Refuses what cannot be.
+        baud = declare(self, 'baud', 115200, 'Of a serial port, bit/s.', lower=50)
+        reply = declare(
+            self, 'reply_timeout', 0.2, 'Longest wait for a reply, s.', lower=0.01, upper=0.4
+        )
+        rate = declare(
+            self, 'joint_state_rate', 50.0, 'How often the axes are read, Hz.', lower=5.0, upper=1e3
+        )
+        timeout = declare(
+            self,
+            'setpoint_timeout',
+            0.5,
+            'The table stops when no setpoint has come for so long, s.',
+            lower=0.1,
+            upper=2.0,
+        )
+        age = declare(
+            self, 'setpoint_age', 0.5, "Greatest age of a setpoint's stamp, s.", lower=0.01
+        )
+        self._port = port
+        self._control = Control(
+            lambda: Line(port, baud, reply),
+            Follower(table, timeout, age),
+            table.names,
+            self._now,
+            1 / rate,
+        )
+        self._diagnostics = Diagnostics(self, table.name)
+        self._joints = self.create_publisher(
+            messages.JointState,
+            'turntable/joint_states',
+            qos.stream(),
+            qos_overriding_options=qos.overridable(),
+        )
+        self.create_subscription(
+            messages.TurntableSetpoint,
+            'turntable/setpoint',
+            self._on_setpoint,
+            qos.command(),
+            raw=True,
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
+        self.create_timer(_REPORT_PERIOD, self._report, clock=steady)
+        self._control.start()
+
+    def stop(self) -> Sequence[Any]:
+        """Stop the table; nothing that is published then matters any more."""
+        if not self._control.stop(_PATIENCE):
+            self.get_logger().fatal(
+                f'The controller on {self._port} does not answer the last stop; '
+                'its own watchdog must stop the table.'
+            )
+        return []
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _on_setpoint(self, payload: bytes) -> None:
+        for block in decode_setpoints(Messages.join([payload])):
+            for setpoint in block.setpoints:
+                self._control.command(setpoint)
+
+    def _publish(self) -> None:
+        block = self._control.take()
+        if block is not None:
+            publish_all(self._joints, encode_joints(block).payloads())
+
+    def _report(self) -> None:
+        status = self._control.status
+        self._diagnostics.report(
+            'controller',
+            Level.OK if status.open else Level.ERROR,
+            status.text,
+            port=self._port,
+            bad_replies=str(status.bad),
+            line_breaks=str(status.breaks),
+        )
+        self._diagnostics.report(
+            'setpoints',
+            Level.ERROR if status.refusal else Level.OK,
+            status.refusal or 'No setpoint is refused.',
+        )
+
+
+def main() -> int:
+    """Run the node; return the exit code."""
+    return entry_point(AsciiTableNode)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,20 @@
+"""Tables on a line: setpoints in, joint angles out, and a stop on every way out."""
+
+from .ascii import BadReply, Move, Order, Reading, Refusal, Stop
+from .control import Control, Status
+from .follower import Follower
+from .line import Line, tcp_address
+
+__all__ = [
+    'BadReply',
+    'Control',
+    'Follower',
+    'Line',
+    'Move',
+    'Order',
+    'Reading',
+    'Refusal',
+    'Status',
+    'Stop',
+    'tcp_address',
+]

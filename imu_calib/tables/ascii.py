@@ -1,0 +1,100 @@
+"""A table controller's ASCII lines: what docs/tables.md describes, and what to change for another.
+
+Every line that is sent gets one line back: OK, ERR with a number and words, or the state.
+Angles are in degrees, rates in degrees per second, axes are counted from 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from ..errors import ImuCalibError
+from ..stream import Floats
+from ..units import DEG
+
+
+class BadReply(ImuCalibError):
+    """The line that came back is none of the protocol."""
+
+
+class Refusal(ImuCalibError):
+    """The controller says no, and why."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """Bring an axis (from 0) to an angle, rad, at a rate above zero, rad/s."""
+
+    axis: int
+    angle: float
+    rate: float
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Brake all axes and stand."""
+
+
+Order: TypeAlias = Move | Stop
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """(k,) angles, rad, and (k,) rates, rad/s, of the axes."""
+
+    angles: Floats
+    rates: Floats
+
+
+def order_line(order: Order) -> str:
+    """Return the line that gives an order."""
+    if isinstance(order, Stop):
+        return 'STOP'
+    return f'MOVE {order.axis + 1} {order.angle / DEG:.6f} {order.rate / DEG:.6f}'
+
+
+def watchdog_line(seconds: float) -> str:
+    """Return the line after which the controller stops by itself when none comes for so long."""
+    return f'WATCHDOG {seconds:.3f}'
+
+
+STATE_LINE = 'STATE'
+
+
+def check(reply: str) -> None:
+    """Accept the reply to an order.
+
+    Raises:
+        Refusal: The controller says ERR.
+        BadReply: Anything but OK and ERR.
+
+    """
+    words = reply.split(maxsplit=2)
+    if words[:1] == ['ERR'] and len(words) >= 2:
+        raise Refusal(f'The controller refuses: {" ".join(words[1:])}.')
+    if reply != 'OK':
+        raise BadReply(f'Found {reply[:40]!r}, expected OK or ERR.')
+
+
+def reading(reply: str, axes: int) -> Reading:
+    """Read the state of so many axes: STATE, the angles, the rates.
+
+    Raises:
+        Refusal: The controller says ERR.
+        BadReply: No state, or not that of so many axes.
+
+    """
+    word, *values = reply.split() or ['']
+    if word == 'ERR':
+        check(reply)
+    try:
+        numbers = np.array([float(value) for value in values])
+    except ValueError:
+        numbers = np.array([math.nan])
+    if word != 'STATE' or len(numbers) != 2 * axes or not np.isfinite(numbers).all():
+        raise BadReply(f'Found {reply[:40]!r}, expected STATE and {2 * axes} numbers.')
+    return Reading(DEG * numbers[:axes], DEG * numbers[axes:])

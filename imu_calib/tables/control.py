@@ -1,0 +1,188 @@
+"""The thread that talks to a table's controller; nothing but the controller can make it wait."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..stream import JointBlock, Setpoint
+from .ascii import (
+    STATE_LINE,
+    BadReply,
+    Order,
+    Reading,
+    Refusal,
+    Stop,
+    check,
+    order_line,
+    reading,
+    watchdog_line,
+)
+from .follower import Follower
+from .line import Line
+
+_RETRY = 0.5
+_BAD_IN_A_ROW = 3
+_WAITING = 2000
+_WATCHDOG = 1.0
+"""The controller stops by itself when no line has come for so long, s: a driver may be killed."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """How the line to the controller is.
+
+    Attributes:
+        open: Whether the controller answers.
+        text: A sentence.
+        refusal: Why the last setpoint is not followed; empty where it is.
+        bad: Replies so far that were none of the protocol.
+        breaks: How often the line broke.
+
+    """
+
+    open: bool
+    text: str
+    refusal: str = ''
+    bad: int = 0
+    breaks: int = 0
+
+
+class Control:
+    """Reads the axes, follows setpoints, and stops the table whatever ends it.
+
+    Setpoints are put in and joint states taken out without waiting, whatever the line does; in
+    turn the line goes on, and the table stops in time, whatever those do who take them.
+
+    Args:
+        open_line: Opens the line; raises OSError.
+        follower: The rules.
+        names: Of the joints, in the order of the axes.
+        now: Time of the stamps, ns.
+        period: Of the readings, s.
+
+    """
+
+    def __init__(
+        self,
+        open_line: Callable[[], Line],
+        follower: Follower,
+        names: tuple[str, ...],
+        now: Callable[[], int],
+        period: float,
+    ) -> None:
+        self._open_line = open_line
+        self._follower = follower
+        self._names = names
+        self._now = now
+        self._period = period
+        self._setpoint: deque[Setpoint] = deque(maxlen=1)
+        self._readings: deque[tuple[int, Reading]] = deque(maxlen=_WAITING)
+        self._ending = threading.Event()
+        self._bad = self._breaks = 0
+        self._link = (False, 'The controller has not answered yet.')
+        self._thread = threading.Thread(target=self._run, name='table control', daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self, patience: float) -> bool:
+        """Stop the table and end the thread; return whether it has within so many seconds."""
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join(patience)
+        return not self._thread.is_alive()
+
+    def command(self, setpoint: Setpoint) -> None:
+        """Put a setpoint in; the newest counts."""
+        self._setpoint.append(setpoint)
+
+    @property
+    def status(self) -> Status:
+        """How it goes."""
+        return Status(*self._link, self._follower.refusal, self._bad, self._breaks)
+
+    def take(self) -> JointBlock | None:
+        """Return the joint states since the last call, None where there are none."""
+        taken = [self._readings.popleft() for _ in range(len(self._readings))]
+        if not taken:
+            return None
+        return JointBlock(
+            np.array([stamp for stamp, _ in taken], np.int64),
+            self._names,
+            np.array([at.angles for _, at in taken]),
+            np.array([at.rates for _, at in taken]),
+        )
+
+    def _run(self) -> None:
+        while not self._ending.is_set():
+            try:
+                with contextlib.closing(self._open_line()) as line:
+                    self._serve(line)
+            except (OSError, BadReply, Refusal) as error:
+                if self._link[0]:
+                    self._breaks += 1
+                self._link = False, f'The controller is lost: {error}.'.replace('..', '.')
+            self._follower.halt()
+            self._ending.wait(_RETRY)
+
+    def _serve(self, line: Line) -> None:
+        """Read and follow until told to end; whatever happens, the last line says stop."""
+        try:
+            for text in (order_line(Stop()), watchdog_line(_WATCHDOG)):
+                check(line.ask(text))
+            self._setpoint.clear()
+            bad = 0
+            while not self._ending.is_set():
+                began = time.monotonic()
+                try:
+                    at = self._read(line)
+                    self._link, bad = (True, 'The controller answers.'), 0
+                    self._follow(line, at)
+                except BadReply:
+                    self._bad += 1
+                    bad += 1
+                    if bad >= _BAD_IN_A_ROW:
+                        raise
+                self._give(line, self._follower.watch(time.monotonic()))
+                self._ending.wait(max(0.0, self._period - (time.monotonic() - began)))
+        finally:
+            with contextlib.suppress(OSError, BadReply, Refusal):
+                check(line.ask(order_line(Stop())))
+
+    def _read(self, line: Line) -> Reading:
+        before = self._now()
+        at = reading(line.ask(STATE_LINE), len(self._names))
+        # The controller looked somewhere between question and answer.
+        stamp = (before + self._now()) // 2
+        if not self._readings or stamp > self._readings[-1][0]:
+            self._readings.append((stamp, at))
+        return at
+
+    def _follow(self, line: Line, at: Reading) -> None:
+        try:
+            setpoint = self._setpoint.pop()
+        except IndexError:
+            return
+        orders = self._follower.command(setpoint, self._now(), time.monotonic(), at)
+        try:
+            self._give(line, orders)
+        except Refusal as error:
+            # One axis may move already.
+            check(line.ask(order_line(Stop())))
+            self._follower.halt(str(error))
+
+    def _give(self, line: Line, orders: tuple[Order, ...]) -> None:
+        try:
+            for order in orders:
+                check(line.ask(order_line(order)))
+        except BadReply as error:
+            # Whether the order was taken nobody knows.
+            raise OSError(f'the reply to an order cannot be read: {error}') from error

@@ -1,0 +1,147 @@
+"""What a table's driver makes of setpoints: orders, refusals, and a stop when none comes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..stream import Floats, Mode, Setpoint
+from ..turntable import TURN, Table
+from ..units import DEG
+from .ascii import Move, Order, Reading, Stop
+
+_STANDS = 0.1 * DEG
+"""A joint slower than this, rad/s, stands."""
+
+_NEAR = 0.5 * DEG
+"""How far from its angle a joint may be when a turn starts, rad."""
+
+
+class Follower:
+    """Turns setpoints into orders. It knows no clock and no line: times come with the calls.
+
+    Args:
+        table: Joints in the order of the axes, and their limits.
+        timeout: Longest time without a setpoint while the table may move, s.
+        age: How old the stamp of a setpoint may be, s.
+
+    Attributes:
+        refusal: Why the last setpoint is not followed; empty where it is.
+
+    Raises:
+        InputError: A joint has no greatest rate.
+
+    """
+
+    def __init__(self, table: Table, timeout: float, age: float) -> None:
+        for joint in table.joints:
+            if not math.isfinite(joint.max_rate):
+                raise InputError(f'Table {table.name}, joint {joint.name}: it needs a max_rate.')
+        self._table = table
+        self._timeout = timeout
+        self._age = age
+        self._content: Setpoint | None = None
+        self._deadline = math.inf
+        self._stopped = True
+        self._rejected = False
+        self.refusal = ''
+
+    def command(
+        self, setpoint: Setpoint, now: int, steady: float, at: Reading
+    ) -> tuple[Order, ...]:
+        """Take a setpoint; return what is to be ordered.
+
+        Args:
+            setpoint: As it came off the topic.
+            now: Time of its stamp's clock, ns.
+            steady: Time of a clock that nobody sets, s.
+            at: Where the table is.
+
+        """
+        age = (now - setpoint.stamp) * 1e-9
+        if abs(age) > self._age:
+            self.refusal = f'A setpoint is {age:.3g} s old, accepted is up to {self._age:g} s.'
+            return ()
+        self._deadline = steady + self._timeout
+        return self._fresh(setpoint, at)
+
+    def _fresh(self, setpoint: Setpoint, at: Reading) -> tuple[Order, ...]:
+        content = replace(setpoint, stamp=0)
+        known = content == self._content
+        if known and self._rejected:
+            return ()
+        self.refusal = ''
+        if known and (not self._stopped or setpoint.mode is Mode.HOLD):
+            return ()
+        self._content, self._rejected = content, False
+        if setpoint.mode is Mode.HOLD:
+            self._stopped = True
+            return (Stop(),)
+        try:
+            if known and setpoint.mode is Mode.RATE:
+                raise InputError(f'{_where(setpoint)}: a turn that was broken off is not resumed.')
+            orders = self._moves(setpoint, at)
+        except InputError as error:
+            self._rejected, self.refusal = True, str(error)
+            return ()
+        self._stopped = False
+        return orders
+
+    def watch(self, steady: float) -> tuple[Order, ...]:
+        """Return the stop where setpoints have failed to come."""
+        if self._stopped or steady <= self._deadline:
+            return ()
+        self._stopped = True
+        return (Stop(),)
+
+    def halt(self, refusal: str = '') -> None:
+        """Note that the table stands, or is about to, for another reason than its setpoints.
+
+        Args:
+            refusal: Why the present setpoint is not to be tried again.
+
+        """
+        self._stopped, self._rejected, self.refusal = True, bool(refusal), refusal
+
+    def _moves(self, setpoint: Setpoint, at: Reading) -> tuple[Order, ...]:
+        where = _where(setpoint)
+        goal, rates = self._demand(setpoint, at, where)
+        fastest = np.array([joint.max_rate for joint in self._table.joints])
+        if setpoint.mode is Mode.RATE:
+            self._aim_turn(setpoint, goal, rates, at, where)
+        self._table.check(goal, rates, where)
+        pace = np.where(rates != 0, np.abs(rates), fastest)
+        return tuple(Move(k, float(goal[k]), float(pace[k])) for k in range(len(goal)))
+
+    def _demand(self, setpoint: Setpoint, at: Reading, where: str) -> tuple[Floats, Floats]:
+        """Return angles and rates in the table's order; joints that are not named stay."""
+        goal, rates = at.angles.copy(), np.zeros(len(at.angles))
+        names = list(self._table.names)
+        count = len(setpoint.joints)
+        if len(setpoint.angles) != count or len(setpoint.rates) not in {0, count}:
+            raise InputError(f'{where}: its angles or rates are not those of its {count} joints.')
+        for k, name in enumerate(setpoint.joints):
+            if name not in names:
+                raise InputError(f'{where}: found joint {name!r}, expected {", ".join(names)}.')
+            goal[names.index(name)] = setpoint.angles[k]
+            if setpoint.mode is Mode.RATE:
+                rates[names.index(name)] = setpoint.rates[k]
+        return goal, rates
+
+    def _aim_turn(
+        self, setpoint: Setpoint, goal: Floats, rates: Floats, at: Reading, where: str
+    ) -> None:
+        """Aim at whole turns, and one more to start and stop in."""
+        turning = np.flatnonzero(rates)
+        if len(turning) != 1 or not (setpoint.turns >= 1 and float(setpoint.turns).is_integer()):
+            raise InputError(f'{where}: expected whole turns of one joint.')
+        if (np.abs(at.rates) > _STANDS).any() or (np.abs(goal - at.angles) > _NEAR).any():
+            raise InputError(f'{where}: a turn starts from rest at its angles.')
+        goal[turning] += np.sign(rates[turning]) * TURN * (setpoint.turns + 1)
+
+
+def _where(setpoint: Setpoint) -> str:
+    return f'Setpoint of step {setpoint.step} ({setpoint.mode.name})'

@@ -1,0 +1,311 @@
+"""ascii_table_node against a scripted controller on a socket, and its rules without one."""
+
+import contextlib
+import math
+import os
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from loopback import environment, until
+
+from imu_calib.cdr import Messages, decode_joints, encode_setpoints
+from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.nodes import qos
+from imu_calib.stream import Mode, Setpoint, SetpointBlock
+from imu_calib.tables import Follower, Move, Reading, Stop
+from imu_calib.turntable import load_table
+
+# ROS reads this when it loads its messages.
+os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
+try:
+    from imu_calib import middleware as ros
+    from imu_calib.nodes.ascii_table_node import AsciiTableNode
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+NS = 1_000_000_000
+DEG = math.pi / 180
+TABLE = load_table('three_axis')
+REST = Reading(np.zeros(3), np.zeros(3))
+STEADY = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
+
+
+def setpoint(step=0, mode=Mode.POSITION, angles=(0.0, 90.0, 0.0), rates=(), turns=0.0, stamp=0):
+    radians = tuple(DEG * a for a in angles), tuple(DEG * r for r in rates)
+    return Setpoint(stamp, 'plan', step, '1', mode, TABLE.names, *radians, turns, 0.0)
+
+
+def turn(step=1, angles=(0, 0, 0)):
+    return setpoint(step, Mode.RATE, angles, (0, 0, -20), 2.0)
+
+
+# --- the rules ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def follower():
+    return Follower(TABLE, timeout=0.5, age=0.5)
+
+
+def test_a_position_moves_every_axis_once_at_its_greatest_rate(follower):
+    orders = follower.command(setpoint(), 0, 0.0, REST)
+    assert orders[1] == Move(1, pytest.approx(90 * DEG), pytest.approx(200 * DEG))
+    assert follower.command(setpoint(), 0, 0.1, REST) == ()
+    assert follower.command(setpoint(step=1), 0, 0.2, REST) != ()
+
+
+def test_a_turn_has_one_turn_more_to_start_and_stop_in(follower):
+    orders = follower.command(turn(), 0, 0.0, REST)
+    assert orders[2] == Move(2, pytest.approx(-3 * 360 * DEG), pytest.approx(20 * DEG))
+    assert orders[0].angle == 0
+
+
+def test_a_stale_setpoint_moves_nothing_and_keeps_nothing_moving(follower):
+    assert follower.command(setpoint(), 2 * NS, 0.0, REST) == ()
+    assert follower.refusal == 'A setpoint is 2 s old, accepted is up to 0.5 s.'
+    assert follower.command(setpoint(stamp=2 * NS), 2 * NS, 0.1, REST)
+    assert follower.refusal == ''
+    assert follower.command(setpoint(), 2 * NS, 0.5, REST) == ()
+    assert follower.watch(0.7) == (Stop(),)
+
+
+def test_without_setpoints_the_table_stops_once_and_then_only_a_position_is_resumed(follower):
+    follower.command(setpoint(), 0, 0.0, REST)
+    assert follower.watch(0.5) == ()
+    assert follower.watch(0.51) == (Stop(),)
+    assert follower.watch(0.6) == ()
+    assert follower.command(setpoint(), 0, 1.0, REST) != ()
+    follower.command(turn(), 0, 1.1, REST)
+    assert follower.watch(1.7) == (Stop(),)
+    assert follower.command(turn(), 0, 1.8, REST) == ()
+    assert 'not resumed' in follower.refusal
+
+
+def test_hold_stops_and_what_the_controller_refused_is_not_tried_again(follower):
+    follower.command(setpoint(), 0, 0.0, REST)
+    follower.halt('The controller refuses: 12 axis 2 is not referenced.')
+    assert follower.command(setpoint(), 0, 0.1, REST) == ()
+    assert 'referenced' in follower.refusal
+    assert follower.command(setpoint(mode=Mode.HOLD), 0, 0.2, REST) == (Stop(),)
+    assert follower.command(setpoint(), 0, 0.3, REST) != ()
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'at', 'words'),
+    [
+        (turn(), Reading(np.zeros(3), np.array([0, 0, 1.0])), 'from rest'),
+        (turn(), Reading(np.array([0, 0.1, 0]), np.zeros(3)), 'from rest at its angles'),
+        (setpoint(1, Mode.RATE, (0, 0, 0), (0, 5, 5), 1.0), REST, 'whole turns of one joint'),
+        (setpoint(1, Mode.RATE, (0, 0, 0), (0, 0, 500), 1.0), REST, '500'),
+    ],
+)
+def test_what_a_table_must_not_do_is_refused(follower, wrong, at, words):
+    assert follower.command(wrong, 0, 0.0, at) == ()
+    assert words in follower.refusal
+
+
+# --- the node and a controller -----------------------------------------------------------------
+
+
+class Controller:
+    """Speaks the protocol of docs/tables.md; axes go at 1000 deg/s, whatever they are told."""
+
+    def __init__(self):
+        self.server = socket.create_server(('127.0.0.1', 0))
+        self.url = f'socket://127.0.0.1:{self.server.getsockname()[1]}'
+        self.lines = []
+        self.angles, self.goals = [0.0] * 3, [0.0] * 3
+        self.script = {}
+        self.silent = False
+        self.connections = 0
+        self.line = None
+        threading.Thread(target=self.serve, daemon=True).start()
+
+    def serve(self):
+        while True:
+            try:
+                self.line, _ = self.server.accept()
+            except OSError:
+                return
+            self.connections += 1
+            with contextlib.suppress(OSError), self.line, self.line.makefile('r') as lines:
+                for text in lines:
+                    self.lines.append(text.strip())
+                    if not self.silent:
+                        self.line.sendall(f'{self.reply(text.split())}\r\n'.encode())
+
+    def reply(self, words):
+        if words[0] in self.script:
+            return self.script[words[0]]
+        if words[0] == 'MOVE':
+            self.goals[int(words[1]) - 1] = float(words[2])
+        elif words[0] == 'STOP':
+            self.goals = list(self.angles)
+        elif words[0] == 'STATE':
+            moving = [np.clip(g - a, -20, 20) for a, g in zip(self.angles, self.goals, strict=True)]
+            self.angles = [a + m for a, m in zip(self.angles, moving, strict=True)]
+            numbers = [*self.angles, *(50 * m for m in moving)]
+            return ' '.join(['STATE', *(f'{n:.5f}' for n in numbers)])
+        return 'OK'
+
+    def count(self, word):
+        return sum(line.split()[0] == word for line in self.lines)
+
+    def close(self):
+        self.server.close()
+        if self.line is not None:
+            self.line.close()
+
+
+class Leader(ros.Node):
+    """Sends a setpoint over and over, and listens."""
+
+    def __init__(self):
+        super().__init__('leader')
+        self.setpoint, self.payloads, self.said = None, [], {}
+        kinds = ros.messages
+        self.output = self.create_publisher(
+            kinds.TurntableSetpoint, 'turntable/setpoint', qos.command()
+        )
+        self.joints = ros.open_drain(self, kinds.JointState, 'turntable/joint_states', qos.stream())
+        self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.hear, 100)
+        self.create_timer(0.02, self.tick, clock=STEADY)
+
+    def tick(self):
+        self.payloads += ros.drain(self.joints)
+        if self.setpoint is not None:
+            now = Setpoint(**{**vars(self.setpoint), 'stamp': time.time_ns()})
+            for payload in encode_setpoints(SetpointBlock((now,))).payloads():
+                self.output.publish(payload)
+
+    def hear(self, message):
+        for status in message.status:
+            self.said[status.name.partition(': ')[2]] = status
+
+    def says(self, part, level, words):
+        status = self.said.get(part)
+        return status is not None and status.level[0] == level and words in status.message
+
+
+class Bench:
+    def __init__(self):
+        self.controller = Controller()
+        self.node = None
+
+    def open(self):
+        arguments = [f'port:={self.controller.url}', 'reply_timeout:=0.1']
+        ros.init(args=['--ros-args', *(w for a in arguments for w in ('-p', a))])
+        self.executor = ros.SingleThreadedExecutor()
+        self.leader, self.node = Leader(), AsciiTableNode()
+        for node in (self.leader, self.node):
+            self.executor.add_node(node)
+        assert self.until(lambda: self.controller.count('STATE') > 2)
+        assert self.until(lambda: self.leader.output.get_subscription_count() == 1)
+
+    def until(self, condition, seconds=10.0):
+        return until(condition, seconds, lambda: self.executor.spin_once(timeout_sec=0.02))
+
+    def lead(self, what):
+        self.leader.setpoint = what
+
+    def stops(self):
+        return self.controller.count('STOP')
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    bench = Bench()
+    bench.open()
+    yield bench
+    bench.node.stop()
+    bench.controller.close()
+    ros.try_shutdown()
+
+
+def test_setpoints_become_lines_and_replies_joint_states(bench):
+    assert bench.controller.lines[:2] == ['STOP', 'WATCHDOG 1.000']
+    bench.lead(setpoint())
+    assert bench.until(lambda: bench.controller.angles == [0, 90, 0])
+    bench.until(lambda: False, 0.1)
+    bench.lead(turn(angles=(0, 90, 0)))
+    assert bench.until(lambda: 'MOVE 3 -1080.000000 20.000000' in bench.controller.lines)
+    (joints,) = decode_joints(Messages.join(bench.leader.payloads))
+    assert joints.names == TABLE.names
+    assert joints.position[:, 1].max() == pytest.approx(90 * DEG)
+    assert abs(joints.stamp[-1] - time.time_ns()) < NS
+    assert (np.diff(joints.stamp) > 0).all()
+
+
+def test_the_table_stops_when_setpoints_end_and_when_the_node_ends(bench):
+    bench.lead(setpoint(angles=(0, 9000, 0)))
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    before = bench.stops()
+    bench.lead(None)
+    ended = time.monotonic()
+    assert bench.until(lambda: bench.stops() > before)
+    assert time.monotonic() - ended < 1.0
+    bench.node.stop()
+    assert bench.controller.lines[-1] == 'STOP'
+
+
+def test_an_order_that_the_controller_refuses_stops_all_axes_and_is_said(bench):
+    bench.controller.script['MOVE'] = 'ERR 12 axis 2 is not referenced'
+    before = bench.stops()
+    bench.lead(setpoint())
+    assert bench.until(lambda: bench.leader.says('setpoints', 2, '12 axis 2 is not referenced'))
+    bench.until(lambda: False, 0.2)
+    # Once, though the setpoint was repeated.
+    assert (bench.controller.count('MOVE'), bench.stops()) == (1, before + 1)
+
+
+def test_a_controller_that_falls_silent_is_told_to_stop_and_met_anew(bench):
+    bench.lead(setpoint(angles=(0, 9000, 0)))
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    bench.controller.silent = True
+    assert bench.until(lambda: bench.controller.lines[-1] == 'STOP')
+    assert bench.until(lambda: bench.leader.says('controller', 2, "no reply to 'STATE'"))
+    bench.lead(None)
+    bench.controller.silent = False
+    assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+    assert bench.controller.connections >= 2
+
+
+def test_a_controller_that_hangs_up_is_said_and_called_again(bench):
+    bench.controller.line.shutdown(socket.SHUT_RDWR)
+    assert bench.until(lambda: bench.leader.says('controller', 2, 'is lost'))
+    assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+
+
+def test_garbage_is_no_joint_state_and_much_of_it_is_a_broken_line(bench):
+    bench.controller.script['STATE'] = 'STATE 0.0 nan 0.0 0 0 0'
+    assert bench.until(lambda: bench.leader.says('controller', 2, "Found 'STATE 0.0 nan"))
+    assert 'STOP' in bench.controller.lines[-5:]
+    del bench.controller.script['STATE']
+    assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+    (joints,) = decode_joints(Messages.join(bench.leader.payloads))
+    assert np.isfinite(joints.position).all()
+
+
+def test_a_subscriber_that_holds_the_publisher_up_does_not_hold_the_stop_up(bench, monkeypatch):
+    bench.lead(setpoint(angles=(0, 9000, 0)))
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    before, stuck = bench.stops(), threading.Event()
+    monkeypatch.setattr('imu_calib.nodes.ascii_table_node.publish_all', lambda *_: stuck.wait(2.0))
+    bench.until(lambda: False, 0.05)
+    assert until(lambda: bench.stops() > before, 2.0)
+    stuck.set()
+
+
+@pytest.mark.parametrize('port', ["''", 'socket://nowhere', 'http://127.0.0.1:80'])
+def test_a_port_that_cannot_be_is_refused_in_a_sentence(monkeypatch, port):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    ros.init(args=['--ros-args', '-p', f'port:={port}'])
+    with pytest.raises(InputError, match='socket://host:port'):
+        AsciiTableNode()
+    ros.try_shutdown()
