@@ -1,0 +1,17 @@
+"""A calibration in the form that somebody else's software reads: one module per format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from . import c_header, imucal, kalibr, ros
+from .exported import Exported, Source
+
+EXPORTS: dict[str, Callable[[Source], Exported]] = {
+    'ros': ros.export,
+    'kalibr': kalibr.export,
+    'imucal': imucal.export,
+    'c': c_header.export,
+}
+
+__all__ = ['EXPORTS', 'Exported', 'Source']

@@ -1,0 +1,119 @@
+"""Kalibr's imu.yaml with the intrinsics of its scale-misalignment model.
+
+Kalibr says, in a frame i of its own choice (ethz-asl/kalibr, IccSensors.py,
+IccScaledMisalignedImu):
+
+    accelerometers: raw = M a_i + b             M lower triangular
+    gyros:          raw = M C_gyro_i w_i + A C_gyro_i a_i + b
+
+so that its frame has X along the input axis of the accelerometer x, Y in the plane of x and y.
+Ours is that of the table's mount; T_i_b turns from ours to its: I + M_a = M C_i_b, and likewise
+I + M_g = M_gyro C_gyro_i C_i_b and G = A C_gyro_i C_i_b.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import yaml
+
+from ..calibration import Calibration
+from ..errors import InputError
+from ..report.noise import noise_of
+from ..stream import Floats, Units
+from .exported import Exported, Source, always_left_out
+
+_HEAD = """\
+# {imu} by imu_calib, in Kalibr's scale-misalignment model: raw = M x + b, x in rad/s and m/s^2.
+# Frame i: X along the input axis of accelerometer x, Y in the plane of x and y.
+# T_i_b turns the axes of the mount in which the unit was calibrated (b) into it.
+# bias: of the raw stream, before the matrix is inverted; Kalibr itself estimates biases anew.
+"""
+
+
+def export(source: Source) -> Exported:
+    """Return imu.yaml.
+
+    Raises:
+        InputError: No sample rate, or no noise, or axes that are mirrored.
+
+    """
+    calibration = source.calibration
+    model = calibration.model
+    accel, to_i = _lower(model.accel.response, 'accelerometers')
+    gyro, to_gyro = _lower(model.gyro.response, 'gyros')
+    pose = np.eye(4)
+    pose[:3, :3] = to_i
+    noise, bounds = _noise(calibration)
+    document = {
+        **noise,
+        'update_rate': source.rate_for('update_rate of imu.yaml'),
+        'rostopic': source.topic,
+        'model': 'scale-misalignment',
+        'time_offset': 0.0,
+        'T_i_b': pose.tolist(),
+        'accelerometers': {'M': accel.tolist(), 'bias': model.accel.bias.tolist()},
+        'gyroscopes': {
+            'M': gyro.tolist(),
+            'A': (model.g_sensitivity @ to_gyro.T).tolist(),
+            'C_gyro_i': (to_gyro @ to_i.T).tolist(),
+            'bias': model.gyro.bias.tolist(),
+        },
+    }
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=10**6)
+    sentences = [*bounds, *always_left_out(calibration)]
+    if calibration.imu.units is not Units.SI:
+        sentences.append(
+            f'The topic has to carry rad/s and m/s^2: {calibration.imu.units.value} times the '
+            'nominal scale factor'
+            + (' over the sample interval.' if calibration.imu.units is Units.PULSES else '.')
+        )
+    return Exported(_HEAD.format(imu=calibration.imu.id) + text, tuple(sentences))
+
+
+def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
+    """Split a response into a lower triangular matrix and a rotation.
+
+    Raises:
+        InputError: No rotation does it: the axes are mirrored.
+
+    """
+    rotation, upper = np.linalg.qr(response.T)
+    signs = np.where(np.diag(upper) < 0, -1.0, 1.0)
+    rotation = (rotation * signs).T
+    if np.linalg.det(rotation) < 0:
+        raise InputError(f"Kalibr's model has no mirrored axes, and the {name} are.")
+    return np.tril((signs[:, None] * upper).T), rotation
+
+
+def _noise(calibration: Calibration) -> tuple[dict[str, float], list[str]]:
+    """Return densities and random walks of Kalibr, and what is a bound only.
+
+    Raises:
+        InputError: The calibration carries no noise.
+
+    """
+    walk = np.array(calibration.provenance.get('random_walk', np.full(6, np.nan)), dtype=float)
+    channels = noise_of(calibration)
+    found: dict[str, float] = {}
+    bounds = []
+    for kalibr, name, mine in (
+        ('accelerometer', 'accelerometers', ('ax', 'ay', 'az')),
+        ('gyroscope', 'gyros', ('gx', 'gy', 'gz')),
+    ):
+        density = walk[3:] if kalibr == 'accelerometer' else walk[:3]
+        drift = [channels[c].rate_random_walk for c in mine if c in channels]
+        values = [c.value for c in drift if c.value]
+        limits = [c.below for c in drift if np.isfinite(c.below) and c.below > 0]
+        if not np.all(density > 0) or not (values or limits):
+            raise InputError(
+                f'The calibration does not tell the noise of the {name} that imu.yaml needs: '
+                'calibrate from a recording.'
+            )
+        if not values:
+            bounds.append(
+                f'{kalibr}_random_walk is what the session keeps it below (95 %), not a value.'
+            )
+        found[f'{kalibr}_noise_density'] = float(np.sqrt(np.mean(density**2)))
+        rms = float(np.sqrt(np.mean(np.square(values)))) if values else max(limits)
+        found[f'{kalibr}_random_walk'] = rms
+    return found, bounds

@@ -1,0 +1,23 @@
+"""A parameter file for compensator_node: `ros2 run imu_calib compensator_node --ros-args ...`."""
+
+from __future__ import annotations
+
+import yaml
+
+from .exported import Exported, Source
+
+
+def export(source: Source) -> Exported:
+    """Return parameters that point the node to the calibration file.
+
+    The file is named, not copied: the node reads it anew when it changes.
+    """
+    document = {'/**': {'compensator_node': {'ros__parameters': {'calibration': str(source.path)}}}}
+    head = (
+        f'# Calibration of {source.calibration.imu.id} for compensator_node:\n'
+        '# ros2 run imu_calib compensator_node --ros-args --params-file THIS_FILE\n'
+    )
+    return Exported(
+        head + yaml.safe_dump(document, sort_keys=False, width=10**6),
+        ('The file names the calibration by its path: it has to be there on the robot.',),
+    )
