@@ -4,7 +4,8 @@ Every session is simulated by the hardware-level simulation, cut and solved by t
 method. The prediction knows plan, table, data sheet and truth, and no session. Of a good one the
 ratio stays within what the spread of so many runs itself is uncertain by.
 
-    python benchmarks/prediction.py [PLAN ...] [--runs 1000] [--jobs 2] [--keep FOLDER]
+    python benchmarks/prediction.py [PLAN ...] [--runs 1000] [--jobs 2] [--sample-rate 20]
+                                    [--keep FOLDER]
 
 Exit code 1: a parameter is off by more than 10 % and that spread.
 """
@@ -42,7 +43,7 @@ UNITS = {'skewed': ('fog_skewed', 'fog_skewed')}
 """Unit and truth by method, where it is not the usual one."""
 
 
-def study(name: str) -> Study:
+def study(name: str, sample_rate: float | None = None) -> Study:
     """A shipped plan by its own method, on the plainest table that runs it, with a unit for it.
 
     The heading of the table is known where the method needs it, and another in each run where not.
@@ -52,7 +53,10 @@ def study(name: str) -> Study:
     table = plainest_table(plan)
     model = Calibration.load(named_file('truths', truth)).model
     options = economical(StandOptions(positioning_error=0.0, bias_instability=False))
-    setup = Setup(load_imu(unit), plan, table, SITE, plan.method)
+    imu = load_imu(unit)
+    if sample_rate is not None:
+        imu = replace(imu, sample_rate=sample_rate)
+    setup = Setup(imu, plan, table, SITE, plan.method)
     if not np.isfinite(forecast(setup, model).std).any():
         setup = replace(setup, table=replace(table, azimuth=HEADING))
         return Study(setup, model, options, HEADING)
@@ -73,9 +77,9 @@ def plainest_table(plan: Plan) -> Table:
     raise InputError(f'No table runs plan {plan.name}. {" ".join(reasons)}')
 
 
-def compare(name: str, runs: int, jobs: int, keep: Path | None) -> bool:
+def compare(case: Study, runs: int, jobs: int, keep: Path | None) -> bool:
     """Print one plan; say whether every parameter is within its bounds."""
-    case = study(name)
+    name = case.setup.plan.name
     setup = case.setup
     foreseen = forecast(setup, case.truth, case.azimuth)
     if foreseen.refusal:
@@ -120,10 +124,14 @@ def main() -> int:
     parser.add_argument('plans', nargs='*')
     parser.add_argument('--runs', type=int, default=1000)
     parser.add_argument('--jobs', type=int)
+    parser.add_argument(
+        '--sample-rate', type=float, metavar='HZ', help="of the IMU; default: its data sheet's"
+    )
     parser.add_argument('--keep', type=Path, help='folder for errors and deviations of all runs')
     chosen = parser.parse_args()
     names = chosen.plans or shipped()
-    kept = [compare(name, chosen.runs, chosen.jobs, chosen.keep) for name in names]
+    cases = (study(name, chosen.sample_rate) for name in names)
+    kept = [compare(case, chosen.runs, chosen.jobs, chosen.keep) for case in cases]
     return 0 if all(kept) else 1
 
 

@@ -1,5 +1,7 @@
 """A unit in the hand, live: the calibrator says what to do next, and the hand does it."""
 
+import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,16 +10,20 @@ from live import Stand
 from rich.console import Console
 from sessions import SITE
 
+from imu_calib.bags import Journal, open_recording
 from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
+from imu_calib.calibrator import Calibrator, Setup
+from imu_calib.cdr import Kind, encode_imu
 from imu_calib.cli.by_hand import reached, view
 from imu_calib.cli.main import main
 from imu_calib.devices import Decoder, load_format
+from imu_calib.earth import Site
 from imu_calib.imu import load_imu
 from imu_calib.methods.free import FREE
 from imu_calib.methods.free.guidance import Stage, direction
 from imu_calib.methods.free.session import FreeCalibrator
 from imu_calib.model import PARAMETER_NAMES, ParameterKind
+from imu_calib.nodes.live import LiveSession, Phase
 from imu_calib.plan import load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
@@ -167,3 +173,24 @@ def test_the_words_for_an_attitude_name_one(words):
     up = direction(words)
     assert np.linalg.norm(up) == pytest.approx(1)
     assert direction('sideways') is None
+
+
+def test_six_holds_and_three_turns_by_hand_live_are_those_of_the_recording(tmp_path):
+    recording = Path(__file__).parent / 'data' / 'hand_session'
+    setup = Setup(SPEC, load_plan('six_position_by_hand'), None, Site.at(49.6 * DEG))
+    topics = {Kind.IMU: '/imu/pulses'}
+    names = {topic: kind for kind, topic in topics.items()}
+    session = LiveSession(setup, Journal(tmp_path / 'journal', {}, names), topics)
+    offline = Calibrator(setup)
+    with open_recording(recording) as held:
+        for _, block in held.read({'/imu/raw': Kind.IMU}):
+            offline.feed(block)
+            session.take(Kind.IMU, encode_imu(block).payloads(), int(block.stamp[-1]))
+    assert session.guidance is None
+    session.end()
+    while not session.over:
+        session.poll()
+        time.sleep(0.01)
+    session.close()
+    assert session.phase is Phase.FINISHED, session.failure
+    assert np.array_equal(session.calibration.values, offline.finish().calibration.values)
