@@ -6,7 +6,9 @@ import argparse
 from pathlib import Path
 
 from ..calibration import Calibration
-from ..report.parameters import comparison_table
+from ..errors import InputError
+from ..report.parameters import comparison_table, unmatched
+from ..thermal import load_calibration
 from .terminal import OUTPUT
 
 
@@ -23,13 +25,29 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(arguments: argparse.Namespace) -> None:
     """Print the table."""
     paths = [Path(arguments.first), Path(arguments.second)]
-    calibrations = [Calibration.load(path) for path in paths]
+    calibrations = [_load(path) for path in paths]
     names = [path.stem for path in paths]
     if names[0] == names[1]:
         names = [str(path) for path in paths]
     OUTPUT.print(comparison_table(calibrations, names))
+    for name, only in zip(names, unmatched(*calibrations), strict=True):
+        if only:
+            OUTPUT.print(f'\nOnly in {name}: {", ".join(only)}.', markup=False)
+    first, second = (c.imu for c in calibrations)
+    if (first.gyro.scale_factor, first.accel.scale_factor) != (
+        second.gyro.scale_factor,
+        second.accel.scale_factor,
+    ):
+        OUTPUT.print(f'\nShown with the nominal scale factors of {names[0]}.', markup=False)
     OUTPUT.print(
         "\nTable 1: the paper's names, K = S - S0 (deviation of the scale factor). Its E names"
         '\nare the transpose of ours: by its eq. (18) for the accelerometers, by our reading for '
         'the gyros.'
     )
+
+
+def _load(path: Path) -> Calibration:
+    loaded = load_calibration(path)
+    if not isinstance(loaded, Calibration):
+        raise InputError(f'{path} combines calibrations at several temperatures: compare one.')
+    return loaded

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from ..bags import Recording, open_recording
 from ..calibration import Calibration
-from ..errors import NotObservable
+from ..errors import InputError, NotObservable
+from ..imu import ImuSpec
 from ..report.verification import (
     limits_line,
     moved_table,
@@ -17,9 +21,13 @@ from ..report.verification import (
     verdict_line,
 )
 from ..segmentation.segmenter import Segmenter
+from ..segmentation.thermometer import Temperature
+from ..thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
 from ..verification import Verdict, Verification, observe, verify
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
+
+_OTHER_TEMPERATURE = 5.0
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -45,7 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
         NotObservable: The calibration is rejected, or cannot be judged.
 
     """
-    calibration = Calibration.load(Path(arguments.calibration))
+    calibration = load_calibration(Path(arguments.calibration))
     with open_recording(arguments.bag) as recording:
         verification, same = _verify(arguments, recording, calibration)
     _show(verification, same)
@@ -54,7 +62,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _verify(
-    arguments: argparse.Namespace, recording: Recording, calibration: Calibration
+    arguments: argparse.Namespace, recording: Recording, loaded: AnyCalibration
 ) -> tuple[Verification, bool]:
     data, where = recording.custom_data, str(recording.path)
     streams = options.find_streams(arguments, recording)
@@ -62,7 +70,7 @@ def _verify(
     plan = None
     if arguments.plan is not None or 'imu_calib.plan' in data:
         plan = options.find_plan(arguments, data, where)
-    imu = calibration.imu
+    imu = _described(first_of(loaded))
     if arguments.imu is not None or 'imu_calib.imu' in data:
         imu = options.find_imu(arguments, data, where)
     site = options.find_site(arguments, data, where)
@@ -72,9 +80,43 @@ def _verify(
     with progress_bar('reading') as show:
         for _, block in recording.read(kinds, show):
             segmenter.feed(block)
-    observed = observe(segmenter.finish(), imu, site, plan, table)
+    session = segmenter.finish()
+    observed = observe(session, imu, site, plan, table)
+    calibration, notes = _at(loaded, session.temperature)
+    observed = replace(observed, notes=(*notes, *observed.notes))
     same = calibration.provenance.get('sha256') == recording.sha256()
     return verify(calibration, observed), same
+
+
+def _described(calibration: Calibration) -> ImuSpec:
+    """Return what the calibration knows of its IMU, the noise that made it included."""
+    imu = calibration.imu
+    walk = np.nan_to_num(np.array(calibration.provenance.get('random_walk', [0.0] * 6), float))
+    gyro, accel = np.sqrt(np.mean(walk.reshape(2, 3) ** 2, axis=1))
+    return replace(
+        imu,
+        gyro=replace(imu.gyro, random_walk=float(gyro)),
+        accel=replace(imu.accel, random_walk=float(accel)),
+    )
+
+
+def _at(loaded: AnyCalibration, seen: Temperature | None) -> tuple[Calibration, list[str]]:
+    """Return the calibration at the recording's temperature, and what is to be said of it."""
+    if isinstance(loaded, ThermalCalibration):
+        if seen is None:
+            raise InputError(
+                'The calibration depends on the temperature, which the recording does not tell.'
+            )
+        return loaded.at(seen.mean), []
+    made_at = loaded.provenance.get('temperature')
+    if seen is None or not isinstance(made_at, dict):
+        return loaded, []
+    if abs(seen.mean - float(made_at['mean'])) < _OTHER_TEMPERATURE:
+        return loaded, []
+    return loaded, [
+        f'The recording was made at {seen.mean:.1f} degrees Celsius, the calibration at '
+        f'{float(made_at["mean"]):.1f}.'
+    ]
 
 
 def _show(verification: Verification, same: bool) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.table import Table
 
 from ..calibration import Calibration
-from ..model import PARAMETERS, Parameter, ParameterKind
+from ..errors import InputError
+from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel, Skewed, Triad
 from ..stream import Units
 from ..units import ARCMIN, ARCSEC, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
 
@@ -93,7 +94,7 @@ def comparison_table(calibrations: Sequence[Calibration], names: Sequence[str]) 
     for heading in ('Table 1', 'here', *names, 'difference', 'in std', 'unit'):
         left = heading in {'Table 1', 'here', 'unit'}
         table.add_column(heading, justify='left' if left else 'right')
-    first, second = calibrations
+    first, second = calibrations = [calibrations[0], in_scale_of(calibrations[1], calibrations[0])]
     deviations = np.sqrt(first.std[:24] ** 2 + second.std[:24] ** 2)
     rows = sorted(
         range(24), key=lambda k: (PARAMETERS[k].triad != 'g', _table_order(PARAMETERS[k]))
@@ -116,7 +117,91 @@ def comparison_table(calibrations: Sequence[Calibration], names: Sequence[str]) 
         )
         if k == _last_gyro(rows):
             table.add_section()
+    _add_further(table, first, second)
     return table
+
+
+def _add_further(table: Table, first: Calibration, second: Calibration) -> None:
+    """Add the g-sensitivities and the skewed gyros that both have."""
+    values = [dict(zip(c.parameters, c.values, strict=True)) for c in (first, second)]
+    stds = [dict(zip(c.parameters, c.std, strict=True)) for c in (first, second)]
+    askew = False
+    table.add_section()
+    for parameter in first.parameters[len(PARAMETERS) :]:
+        if parameter not in values[1]:
+            continue
+        if parameter.row > 2 and not askew:
+            table.add_section()
+            askew = True
+        shown = engineering(parameter)
+        deviation = float(np.hypot(stds[0][parameter], stds[1][parameter]))
+        places = decimals(deviation / shown.scale)
+        mine = [v[parameter] / shown.scale for v in values]
+        difference = mine[0] - mine[1]
+        table.add_row(
+            '-',
+            parameter.name,
+            *(f'{v:.{places}f}' for v in mine),
+            f'{difference:+.{places}f}',
+            f'{difference * shown.scale / deviation:+.1f}' if deviation > 0 else '-',
+            shown.unit,
+        )
+
+
+def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
+    """Return a calibration as it reads with the nominal scale factors of another.
+
+    The same unit with twice the nominal scale factor answers twice as much: I + M, bias and
+    g-sensitivity double.
+
+    Raises:
+        InputError: The streams are not of the same units.
+
+    """
+    mine, its = calibration.imu, other.imu
+    if mine.units is not its.units:
+        raise InputError(
+            f'Calibrations of {its.units.value} and of {mine.units.value} cannot be compared.'
+        )
+    gyro = its.gyro.scale_factor / mine.gyro.scale_factor
+    accel = its.accel.scale_factor / mine.accel.scale_factor
+    if gyro == accel == 1.0:
+        return calibration
+    model = calibration.model
+    factors = np.array([gyro if p.triad == 'g' else accel for p in calibration.parameters])
+    skewed = model.skewed
+    if skewed is not None:
+        share = (its.skewed or its.gyro).scale_factor / (mine.skewed or mine.gyro).scale_factor
+        skewed = Skewed(skewed.response * share, skewed.bias * share)
+        factors[-4 * len(skewed.bias) :] = share
+    return replace(
+        calibration,
+        imu=replace(its, id=mine.id),
+        model=SensorModel(
+            _scaled(model.gyro, gyro),
+            _scaled(model.accel, accel),
+            model.g_sensitivity * gyro,
+            skewed,
+        ),
+        covariance=calibration.covariance * np.outer(factors, factors),
+    )
+
+
+def _scaled(triad: Triad, factor: float) -> Triad:
+    return Triad(triad.response * factor - np.eye(3), triad.bias * factor)
+
+
+def unmatched(first: Calibration, second: Calibration) -> tuple[list[str], list[str]]:
+    """Return the names of what only the first has, and of what only the second has."""
+    known = [
+        {p.name for p, s in zip(c.parameters, c.std, strict=True) if np.isfinite(s)}
+        for c in (first, second)
+    ]
+    mine, others = (
+        [p.name for p in c.parameters if p.name in known[k] - known[1 - k]]
+        for k, c in enumerate((first, second))
+    )
+    return mine, others
 
 
 def _last_gyro(rows: Sequence[int]) -> int:
