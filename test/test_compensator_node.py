@@ -221,5 +221,20 @@ def test_a_combined_calibration_waits_for_the_temperature_and_says_where_it_ends
         assert bench.until(lambda: len(bench.payloads) == 500)
         assert bench.until(lambda: bench.said('range', 'colder or warmer'))
         assert bench.words['range'].level in {b'\x01', 1}
+        assert bench.until(lambda: bench.said('temperature', 'comes in'))
         figures = {v.key: v.value for v in bench.words['temperature'].values}
         assert figures['temperature'] == '35.00 degC'
+
+
+def test_two_devices_on_one_topic_are_an_error_and_give_nothing(monkeypatch, file):
+    monkeypatch.setattr('imu_calib.nodes.compensator_node._GHOST', 0.5)
+    with Bench(monkeypatch, calibration=file) as bench:
+        second = bench.peer.create_publisher(M.Imu, 'imu/pulses', qos.stream())
+        assert bench.until(lambda: bench.said('stream', 'Two publishers on /imu/pulses'))
+        bench.send(encode_imu(block(200)).payloads())
+        bench.until(lambda: False, 0.5)
+        assert not bench.payloads
+        bench.peer.destroy_publisher(second)
+        assert bench.until(lambda: not bench.said('stream', 'Two publishers'))
+        bench.send(encode_imu(block(200)).payloads())
+        assert bench.until(lambda: len(bench.payloads) == 200)

@@ -317,7 +317,7 @@ class CompensatorNode(ros.Node):
         level, text = Level.OK, 'all samples are within what was calibrated'
         if fresh:
             level = Level.WARN
-            text = f'samples with {", ".join(_WORDS[mark] for mark in fresh)}'
+            text = f'in the last second: {", ".join(_WORDS[mark] for mark in fresh)}'
         figures = {_WORDS[mark]: str(counts[mark]) for mark in Mark}
         if self._compensator.alone:
             figures["without the skewed gyro's value"] = str(self._compensator.alone)
