@@ -17,7 +17,9 @@ from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
 from ..middleware import messages
+from ..model import Parameter
 from ..plan import load_plan
+from ..report.parameters import engineering
 from ..session import describe
 from ..turntable import load_table
 from ..units import DEG
@@ -360,7 +362,21 @@ class CalibratorNode(ros.Node):
         if imu.malformed.count:
             level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
         self._diagnostics.report('stream', level, text, **figures)
+        self._report_joint_states()
         self._report_skew()
+
+    def _report_joint_states(self) -> None:
+        """Say whether the table, where there is one, is heard."""
+        joints = self._session.intakes.get(Kind.JOINTS)
+        if joints is None:
+            return
+        level, text = Level.OK, f'{joints.topic} comes in'
+        if not joints.count:
+            level, text = Level.WARN, f'nothing has come in on {joints.topic} yet'
+        if joints.malformed.count:
+            level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
+        figures = {'samples': str(joints.count), 'malformed': str(joints.malformed.count)}
+        self._diagnostics.report('joint states', level, text, **figures)
 
     def _report_skew(self) -> None:
         """Say whether a skewed gyro, where the IMU's file names one, is heard."""
@@ -429,9 +445,16 @@ class CalibratorNode(ros.Node):
 
 def _worst(review: Review) -> dict[str, str]:
     return {
-        parameter.name: ('not determined' if math.isnan(value) else f'{value:.3g} (SI)')
+        f'std of {parameter.name}': _deviation(parameter, value)
         for parameter, value in zip(review.parameters, review.std.tolist(), strict=True)
     }
+
+
+def _deviation(parameter: Parameter, value: float) -> str:
+    if math.isnan(value):
+        return 'not determined'
+    shown = engineering(parameter)
+    return f'{value / shown.scale:.3g} {shown.unit}'.strip()
 
 
 def main() -> int:

@@ -77,7 +77,7 @@ class CompensatorNode(ros.Node):
         self._two_since: float | None = None
         self._mixed = False
         self._unreliable = False
-        self._diagnostics = Diagnostics(self, '')
+        self._diagnostics = Diagnostics(self, 'no calibration yet')
         self._publisher = self.create_publisher(
             messages.Imu,
             'imu/data_raw',

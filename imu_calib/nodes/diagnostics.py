@@ -50,10 +50,11 @@ class Diagnostics:
         Args:
             part: For instance 'stream' or 'table'.
             level: How bad it is.
-            text: One sentence for a person.
+            text: One sentence for a person, from which the figures may be missing.
             **figures: Values with their units, by name.
 
         """
+        text = text if text.endswith('.') else f'{text}.'
         before = self._reports.get(part)
         self._reports[part] = _Report(level, text, figures)
         if before is not None and (before.level, before.text) == (level, text):

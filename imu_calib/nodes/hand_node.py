@@ -128,7 +128,8 @@ class HandNode(ros.Node):
 
     def _report(self) -> None:
         connected = self._line.connected
-        text = 'is read' if connected else f'waits for a reader on port {self._line.port}'
+        waits = f'The frames wait for a reader on port {self._line.port}.'
+        text = 'The frames are read.' if connected else waits
         level = Level.OK if connected else Level.WARN
         frames = str(self._hardware.frames)
         self._diagnostics.report('IMU', level, text, frames=frames)

@@ -183,9 +183,11 @@ class StandNode(ros.Node):
         if refusals:
             self._diagnostics.report('table', Level.ERROR, refusals[-1])
         else:
-            self._diagnostics.report('table', Level.OK, 'follows its setpoints')
+            self._diagnostics.report('table', Level.OK, 'The table follows its setpoints.')
         text = (
-            'is read' if self._line.connected else f'waits for a reader on port {self._line.port}'
+            'The frames are read.'
+            if self._line.connected
+            else f'The frames wait for a reader on port {self._line.port}.'
         )
         self._diagnostics.report(
             'IMU',

@@ -308,8 +308,7 @@ class TurntableNode(Node):
             'plan',
             Level.ERROR if state.fault else level,
             _sentence(state),
-            step=f'{state.step + 1} of {state.steps}' if state.steps else 'none',
-            seconds_left=f'{state.seconds_left:.0f} s',
+            **_figures(state, self._sequencer.table.names),
         )
         self._report_joint_states()
 
@@ -323,7 +322,10 @@ class TurntableNode(Node):
             'joint states',
             Level.WARN if fault else Level.OK,
             fault or 'Joint states come in.',
-            malformed=str(self._malformed.count),
+            **{
+                'last heard': f'{self._published_at - self._fed_at:.3f} s ago',
+                'malformed': f'{self._malformed.count} messages',
+            },
         )
 
     def _on_progress(self, message: Any) -> None:
@@ -377,6 +379,20 @@ def _sentence(state: State) -> str:
         return {Phase.IDLE: 'Nothing is started.', Phase.DONE: 'The plan is done.'}[state.phase]
     where = f'position {state.position}' if state.position else 'back to the start'
     return f'{state.phase.name.capitalize()}: step {state.step + 1} of {state.steps}, {where}.'
+
+
+def _figures(state: State, joints: tuple[str, ...]) -> dict[str, str]:
+    """Return what a person wants to see of a state, with units."""
+    figures = {
+        'plan': state.plan,
+        'phase': state.phase.name,
+        'step': f'{state.step + 1} of {state.steps}' if state.steps else 'none',
+        'position': state.position or 'none',
+        'time left': f'{state.seconds_left:.0f} s',
+    }
+    for name, angle, rate in zip(joints, state.angles, state.rates, strict=False):
+        figures[f'joint {name}'] = f'{angle / DEG:.4f} deg, {rate / DEG:.3f} deg/s'
+    return figures
 
 
 def _trajectory(piece: Piece, names: tuple[str, ...]) -> Any:
