@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ _FORMAT = 1
 _APART = 0.5
 _MARGIN = 5.0
 _MOST = 4
+_WRITTEN = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,15 +250,22 @@ def check_unit(calibration: AnyCalibration, name: str, imu: ImuSpec, where: str)
 
     """
     own = first_of(calibration).imu
-    compared = {
+    compared: dict[str, tuple[str | float, str | float]] = {
         'imu': (own.id, imu.id),
         'units': (own.units.value, imu.units.value),
         'gyro: scale_factor': (own.gyro.scale_factor, imu.gyro.scale_factor),
         'accelerometer: scale_factor': (own.accel.scale_factor, imu.accel.scale_factor),
     }
     for key, (found, expected) in compared.items():
-        if found != expected:
+        if not _same(found, expected):
             raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
+
+
+def _same(found: str | float, expected: str | float) -> bool:
+    """Compare texts exactly, and numbers but for how they were written down."""
+    if isinstance(found, float) and isinstance(expected, float):
+        return math.isclose(found, expected, rel_tol=_WRITTEN)
+    return found == expected
 
 
 def _check_alike(calibration: Calibration, name: str, first: Calibration, other: str) -> None:

@@ -179,3 +179,10 @@ def test_the_recordings_own_imu_is_held_against_the_calibration(tmp_path, calibr
     bag = write_with_rosbags(tmp_path / 'bag', ROWS[:500], custom={'imu_calib.imu': text})
     assert main(['compensate', str(bag), '--calibration', calibration, '-o', 'out']) == 2
     assert 'imu: found fog_medium, expected another' in ' '.join(capsys.readouterr().err.split())
+
+
+def test_a_scale_factor_may_be_written_in_other_digits(tmp_path, calibration):
+    # 7.8 arcsec in radians: the file of the truth and that of the IMU differ in the last bit.
+    bag = write_with_rosbags(tmp_path / 'bag', ROWS[:500])
+    words = ['compensate', str(bag), '--calibration', calibration, '--imu', 'fog_medium']
+    assert main([*words, '-o', str(tmp_path / 'out')]) == 0

@@ -12,6 +12,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.model import SensorModel, Triad
+from imu_calib.segmentation.thermometer import Thermometer
 from imu_calib.simulation import ThermalDrift, Warming
 from imu_calib.thermal import ThermalCalibration, combine, load_calibration, temperature_range
 from imu_calib.units import DEG_H, MICRO_G
@@ -73,6 +74,20 @@ def test_between_the_temperatures_the_truth_lies_within_the_deviations(order):
 def test_a_session_tells_its_temperature():
     provenance = at(-20.0).provenance['temperature']
     assert provenance == pytest.approx({'mean': -20.0, 'lowest': -20.0, 'highest': -20.0})
+
+
+def test_a_temperature_is_the_same_however_it_came_in():
+    rng = np.random.default_rng(0)
+    celsius = np.append(rng.normal(20.0, 3.0, 1000), [np.nan, 1e9])
+    whole = Thermometer()
+    whole.feed(celsius)
+    for seed in range(5):
+        order = np.random.default_rng(seed).permutation(len(celsius))
+        parts = Thermometer()
+        for piece in np.array_split(celsius[order], 17):
+            parts.feed(piece)
+        assert parts.temperature == whole.temperature
+    assert whole.temperature.mean == pytest.approx(celsius[:1000].mean(), abs=1e-6)
 
 
 def test_beyond_the_ends_the_nearest_calibration_holds():

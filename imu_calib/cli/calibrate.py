@@ -126,6 +126,11 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         f'gravity {setup["gravity"]:.6f} m/s^2 ({setup["gravity_source"]}), '
         f'latitude {setup["latitude_deg"]:.3f} deg'
     )
+    if session.temperature is not None:
+        seen = session.temperature
+        OUTPUT.print(
+            f'temperature {seen.mean:.2f} degC, from {seen.lowest:.2f} to {seen.highest:.2f} degC'
+        )
     if solution.azimuth_std < 10 * DEG:
         OUTPUT.print(
             f"the table's zero points {solution.azimuth / DEG:.1f} +- "
