@@ -33,7 +33,10 @@ def follow(processes: Processes, environment: dict[str, str]) -> Outcome:
     """
     from .monitor import watching
 
-    with watching(environment) as monitor, Live(console=ERRORS, refresh_per_second=8) as display:
+    with (
+        watching(environment) as monitor,
+        Live(console=ERRORS, refresh_per_second=8, transient=True) as display,
+    ):
         deadline = time.monotonic() + _START
         shown = ''
         while monitor.outcome is None:
