@@ -137,6 +137,20 @@ def test_every_stretch_is_on_the_time_line(text: str, result: Result) -> None:
     assert blocks.count('block rejected') == 1
 
 
+def test_thousands_of_rejected_stretches_do_not_swell_the_page(contents: Contents) -> None:
+    result = contents.result
+    assert result is not None
+    start = result.session.start or 0
+    many = tuple(
+        Rejected(start + k * 10**8, start + k * 10**8 + 5 * 10**7, 'the sensor is saturated', '7')
+        for k in range(5000)
+    )
+    swollen = replace(result, labelled=replace(result.labelled, rejected=many))
+    found = page(replace(contents, result=swollen))
+    assert len(found.encode()) < 500_000
+    assert 'and 4960 more' in found
+
+
 def test_the_page_asks_nobody_for_anything_and_is_small(text: str, contents: Contents) -> None:
     names = {e.tag for e in parsed(text).iter()}
     assert not names & {'script', 'link', 'img', 'iframe', 'object', 'image', 'use', 'a'}

@@ -59,7 +59,7 @@ def _panel(
         inside = _clipped(panel, stated)
         panel.curve(inside, '#555555', '5 3')
         x, y = inside[-1]
-        at = panel.across(x) - 5, panel.down(y) - 10
+        at = panel.across(x) - 5, panel.down(y) + 6
         panel.parts.append(label('data sheet', *at, class_='tick', text_anchor='end'))
     for name, channel in channels.items():
         k = units.channels.index(name)
@@ -120,7 +120,7 @@ def noise_notes(seen: Mapping[str, ChannelNoise]) -> str:
     text = (
         'Overlapping Allan deviation of all stretches at rest together, with one standard '
         'deviation; "below" is a 95 % bound. A dwell of two minutes shows the random walk and '
-        'seldom the bias instability: for that, let the unit stand for hours.'
+        'seldom the bias instability: for that, let one position last for hours.'
     )
     if any(c.timed for c in seen.values()):
         text += (

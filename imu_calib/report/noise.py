@@ -10,6 +10,7 @@ from ..errors import InputError
 from ..imu import TriadSpec
 from ..noise import ChannelNoise, Coefficient
 from ..units import DEG, DEG_H, HOUR, MICRO_G
+from .parameters import decimals
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,9 @@ def written(coefficient: Coefficient, scale: float) -> str:
     if coefficient.value is not None and coefficient.std is not None:
         if coefficient.std == 0:
             return f'{coefficient.value / scale:.3g}'
-        return f'{coefficient.value / scale:.3g}+-{coefficient.std / scale:.1g}'
+        value, std = coefficient.value / scale, coefficient.std / scale
+        places = decimals(std)
+        return f'{value:.{places}f}+-{std:.{places}f}'
     return f'<{coefficient.below / scale:.2g}' if coefficient.below < float('inf') else '-'
 
 

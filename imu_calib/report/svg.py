@@ -82,7 +82,10 @@ class Axis:
         if self.logarithmic:
             first, last = round(math.log10(self.low)), round(math.log10(self.high))
             every = -(-(last - first) // _MOST_LABELS)
-            return [(10.0**k, _power(k)) for k in range(first, last + 1, every)]
+            ticks = [(10.0**k, _power(k)) for k in range(first, last + 1, every)]
+            if last - first == 1:
+                ticks += [(m * 10.0**first, f'{m * 10.0**first:g}') for m in (2, 5)]
+            return ticks
         step = _step((self.high - self.low) / _FEWEST_TICKS)
         places = max(0, -math.floor(math.log10(step) + 1e-9))
         first = math.ceil(self.low / step - 1e-9)

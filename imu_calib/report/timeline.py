@@ -16,6 +16,7 @@ _WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
 _LETTER = 6.4
 _MINUTES = 300.0
 _MOST_ROWS = 40
+_MOST_BLOCKS = 500
 
 
 class Lane(Enum):
@@ -83,7 +84,10 @@ def time_line(found: Sequence[Stretch], duration: float) -> str:
         y = _TOP + k * _ROW
         parts.append(tag('rect', x=_LEFT, y=y, width=width, height=_ROW - 3, class_='lane'))
         parts.append(label(lane.value, _LEFT - 8, y + 18, class_='axis', text_anchor='end'))
-        parts += [_block(panel, s, y, scale) for s in found if s.lane is lane and s.end > s.start]
+        own = [s for s in found if s.lane is lane and s.end > s.start]
+        # Of thousands of short ones, no screen shows more than the longest.
+        longest = sorted(own, key=lambda s: s.start - s.end)[:_MOST_BLOCKS]
+        parts += [_block(panel, s, y, scale) for s in sorted(longest, key=lambda s: s.start)]
     for value, text in panel.x.ticks():
         x = panel.across(value)
         parts.append(tag('line', x1=x, y1=_TOP, x2=x, y2=bottom, class_='grid'))
