@@ -10,10 +10,13 @@ import time
 import numpy as np
 import pytest
 from loopback import environment, until
+from test_turntable_node import PLAN
+from test_turntable_node import TABLE as NIMBLE
 
 from imu_calib.cdr import Messages, decode_joints, encode_setpoints
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.nodes import qos
+from imu_calib.simulation.profile import Track, trapezoid
 from imu_calib.stream import Mode, Setpoint, SetpointBlock
 from imu_calib.tables import Follower, Move, Reading, Stop
 from imu_calib.turntable import load_table
@@ -23,6 +26,7 @@ os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib import middleware as ros
     from imu_calib.nodes.ascii_table_node import AsciiTableNode
+    from imu_calib.nodes.turntable_node import TurntableNode
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -309,3 +313,67 @@ def test_a_port_that_cannot_be_is_refused_in_a_sentence(monkeypatch, port):
     with pytest.raises(InputError, match='socket://host:port'):
         AsciiTableNode()
     ros.try_shutdown()
+
+
+class Servo(Controller):
+    """A controller whose axes go on trapezoids, at 9000 deg/s^2, as they are told."""
+
+    def __init__(self):
+        self.began = time.monotonic()
+        self.tracks = [Track.standing(0.0, np.zeros(1)) for _ in range(3)]
+        super().__init__()
+
+    def reply(self, words):
+        now = time.monotonic() - self.began
+        at = [track.at(np.array([now])) for track in self.tracks]
+        places = [float(place[0, 0]) for place, _ in at]
+        if words[0] == 'STATE':
+            numbers = [*places, *(float(rate[0, 0]) for _, rate in at)]
+            return ' '.join(['STATE', *(f'{number:.6f}' for number in numbers)])
+        if words[0] == 'MOVE':
+            k, goal, rate = int(words[1]) - 1, float(words[2]), float(words[3])
+            if abs(goal - places[k]) > 1e-6:
+                self.tracks[k] = trapezoid(now, places[k], goal, rate, 9000.0)
+        if words[0] == 'STOP':
+            self.tracks = [Track.standing(now, np.array([place])) for place in places]
+        return 'OK'
+
+
+def test_turntable_node_leads_a_plan_with_turns_through_lines_of_text(monkeypatch, tmp_path):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    (tmp_path / 'nimble.yaml').write_text(NIMBLE)
+    (tmp_path / 'tiny.yaml').write_text(PLAN.replace('RATE deg/s', '700 deg/s, -700 deg/s'))
+    controller = Servo()
+    given = {
+        'port': controller.url,
+        'table': tmp_path / 'nimble.yaml',
+        'plan': tmp_path / 'tiny.yaml',
+        'supervised': 'false',
+        'autostart': 'true',
+        'settle': 0.05,
+        'joint_state_rate': 100.0,
+    }
+    ros.init(args=['--ros-args', *(w for k, v in given.items() for w in ('-p', f'{k}:={v}'))])
+    executor = ros.SingleThreadedExecutor()
+    driver, leader = AsciiTableNode(), TurntableNode()
+    states = []
+    leader.create_subscription(
+        ros.messages.TurntableState, 'turntable/state', states.append, qos.latched()
+    )
+    for node in (driver, leader):
+        executor.add_node(node)
+    done = ros.messages.TurntableState.DONE
+    ended = until(
+        lambda: states and states[-1].phase >= done, 30.0, lambda: executor.spin_once(0.02)
+    )
+    for node in (leader, driver):
+        node.stop()
+    controller.close()
+    ros.try_shutdown()
+    assert ended, states[-1]
+    assert (states[-1].phase, states[-1].reason) == (done, '')
+    # One turn each way, with one more to start and stop in.
+    turns = [line.split() for line in controller.lines if line.endswith(' 700.000000')]
+    assert [(axis, round(float(goal))) for _, axis, goal, _ in turns] == [('1', 720), ('1', 0)]
+    assert controller.lines[-1] == 'STOP'
