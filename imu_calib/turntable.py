@@ -174,7 +174,7 @@ class Table:
             if closest > _REACH_TOLERANCE:
                 joints = ', '.join(self.names)
                 few = len(self.joints) < 3
-                advice = ' Any attitude needs three joints.' if few else ''
+                advice = ' Only three joints reach any attitude.' if few else ''
                 raise InputError(
                     f'Table {self.name} (joints: {joints}) cannot reach the attitude: its '
                     f'closest is {closest / DEG:.3g} deg away.{advice}'

@@ -1,6 +1,7 @@
 """What a plan is said to give beforehand, against what sessions gave and what a bound allows."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -175,10 +176,33 @@ def test_what_no_session_of_a_plan_could_give_is_refused_before_it_begins() -> N
         check_session(setup('six_position'))
     with pytest.raises(NotObservable, match='No position with X north'):
         check_session(setup('six_position', 'off_axis_four'))
-    with pytest.raises(InputError, match=r'outer, inner.*three joints'):
+    with pytest.raises(InputError, match=r'outer, inner.*Only three joints'):
         check_session(replace(setup(), table=load_table('two_axis')))
     check_session(setup())
     check_session(replace(setup('skewed'), imu=load_imu('fog_skewed')))
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'code', 'words'),
+    [
+        (['six_position'], 1, ['need north', 'three_axis does not']),
+        (['six_position', '--method', 'off_axis_four'], 1, ['K_gx', 'D_gz']),
+        (['twelve_position', '--table', 'two_axis'], 2, ['position 1', 'outer, inner']),
+        (['skewed', '--imu', 'fog_skewed'], 2, ['--truth', 'skewed gyro']),
+    ],
+)
+def test_a_stand_that_cannot_be_solved_does_not_start(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    code: int,
+    words: list[str],
+) -> None:
+    folder = tmp_path / 'stand'
+    assert main(['stand', *arguments, '-o', str(folder)]) == code
+    said = capsys.readouterr().err
+    assert all(word in said for word in words), said
+    assert not folder.exists()
 
 
 def test_dwells_of_a_plan_without_any_reach_nothing() -> None:

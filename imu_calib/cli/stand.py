@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,7 @@ def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     table = None if plan.by_hand else load_table(arguments.table)
     setup = Setup(imu, plan, table, site, arguments.method or None)
-    check_session(setup)
+    _check_session(setup)
     if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
         raise InputError(
             f'Plan {plan.name} is for a hand: give --port, where the IMU is. Simulated hands hold '
@@ -139,6 +140,21 @@ def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
     if arguments.port:
         return None
     return options.load_truth(arguments.truth, imu)
+
+
+def _check_session(setup: Setup) -> None:
+    """Refuse what the method could not solve; say who tells north where that is missing."""
+    try:
+        check_session(setup)
+    except NotObservable as error:
+        table = setup.table
+        if table is None or table.azimuth is not None:
+            raise
+        check_session(replace(setup, table=replace(table, azimuth=0.0)))
+        raise NotObservable(
+            f'{error} Here the file of the table says where north is (azimuth: 12.3 deg); that of '
+            f'{table.name} does not.'
+        ) from None
 
 
 def _complete(arguments: argparse.Namespace) -> None:
