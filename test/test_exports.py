@@ -137,6 +137,17 @@ def test_kalibrs_matrices_have_its_form_and_its_noise_its_units() -> None:
     assert file['accelerometer_random_walk'] == pytest.approx(np.sqrt((16 + 25 + 36) / 3) * 1e-6)
 
 
+def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:
+    calibration = replace(unit('si'), provenance={'random_walk': WALK})
+    sheet = load_imu('fog_medium')
+    found = EXPORTS['kalibr'](Source(calibration, Path('/c.yaml'), sheet=sheet))
+    file = yaml.safe_load(found.text)
+    # 0.1 deg/h over the root of an hour.
+    assert file['gyroscope_random_walk'] == pytest.approx(0.1 * DEG_H / 60)
+    assert file['update_rate'] == 100.0
+    assert any('rule of thumb' in sentence for sentence in found.left_out)
+
+
 def test_kalibr_is_refused_what_it_needs_in_words() -> None:
     calibration = unit('si')
     with pytest.raises(InputError, match='give --sample-rate'):

@@ -9,6 +9,7 @@ from pathlib import Path
 from ..calibration import Calibration, write_whole
 from ..errors import InputError
 from ..exports import EXPORTS, Source
+from ..imu import load_imu
 from ..thermal import first_of, load_calibration
 from . import options
 from .terminal import OUTPUT, sentence_list
@@ -36,6 +37,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         '--topic', default='/imu/data', help='kalibr: topic of the stream (default: %(default)s)'
     )
+    parser.add_argument(
+        '--imu', metavar='NAME|FILE', help='kalibr: the data sheet, for noise nobody has measured'
+    )
     parser.set_defaults(run=run)
 
 
@@ -54,7 +58,8 @@ def run(arguments: argparse.Namespace) -> None:
             f'{path} combines calibrations at several temperatures, which format '
             f'{arguments.format} cannot carry: export one of them.'
         )
-    source = Source(first_of(loaded), path, rate, arguments.topic)
+    sheet = load_imu(arguments.imu) if arguments.imu is not None else None
+    source = Source(first_of(loaded), path, rate, arguments.topic, sheet)
     exported = EXPORTS[arguments.format](source)
     write_whole(target, exported.text)
     OUTPUT.print(f'written to {target}', markup=False)

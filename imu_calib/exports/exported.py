@@ -9,6 +9,7 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..errors import InputError
+from ..imu import ImuSpec
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,7 @@ class Source:
         path: Its file, absolute.
         sample_rate: Of the IMU's stream, Hz; None where nobody said.
         topic: Topic of the IMU's stream.
+        sheet: The IMU by its data sheet, for noise that the calibration does not tell; or None.
 
     """
 
@@ -27,6 +29,7 @@ class Source:
     path: Path
     sample_rate: float | None = None
     topic: str = '/imu/data'
+    sheet: ImuSpec | None = None
 
     def rate_for(self, purpose: str) -> float:
         """Return the sample rate, Hz.
@@ -35,9 +38,11 @@ class Source:
             InputError: Nobody said; says what it is needed for.
 
         """
-        if self.sample_rate is None:
-            raise InputError(f'{purpose}: give --sample-rate HZ.')
-        return self.sample_rate
+        if self.sample_rate is not None:
+            return self.sample_rate
+        if self.sheet is not None and self.sheet.sample_rate is not None:
+            return self.sheet.sample_rate
+        raise InputError(f'{purpose}: give --sample-rate HZ.')
 
 
 @dataclass(frozen=True)

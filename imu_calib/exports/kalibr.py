@@ -16,10 +16,12 @@ from __future__ import annotations
 import numpy as np
 import yaml
 
-from ..calibration import Calibration
 from ..errors import InputError
+from ..imu import TriadSpec
+from ..noise import Coefficient
 from ..report.noise import noise_of
 from ..stream import Floats, Units
+from ..units import HOUR
 from .exported import Exported, Source, always_left_out
 
 _HEAD = """\
@@ -43,7 +45,7 @@ def export(source: Source) -> Exported:
     gyro, to_gyro = _lower(model.gyro.response, 'gyros')
     pose = np.eye(4)
     pose[:3, :3] = to_i
-    noise, bounds = _noise(calibration)
+    noise, bounds = _noise(source)
     document = {
         **noise,
         'update_rate': source.rate_for('update_rate of imu.yaml'),
@@ -85,35 +87,57 @@ def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
     return np.tril((signs[:, None] * upper).T), rotation
 
 
-def _noise(calibration: Calibration) -> tuple[dict[str, float], list[str]]:
-    """Return densities and random walks of Kalibr, and what is a bound only.
+def _noise(source: Source) -> tuple[dict[str, float], list[str]]:
+    """Return densities and random walks of Kalibr, and what of them is no measured value.
 
     Raises:
-        InputError: The calibration carries no noise.
+        InputError: Neither the calibration nor a data sheet tells.
 
     """
-    walk = np.array(calibration.provenance.get('random_walk', np.full(6, np.nan)), dtype=float)
+    calibration, sheet = source.calibration, source.sheet
+    walk = np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
     channels = noise_of(calibration)
     found: dict[str, float] = {}
-    bounds = []
-    for kalibr, name, mine in (
-        ('accelerometer', 'accelerometers', ('ax', 'ay', 'az')),
-        ('gyroscope', 'gyros', ('gx', 'gy', 'gz')),
+    notes = []
+    for kalibr, name, mine, spec, densities in (
+        (
+            'accelerometer',
+            'accelerometers',
+            'xyz',
+            None if sheet is None else sheet.accel,
+            walk[3:],
+        ),
+        ('gyroscope', 'gyros', 'xyz', None if sheet is None else sheet.gyro, walk[:3]),
     ):
-        density = walk[3:] if kalibr == 'accelerometer' else walk[:3]
-        drift = [channels[c].rate_random_walk for c in mine if c in channels]
-        values = [c.value for c in drift if c.value]
-        limits = [c.below for c in drift if np.isfinite(c.below) and c.below > 0]
-        if not np.all(density > 0) or not (values or limits):
+        density = float(np.sqrt(np.mean(densities**2)))
+        if not density > 0 and spec is not None:
+            density = spec.random_walk
+            notes.append(f'{kalibr}_noise_density is that of the data sheet.')
+        drifts = [
+            channels[c].rate_random_walk for axis in mine if (c := name[0] + axis) in channels
+        ]
+        drift, note = _drift(drifts, spec)
+        if not (density > 0 and drift > 0):
             raise InputError(
                 f'The calibration does not tell the noise of the {name} that imu.yaml needs: '
-                'calibrate from a recording.'
+                'give --imu with its data sheet (random walk and bias instability).'
             )
-        if not values:
-            bounds.append(
-                f'{kalibr}_random_walk is what the session keeps it below (95 %), not a value.'
-            )
-        found[f'{kalibr}_noise_density'] = float(np.sqrt(np.mean(density**2)))
-        rms = float(np.sqrt(np.mean(np.square(values)))) if values else max(limits)
-        found[f'{kalibr}_random_walk'] = rms
-    return found, bounds
+        if note:
+            notes.append(f'{kalibr}_random_walk {note}.')
+        found[f'{kalibr}_noise_density'] = density
+        found[f'{kalibr}_random_walk'] = drift
+    return found, notes
+
+
+def _drift(drifts: list[Coefficient], spec: TriadSpec | None) -> tuple[float, str]:
+    """Return the random walk of the biases per sqrt(s), 0 where nothing tells it, and whence."""
+    values = [c.value for c in drifts if c.value]
+    if values:
+        return float(np.sqrt(np.mean(np.square(values)))), ''
+    if spec is not None and spec.bias_instability > 0:
+        words = "is the data sheet's bias instability over the root of an hour, a rule of thumb"
+        return spec.bias_instability / HOUR**0.5, words
+    limits = [c.below for c in drifts if np.isfinite(c.below) and c.below > 0]
+    if limits:
+        return max(limits), 'is what the session keeps it below (95 %), not a value'
+    return 0.0, ''

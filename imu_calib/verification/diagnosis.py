@@ -75,15 +75,19 @@ def new_parameters(system: System) -> Fit:
 def with_true_noise(system: System) -> System:
     """Widen the noise to what the session scatters by, whatever the parameters.
 
-    A session of few rests cannot tell: the data sheet's bias instability then counts.
+    A session of few rests, or of lengths alone, cannot tell: the data sheet's bias instability
+    then counts.
 
     Raises:
         NotObservable: It scatters so much that no calibration can be judged by it.
 
     """
-    if new_parameters(system).spare < _ENOUGH:
+    lengths_alone = not system.observed.with_attitudes
+    if lengths_alone or new_parameters(system).spare < _ENOUGH:
         imu = system.observed.imu
         system = replace(system, wander=(imu.gyro if system.gyros else imu.accel).bias_instability)
+    if lengths_alone:
+        return system
     for _ in range(2):
         fit = new_parameters(system)
         if chdtrc(max(fit.freedom, 1), fit.square) > _EXCESS:
