@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import SITE, calibrate, paper_imu, quick_plan, session, stand
+from sessions import LATITUDE, SITE, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.cli.simulate import serialised
+from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.model import Triad
 from imu_calib.segmentation.segmenter import Segmented, Segmenter
@@ -226,6 +227,15 @@ def test_a_unit_turned_in_its_mount_is_told_by_how_much() -> None:
     for gyros in (True, False):
         words = symptom(verification, gyros=gyros)
         assert 'the unit is turned by -1.0' in words or 'the unit is turned by -0.9' in words
+
+
+def test_another_gravity_is_told_from_accelerometers_that_have_changed() -> None:
+    # Five degrees of latitude further north, as somebody believes: 440 ppm.
+    site = Site.at(LATITUDE + 5 * DEG)
+    verification = verify(calibration(), replace(observed(), site=site))
+    words = symptom(verification, gyros=False)
+    assert 'when gravity is 9.79' in words
+    assert f'instead of {site.gravity:.5f}' in words
 
 
 def test_without_plan_and_table_lengths_are_compared() -> None:

@@ -36,6 +36,12 @@ def add_site_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_session_options(parser: argparse.ArgumentParser) -> None:
+    """Add what says how a recording is to be read and solved."""
+    add_recording_options(parser)
+    parser.add_argument('--method', metavar='NAME', help="the estimator (default: the plan's own)")
+
+
+def add_recording_options(parser: argparse.ArgumentParser) -> None:
     """Add what says how a recording is to be read."""
     parser.add_argument('--plan', metavar='NAME|FILE', help='the plan that was run')
     parser.add_argument('--imu', metavar='NAME|FILE', help="what the IMU's numbers mean")
@@ -43,7 +49,6 @@ def add_session_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--azimuth', type=float, metavar='DEG', help="heading of the table's zero against north"
     )
-    parser.add_argument('--method', metavar='NAME', help="the estimator (default: the plan's own)")
     parser.add_argument('--imu-topic', metavar='TOPIC', help='sensor_msgs/Imu topic')
     parser.add_argument('--joint-topic', metavar='TOPIC', help='sensor_msgs/JointState topic')
     parser.add_argument('--setpoint-topic', metavar='TOPIC', help='TurntableSetpoint topic')

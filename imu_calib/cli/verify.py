@@ -42,7 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
     )
-    options.add_session_options(parser)
+    options.add_recording_options(parser)
     parser.set_defaults(run=run)
 
 

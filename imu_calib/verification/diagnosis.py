@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, ParameterKind, Triad, extended_parameters
 from ..stream import Floats
-from ..units import ARCMIN, DEG
+from ..units import ARCMIN, DEG, PPM
 from .equations import Fit, Sensors, System
 from .hypotheses import Hypothesis, mistakes, share_in_words
 
@@ -158,7 +158,11 @@ def _readings(system: System, sensors: Sensors) -> list[Hypothesis]:
     else:
         length = np.linalg.norm(system.outputs - sensors.triad.bias, axis=1)
         share = system.magnitude / float(np.median(length))
-    if share > 0 and abs(share - 1) > _FAR:
+    if not share > 0:
+        return found
+    if abs(share - 1) <= _FAR:
+        found.append(_all_alike(system, sensors, share))
+    else:
         found.append(
             Hypothesis(
                 f'the outputs are multiplied by {share:.5g}',
@@ -169,6 +173,24 @@ def _readings(system: System, sensors: Sensors) -> list[Hypothesis]:
             )
         )
     return found
+
+
+def _all_alike(system: System, sensors: Sensors, share: float) -> Hypothesis:
+    """Take all three channels for wrong by one and the same small factor."""
+    if system.gyros:
+        return Hypothesis(
+            f'all gyros answer {(1 / share - 1) / PPM:+.1f} ppm more',
+            'The clock of the IMU, or the nominal scale factor, is not what it was.',
+            sensors,
+            share,
+        )
+    return Hypothesis(
+        f'gravity is {system.magnitude / share:.5f} m/s^2 instead of {system.magnitude:.5f}',
+        'Site, latitude, height or --gravity are not those of the recording, or not those of the '
+        'calibration; or all accelerometers have changed alike.',
+        sensors,
+        share,
+    )
 
 
 def _freed(system: System, sensors: Sensors, factor: Floats) -> list[_Tried]:
