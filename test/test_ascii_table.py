@@ -285,6 +285,14 @@ def test_a_controller_that_hangs_up_is_said_and_called_again(bench):
     assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
 
 
+def test_an_error_that_nobody_foresaw_stops_the_table_and_does_not_end_its_control(bench):
+    bench.node._control._follower.watch = lambda _: 1 / 0
+    assert bench.until(lambda: bench.leader.says('controller', 2, 'division by zero'))
+    assert bench.controller.lines[-1] == 'STOP'
+    del bench.node._control._follower.watch
+    assert bench.until(lambda: bench.leader.says('controller', 0, 'answers'))
+
+
 def test_garbage_is_no_joint_state_and_much_of_it_is_a_broken_line(bench):
     bench.controller.script['STATE'] = 'STATE 0.0 nan 0.0 0 0 0'
     assert bench.until(lambda: bench.leader.says('controller', 2, "Found 'STATE 0.0 nan"))

@@ -126,7 +126,7 @@ class Control:
             try:
                 with contextlib.closing(self._open_line()) as line:
                     self._serve(line)
-            except (OSError, BadReply, Refusal) as error:
+            except Exception as error:  # Drivers raise what they like, termios.error for one.
                 if self._link[0]:
                     self._breaks += 1
                 self._link = False, f'The controller is lost: {error}.'.replace('..', '.')
@@ -154,7 +154,7 @@ class Control:
                 self._give(line, self._follower.watch(time.monotonic()))
                 self._ending.wait(max(0.0, self._period - (time.monotonic() - began)))
         finally:
-            with contextlib.suppress(OSError, BadReply, Refusal):
+            with contextlib.suppress(Exception):
                 check(line.ask(order_line(Stop())))
 
     def _read(self, line: Line) -> Reading:
