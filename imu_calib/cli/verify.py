@@ -73,6 +73,8 @@ def _verify(
     imu = _described(first_of(loaded))
     if arguments.imu is not None or 'imu_calib.imu' in data:
         imu = options.find_imu(arguments, data, where)
+    # A skewed gyro is not verified: nobody is to wait for it.
+    imu = replace(imu, skewed=None)
     site = options.find_site(arguments, data, where)
     table = options.find_table(arguments, data, where) if streams.joints is not None else None
     segmenter = Segmenter(imu, table)
