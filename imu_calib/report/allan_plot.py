@@ -59,7 +59,7 @@ def _panel(
         inside = _clipped(panel, stated)
         panel.curve(inside, '#555555', '5 3')
         x, y = inside[-1]
-        at = panel.across(x) - 5, panel.down(y) + 6
+        at = panel.across(x) - 5, min(panel.down(y) + 6, _TOP + _HEIGHT - 6)
         panel.parts.append(label('data sheet', *at, class_='tick', text_anchor='end'))
     for name, channel in channels.items():
         k = units.channels.index(name)

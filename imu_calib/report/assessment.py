@@ -18,6 +18,7 @@ from .svg import drawing, number, tag
 
 _WIDTH, _HEIGHT = 150.0, 16.0
 _SHOWN = 1.4
+_PLAIN = 5
 _NAMES = {
     ParameterKind.SCALE_FACTOR_ERROR: 'scale-factor error',
     ParameterKind.MISALIGNMENT: 'misalignment',
@@ -102,7 +103,12 @@ def tables(assessed: Sequence[Assessed]) -> str:
         ]
         if rows:
             headings = ['', 'kind', 'value', f'\u00b1 {COVERAGE:g} std', 'unit', 'limit', '', '']
-            inside = tag('h3', title) + table(headings, rows, 'parameters', 'llrrlrll')
+            # Without a limit there is nothing to show beside the value.
+            columns = len(headings) if any(row[-1] for row in rows) else _PLAIN
+            shown = [row[:columns] for row in rows]
+            kind = 'parameters' if columns > _PLAIN else 'parameters plain'
+            inside = table(headings[:columns], shown, kind, 'llrrlrll'[:columns])
+            inside = tag('h3', title) + inside
             parts.append(tag('div', inside, class_='whole'))
     return ''.join(parts)
 

@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..imu import TriadSpec
 from ..noise import ChannelNoise, Coefficient
 from ..units import DEG, DEG_H, HOUR, MICRO_G
-from .parameters import decimals
+from .parameters import decimals, three_digits
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,9 @@ def written(coefficient: Coefficient, scale: float) -> str:
         value, std = coefficient.value / scale, coefficient.std / scale
         places = decimals(std)
         return f'{value:.{places}f}+-{std:.{places}f}'
-    return f'<{coefficient.below / scale:.2g}' if coefficient.below < float('inf') else '-'
+    return (
+        f'<{three_digits(coefficient.below / scale)}' if coefficient.below < float('inf') else '-'
+    )
 
 
 def _stated(value: float, scale: float) -> str:

@@ -43,6 +43,17 @@ def decimals(deviation: float) -> int:
     return int(np.clip(1 - np.floor(np.log10(deviation)), 0, 9))
 
 
+def three_digits(value: float) -> str:
+    """Return a number with three significant digits, large ones whole.
+
+    Examples:
+        >>> three_digits(0.012345), three_digits(2231.7)
+        ('0.0123', '2232')
+
+    """
+    return f'{value:.0f}' if abs(value) >= 1000 else f'{value:.3g}'
+
+
 def parameter_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """Return the parameters that were estimated: value, standard deviation, unit.
 

@@ -12,6 +12,7 @@ from ..calibrator import Result
 from ..stream import Floats
 from ..units import DEG_H, MICRO_G
 from .html import paragraph, table
+from .parameters import three_digits
 from .svg import Axis, Panel, drawing, label, legend
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
@@ -122,7 +123,7 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
     parts = []
     if rms is not None and len(rms) == 6:
         cells = [
-            '-' if not isinstance(v, (int, float)) else f'{float(v) / scale:.3g}'
+            '-' if not isinstance(v, (int, float)) else three_digits(float(v) / scale)
             for v, scale in zip(rms, [DEG_H] * 3 + [MICRO_G] * 3, strict=True)
         ]
         headings = ['RMS', *(f'g{a}, deg/h' for a in 'xyz'), *(f'a{a}, \u00b5g' for a in 'xyz')]

@@ -47,6 +47,7 @@ table.parameters th:nth-child(4) { width: 9%; }
 table.parameters th:nth-child(5) { width: 10%; }
 table.parameters th:nth-child(6) { width: 11%; }
 table.parameters th:nth-child(8) { width: 11%; }
+table.parameters.plain { table-layout: auto; }
 table.parameters svg { width: 100%; height: 16px; margin: 0; }
 svg text { font: 12px system-ui, "Segoe UI", "DejaVu Sans", Arial, sans-serif; fill: #1a1a1a; }
 svg text.tick { font-size: 11px; fill: #333; }
