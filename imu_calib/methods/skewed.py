@@ -23,8 +23,12 @@ from .gains import BIAS, biases, inverse, responses
 from .n_positions import check_turns
 from .solution import Solution
 
+NAME = 'skewed'
+"""The method's name in plans."""
+
 _SAME_RATE = 0.05
 _PARITY = 5.0
+_SLIGHT = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,7 @@ class RatePoints:
         groups: (t,) number of the |rate| that a point belongs to.
         spread: (t, 4) variance of the mean of a point by the scatter of its single turns, NaN
             where there is one turn only.
+        freedom: (t,) degrees of freedom of that scatter, 0 where there is one turn only.
         turned: (t,) rate of the table, rad/s.
         rate_error: (t,) standard deviation of that, relative.
 
@@ -48,6 +53,7 @@ class RatePoints:
     own: Floats
     groups: Floats
     spread: Floats
+    freedom: Floats
     turned: Floats
     rate_error: Floats
 
@@ -69,7 +75,7 @@ class RatePoints:
         clock = evidence.clock_rate()[0]
         rates = np.array([t.rate(clock) for t in turns])
         ups = np.array([t.up for t in turns])
-        outputs, own, spread = [], [], []
+        outputs, own, spread, freedom = [], [], [], []
         walk = np.append(evidence.walk[:3], evidence.walk[:3].mean())
         for turn in turns:
             assert turn.skewed is not None
@@ -83,12 +89,14 @@ class RatePoints:
             if several and each is not None:
                 scatter = each.var(axis=0, ddof=1) / len(each)
             spread.append(scatter)
+            freedom.append(len(each) - 1 if several and each is not None else 0)
         return cls(
             ups * (rates + evidence.site.up_rate)[:, None],
             np.array(outputs),
             np.maximum(np.array(own), SMALLEST_VARIANCE),
             _groups(np.abs(rates)),
             np.array(spread),
+            np.array(freedom, dtype=float),
             rates,
             np.array([t.rate_error for t in turns]),
         )
@@ -174,6 +182,32 @@ def solve(evidence: Evidence) -> Solution:
     )
 
 
+def doubt(evidence: Evidence) -> Floats:
+    """Return what the variances of all parameters gain because the weights are estimates.
+
+    To second order: a pooled variance of f degrees of freedom errs by 2/f of its square, and moves
+    the weights by their derivative. The scatter of normal noise does not depend on its mean.
+
+    Returns:
+        (28,) in the order of the 24 parameters and the four; NaN for accelerometers.
+
+    """
+    points = RatePoints.of(evidence)
+    plain, _ = points.weights()
+    variances = points.pooled(np.einsum('cut,tc->cu', plain, points.outputs))
+    added = np.zeros((4, 4))
+    for group in np.unique(points.groups):
+        mine = points.groups == group
+        share = 1 - plain.shape[1] / len(mine)
+        freedom = points.freedom[mine].sum() or mine.sum() * share
+        factor = np.where(mine, np.exp(_SLIGHT), 1.0)[:, None]
+        above, _ = points.weights(variances * factor)
+        below, _ = points.weights(variances / factor)
+        slope = (above - below) / (2 * _SLIGHT)
+        added += 2 / max(freedom, 1.0) * np.einsum('cut,tc->cu', slope**2, variances)
+    return np.asarray(np.diag(_in_order(np.diag(added.ravel()))))
+
+
 def check(plan: Plan) -> None:
     """Refuse a plan that does not turn about each axis, before it is run.
 
@@ -245,14 +279,18 @@ def _covariance(
     square += np.einsum('cut,dvt->cudv', by_rate, by_rate)
     shared = unknowns * np.array([1.0, 1.0, 1.0, 0.0]) * clock
     square += np.einsum('cu,dv->cudv', shared, shared)
-    flat = square.reshape(count, count)
+    return _in_order(square.reshape(count, count))
+
+
+def _in_order(square: Floats) -> Floats:
+    """Put (16, 16), channel by channel, in the order of the 24 and the four; NaN elsewhere."""
     parameters = extended_parameters(with_g=False, skewed=1)
     places = [
         4 * p.row + (BIAS if p.column is None else p.column) for p in parameters if p.triad == 'g'
     ]
     of_gyros = [k for k, p in enumerate(parameters) if p.triad == 'g']
     result = np.full((len(parameters), len(parameters)), np.nan)
-    result[np.ix_(of_gyros, of_gyros)] = flat[np.ix_(places, places)]
+    result[np.ix_(of_gyros, of_gyros)] = square[np.ix_(places, places)]
     assert len(PARAMETERS) + 4 == len(parameters)
     return result
 

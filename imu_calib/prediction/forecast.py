@@ -91,6 +91,8 @@ def forecast(
     if name not in JOINT:
         try:
             parameters, square = _by_closed_form(evidence, solver, extra)
+            if name == skewed.NAME:
+                square = square + skewed.doubt(evidence)
         except NotObservable as error:
             refusal = str(error)
     best = _best(evidence, truth, parameters, extra)
