@@ -9,6 +9,7 @@ from .stream import Floats, Stamps
 
 _LEARNT = 32
 _WINDOW = 1024
+_FEW = 4
 _TYPICAL = 0.5
 _JITTER = 6 * 1.4826
 
@@ -104,28 +105,44 @@ class SampleClock:
         return np.asarray(np.abs(steps - self._typical) <= self._tolerance)
 
     def _follow(self, stamp: Stamps) -> Floats:
-        if len(stamp) == 1 and not self._run:
-            step = int(stamp[0]) - self._last
-            if abs(step - self._typical) <= self._tolerance:
-                return self._follow_one(step)
+        if len(stamp) <= _FEW:
+            return np.array([self._follow_one(one) for one in stamp.tolist()], dtype=float)
         parts = []
         while len(stamp):
             done, intervals = self._follow_part(stamp[:_WINDOW])
             parts.append(intervals)
             stamp = stamp[done:]
-        return np.concatenate(parts) if parts else np.empty(0)
+        return np.concatenate(parts)
 
-    def _follow_one(self, step: int) -> Floats:
-        """Time the one sample after a regular step: the way of a live stream."""
+    def _follow_one(self, stamp: int) -> float:
+        """Time one sample: the way of a live stream, in plain numbers, with the same outcome."""
+        step, self._last = stamp - self._last, stamp
+        regular = abs(step - self._typical) <= self._tolerance
+        if regular:
+            self._run = 0
+        else:
+            self._recent = np.append(self._recent[len(self._recent) - self._run :], step)
+            self._run += 1
+            self.odd += 1
         place = self._make_room(1)
         sums = self._sums
-        elapsed, count = int(sums[place - 1, 0]) + step, int(sums[place - 1, 1]) + 1
-        sums[place, 0], sums[place, 1] = elapsed, count
+        elapsed, count = sums[place - 1].tolist()
+        if regular:
+            elapsed, count = elapsed + step, count + 1
+        sums[place] = elapsed, count
         self._known += 1
-        self._last += step
-        base = max(place - _WINDOW, 0)
-        # Both below 2^53: the same quotient as that of arrays.
-        return np.array([(elapsed - int(sums[base, 0])) / (count - int(sums[base, 1])) * 1e-9])
+        before, known = sums[max(place - _WINDOW, 0)].tolist()
+        # All below 2^53: the same quotient as that of arrays.
+        interval = (elapsed - before) / (count - known) * 1e-9
+        if self._run == _LEARNT:
+            self._learn_anew()
+        return float(interval)
+
+    def _learn_anew(self) -> None:
+        """Take the odd steps for the new interval, if they are any."""
+        recent, self._run, self._recent = self._recent, 0, self._recent[:0]
+        if np.median(recent) > 0:
+            self._set_typical(recent)
 
     def _make_room(self, count: int) -> int:
         """Return where the next sums go, the last window of them before that."""
@@ -157,9 +174,7 @@ class SampleClock:
         bases = np.maximum(np.arange(place, place + done) - _WINDOW, 0)
         spans = self._sums[place : place + done] - self._sums[bases]
         if anew:
-            recent, self._run, self._recent = self._recent, 0, self._recent[:0]
-            if np.median(recent) > 0:
-                self._set_typical(recent)
+            self._learn_anew()
         return done, spans[:, 0] / spans[:, 1] * 1e-9
 
     def _runs(self, regular: NDArray[np.bool_]) -> Stamps:

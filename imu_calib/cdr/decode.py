@@ -70,10 +70,10 @@ class ImuDecoder:
         layout = self._layout
         if len(payloads) > 1 or layout is None or len(payloads[0]) != layout.size:
             return self._decode(payloads, malformed)
-        rows = np.frombuffer(payloads[0], np.uint8)[None]
-        if not layout.holds(rows)[0]:
+        payload = payloads[0]
+        if not all(payload.startswith(content, start) for start, content in layout.fixed):
             return self._decode(payloads, malformed)
-        return [_imu_block(layout, rows)]
+        return [_imu_block(layout, np.frombuffer(payload, np.uint8)[None])]
 
     def _decode(self, payloads: list[bytes], malformed: Malformed) -> list[ImuBlock]:
         blocks = decode_imu(Messages.join(payloads), malformed)

@@ -76,6 +76,11 @@ class _Template:
 
     def repeat(self, stamp: Stamps) -> Bytes:
         """Return (n, size) copies of the message, each with its stamp."""
+        if len(stamp) == 1:
+            _seconds(stamp // NS)
+            content = bytearray(self.content)
+            struct.pack_into('<iI', content, ENCAPSULATION, *divmod(int(stamp[0]), NS))
+            return np.frombuffer(content, np.uint8)[None]
         rows = np.empty((len(stamp), len(self.content)), np.uint8)
         rows[:] = np.frombuffer(self.content, np.uint8)
         sec, nanosec = np.divmod(stamp, NS)
