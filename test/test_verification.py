@@ -270,6 +270,19 @@ def test_a_recording_of_nothing_known_is_no_judge() -> None:
         verify(calibration(), replace(observed(), rests=tuple(seen)))
 
 
+def test_a_session_that_scatters_beyond_its_noise_is_not_accepted_without_a_doubt() -> None:
+    # At the pole the level Earth rate of these rests has no place.
+    site = replace(SITE, latitude=85 * DEG)
+    verification = verify(calibration(), replace(observed(), site=site))
+    assert verification.verdict is not Verdict.PASS
+    assert any('is a doubt by itself' in finding for finding in verification.findings)
+
+
+def test_a_model_without_an_inverse_is_refused_in_words() -> None:
+    with pytest.raises(NotObservable, match='cannot be inverted'):
+        verify(gyro(-np.eye(3)), observed())
+
+
 def test_the_command_accepts_rejects_and_refuses_by_its_exit_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

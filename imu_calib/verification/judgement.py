@@ -25,6 +25,9 @@ DOUBT, REJECTION = 1e-2, 1e-6
 """Chances of a false alarm in a session of sound data."""
 
 
+_TOO_WIDE = 5.0
+
+
 class Verdict(IntEnum):
     """The outcome, better ones first."""
 
@@ -87,6 +90,8 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
         NotObservable: No parameters whatever explain the session, or the model has no inverse.
 
     """
+    # What has no inverse is refused here, in words.
+    calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
     trials = [_Trial.of(calibration, observed, gyros=True)]
     if calibration.has_accelerometers:
         trials.append(_Trial.of(calibration, observed, gyros=False))
@@ -163,6 +168,7 @@ class _Trial:
         return [
             f'Between {what} the {self.name} scatter {factor:.1f} times more than within them, '
             'whatever the parameters (arrivals of the table, drift): the limits are widened.'
+            + (' So much is a doubt by itself.' if factor > _TOO_WIDE else '')
             for what, factor in zip(('positions', 'turns'), self.system.inflation, strict=True)
             if factor > 1
         ]
@@ -172,7 +178,8 @@ class _Trial:
         mine = [abs(c.ratio) for c in compared if c.quantity.of_gyros == self.system.gyros]
         chance, worst = self.fit.chance, max(mine)
         verdict = Verdict.PASS
-        if not (chance > DOUBT and worst < limits[0]):
+        # Limits that wide would hide more than arrivals and drift: another latitude, for one.
+        if not (chance > DOUBT and worst < limits[0]) or max(self.system.inflation) > _TOO_WIDE:
             verdict = Verdict.MARGINAL
         if not (chance > REJECTION and worst < limits[1]):
             verdict = Verdict.FAIL
