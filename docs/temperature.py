@@ -10,13 +10,13 @@ import numpy as np
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
+from imu_calib.compensation.thermal import combine
 from imu_calib.earth import Site
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETER_NAMES
 from imu_calib.plan import load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, ThermalDrift, Warming, simulate
-from imu_calib.thermal import combine
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG, DEG_H, MICRO_G
 

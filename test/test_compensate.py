@@ -13,9 +13,9 @@ from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.bags.metadata import dump, offered_profiles, qos_profile
 from imu_calib.cdr import Kind, Messages, encode_imu, encode_rates
 from imu_calib.cli.main import main
-from imu_calib.compensator import Compensator
+from imu_calib.compensation.compensator import Compensator
+from imu_calib.compensation.thermal import combine
 from imu_calib.stream import ImuBlock
-from imu_calib.thermal import combine
 
 SESSION = session(seconds=12, rate=200)
 ROWS = timeline(SESSION)

@@ -8,7 +8,7 @@ import pytest
 from sessions import paper_imu, truth
 
 from imu_calib.calibration import Calibration
-from imu_calib.compensation import Compensation, Mark, joined
+from imu_calib.compensation.apply import Compensation, Mark, joined
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.model import SensorModel, Skewed, Triad, extended_parameters

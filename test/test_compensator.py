@@ -7,10 +7,10 @@ import pytest
 from sessions import truth
 from test_compensation import known, with_skew
 
-from imu_calib.compensation import Mark, joined
-from imu_calib.compensator import Compensator
+from imu_calib.compensation.apply import Mark, joined
+from imu_calib.compensation.compensator import Compensator
+from imu_calib.compensation.thermal import combine
 from imu_calib.stream import ImuBlock, SkewBlock, TemperatureBlock
-from imu_calib.thermal import combine
 
 NS = 1_000_000_000
 COUNT = 3000

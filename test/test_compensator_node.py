@@ -13,9 +13,9 @@ from test_thermal import point
 from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.cdr import Kind, encode_imu, encode_temperatures
 from imu_calib.cli.main import main
+from imu_calib.compensation.thermal import combine
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.stream import ImuBlock, TemperatureBlock
-from imu_calib.thermal import combine
 
 try:
     from imu_calib import middleware as ros

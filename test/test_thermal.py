@@ -10,11 +10,16 @@ from test_compensation import known
 
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
+from imu_calib.compensation.thermal import (
+    ThermalCalibration,
+    combine,
+    load_calibration,
+    temperature_range,
+)
 from imu_calib.errors import InputError
 from imu_calib.model import SensorModel, Triad
 from imu_calib.segmentation.thermometer import Thermometer
 from imu_calib.simulation import ThermalDrift, Warming
-from imu_calib.thermal import ThermalCalibration, combine, load_calibration, temperature_range
 from imu_calib.units import DEG_H, MICRO_G
 
 TEMPERATURES = (-20.0, 20.0, 55.0)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..calibration import Calibration
-from ..thermal import combine
+from ..compensation.thermal import combine
 from . import options
 from .terminal import OUTPUT
 

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from ..calibration import Calibration
+from ..compensation.thermal import load_calibration
 from ..errors import InputError
 from ..report.parameters import comparison_table, unmatched
-from ..thermal import load_calibration
 from .terminal import OUTPUT
 
 

@@ -10,19 +10,19 @@ import numpy as np
 
 from ..bags import Recording, RecordingWriter, Topic, open_recording
 from ..cdr import Kind, Malformed, Messages, decode_imu, encode_rates
-from ..compensation import Mark
-from ..compensator import Compensator, Reading
-from ..config import Section
-from ..errors import InputError
-from ..imu import load_imu, read_imu
-from ..stream import ImuBlock, Stamps
-from ..thermal import (
+from ..compensation.apply import Mark
+from ..compensation.compensator import Compensator, Reading
+from ..compensation.thermal import (
     AnyCalibration,
     ThermalCalibration,
     check_unit,
     first_of,
     load_calibration,
 )
+from ..config import Section
+from ..errors import InputError
+from ..imu import load_imu, read_imu
+from ..stream import ImuBlock, Stamps
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 

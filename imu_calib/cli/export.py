@@ -7,10 +7,10 @@ import math
 from pathlib import Path
 
 from ..calibration import Calibration, write_whole
+from ..compensation.thermal import first_of, load_calibration
 from ..errors import InputError
 from ..exports import EXPORTS, Source
 from ..imu import load_imu
-from ..thermal import first_of, load_calibration
 from . import options
 from .terminal import OUTPUT, sentence_list
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..bags import Recording, open_recording
 from ..calibration import Calibration
+from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
 from ..errors import InputError, NotObservable
 from ..imu import ImuSpec
 from ..report.verification import (
@@ -22,7 +23,6 @@ from ..report.verification import (
 )
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.thermometer import Temperature
-from ..thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
 from ..verification import Verdict, Verification, observe, verify
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list

@@ -11,18 +11,18 @@ import numpy as np
 
 from .. import middleware as ros
 from ..cdr import ImuDecoder, Malformed, Messages, decode_skew, decode_temperatures, encode_rates
-from ..compensation import Mark
-from ..compensator import Compensator, Reading
-from ..errors import ImuCalibError
-from ..middleware import messages
-from ..stream import ImuBlock
-from ..thermal import (
+from ..compensation.apply import Mark
+from ..compensation.compensator import Compensator, Reading
+from ..compensation.thermal import (
     AnyCalibration,
     ThermalCalibration,
     check_same_unit,
     first_of,
     load_calibration,
 )
+from ..errors import ImuCalibError
+from ..middleware import messages
+from ..stream import ImuBlock
 from . import qos
 from .convert import calibration_of
 from .diagnostics import Diagnostics, Level

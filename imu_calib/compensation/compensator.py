@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from .calibration import Calibration
-from .compensation import Compensated, Compensation, Mark, joined
+from ..calibration import Calibration
+from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
+from .apply import Compensated, Compensation, Mark, joined
 from .sample_clock import SampleClock
-from .stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
 _LAG = 500_000_000

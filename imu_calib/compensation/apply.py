@@ -12,11 +12,11 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from .calibration import Calibration
-from .errors import NotObservable
-from .imu import TriadSpec
-from .model import Parameter, ParameterKind
-from .stream import Floats, Units
+from ..calibration import Calibration
+from ..errors import NotObservable
+from ..imu import TriadSpec
+from ..model import Parameter, ParameterKind
+from ..stream import Floats, Units
 
 Marks = NDArray[np.uint8]
 

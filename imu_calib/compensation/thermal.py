@@ -11,12 +11,12 @@ from typing import Any, TypeAlias
 import numpy as np
 import yaml
 
-from .calibration import Calibration, write_whole
-from .config import Section
-from .errors import InputError
-from .imu import ImuSpec
-from .model import SensorModel, Skewed
-from .stream import Floats
+from ..calibration import Calibration, write_whole
+from ..config import Section
+from ..errors import InputError
+from ..imu import ImuSpec
+from ..model import SensorModel, Skewed
+from ..stream import Floats
 
 _FORMAT = 1
 _APART = 0.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .stream import Floats, Stamps
+from ..stream import Floats, Stamps
 
 _LEARNT = 32
 _WINDOW = 1024
