@@ -32,7 +32,8 @@ setup(
     name=NAME,
     version='0.1.0',
     description='Calibration of strapdown IMUs on a turntable: 24 parameters, no north reference',
-    long_description=Path('README.md').read_text(encoding='utf-8'),
+    # With `colcon build --symlink-install` this is a link, beside which there is no README.
+    long_description=(Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     author='The imu_calib developers',
     license='Apache-2.0',
