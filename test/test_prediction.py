@@ -48,9 +48,8 @@ def test_the_best_is_the_bound_of_the_full_stream() -> None:
     found = forecast(setup(), truth().model, 0.5)
     at_rest = {p.id: p.dwell + SETTLE for p in plan.positions}
     floor = bound(plan, paper_imu(), truth().model, SITE, 0.5, at_rest)
-    # Whole turns are counted between two readings: 9 % above what the stream holds.
-    assert found.best == pytest.approx(floor, rel=0.12)
-    assert (found.best > 0.99 * floor).all()
+    # What is seen of a rest varies by half a second; the rate beyond a turn tells 1.5 %.
+    assert found.best == pytest.approx(floor, rel=0.02)
 
 
 @pytest.mark.parametrize('name', ['twelve_position', 'six_position'])

@@ -189,7 +189,7 @@ def test_turns_are_found_under_jitter_of_the_stamps(jitter: float) -> None:
 
 def test_straddling_samples_are_shared_in_proportion() -> None:
     # Increments 1, 2, 3, 4 over a second each; from 0.5 s to 2.25 s: 1/2 of 1, 2, 1/4 of 3.
-    found = statistics_between(samples(np.array([1.0, 2, 3, 4]), 1.0), 0.5, 2.25)
+    found = statistics_between(samples(np.array([1.0, 2, 3, 4]), 1.0), 0.5, 2.25, NO_WALK)
     assert found.mean == pytest.approx(np.full(6, (0.5 + 2 + 0.75) / 1.75))
     assert found.duration == 1.75
     assert found.samples == 3

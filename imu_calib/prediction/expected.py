@@ -18,7 +18,7 @@ from ..imu import ImuSpec, TriadSpec
 from ..methods.evidence import Evidence
 from ..model import SensorModel, Skewed
 from ..segmentation.clock import ClockFit
-from ..segmentation.counter import mean_rate
+from ..segmentation.counter import mean_rate, rate_between
 from ..segmentation.segment import Segment, Statistics, Turn
 from ..stream import Floats, Mode, Units
 from ..turntable import TURN, rotation
@@ -27,6 +27,9 @@ from .schedule import SETTLE, schedule
 _SAMPLE_RATE = 100.0
 _UNSEEN = 0.5
 """What the segmentation leaves at the two ends of a rest: a window of the joint states each, s."""
+
+_SPARE = 1.0
+"""How long a table surely keeps its rate before and after the turns that are measured, s."""
 
 _BY_HAND_TURN = 2.0
 _BY_HAND_MOVE = 2.0
@@ -94,7 +97,8 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
     for turning in turnings:
         spin = turning.up * (turning.rate + setup.site.up_rate)
         mean = np.concatenate(truth.predict(spin, turning.up * setup.site.gravity))
-        statistics = _turning(setup.imu, mean, turning.seconds)
+        spare = 0.0 if setup.plan.by_hand else _SPARE
+        statistics = _turning(setup.imu, mean, turning.seconds, spare)
         askew = None
         if setup.imu.skewed is not None:
             lies = truth.skewed or _ANYHOW
@@ -177,18 +181,23 @@ def _at_rest(spec: ImuSpec, mean: Floats, seconds: float) -> Statistics:
     return _statistics(mean, gain, quantum, seconds, spec)
 
 
-def _turning(spec: ImuSpec, mean: Floats, seconds: float) -> Statistics:
-    """Return the statistics of whole turns, cut within samples at two instants of any phase."""
-    quantum = np.empty(6)
+def _turning(
+    spec: ImuSpec, mean: Floats, seconds: float, spare: float = _SPARE
+) -> Statistics:
+    """Return the statistics of whole turns; counts are read from `spare` s beyond them too."""
+    gain, quantum = np.full(6, 1 / seconds), np.empty(6)
+    period = _period(spec)
     for c, triad in enumerate(_triads(spec)):
-        if spec.units is Units.PULSES:
-            share = float(mean[c]) * _period(spec) / triad.scale_factor % 1.0
-            # An interpolated reading: 1/12 - f (1 - f) c (1 - c), on average over f.
-            reading = 2 * (1 / 12 - share * (1 - share) / 6)
-            quantum[c] = reading * (triad.scale_factor / seconds) ** 2
-        else:
+        if spec.units is not Units.PULSES:
             quantum[c] = _rounded(spec, triad)
-    return _statistics(mean, np.full(6, 1 / seconds), quantum, seconds, spec)
+            continue
+        pulse = triad.scale_factor
+        pulses = _pulses(triad, period, float(mean[c]), seconds + 2 * spare)
+        first = (len(pulses) - seconds / period) / 2
+        last = len(pulses) - first
+        found = rate_between(pulses, period, first, last, triad.random_walk / pulse)
+        gain[c], quantum[c] = found.walk_gain, found.quantum * pulse**2
+    return _statistics(mean, gain, quantum, seconds, spec)
 
 
 def skewed_alone(spec: ImuSpec) -> ImuSpec:
@@ -236,10 +245,14 @@ def _statistics(
 
 def _counted(triad: TriadSpec, period: float, mean: float, seconds: float) -> tuple[float, float]:
     pulse = triad.scale_factor
-    edges = np.arange(max(2, round(seconds / period)) + 1) * (mean * period / pulse)
-    pulses = np.diff(np.floor(edges + _PHASE))
-    found = mean_rate(pulses, period, triad.random_walk / pulse)
+    found = mean_rate(_pulses(triad, period, mean, seconds), period, triad.random_walk / pulse)
     return found.walk_gain, found.quantum * pulse**2
+
+
+def _pulses(triad: TriadSpec, period: float, mean: float, seconds: float) -> Floats:
+    """Return what a counter without noise delivers at a rate (rad/s or m/s^2)."""
+    edges = np.arange(max(2, math.ceil(seconds / period)) + 1)
+    return np.diff(np.floor(edges * (mean * period / triad.scale_factor) + _PHASE))
 
 
 def _rounded(spec: ImuSpec, triad: TriadSpec) -> float:

@@ -26,6 +26,8 @@ _PASSAGES_NEEDED = 5
 _DRIFT_SIGNIFICANCE = 6.0
 _HARMONICS = 64
 _FADED_OUT = 37.0
+_FADED_AWAY = 12.0
+_WIDEST_WINDOW = 256.0
 
 
 @dataclass(frozen=True)
@@ -167,12 +169,74 @@ def _faded_error(step: float, fade: float, growth: float) -> float:
     harmonics keep their phase for a while: covariance at lag j is the sum over m of
     Re(z^j) / (2 pi^2 m^2) with z = exp(2 pi i m step - 2 pi^2 m^2 growth).
     """
-    m = np.arange(1, _HARMONICS + 1)
-    power = 1 / (2 * np.pi**2 * m**2)
-    z = np.exp(2j * np.pi * m * step - 2 * np.pi**2 * m**2 * growth)
+    power, turns = _harmonics(step, growth)
+    z = np.exp(turns)
     alone = (1 - fade) / (1 + fade)
     together = alone * ((1 + fade * z) / (1 - fade * z)).real
     return float(power @ together) + (_READING_VARIANCE - float(power.sum())) * alone
+
+
+def _harmonics(step: float, growth: float) -> tuple[Floats, NDArray[np.complex128]]:
+    """Return power and log z of the first harmonics of a reading error (see `_faded_error`)."""
+    m = np.arange(1, _HARMONICS + 1)
+    turns = 2j * np.pi * m * step - 2 * np.pi**2 * m**2 * growth
+    return 1 / (2 * np.pi**2 * m**2), turns.astype(np.complex128)
+
+
+def rate_between(pulses: Floats, period: float, first: float, last: float, walk: float) -> MeanRate:
+    """Estimate the mean rate between two instants that fall within samples.
+
+    The count at either instant is read from the samples around it, with the weights that are
+    optimal against walk and white reading errors in a window of `reach` samples to either side:
+    sinh(kappa (reach - |k - instant|)), kappa that of `smoothed_ends`. The window is as wide at
+    both instants as the samples beyond the nearer end allow, so that what swings once from one to
+    the other still averages to nothing. A window of one sample is linear interpolation. The rate
+    is that between the instants which the weights are centred on.
+
+    Args:
+        pulses: (n,) increments per sample, whole numbers, at one rate.
+        period: Sample interval, s.
+        first: Start, in sample intervals after the start of the first sample.
+        last: End, likewise.
+        walk: Random-walk coefficient, pulses/sqrt(s), for the weights; the stated variance stays
+            true to them.
+
+    """
+    n = len(pulses)
+    growth = walk * walk * period
+    kappa = math.acosh(1 + growth / _READING_VARIANCE / 2)
+    widest = min(_WIDEST_WINDOW, _FADED_AWAY / kappa) if kappa > 0 else _WIDEST_WINDOW
+    reach = max(1.0, min(first, n - last, (last - first) / 4, widest))
+    step = float(pulses[math.floor(first) : math.ceil(last)].mean())
+    weights, error = np.zeros(n + 1), 0.0
+    for instant, sign in ((first, -1.0), (last, 1.0)):
+        k = np.arange(max(0, math.ceil(instant - reach)), min(n, math.floor(instant + reach)) + 1)
+        away = np.abs(k - instant)
+        window = np.exp(-kappa * away) * _faded(kappa, reach - away)
+        window /= window.sum()
+        weights[k] += sign * window
+        error += _window_error(window, step, growth)
+    seconds = float(weights @ np.arange(n + 1)) * period
+    on_increments = -np.cumsum(weights)[:-1]
+    squares = float(on_increments @ on_increments)
+    return MeanRate(
+        float(on_increments @ pulses) / seconds, period * squares / seconds**2, error / seconds**2
+    )
+
+
+def _faded(kappa: float, left: Floats) -> Floats:
+    """Return sinh(kappa left) exp(-kappa left), and what is proportional to it without a walk."""
+    if kappa == 0:
+        return np.maximum(left, 0.0)
+    return np.asarray(-np.expm1(-2 * kappa * np.maximum(left, 0.0)))
+
+
+def _window_error(window: Floats, step: float, growth: float) -> float:
+    """Return the variance of a reading error averaged over a window (see `_faded_error`)."""
+    alike = np.correlate(window, window, mode='full')[len(window) - 1 :]
+    power, turns = _harmonics(step, growth)
+    together = np.exp(np.outer(turns, np.arange(1, len(alike)))).real @ (2 * alike[1:])
+    return float(power @ together) + _READING_VARIANCE * float(alike[0])
 
 
 def block_rates(

@@ -18,6 +18,8 @@ _UNUSUAL = 8.0
 _TURN = 2 * np.pi
 _SAMPLES_FOR_ANGLES = 256
 _SAMPLES_FOR_TURN = 5
+_SURE = 0.8
+_CLOCKS_APART = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +176,8 @@ class WholeTurns:
         seconds: Time that they take on the line, s, by the table's clock.
         angle: Angle turned, rad: a whole number of turns, signed.
         rate_error: Standard deviation of the line's slope, relative.
+        spare: How long before and after the turns the rate is surely the same, s: less than the
+            line shows, for the onset of ramps and for clocks that are yet to be compared.
 
     """
 
@@ -182,6 +186,7 @@ class WholeTurns:
     seconds: float
     angle: float
     rate_error: float
+    spare: float
 
 
 def find_turns(motion: Motion) -> list[WholeTurns]:
@@ -213,6 +218,7 @@ def find_turns(motion: Motion) -> list[WholeTurns]:
                 seconds,
                 float(np.copysign(whole * _TURN, rate)),
                 rate_std / abs(rate),
+                max(0.0, _SURE * (end - start - seconds) / 2 - _CLOCKS_APART),
             )
         )
     return turns

@@ -486,16 +486,12 @@ class Segmenter:
         start = turns.start + self._offset_ns
         end = start + turns.seconds * 1e9
         reject = self._rejector(int(start), int(end), turn=True)
-        period_ns = samples.period * 1e9
-        inside = slice(
-            int(np.searchsorted(samples.stamp, start - 2 * period_ns)),
-            int(np.searchsorted(samples.stamp, end + 3 * period_ns)),
-        )
-        part = samples.part(inside.start, inside.stop)
+        inside = _around(samples, start, end)
+        part = samples.at(inside)
         if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
             reject('the IMU stream does not span it')
             return
-        if len(gap_free(part.stamp, part.period)) > 1:
+        if not _sound(part):
             reject('IMU samples are missing within it')
             return
         if self._saturated(values[inside], part).any():
@@ -505,8 +501,13 @@ class Segmenter:
             reject('the gyros do not turn steadily while the joint states do')
             return
         count = max(1, round(abs(turns.angle) / TURN))
-        statistics, each = _between(part, start, turns.seconds, count)
-        skewed = self._skewed_between(start, turns.seconds, count)
+        around = _around(samples, start, end, turns.spare)
+        wide = samples.at(around)
+        # Beyond the cuts it only helps to read the counts there: what is unsound is done without.
+        if _sound(wide) and not self._saturated(values[around], wide).any():
+            part = wide
+        statistics, each = _between(part, start, turns.seconds, count, self._walk)
+        skewed = self._skewed_between(start, turns, count)
         if skewed is not None:
             each = np.hstack([each[:, :3], skewed[1][:, :1]])
         self._turns.append(
@@ -524,23 +525,24 @@ class Segmenter:
         )
 
     def _skewed_between(
-        self, start: float, seconds: float, count: int
+        self, start: float, turns: WholeTurns, count: int
     ) -> tuple[Statistics, Floats] | None:
         """Return what the skewed gyro says of whole turns; None where it has gaps or none."""
         if self._skew is None or self._spec.skewed is None:
             return None
-        end = start + seconds * 1e9
+        end = start + turns.seconds * 1e9
         stamp, values = self._skew.between(round(start) - _MARGIN_NS, round(end) + _MARGIN_NS)
         if len(stamp) < 2 or stamp[0] > start or stamp[-1] < end:
             return None
         spec = replace(self._spec, gyro=self._spec.skewed, accel=TriadSpec())
         samples = to_samples(stamp, values, spec, sample_period(stamp))
-        if len(gap_free(samples.stamp, samples.period)) > 1:
+        if not _sound(samples):
             return None
         limit = 0.999 * self._spec.skewed.range * samples.period
         if np.any(np.abs(samples.increments[:, 0]) >= limit):
             return None
-        return _between(samples, start, seconds, count)
+        part = samples.at(_around(samples, start, end, turns.spare))
+        return _between(part, start, turns.seconds, count, _expected_walk(spec))
 
     def _drop_unseen(self) -> None:
         """Drop rests beside a motion of the table that the gyros did not see: clocks are apart."""
@@ -579,12 +581,12 @@ class Segmenter:
         if float(np.linalg.norm(turned)) < _LEAST_TURNED:
             return
         reject = self._rejector(motion.start, motion.end, turn=True)
-        if len(gap_free(part.stamp, part.period)) > 1:
+        if not _sound(part):
             reject('IMU samples are missing within it')
         elif self._saturated(values[first:last], part).any():
             reject('the sensor is saturated during it')
         else:
-            statistics = statistics_between(part, 0.0, float(len(part.stamp)))
+            statistics = statistics_between(part, 0.0, float(len(part.stamp)), self._walk)
             self._motions.append(FreeMotion(motion.start, motion.end, statistics, turned))
 
     def _rejector(self, start: int, end: int, *, turn: bool = False) -> Callable[[str], None]:
@@ -656,15 +658,28 @@ def _jumps(clock: ClockFit) -> list[str]:
     ]
 
 
+def _sound(samples: Samples) -> bool:
+    return len(gap_free(samples.stamp, samples.period)) == 1
+
+
+def _around(samples: Samples, start: float, end: float, spare: float = 0.0) -> slice:
+    """Return which samples span two instants (ns), and `spare` seconds before and after them."""
+    margin = np.maximum(spare, samples.period * np.array([2, 3])) * 1e9
+    first, last = np.searchsorted(samples.stamp, [start - margin[0], end + margin[1]]).tolist()
+    return slice(first, last)
+
+
 def _between(
-    samples: Samples, start: float, seconds: float, count: int
+    samples: Samples, start: float, seconds: float, count: int, walk: Floats
 ) -> tuple[Statistics, Floats]:
     """Return the statistics of whole turns, and the (count, 6) means of the single ones."""
     origin = _line_origin(samples) - samples.period * 1e9
     first = (start - origin) / (samples.period * 1e9)
+    statistics = statistics_between(samples, first, first + seconds / samples.period, walk)
+    if count == 1:
+        return statistics, statistics.mean[None]
     edges = first + np.arange(count + 1) * (seconds / samples.period / count)
-    statistics = statistics_between(samples, first, first + seconds / samples.period)
-    each = [statistics_between(samples, a, b).mean for a, b in pairwise(edges.tolist())]
+    each = [statistics_between(samples, a, b, walk).mean for a, b in pairwise(edges.tolist())]
     return statistics, np.array(each)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..allan import allan_sums
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
-from .counter import MeanRate, block_edges, block_rates, mean_rate
+from .counter import MeanRate, block_edges, block_rates, mean_rate, rate_between
 from .segment import Statistics
 
 BLOCK_SECONDS = 10.0
@@ -149,48 +149,49 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     )
 
 
-def statistics_between(samples: Samples, first: float, last: float) -> Statistics:
+def statistics_between(samples: Samples, first: float, last: float, walk: Floats) -> Statistics:
     """Estimate the mean output between two instants that fall within samples.
 
     The samples that straddle the two instants are shared in proportion: left whole, one sample at
-    10 deg/s and 100 Hz is 280 ppm of a turn (methods.md, section 2).
+    10 deg/s and 100 Hz is 280 ppm of a turn (methods.md, section 2). Where samples reach beyond
+    an instant at the same rate, the count there is read from all that surround it.
 
     Args:
-        samples: Gap-free, and reaching beyond both instants.
+        samples: Gap-free, at one rate, and reaching beyond both instants.
         first: Start, in sample intervals after the start of the first sample.
         last: End, likewise.
+        walk: (6,) random-walk coefficients to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
 
     """
-    n = len(samples.stamp)
-    edges = np.arange(n + 1)
-    total = np.vstack([np.zeros(6), np.cumsum(samples.increments, axis=0)])
-    ends = np.array([[np.interp(x, edges, total[:, c]) for c in range(6)] for x in (first, last)])
     duration = (last - first) * samples.period
-    mean = (ends[1] - ends[0]) / duration
-    # An interpolated reading errs by a mix of its neighbours' errors, which are alike when the
-    # fraction c of a pulse that one sample adds is small: 1/12 - f (1 - f) c (1 - c).
-    pulses = np.divide(
-        mean * samples.period, samples.quantum, out=np.zeros(6), where=samples.quantum > 0
-    )
-    c = np.mod(pulses, 1.0)
-    reading = sum(1 / 12 - (x % 1) * (1 - x % 1) * c * (1 - c) for x in (first, last))
-    rounding = np.array(
-        [_rounding(samples.increments[:, k], float(samples.grid[k])) for k in range(6)]
-    )
-    rounding /= samples.period**2
+    found = [_between(samples, c, first, last, float(walk[c])) for c in range(6)]
+    mean = np.array([m.rate for m in found])
     empty = tuple(np.empty((0, 4)) for _ in range(6))
     return Statistics(
         samples=int(np.ceil(last) - np.floor(first)),
         missing=0,
         duration=duration,
         mean=mean,
-        walk_gain=np.full(6, 1 / duration),
-        quantum=np.asarray(reading * (samples.quantum / duration) ** 2 + rounding),
+        walk_gain=np.array([m.walk_gain for m in found]),
+        quantum=np.array([m.quantum for m in found]),
         end_points=mean,
         blocks=empty,
         drift=np.full(6, np.nan),
         drift_std=np.full(6, np.nan),
     )
+
+
+def _between(samples: Samples, channel: int, first: float, last: float, walk: float) -> MeanRate:
+    increments, quantum = samples.increments[:, channel], float(samples.quantum[channel])
+    if quantum == 0.0:
+        total = np.concatenate([[0.0], np.cumsum(increments)])
+        ends = np.interp([first, last], np.arange(len(total)), total)
+        duration = (last - first) * samples.period
+        rounding = _rounding(increments, float(samples.grid[channel])) / samples.period**2
+        return MeanRate(float(ends[1] - ends[0]) / duration, 1 / duration, rounding)
+    pulses = np.rint(increments / quantum)
+    mean = rate_between(pulses, samples.period, first, last, walk / quantum)
+    return MeanRate(mean.rate * quantum, mean.walk_gain, mean.quantum * quantum**2)
 
 
 def _channel_mean(samples: Samples, channel: int, walk: float) -> MeanRate:
