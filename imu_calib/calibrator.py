@@ -14,7 +14,8 @@ from .calibration import Calibration, ResidualRow
 from .earth import Site
 from .errors import NotObservable
 from .imu import ImuSpec
-from .methods import check_plan, estimates, method
+from .methods import check_plan, closed_form_beside, estimates, method
+from .methods.comparison import Comparison
 from .methods.evidence import Evidence, noise
 from .methods.information import reached
 from .methods.solution import Solution
@@ -65,6 +66,7 @@ class Result:
         solution: What the method returned.
         session: What the streams contain.
         labelled: Its segments by name.
+        comparison: How the closed form of the plan compares; None where there is none beside.
 
     """
 
@@ -72,6 +74,7 @@ class Result:
     solution: Solution
     session: Segmented
     labelled: Labelled
+    comparison: Comparison | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +191,18 @@ class Calibrator:
             setup.table.azimuth if setup.table is not None else None,
             noise(labelled.segments, setup.imu),
             setup.table.positioning if setup.table is not None else 0.0,
+            np.repeat([setup.imu.gyro.bias_instability, setup.imu.accel.bias_instability], 3),
         )
+
+    def _compare(self, evidence: Evidence, solution: Solution) -> Comparison | None:
+        """Solve by the closed form of the plan too, where the joint estimate is asked."""
+        name = closed_form_beside(self._setup.method_name, self._setup.plan)
+        if name is None:
+            return None
+        try:
+            return Comparison.of(solution, method(name)(evidence), name)
+        except NotObservable as error:
+            return Comparison.refused(name, str(error))
 
     def _solve(self, session: Segmented) -> Result:
         setup = self._setup
@@ -201,7 +215,10 @@ class Calibrator:
         except NotObservable as error:
             why = _what_was_lost(evidence, labelled, session)
             raise NotObservable(' '.join([str(error), *why])) from None
-        findings = (*solution.findings, *_what_was_lost(evidence, labelled, session))
+        comparison = self._compare(evidence, solution)
+        contradiction = comparison.finding() if comparison is not None else []
+        lost = _what_was_lost(evidence, labelled, session)
+        findings = (*solution.findings, *contradiction, *lost)
         calibration = Calibration(
             setup.imu,
             solution.model,
@@ -211,9 +228,9 @@ class Calibrator:
                 for r in solution.residuals
             ),
             findings,
-            _provenance(setup, evidence, session, solution),
+            _provenance(setup, evidence, session, solution, comparison),
         )
-        return Result(calibration, solution, session, labelled)
+        return Result(calibration, solution, session, labelled, comparison)
 
 
 def _nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
@@ -259,12 +276,21 @@ def _what_was_lost(evidence: Evidence, labelled: Labelled, session: Segmented) -
 
 
 def _provenance(
-    setup: Setup, evidence: Evidence, session: Segmented, solution: Solution
+    setup: Setup,
+    evidence: Evidence,
+    session: Segmented,
+    solution: Solution,
+    comparison: Comparison | None = None,
 ) -> dict[str, object]:
     clock = session.clock
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
     rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
     seen = session_noise([s.statistics for s in evidence.segments], evidence.walk)
+    of_joint: dict[str, object] = {}
+    if solution.wandering is not None:
+        of_joint['bias_wander'] = [float(v) for v in solution.wandering]
+    if comparison is not None:
+        of_joint['closed_form'] = comparison.document()
     return {
         'recorded': _date(session.start),
         'method': setup.method_name,
@@ -285,6 +311,7 @@ def _provenance(
         'condition_number': solution.condition,
         'highest_rate': max((abs(float(t.rate())) for t in evidence.turns), default=None),
         'temperature': None if session.temperature is None else asdict(session.temperature),
+        **of_joint,
         'clock': {
             'offset_s': clock.offset,
             'offset_std_s': clock.offset_std,

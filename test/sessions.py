@@ -82,11 +82,12 @@ def calibrate(
     site: Site = SITE,
     spec: ImuSpec | None = None,
     imu_only: bool = False,
+    method: str | None = None,
 ) -> Result:
     """Feed blocks to a calibrator and solve."""
     plan = load_plan(plan) if isinstance(plan, str) else plan
     table = None if imu_only else table or load_table('three_axis')
-    calibrator = Calibrator(Setup(spec or paper_imu(), plan, table, site))
+    calibrator = Calibrator(Setup(spec or paper_imu(), plan, table, site, method))
     for _, block in blocks:
         if imu_only and isinstance(block, (JointBlock, SetpointBlock)):
             continue

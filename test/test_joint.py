@@ -10,9 +10,10 @@ from functools import cache
 import numpy as np
 import pytest
 from bound import bound
+from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 from sessions import SITE, paper_imu, quick_plan, session, stand, truth
-from test_information import evidence_of
+from test_information import SECOND, evidence_of
 
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.errors import NotObservable
@@ -23,8 +24,10 @@ from imu_calib.methods.evidence import Evidence
 from imu_calib.methods.fit import estimate
 from imu_calib.methods.solution import Solution
 from imu_calib.model import PARAMETER_NAMES, SensorModel
+from imu_calib.montecarlo import economical
 from imu_calib.plan import Plan, Position, load_plan
 from imu_calib.segmentation.labelling import label
+from imu_calib.segmentation.segment import Segment, Statistics, Turn
 from imu_calib.simulation import StandOptions
 from imu_calib.stream import Floats
 from imu_calib.turntable import Table, load_table
@@ -58,6 +61,7 @@ def simulated(
     """What the segmentation makes of a session on the simulated stand."""
     table, spec = table or load_table('three_axis'), spec or paper_imu()
     calibrator = Calibrator(Setup(spec, plan, table, SITE))
+    options = economical(options or stand())
     for _, block in session(plan, options, seed, table=table, spec=spec):
         calibrator.feed(block)
     found = calibrator._segmenter.finish()
@@ -109,7 +113,7 @@ def test_without_noise_all_33_come_out() -> None:
 def test_errors_of_a_pure_walk_are_those_that_the_covariance_states() -> None:
     # Through the estimator alone, so that many runs are cheap: e' C^-1 e is chi-square, 24 a run.
     rng = np.random.default_rng(3)
-    runs, squares = 60, []
+    runs, squares = 16, []
     for _ in range(runs):
         evidence = evidence_of(model=truth().model, azimuth=rng.uniform(-3, 3), noise=rng)
         found = joint.solve(evidence)
@@ -124,10 +128,10 @@ def test_errors_of_a_pure_walk_are_those_that_the_covariance_states() -> None:
 
 # Shorter dwells pass too few pulses for the bound: a slow counter's errors are not white then.
 DWELL = 120.0
-SEEDS = 12
+SEEDS = 6
 
 
-def one_session(seed: int) -> tuple[Floats, Floats, Floats, Floats]:
+def one_session(seed: int) -> tuple[Floats, ...]:
     azimuth = np.random.default_rng(seed + 1000).uniform(-np.pi, np.pi)
     plan = quick_plan('twelve_position', DWELL)
     evidence = simulated(plan, stand(azimuth=azimuth), seed)
@@ -135,37 +139,38 @@ def one_session(seed: int) -> tuple[Floats, Floats, Floats, Floats]:
     # Each dwell begins after a second of settling at rest.
     at_rest = {position.id: DWELL + 1 for position in plan.positions}
     floor = bound(plan, paper_imu(), truth().model, SITE, azimuth, at_rest)
-    return errors(found), found.std, floor, errors(twelve_position.solve(evidence))
+    closed = twelve_position.solve(evidence)
+    return errors(found), found.std, floor, errors(closed), closed.std
 
 
 @cache
-def sessions_run() -> tuple[Floats, Floats, Floats, Floats]:
+def sessions_run() -> tuple[Floats, ...]:
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         runs = list(pool.map(one_session, range(SEEDS)))
-    error, std, floor, closed = (np.array([run[k] for run in runs]) for k in range(4))
-    return error, std, floor, closed
+    return tuple(np.array(rows) for rows in zip(*runs, strict=True))
 
 
 def test_the_error_is_at_the_cramer_rao_bound() -> None:
-    error, _, floor, _ = sessions_run()
+    # A perfect estimator passes 999 times in 1000; benchmarks/joint.py has 500 seeds for it.
+    error, std, floor, *_ = sessions_run()
     ratio = (error / floor) ** 2
-    # What a perfect estimator passes 999 times in 1000, and 3 % for the two readings between
-    # which a turn is counted: up to a twelfth of a pulse squared each, against the walk of 6 s.
-    allowed = 1.03**2
-    assert ratio.sum() < allowed * chi2.isf(1e-3, ratio.size)
-    assert np.all(ratio.sum(axis=0) < allowed * chi2.isf(1e-3 / 24, SEEDS))
+    assert ratio.sum() < chi2.isf(1e-3, ratio.size)
+    assert np.all(ratio.sum(axis=0) < chi2.isf(1e-3 / 24, SEEDS))
+    # What is seen of a rest varies by half a second, and the noise itself is estimated.
+    assert np.mean(std / floor) == pytest.approx(1.0, abs=0.02)
 
 
 def test_the_errors_are_as_large_as_the_standard_deviations() -> None:
-    error, std, _, _ = sessions_run()
+    error, std, *_ = sessions_run()
     square = ((error / std) ** 2).sum()
     assert chi2.ppf(5e-4, error.size) < square < chi2.isf(5e-4, error.size)
     assert np.abs(error / std).max() < norm.isf(5e-4 / error.size)
 
 
 def test_it_is_never_worse_than_the_closed_form() -> None:
-    error, _, _, closed = sessions_run()
-    assert np.sum((error / closed.std(axis=0)) ** 2) < np.sum((closed / closed.std(axis=0)) ** 2)
+    error, std, _, closed, closed_std = sessions_run()
+    assert np.all(std <= 1.001 * closed_std)
+    assert np.sum((error / closed_std) ** 2) < 1.05 * np.sum((closed / closed_std) ** 2)
 
 
 def test_a_clean_session_names_nothing() -> None:
@@ -251,24 +256,70 @@ def test_a_servo_that_misses_costs_nothing_that_the_encoder_sees() -> None:
     assert not any('closed form' in finding for finding in found.findings)
 
 
-def drifting(seed: int) -> tuple[Floats, Floats]:
+INSTABILITY = np.repeat([0.1 * DEG_H, 20 * MICRO_G], 3)
+CORRELATION = 1000.0
+
+
+def wandering(seed: int, share: float = 1.0) -> Evidence:
+    """An ideal session whose biases wander by a share of what the data sheet says, s by s."""
+    rng = np.random.default_rng(seed)
+    evidence = evidence_of(model=truth().model, azimuth=rng.uniform(-3, 3), noise=rng)
+    parts = [*evidence.segments, *evidence.turns]
+    decay = np.exp(-1 / CORRELATION)
+    drive = rng.standard_normal((max(p.start for p in parts) // SECOND + 200, 6))
+    drive[1:] *= np.sqrt(1 - decay**2)
+    bias = share * INSTABILITY * lfilter([1.0], [1.0, -decay], drive, axis=0)
+
+    def moved(part: Segment | Turn) -> Statistics:
+        first, seconds = part.start // SECOND, int(part.statistics.duration)
+        off = bias[first : first + seconds].mean(axis=0)
+        return replace(part.statistics, mean=part.statistics.mean + off)
+
+    return replace(
+        evidence,
+        segments=tuple(replace(p, statistics=moved(p)) for p in evidence.segments),
+        turns=tuple(replace(p, statistics=moved(p)) for p in evidence.turns),
+        instability=INSTABILITY,
+    )
+
+
+@pytest.mark.parametrize(('share', 'least'), [(1.0, 0.8), (0.0, 0.6)])
+def test_biases_are_as_sure_as_the_drift_that_the_data_sheet_states_lets_them(
+    share: float, least: float
+) -> None:
+    # Half an hour shows no 0.1 deg/h of drift beside the noise, and D_g errs by it all the same.
+    # Without any drift the deviations are wider than they need be: nobody can know.
+    seeds = 12
+    found = np.array([normalised(joint.solve(wandering(k, share))) for k in range(seeds)])
+    for biases in (GYRO_BIAS, ACCEL_BIAS):
+        square = (found[:, biases] ** 2).sum()
+        assert least**2 * chi2.ppf(1e-3, 3 * seeds) < square < 1.1**2 * chi2.isf(1e-3, 3 * seeds)
+    assert np.abs(found).max() < 4.5
+
+
+def test_a_drift_that_the_data_clearly_does_not_show_hardly_counts() -> None:
+    # 20 micro-g beside a noise of 2 in every dwell: the data would show it, and does not.
+    found = joint.solve(wandering(0, 0.0))
+    assert found.wandering is not None
+    assert found.wandering[3] < 1 * MICRO_G
+    assert found.wandering[0] > 0.05 * DEG_H
+
+
+def test_a_stated_drift_on_the_stand_is_in_the_standard_deviations() -> None:
     options = stand(azimuth=0.5, bias_instability=True)
-    spec = load_imu('fog_medium')
     plan = quick_plan('twelve_position', 60.0)
-    evidence = simulated(plan, options, seed, spec=spec)
-    return normalised(joint.solve(evidence)), normalised(twelve_position.solve(evidence))
+    for seed in range(2):
+        found = joint.solve(simulated(plan, options, seed, spec=load_imu('fog_medium')))
+        assert np.abs(normalised(found)).max() < 4.5
+        assert found.wandering is not None
+        assert found.wandering[3] == pytest.approx(20 * MICRO_G, rel=0.5)
 
 
-def test_a_bias_that_wanders_widens_the_standard_deviations() -> None:
-    # 20 micro-g with a correlation time of 1000 s: neighbours share it, their mean keeps it.
-    seeds = 8
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        runs = list(pool.map(drifting, range(seeds)))
-    found, closed = np.array([r[0] for r in runs]), np.array([r[1] for r in runs])
-    assert np.abs(found[:, 12:]).max() < 4.5
-    square = (found[:, ACCEL_BIAS] ** 2).sum()
-    assert square < chi2.isf(1e-3, 3 * seeds)
-    assert square < (closed[:, ACCEL_BIAS] ** 2).sum()
+def test_drift_that_no_data_sheet_states_is_found_and_said() -> None:
+    evidence = replace(wandering(1), instability=np.zeros(6))
+    found = joint.solve(evidence)
+    assert any('biases of the accelerometers wander' in finding for finding in found.findings)
+    assert np.abs(normalised(found)[ACCEL_BIAS]).max() < 4.5
 
 
 def test_arrivals_that_miss_unseen_widen_the_misalignments() -> None:
@@ -277,6 +328,7 @@ def test_arrivals_that_miss_unseen_widen_the_misalignments() -> None:
     assert np.abs(normalised(found)).max() < 4.5
     misalignments = [k for k, name in enumerate(PARAMETER_NAMES) if name.startswith('E_g')]
     assert found.std[misalignments].max() > 1 * ARCSEC
+    assert any('off what its encoders show' in finding for finding in found.findings)
 
 
 def test_what_no_position_turns_is_named() -> None:

@@ -59,7 +59,7 @@ def north() -> Table:
 def run(plan: Plan, options: StandOptions, seed: int = 0) -> Result:
     spec = load_imu('fog_navigation')
     blocks = simulate(plan, north(), spec, truth(), SITE, options, seed)
-    return calibrate(blocks, plan, table=north(), spec=spec)
+    return calibrate(blocks, plan, table=north(), spec=spec, method=plan.method)
 
 
 def errors(result: Result) -> Floats:
@@ -123,7 +123,7 @@ def test_rate_and_24_positions_recover_the_24_parameters() -> None:
     unit = Calibration.load(named_file('truths', 'cao2022_table1')).model
     for options, limit in ((stand(noise=False, quantise=False), None), (stand(), 4.0)):
         blocks = simulate(plan, north(), spec, unit, SITE, options, 2)
-        result = calibrate(blocks, plan, table=north(), spec=spec)
+        result = calibrate(blocks, plan, table=north(), spec=spec, method=plan.method)
         left = result.calibration.model.vector() - unit.vector()
         if limit is None:
             assert np.abs(left[:9]).max() < 3e-8
@@ -151,7 +151,7 @@ def test_without_north_n_positions_refuse() -> None:
     table = load_table('three_axis')
     blocks = simulate(plan, table, spec, truth(), SITE, stand(), 0)
     with pytest.raises(NotObservable, match=r'need north.*D_gx'):
-        calibrate(blocks, plan, table=table, spec=spec)
+        calibrate(blocks, plan, table=table, spec=spec, method=plan.method)
 
 
 def written(positions: str, method: str = 'n_positions') -> Plan:
@@ -264,7 +264,7 @@ def test_positions_lost_from_a_session_are_named_with_what_they_take_along() -> 
     run_of = replace(z_lost, positions=(*z_lost.positions, turn))
     blocks = simulate(run_of, north(), spec, truth(), SITE, stand(), 1)
     with pytest.raises(NotObservable, match=r'6 positions \(missing: 5, 6\).*G_gxz.*K_az'):
-        calibrate(blocks, plan, table=north(), spec=spec)
+        calibrate(blocks, plan, table=north(), spec=spec, method=plan.method)
 
 
 def test_a_unit_mounted_otherwise_contradicts_the_attitudes() -> None:
@@ -274,4 +274,4 @@ def test_a_unit_mounted_otherwise_contradicts_the_attitudes() -> None:
     blocks = simulate(plan, turned, spec, truth(), SITE, stand(), 1)
     # The attitudes follow from the encoders and a mount that is not the true one.
     with pytest.raises(NotObservable, match=r'x answers to Y, y answers to -X.*mounting'):
-        calibrate(blocks, plan, table=north(), spec=spec)
+        calibrate(blocks, plan, table=north(), spec=spec, method=plan.method)

@@ -15,7 +15,7 @@ from ..methods.free.session import calibrator_of
 from ..report.noise import noise_lines
 from ..report.parameters import parameter_table
 from ..stream import Block
-from ..units import DEG
+from ..units import DEG, DEG_H, MICRO_G
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
@@ -122,6 +122,14 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         f'\n{setup["method"]}: {setup["segments"]} stretches at rest, {setup["turns"]} turns, '
         f'{session.samples} samples in {session.duration:.0f} s'
     )
+    if result.comparison is not None:
+        OUTPUT.print(result.comparison.sentence(), markup=False)
+    if solution.wandering is not None and solution.wandering.any():
+        OUTPUT.print(
+            f'the standard deviations allow for biases that wander by '
+            f'{solution.wandering[0] / DEG_H:.2g} deg/h and {solution.wandering[3] / MICRO_G:.2g} '
+            'ug over 1000 s or so (data sheet, and what the session shows)'
+        )
     OUTPUT.print(
         f'gravity {setup["gravity"]:.6f} m/s^2 ({setup["gravity_source"]}), '
         f'latitude {setup["latitude_deg"]:.3f} deg'

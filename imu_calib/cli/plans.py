@@ -13,7 +13,7 @@ from ..calibrator import Setup
 from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
-from ..methods import METHODS, check_plan
+from ..methods import METHODS, check_plan, closed_form_beside
 from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..plan import Plan, Step, load_plan
 from ..prediction import Forecast, duration, forecast, reach
@@ -107,7 +107,19 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
         _show_reach(arguments, setup, truth)
         return
     found = forecast(setup, truth, wander=arguments.bias_instability)
-    _show_forecast(found)
+    beside = closed_form_beside(found.method, plan)
+    if beside is None:
+        _show_forecast(found)
+    else:
+        own = forecast(replace(setup, method=beside), truth, wander=arguments.bias_instability)
+        _show_forecast(found if own.refusal else own, best=found.method)
+        if own.refusal:
+            OUTPUT.print(f'closed form {beside}: {own.refusal}', markup=False)
+    if not arguments.bias_instability and imu.gyro.bias_instability + imu.accel.bias_instability:
+        OUTPUT.print(
+            'Biases stand still here; with --bias-instability they wander by the data sheet, as '
+            'the joint estimate allows for.'
+        )
     _show_time(plan, table)
 
 
@@ -147,27 +159,29 @@ def _wanted(text: str) -> tuple[str, float]:
     return parameter.name, std
 
 
-def _show_forecast(found: Forecast, wanted: dict[str, float] | None = None) -> None:
+def _show_forecast(
+    found: Forecast, wanted: dict[str, float] | None = None, *, best: str = 'best'
+) -> None:
     rows = Rows(box=None, pad_edge=False, header_style='bold')
-    headings = ['parameter', found.method, 'best', 'unit']
+    headings = ['parameter', found.method, best, 'unit']
     if wanted is not None:
         headings.insert(3, 'wanted')
     for heading in headings:
         rows.add_column(heading, justify='left' if heading in {'parameter', 'unit'} else 'right')
     last: Parameter | None = None
-    for parameter, std, best in zip(found.parameters, found.std, found.best, strict=True):
+    for parameter, std, least in zip(found.parameters, found.std, found.best, strict=True):
         if last is not None and parameter.triad != last.triad:
             rows.add_section()
         last = parameter
         shown = engineering(parameter)
-        cells = [_cell(value / shown.scale) for value in (std, best)]
+        cells = [_cell(value / shown.scale) for value in (std, least)]
         if wanted is not None:
             cells.append(_cell(wanted.get(parameter.name, np.nan) / shown.scale, empty=''))
         rows.add_row(parameter.name, *cells, shown.unit)
     OUTPUT.print(rows)
     OUTPUT.print(
         '\nPredicted standard deviations: by the method named, and the least that the session '
-        'allows (Fisher information; azimuth and tilts unknown).'
+        'allows (Fisher information; azimuth and tilts unknown), which the joint estimate reaches.'
     )
     if found.refusal:
         OUTPUT.print(f'{found.method}: {found.refusal}', markup=False)

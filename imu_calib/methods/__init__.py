@@ -35,6 +35,21 @@ METHODS: dict[str, Callable[[Evidence], Solution]] = {
     'twelve_position': twelve_position.solve,
 }
 
+JOINT = {'joint': False, 'joint_33': True}
+"""The estimates from all of a session at once, and whether with g-sensitivity."""
+
+_JOINT_OF = {
+    'n_positions': 'joint_33',
+    'rate_24': 'joint',
+    'six_position': 'joint',
+    'twelve_position': 'joint',
+}
+"""Closed forms for all sensors at the attitudes of a table, and what solves their sessions too.
+
+The others need their own: the joint estimate knows no gyros alone, no skewed one, and no attitudes
+that nobody measured.
+"""
+
 _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
     'n_positions': lambda plan, _: n_positions.check(plan),
     'off_axis_four': off_axis_four.check,
@@ -73,6 +88,11 @@ def estimates(name: str) -> tuple[Parameter, ...]:
     return found
 
 
+def closed_form_beside(name: str, plan: Plan) -> str | None:
+    """Return the closed form to hold a joint estimate of a plan against, None where none goes."""
+    return plan.method if name in JOINT and plan.method in _JOINT_OF else None
+
+
 def check_plan(name: str, plan: Plan, site: Site) -> None:
     """Refuse a plan that its method cannot solve, before anybody runs it.
 
@@ -82,5 +102,7 @@ def check_plan(name: str, plan: Plan, site: Site) -> None:
 
     """
     method(name)
-    if name in _CHECKS:
-        _CHECKS[name](plan, site)
+    # What a closed form cannot tell apart, no estimate from the same plan tells well.
+    for held in (name, closed_form_beside(name, plan)):
+        if held in _CHECKS:
+            _CHECKS[held](plan, site)

@@ -78,10 +78,10 @@ def conclude(
 
     """
     with_accels = bool(np.isfinite(covariance[12:24, 12:24]).all())
-    _check_axes(model.gyro.response, 'gyros', 'whole turns' if evidence.turns else 'the Earth rate')
+    check_axes(model.gyro.response, 'gyros', 'whole turns' if evidence.turns else 'the Earth rate')
     if with_accels:
-        _check_axes(model.accel.response, 'accelerometers', 'gravity')
-    notes = [*findings, *_far_scales(model), *_clocks(evidence)]
+        check_axes(model.accel.response, 'accelerometers', 'gravity')
+    notes = [*findings, *far_scales(model), *clocks(evidence)]
     gyro = _fit(evidence, model, slice(0, 3), estimated=6)
     accel = _fit(evidence, model, slice(3, 6), estimated=14) if with_accels else None
     widened = covariance.copy()
@@ -103,17 +103,13 @@ def conclude(
         # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
         factors = np.where(indices < 9, np.sqrt(scatter), 1.0)
         widened *= np.outer(factors, factors)
-        notes.append(
-            f'Between turns the gyros scatter {np.sqrt(scatter):.1f} times more than within them '
-            '(a range that ends below the rates, a scale factor that depends on the rate): the '
-            'standard deviations of K_g and E_g are widened.'
-        )
+        notes.append(turns_scatter(scatter))
     residuals = _residuals(evidence, gyro, accel)
     notes += _outstanding(residuals)
     notes += _off_positions(evidence)
     earth = gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
     if not evidence.plan.by_hand:
-        _check_latitude(evidence, gyro.vector, earth)
+        check_latitude(evidence, gyro.vector, earth)
     azimuth = float(np.arctan2(gyro.vector[0], gyro.vector[1]))
     azimuth_std = _azimuth_std(gyro.vector, earth)
     if north_known and abs(azimuth) > max(_CONTRADICTION * azimuth_std, _LEAST_AZIMUTH):
@@ -135,8 +131,27 @@ def conclude(
     )
 
 
-def _clocks(evidence: Evidence) -> list[str]:
-    """Mention clocks that the session does not compare well: their rate goes straight into K_g."""
+def turns_scatter(scatter: float) -> str:
+    """Say by how much turns scatter beyond their noise.
+
+    Args:
+        scatter: Chi-square per degree of freedom.
+
+    """
+    return (
+        f'Between turns the gyros scatter {np.sqrt(scatter):.1f} times more than within them '
+        '(a range that ends below the rates, a scale factor that depends on the rate): the '
+        'standard deviations of K_g and E_g are widened.'
+    )
+
+
+def clocks(evidence: Evidence) -> list[str]:
+    """Mention clocks that the session does not compare well: their rate goes straight into K_g.
+
+    Returns:
+        One sentence, or none.
+
+    """
     std = evidence.clock_rate()[1]
     if std < _WELL_KNOWN_CLOCKS:
         return []
@@ -146,8 +161,13 @@ def _clocks(evidence: Evidence) -> list[str]:
     ]
 
 
-def _far_scales(model: SensorModel) -> list[str]:
-    """Mention outputs so far from the nominal scale that the description may be another unit's."""
+def far_scales(model: SensorModel) -> list[str]:
+    """Mention outputs so far from the nominal scale that the description may be another unit's.
+
+    Returns:
+        A sentence for each triad that is.
+
+    """
     scales = {
         'gyros': abs(float(np.linalg.det(model.gyro.response))) ** (1 / 3),
         'accelerometers': abs(float(np.linalg.det(model.accel.response))) ** (1 / 3),
@@ -160,8 +180,19 @@ def _far_scales(model: SensorModel) -> list[str]:
     ]
 
 
-def _check_axes(response: Floats, name: str, what: str) -> None:
-    """Refuse a response that no orientation of three real axes explains."""
+def check_axes(response: Floats, name: str, what: str) -> None:
+    """Refuse a response that no orientation of three real axes explains.
+
+    Args:
+        response: (3, 3), row i the channel, column j the axis of the plan; dimensionless.
+        name: Of the sensors, for the message.
+        what: To what they answer, for the message.
+
+    Raises:
+        InputError: The response is many times, or a fraction of, what it should be: other units.
+        NotObservable: Axes are swapped, mirrored or turned; says which.
+
+    """
     scale = abs(float(np.linalg.det(response))) ** (1 / 3)
     if not 1 / _SCALE_LIMIT < scale < _SCALE_LIMIT:
         raise InputError(
@@ -327,8 +358,18 @@ def _off_positions(evidence: Evidence) -> list[str]:
     ]
 
 
-def _check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> None:
-    """Refuse a latitude that the gyros contradict: gravity and the biases would rest on it."""
+def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> None:
+    """Refuse a latitude that the gyros contradict: gravity and the biases would rest on it.
+
+    Args:
+        evidence: The session, with the site that was given.
+        earth: (3,) Earth rate that the gyros see, in the frame of the attitudes, rad/s.
+        covariance: (3, 3) its covariance.
+
+    Raises:
+        NotObservable: Says what is seen and what was expected, and which latitude would fit.
+
+    """
     site = evidence.site
     up_std = float(np.sqrt(covariance[2, 2]))
     level = float(np.hypot(earth[0], earth[1]))

@@ -57,16 +57,12 @@ _GENERATORS = np.array(
 )
 
 
-def _pattern() -> Floats:
-    """Return which of a triad's 12 parameters meets which input: (3 rows, 12, 4 of [u, 1])."""
-    pattern = np.zeros((3, 12, 4))
-    for index, parameter in enumerate(PARAMETERS[:12]):
-        column = 3 if parameter.column is None else parameter.column
-        pattern[parameter.row, index, column] = 1.0
-    return pattern
+_COLUMNS = [3 if p.column is None else p.column for p in PARAMETERS[:12]]
 
+PATTERN = np.zeros((3, 12, 4))
+"""Which of 12 parameters meets which of the inputs [u, 1]: (channel, parameter, input)."""
 
-_PATTERN = _pattern()
+PATTERN[[p.row for p in PARAMETERS[:12]], np.arange(12), _COLUMNS] = 1.0
 
 
 def _turn(axis: int, angle: float) -> Floats:
@@ -363,7 +359,7 @@ class Equations:
 def _by_parameters(inputs: Floats) -> Floats:
     """Return the derivatives of three channels by their 12 parameters: (k, 3, 12)."""
     extended = np.column_stack([inputs, np.ones(len(inputs))])
-    return np.asarray(np.einsum('ipc,kc->kip', _PATTERN, extended))
+    return np.asarray(np.einsum('ipc,kc->kip', PATTERN, extended))
 
 
 def _level_axes(up: Floats) -> tuple[Floats, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,6 +38,8 @@ class Evidence:
         azimuth: Heading of the table's zero against north, rad; None when unknown.
         walk: (6,) random-walk coefficients, rad/sqrt(s) and (m/s)/sqrt(s).
         positioning: Standard deviation of an arrival of the table, rad; 0 when not stated.
+        instability: (6,) standard deviation of biases that wander, by the data sheet, rad/s and
+            m/s^2; 0 when not stated.
 
     """
 
@@ -49,6 +51,7 @@ class Evidence:
     azimuth: float | None
     walk: Floats
     positioning: float = 0.0
+    instability: Floats = field(default_factory=lambda: np.zeros(6))
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

@@ -9,6 +9,10 @@ a bias. Either counts where the likelihood asks for it, so that a session of pur
 weights that suit it. One session tells neither s nor tau well: the covariance that then counts is
 the mean of the posterior over a grid, not the most likely one, which would be too sure of itself.
 
+A wandering that the data sheet states (bias instability) is a floor: a session of half an hour
+does not show a drift of the size of its own noise, and its mean errs by it all the same. It is
+weighed against less of it by what the data says, with odds of ten to one for the data sheet.
+
 Source: methods.md, section 11 (weights from the data, drift within and between segments).
 """
 
@@ -30,6 +34,9 @@ _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
 _ARRIVAL_RATIOS = np.concatenate([[0.0], 10.0 ** np.arange(-1, 6.1, 0.5)])
 _CALLED_FOR = 4.5
+_STATED_TIME = 1000.0
+_SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
+_LOG_ODDS = np.log([1 / 33, 1 / 33, 1 / 33, 10 / 11])
 _NODES = 8
 _BLOCKS_FOR_A_SLOPE = 4
 
@@ -54,6 +61,11 @@ class _Wandering:
         line = np.kron(np.diag(1 / durations), centred / (centred @ centred))
         return cls(nodes, np.vstack([means, line[with_slope]]), int(np.sum(with_slope)))
 
+    @property
+    def span(self) -> float:
+        """Length of the session, s."""
+        return max(float(np.ptp(self.nodes)), 1.0)
+
     def kernel(self, time: float) -> Floats:
         """Return the covariance of means and slopes for unit variance.
 
@@ -61,7 +73,7 @@ class _Wandering:
             time: Correlation time as a fraction of the session.
 
         """
-        apart = np.abs(self.nodes[:, None] - self.nodes) / max(float(np.ptp(self.nodes)), 1.0)
+        apart = np.abs(self.nodes[:, None] - self.nodes) / self.span
         return np.asarray(self.functionals @ np.exp(-apart / time) @ self.functionals.T)
 
 
@@ -79,12 +91,17 @@ class _Triad:
     slope_variances: Floats
     wandering: _Wandering
     typical: float
+    stated: float
 
-    def weigh(self, arrival: float) -> tuple[Floats, float]:
-        """Return the log likelihood (taus, ratios) and without wandering, for one arrival error.
+    def weigh(self, arrival: float) -> tuple[Floats, Floats]:
+        """Return log likelihoods for one error of arrival.
 
         Args:
             arrival: Its variance, rad^2.
+
+        Returns:
+            (shares,) for shares of the wandering stated, and (taus, ratios) for what comes on top
+            of it.
 
         """
         covariance = self.base + arrival * (self.arrivals @ self.arrivals.T)
@@ -94,31 +111,47 @@ class _Triad:
             [solve_triangular(factor, columns, lower=True, check_finite=False), self.prior]
         )
         full, triangle = np.linalg.qr(columns[:, :-1], mode='complete')
-        n = triangle.shape[1]
-        free = full[:, n:]
+        free = full[:, triangle.shape[1] :]
         # The volume of the parameters' and of the noise's own ellipsoid, for unlike arrivals.
         volume = -np.log(np.diag(factor)).sum() - np.log(np.abs(np.diag(triangle))).sum()
         slopes = self.slope_left / np.sqrt(self.slope_variances)
         z = np.concatenate([free.T @ columns[:, -1], slopes])
-        without = float(volume) - 0.5 * float(z @ z)
         rows = len(self.left)
         back = solve_triangular(factor, np.eye(rows), lower=True, check_finite=False)
         project = np.zeros((rows + len(slopes), len(z)))
         project[:rows, : free.shape[1]] = back.T @ free[:rows]
         project[rows:, free.shape[1] :] = np.diag(1 / np.sqrt(self.slope_variances))
+        beforehand = project.T @ self.spread(self.stated_kernel()) @ project
+        calm = volume + _likelihoods(beforehand, z, _SHARES)
+        if self.stated > 0:
+            root = np.linalg.cholesky(np.eye(len(z)) + beforehand)
+            volume -= np.log(np.diag(root)).sum()
+            z = solve_triangular(root, z, lower=True, check_finite=False)
+            project = solve_triangular(root, project.T, lower=True, check_finite=False).T
         found = []
         for time in _TIMES:
             kernel = self.spread(self.wandering.kernel(time)) * self.typical
-            values, vectors = np.linalg.eigh(project.T @ kernel @ project)
-            grown = 1 + np.outer(_RATIOS, np.maximum(values, 0.0))
-            square = (vectors.T @ z) ** 2
-            gained = np.log(grown) + square / grown
-            found.append(float(volume) - 0.5 * gained.sum(axis=1))
-        return np.asarray(found), without
+            found.append(volume + _likelihoods(project.T @ kernel @ project, z, _RATIOS))
+        return calm, np.array(found)
+
+    def stated_kernel(self) -> Floats:
+        """Return the covariance of means and slopes by the wandering that is stated."""
+        kernel = self.wandering.kernel(_STATED_TIME / self.wandering.span)
+        return np.asarray(self.stated * kernel)
 
     def spread(self, kernel: Floats) -> Floats:
         """Repeat a kernel over stretches for three channels, in the order of the rows."""
         return np.asarray(np.kron(kernel, np.eye(3)), dtype=float)
+
+
+def _likelihoods(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
+    """Return the log likelihoods of z with the covariances 1 + ratio kernel, one per ratio."""
+    if not kernel.any():
+        return np.full(len(ratios), -0.5 * float(z @ z))
+    values, vectors = np.linalg.eigh(kernel)
+    grown = 1 + np.outer(ratios, np.maximum(values, 0.0))
+    square = (vectors.T @ z) ** 2
+    return np.asarray(-0.5 * (np.log(grown) + square / grown).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,16 +162,14 @@ class Excess:
         positioning: Standard deviation of an arrival's error, rad.
         wandering: (6,) standard deviation of the wandering biases, rad/s and m/s^2.
         extra: (6 s + 3 t,) square: the covariance that wandering adds.
+        stated: Of it the part that the data sheet states.
 
     """
 
     positioning: float
     wandering: Floats
     extra: Floats
-
-    def without(self) -> Excess:
-        """Return no excess at all, for the same session."""
-        return Excess(0.0, np.zeros(6), np.zeros_like(self.extra))
+    stated: Floats
 
 
 def excess(equations: Equations, state: Floats) -> Excess:
@@ -153,60 +184,79 @@ def excess(equations: Equations, state: Floats) -> Excess:
     evidence = plain.evidence
     s, t = len(evidence.segments), len(evidence.turns)
     size = 6 * s + 3 * t
-    stated = evidence.positioning
+    positioning = evidence.positioning
+    found = Excess(positioning, np.zeros(6), np.zeros((size, size)), np.zeros((size, size)))
     if not s or plain.own_variances.max() <= SMALLEST_VARIANCE:
-        return Excess(stated, np.zeros(6), np.zeros((size, size)))
+        return found
     covariance = plain.covariance(state)
     jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
     arrivals = plain.arrivals(state)
-    extra = np.zeros((size, size))
-    wandering = np.zeros(6)
 
     accel = _triad(plain, 3, (jacobian, left, covariance, arrivals), state)
-    unit = float(accel.typical) / evidence.site.gravity**2
-    candidates = _ARRIVAL_RATIOS * unit
+    candidates = _ARRIVAL_RATIOS * (accel.typical / evidence.site.gravity**2)
     weights = _posterior(accel, candidates)
-    arrival = float(weights.sum(axis=(1, 2)) @ candidates)
-    wandering[3:] = _spread_out(accel, weights, extra)
+    arrival = float(weights.arrivals @ candidates)
+    found.wandering[3:] = _spread_out(accel, weights, found)
     gyro = _triad(
         plain, 0, (jacobian, left, covariance + arrival * (arrivals @ arrivals.T), arrivals), state
     )
-    wandering[:3] = _spread_out(gyro, _posterior(gyro, np.zeros(1)), extra)
-    return Excess(float(np.sqrt(stated**2 + arrival)), wandering, extra)
+    found.wandering[:3] = _spread_out(gyro, _posterior(gyro, np.zeros(1)), found)
+    return replace(found, positioning=float(np.sqrt(positioning**2 + arrival)))
 
 
-def _posterior(triad: _Triad, candidates: Floats) -> Floats:
-    """Return the weights (arrivals, taus, 1 + ratios) of the grid; none of either comes first.
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """Posterior weights: (a, shares) of what is stated, (a, taus, ratios) of what is beyond."""
 
-    Pure noise stands unless the likelihood rises by the factor exp(`_CALLED_FOR`) without it. Then
-    the other cases share the weight: a few arrivals that miss and a bias that wanders slowly look
-    alike, and do unlike harm.
+    calm: Floats
+    beyond: Floats
+
+    @property
+    def arrivals(self) -> Floats:
+        """Weights of the errors of arrival, (a,)."""
+        return np.asarray(self.calm.sum(axis=1) + self.beyond.sum(axis=(1, 2)))
+
+    @property
+    def stated(self) -> float:
+        """Mean share of the wandering stated."""
+        return float(self.calm.sum(axis=0) @ _SHARES + self.beyond.sum())
+
+
+def _posterior(triad: _Triad, candidates: Floats) -> _Weights:
+    """Return the weights over a grid of arrival errors (none of which comes first) and wanderings.
+
+    What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
+    without it. Then the other cases share the weight: a few arrivals that miss and a bias that
+    wanders slowly look alike, and do unlike harm.
     """
-    table = np.zeros((len(candidates), len(_TIMES), 1 + len(_RATIOS)))
-    for k, arrival in enumerate(candidates):
-        table[k, :, 1:], table[k, :, 0] = triad.weigh(float(arrival))
-    nothing = table[0, 0, 0]
-    weights = np.zeros_like(table)
-    if table.max() < nothing + _CALLED_FOR:
-        weights[0, 0, 0] = 1.0
-        return weights
-    none, some = slice(0, 1), slice(1, None)
-    for a, r in ((none, some), (some, none), (some, some)):
-        part = table[a, :, r]
-        if part.size:
-            weights[a, :, r] = part - np.log(part.size)
-    weights[0, :, 0] = -np.inf
-    return np.asarray(np.exp(weights - logsumexp(weights)))
+    pairs = [triad.weigh(float(arrival)) for arrival in candidates]
+    calm = np.array([pair[0] for pair in pairs]) + _LOG_ODDS
+    beyond = np.array([pair[1] for pair in pairs])
+    known = float(logsumexp(calm[0]))
+    some, none = np.zeros_like(beyond), np.zeros_like(calm)
+    if max(float(beyond.max()), float(logsumexp(calm, axis=1).max())) < known + _CALLED_FOR:
+        none[0] = np.exp(calm[0] - known)
+        return _Weights(none, some)
+    still, moved = slice(0, 1), slice(1, None)
+    for part in (still, moved):
+        some[part] = beyond[part] - np.log(max(1, beyond[part].size))
+    none[still], none[moved] = -np.inf, calm[moved] - np.log(max(1, len(calm) - 1))
+    total = float(logsumexp(np.concatenate([none.ravel(), some.ravel()])))
+    return _Weights(np.exp(none - total), np.exp(some - total))
 
 
-def _spread_out(triad: _Triad, weights: Floats, extra: Floats) -> float:
+def _spread_out(triad: _Triad, weights: _Weights, into: Excess) -> float:
     """Add the posterior's mean of the wandering's covariance; return its standard deviation."""
     means = len(triad.left) // 3
-    total = 0.0
+    block = np.ix_(triad.rows, triad.rows)
+    stated = weights.stated * triad.spread(triad.stated_kernel()[:means, :means])
+    into.stated[block] += stated
+    into.extra[block] += stated
+    total = weights.stated * triad.stated
     for k, time in enumerate(_TIMES):
-        variance = float(weights[:, k, 1:].sum(axis=0) @ _RATIOS) * triad.typical
+        variance = float(weights.beyond[:, k].sum(axis=0) @ _RATIOS) * triad.typical
         kernel = triad.wandering.kernel(time)[:means, :means]
-        extra[np.ix_(triad.rows, triad.rows)] += variance * triad.spread(kernel)
+        into.extra[block] += variance * triad.spread(kernel)
         total += variance
     return float(np.sqrt(total))
 
@@ -251,6 +301,7 @@ def _triad(
         slope_variances,
         wandering,
         float(np.median(equations.own_variances[rows[: 3 * s]])),
+        float(evidence.instability[first] ** 2),
     )
 
 

@@ -10,12 +10,13 @@ Source: methods.md, section 11. Accelerometers have no say in turns, where they 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 from ..errors import NotObservable
 from ..model import PARAMETERS
@@ -31,6 +32,7 @@ _ITERATIONS = 30
 _CONVERGED = 1e-9
 _OUTLYING = 1e-6
 _SUSPECT = 1e-5
+_UNLIKE = 1e-4
 _MOST_OUTLIERS = 1 / 3
 _RANK = 1e-6
 _LEFT_OUT = 1e8
@@ -66,6 +68,8 @@ class Estimate:
         condition: Condition number of the system solved, columns scaled to unit length.
         scatter: What scatters beyond the noise.
         outliers: What counts for less.
+        turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
+            for less; 1 where they agree.
 
     """
 
@@ -75,6 +79,7 @@ class Estimate:
     condition: float
     scatter: Excess
     outliers: tuple[Outlier, ...]
+    turns_scatter: float = 1.0
 
     def nuisance(self, which: Nuisance) -> tuple[float, float]:
         """Return one of the nuisances and its standard deviation."""
@@ -98,12 +103,22 @@ def estimate(evidence: Evidence, *, with_g: bool = False) -> Estimate:
     state = _fit(equations, _start(equations))
     equations = _headed(_levelled(equations, state), state)
     state = _fit(equations, state)
+    found = _without_outliers(equations, state, turns=True)
+    if not _turns_disagree(evidence, found.outliers):
+        return found
+    equations, scatter = _turns_weighed_down(equations, state)
+    found = _without_outliers(equations, _fit(equations, state), turns=False)
+    return replace(found, turns_scatter=scatter)
+
+
+def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Estimate:
+    """Weigh down what does not fit, one after the other; turns too, if so asked."""
     outliers: list[Outlier] = []
     scatter = excess(equations, state)
-    for _ in range(int(_MOST_OUTLIERS * len(evidence.segments)) + 1):
+    for _ in range(int(_MOST_OUTLIERS * len(equations.evidence.segments)) + 1):
         weighted = _weighted(equations, scatter)
         state = _fit(weighted, state)
-        found = _outlier(equations, weighted, state)
+        found = _outlier(equations, weighted, state, _candidates(equations.evidence, turns=turns))
         if found is None:
             break
         outliers.append(found)
@@ -120,6 +135,40 @@ def estimate(evidence: Evidence, *, with_g: bool = False) -> Estimate:
         scatter,
         tuple(outliers),
     )
+
+
+def _turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations, float]:
+    """Let turns count by how they scatter, each channel about each axis for itself.
+
+    Returns:
+        The equations, and the largest chi-square per degree of freedom.
+
+    """
+    jacobian, left = equations.whitened(state)
+    norms = np.linalg.norm(jacobian, axis=0)
+    basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
+    free = 1 - (basis**2).sum(axis=1)
+    evidence, largest = equations.evidence, 1.0
+    axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
+    for axis in range(3):
+        for channel in range(3):
+            rows = 6 * len(evidence.segments) + 3 * np.flatnonzero(axes == axis) + channel
+            freedom, square = float(free[rows].sum()), float(left[rows] @ left[rows])
+            if freedom >= 1 and chdtrc(freedom, square) < _UNLIKE:
+                equations = _weighed_down(equations, rows, square / freedom)
+                largest = max(largest, square / freedom)
+    return equations, largest
+
+
+def _turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
+    """Say whether so many turns about an axis fall out that nobody knows which are wrong.
+
+    Rates beyond the range, say: two turns of four agree with each other and not with the rest.
+    """
+    axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
+    fallen = np.unique([(o.rows[0] - 6 * len(evidence.segments)) // 3 for o in outliers])
+    fallen = axes[fallen[fallen >= 0].astype(int)]
+    return any((fallen == axis).sum() > _MOST_OUTLIERS * (axes == axis).sum() for axis in fallen)
 
 
 def _check_observable(equations: Equations) -> None:
@@ -217,14 +266,14 @@ def _weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) -
     return replace(equations, inflation=inflation)
 
 
-def _candidates(evidence: Evidence) -> list[tuple[str, NDArray[np.intp]]]:
+def _candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[np.intp]]]:
     """Name what may be an outlier as a whole: three outputs of one kind at a time."""
     three, rest = np.arange(3), 6 * len(evidence.segments)
     found = []
     for k, segment in enumerate(evidence.segments):
         found.append((f'the gyros at position {segment.position}', 6 * k + three))
         found.append((f'the accelerometers at position {segment.position}', 6 * k + 3 + three))
-    for k, turn in enumerate(evidence.turns):
+    for k, turn in enumerate(evidence.turns if turns else ()):
         rate = turn.rate() / DEG
         found.append(
             (f'a turn at {rate:.3g} deg/s at position {turn.position}', rest + 3 * k + three)
@@ -232,16 +281,19 @@ def _candidates(evidence: Evidence) -> list[tuple[str, NDArray[np.intp]]]:
     return found
 
 
-def _outlier(plain: Equations, weighted: Equations, state: Floats) -> Outlier | None:
+def _outlier(
+    plain: Equations,
+    weighted: Equations,
+    state: Floats,
+    candidates: list[tuple[str, NDArray[np.intp]]],
+) -> Outlier | None:
     """Find what fits least, and say whether the rest, judged without it, refuses it.
 
     One outlier among good stretches looks like a bias that wanders, and hides behind the scatter
     that it makes: the scatter that it is held against is that of the others alone.
     """
-    evidence = plain.evidence
     if plain.own_variances.max() <= SMALLEST_VARIANCE:
         return None
-    candidates = _candidates(evidence)
     worst = set()
     for equations in (plain, weighted):
         squares = _falls(equations, state, candidates)

@@ -13,16 +13,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from ..model import SensorModel
 from ..stream import Floats
-from ..units import ARCSEC, DEG
-from .checks import _check_axes, _check_latitude, _clocks, _far_scales, conclude
+from ..units import ARCSEC, DEG, DEG_H, MICRO_G
+from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatter
 from .equations import LEVELLED, Nuisance
 from .evidence import Evidence
 from .fit import Estimate, estimate
 from .solution import Residual, Solution
 
-_VERTICAL = 0.95
+_TELLING = 0.1
 
 
 def solve(evidence: Evidence) -> Solution:
@@ -50,71 +49,37 @@ def solve_33(evidence: Evidence) -> Solution:
 
 
 def _concluded(found: Estimate) -> Solution:
-    """Hold an estimate against the world as the closed forms are, with the weights it used."""
-    if not _upright(found.equations.evidence):
-        return _concluded_anyhow(found)
+    """Hold an estimate against the world: axes, latitude, what is left over."""
     equations, evidence = found.equations, found.equations.evidence
     model = equations.model(found.state)
-    covariance = found.covariance[: equations.parameters, : equations.parameters]
-    north = equations.north_known
-    # What g does to the gyros is taken out of the outputs that are checked.
-    without_g = SensorModel(model.gyro, model.accel)
-    # Scatter that a wrong latitude makes must not excuse it: first the noise alone is the measure.
-    strict = replace(found, scatter=found.scatter.without())
-    conclude(
-        _as_weighted(strict), without_g, covariance, found.condition, findings=[], north_known=north
-    )
-    solution = conclude(
-        _as_weighted(found),
-        without_g,
-        covariance,
-        found.condition,
-        findings=_findings(found),
-        north_known=north,
-    )
-    azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
-    return replace(
-        solution,
-        model=model,
-        azimuth=azimuth + (evidence.azimuth or 0.0),
-        azimuth_std=azimuth_std,
-    )
-
-
-def _upright(evidence: Evidence) -> bool:
-    """Say whether one of X, Y, Z is vertical throughout and each of them has turned."""
-    ups = [*evidence.attitudes()[:, 2], *(turn.up for turn in evidence.turns)]
-    turned = {int(np.argmax(np.abs(turn.up))) for turn in evidence.turns}
-    return bool(np.abs(ups).max(axis=1).min() > _VERTICAL) and len(turned) == 3
-
-
-def _concluded_anyhow(found: Estimate) -> Solution:
-    """Hold an estimate of any attitudes against the world: axes, latitude, what is left over."""
-    equations, evidence = found.equations, found.equations.evidence
-    model = equations.model(found.state)
-    _check_axes(model.gyro.response, 'gyros', 'the turns and the Earth')
-    _check_axes(model.accel.response, 'accelerometers', 'gravity')
-    earth, covariance = seen_earth(found)
+    check_axes(model.gyro.response, 'gyros', 'the turns and the Earth')
+    check_axes(model.accel.response, 'accelerometers', 'gravity')
+    earth, earth_covariance = seen_earth(found)
     if not evidence.plan.by_hand:
-        _check_latitude(evidence, earth, covariance)
-    rest = 6 * len(evidence.segments)
-    left = (equations.outputs - equations.predict(found.state))[:rest].reshape(-1, 6)
-    std = np.sqrt(np.diag(equations.covariance(found.state))[:rest]).reshape(-1, 6)
-    residuals = tuple(
-        Residual(str(segment.position), segment.start, value, deviation)
-        for segment, value, deviation in zip(evidence.segments, left, std, strict=True)
-    )
+        check_latitude(evidence, earth, earth_covariance)
     azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
     return Solution(
         model,
         found.covariance[: equations.parameters, : equations.parameters],
-        residuals,
+        _residuals(found),
         azimuth + (evidence.azimuth or 0.0),
         azimuth_std,
         float(earth[2]),
-        float(np.sqrt(covariance[2, 2])),
+        float(np.sqrt(earth_covariance[2, 2])),
         found.condition,
-        (*_findings(found), *_far_scales(model), *_clocks(evidence)),
+        (*_findings(found), *far_scales(model), *clocks(evidence)),
+        found.scatter.wandering,
+    )
+
+
+def _residuals(found: Estimate) -> tuple[Residual, ...]:
+    equations, evidence = found.equations, found.equations.evidence
+    rest = 6 * len(evidence.segments)
+    left = (equations.outputs - equations.predict(found.state))[:rest].reshape(-1, 6)
+    std = np.sqrt(np.diag(equations.covariance(found.state))[:rest]).reshape(-1, 6)
+    return tuple(
+        Residual(str(segment.position), segment.start, value, deviation)
+        for segment, value, deviation in zip(evidence.segments, left, std, strict=True)
     )
 
 
@@ -129,7 +94,7 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
 
     """
     evidence = found.equations.evidence
-    plain = replace(found.equations, extra=None, positioning=None)
+    plain = replace(found.equations, extra=found.scatter.stated, positioning=None)
     state, sensors = found.state, found.equations.parameters
     response = plain.model(state).gyro.response
     free = np.zeros((len(plain.outputs), 3))
@@ -154,50 +119,13 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     return plain.surroundings(state).rate + step[-3:], covariance
 
 
-def _as_weighted(found: Estimate) -> Evidence:
-    """Return the session with its outputs as sure as they were taken to be.
-
-    The effect of g on the gyros is taken out. Encoders that stand off the plan are in the
-    attitudes: without the angles nobody warns of what only a closed form would feel.
-    """
-    equations, evidence = found.equations, found.equations.evidence
-    variances = equations.own_variances + np.diag(found.scatter.extra)
-    g = equations.model(found.state).g_sensitivity
-    force = equations.surroundings(found.state).force
-    rest = 6 * len(evidence.segments)
-    segments, turns = [], []
-    for k, segment in enumerate(evidence.segments):
-        rows = slice(6 * k, 6 * k + 6)
-        mean = segment.statistics.mean.copy()
-        if segment.attitude is not None:
-            mean[:3] -= g @ segment.attitude.T @ force
-        quantum = np.maximum(variances[rows] - _walked(evidence, segment.statistics.walk_gain), 0)
-        statistics = replace(segment.statistics, mean=mean, quantum=quantum)
-        segments.append(replace(segment, statistics=statistics, angles=None))
-    for k, turn in enumerate(evidence.turns):
-        mean, quantum = turn.statistics.mean.copy(), turn.statistics.quantum.copy()
-        mean[:3] -= g @ turn.up * force[2]
-        rows = slice(rest + 3 * k, rest + 3 * k + 3)
-        walked = _walked(evidence, turn.statistics.walk_gain)[:3]
-        quantum[:3] = np.maximum(variances[rows] - walked, 0)
-        turns.append(replace(turn, statistics=replace(turn.statistics, mean=mean, quantum=quantum)))
-    return replace(
-        evidence,
-        segments=tuple(segments),
-        turns=tuple(turns),
-        positioning=found.scatter.positioning,
-    )
-
-
-def _walked(evidence: Evidence, gain: Floats) -> Floats:
-    return np.asarray(evidence.walk**2 * gain)
-
-
 def _findings(found: Estimate) -> list[str]:
     notes = []
     if found.outliers:
         names = ', '.join(f'{o.name} ({np.sqrt(o.square):.0f} sigma)' for o in found.outliers)
         notes.append(f'Does not fit the rest and counts for less: {names}.')
+    if found.turns_scatter > 1:
+        notes.append(turns_scatter(found.turns_scatter))
     if found.equations.any_heading:
         azimuth, std = found.nuisance(Nuisance.AZIMUTH)
         notes.append(
@@ -211,4 +139,30 @@ def _findings(found: Estimate) -> list[str]:
             f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
             f'{LEVELLED / ARCSEC:.0f} arcsec to which it was taken to be level.'
         )
+    return [*notes, *_scattering(found)]
+
+
+def _scattering(found: Estimate) -> list[str]:
+    """Say what scatters beyond the noise and beyond what table and data sheet state."""
+    evidence, scatter = found.equations.evidence, found.scatter
+    notes = []
+    arrivals = np.sqrt(max(0.0, scatter.positioning**2 - evidence.positioning**2))
+    if arrivals > _TELLING * evidence.positioning:
+        stated = f'{evidence.positioning / ARCSEC:.3g} arcsec' if evidence.positioning else 'none'
+        notes.append(
+            f'The accelerometers scatter as if the table arrived {arrivals / ARCSEC:.2g} arcsec '
+            f'off what its encoders show (its description states {stated}): the standard '
+            'deviations allow for it.'
+        )
+    for name, first, unit, symbol in (
+        ('gyros', 0, DEG_H, 'deg/h'),
+        ('accelerometers', 3, MICRO_G, 'ug'),
+    ):
+        wandering, stated_of = scatter.wandering[first], evidence.instability[first]
+        if wandering > (1 + _TELLING) * stated_of:
+            stated = f'{stated_of / unit:.3g} {symbol}' if stated_of else 'none'
+            notes.append(
+                f'The biases of the {name} wander by {wandering / unit:.2g} {symbol} (the '
+                f'description of the IMU states {stated}): the standard deviations allow for it.'
+            )
     return notes

@@ -17,7 +17,7 @@ from ..model import PARAMETERS, SensorModel, Skewed, Triad, extended_parameters,
 from ..plan import Plan
 from ..stream import Floats
 from ..units import DEG, DEG_H
-from .checks import _check_axes, _clocks, _far_scales
+from .checks import check_axes, clocks, far_scales
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .gains import BIAS, biases, inverse, responses
 from .n_positions import check_turns
@@ -166,15 +166,15 @@ def solve(evidence: Evidence) -> Solution:
     gyro = Triad(unknowns[:3, :BIAS] - np.eye(3), unknowns[:3, BIAS])
     skewed = Skewed(unknowns[3:, :BIAS], unknowns[3:, BIAS])
     model = SensorModel(gyro, skewed=skewed)
-    _check_axes(model.gyro.response, 'gyros', 'whole turns')
+    check_axes(model.gyro.response, 'gyros', 'whole turns')
     # What the noise of one turn explains is the least: a few turns may agree by chance.
     sure = np.maximum(variances, points.own)
     covariance = _covariance(points, weights, unknowns, sure, evidence.clock_rate()[1])
     findings = [
         'The accelerometers were not calibrated: this method knows the gyros alone.',
         *_parity(points, unknowns, sure),
-        *_far_scales(model),
-        *_clocks(evidence),
+        *far_scales(model),
+        *clocks(evidence),
     ]
     unknown = float('nan')
     return Solution(

@@ -43,6 +43,8 @@ class Solution:
         earth_up_std: Its standard deviation, rad/s.
         condition: Condition number of the system solved, columns scaled to unit length.
         findings: What a person should know, in sentences.
+        wandering: (6,) standard deviation of wandering biases that the covariance allows for,
+            rad/s and m/s^2; None for a method that knows of no such thing.
 
     """
 
@@ -55,6 +57,7 @@ class Solution:
     earth_up_std: float
     condition: float
     findings: tuple[str, ...]
+    wandering: Floats | None = None
 
     @property
     def std(self) -> Floats:

@@ -189,7 +189,8 @@ class CalibratorNode(ros.Node):
         self._subscribe_anew()
         self._count_publishers()
         self._session.flush()
-        self._session.solve()
+        if self._session.rested:
+            self._session.solve()
         self._report()
         self._publish_progress()
 

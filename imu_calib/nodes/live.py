@@ -118,6 +118,8 @@ class LiveSession:
         self._pending: Future[Review] | None = None
         self._pending_is_final = False
         self._pending_until = 0
+        self._began = 0.0
+        self._rested_at = 0.0
         self._ending = False
         self._done_at: int | None = None
         self._done_heard = 0.0
@@ -224,6 +226,14 @@ class LiveSession:
                 self._begin(with_skew=self.intakes[Kind.SKEW].count > 0)
             self.solve()
 
+    @property
+    def rested(self) -> bool:
+        """Whether as much time has gone by since the last solving as that took.
+
+        Long sessions take longer to solve, and what comes in must be journaled meanwhile.
+        """
+        return time.monotonic() >= self._rested_at
+
     def solve(self) -> None:
         """Begin to solve with what is here, unless it is being done already."""
         if self._pending is not None or self.over or self._calibrator is None:
@@ -239,6 +249,8 @@ class LiveSession:
         if self._pending is None or not self._pending.done():
             return False
         pending, self._pending = self._pending, None
+        now = time.monotonic()
+        self._rested_at = now + (now - self._began)
         if self.over:
             return False
         try:

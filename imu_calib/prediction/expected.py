@@ -181,9 +181,7 @@ def _at_rest(spec: ImuSpec, mean: Floats, seconds: float) -> Statistics:
     return _statistics(mean, gain, quantum, seconds, spec)
 
 
-def _turning(
-    spec: ImuSpec, mean: Floats, seconds: float, spare: float = _SPARE
-) -> Statistics:
+def _turning(spec: ImuSpec, mean: Floats, seconds: float, spare: float = _SPARE) -> Statistics:
     """Return the statistics of whole turns; counts are read from `spare` s beyond them too."""
     gain, quantum = np.full(6, 1 / seconds), np.empty(6)
     period = _period(spec)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..calibrator import Setup
 from ..errors import NotObservable
-from ..methods import check_plan, free, method, skewed
+from ..methods import JOINT, check_plan, free, method, skewed
 from ..methods.equations import G_SENSITIVITIES, SENSORS, Equations
 from ..methods.evidence import Evidence
 from ..methods.free.ahead import deviations
@@ -25,9 +25,6 @@ from ..model import PARAMETERS, Parameter, SensorModel, extended_parameters
 from ..segmentation.segment import Statistics
 from ..stream import Floats
 from .expected import expected, wandering
-
-JOINT = {'joint': False, 'joint_33': True}
-"""The methods that reach what the Fisher information allows, and whether with g-sensitivity."""
 
 _STEP = 0.1
 """Of an output, in its standard deviations: small against all, large against rounding."""

@@ -18,13 +18,13 @@ from scipy.optimize import minimize
 
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
-from ..methods import method
+from ..methods import JOINT, method
 from ..methods.equations import SENSORS, Equations
 from ..methods.evidence import Evidence
 from ..model import PARAMETER_NAMES, SensorModel
 from ..plan import Plan
 from ..stream import Floats
-from .forecast import JOINT, Forecast, forecast, gains, information, state_at
+from .forecast import Forecast, forecast, gains, information, state_at
 
 SHORTEST = 5.0
 """Shortest dwell proposed, s."""

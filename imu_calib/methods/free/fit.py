@@ -25,7 +25,7 @@ from ...earth import Site
 from ...errors import NotObservable
 from ...model import PARAMETERS, ParameterKind, SensorModel, Triad
 from ...stream import Floats
-from ..equations import _PATTERN as PATTERN
+from ..equations import PATTERN
 from ..evidence import Evidence
 from ..information import Information
 from ..solution import Solution

@@ -1,0 +1,118 @@
+"""The joint estimate beside the closed form of its plan: two ways through the same data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from ..model import Parameter, extended_parameters
+from ..stream import Floats
+from .solution import Solution
+
+_ONE_IN = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What a closed form says of the parameters that the joint estimate has found.
+
+    Attributes:
+        method: Name of the closed form.
+        parameters: That both estimate.
+        difference: (n,) closed form less joint, in units of the larger of the two standard
+            deviations. The difference of an estimate and the best one spreads by less than the
+            former's own deviation (Hausman 1978, Econometrica 46, 1251).
+        ratio: (n,) standard deviation of the joint estimate over that of the closed form.
+        refusal: Why the closed form has no answer, else empty; nothing is compared then.
+
+    """
+
+    method: str
+    parameters: tuple[Parameter, ...]
+    difference: Floats
+    ratio: Floats
+    refusal: str = ''
+
+    @classmethod
+    def of(cls, joint: Solution, closed: Solution, method: str) -> Comparison:
+        """Compare what both estimate."""
+        named = [extended_parameters(with_g=len(s.covariance) > 24) for s in (joint, closed)]
+        parameters = tuple(p for p in named[0] if p in named[1])
+        values = [s.model.values(parameters) for s in (joint, closed)]
+        deviations = [
+            s.std[[p in parameters for p in of]]
+            for s, of in zip((joint, closed), named, strict=True)
+        ]
+        larger = np.maximum(deviations[0], deviations[1])
+        off = values[1] - values[0]
+        # Without noise both deviations are zero, and so is what they differ by but for rounding.
+        difference = np.divide(off, larger, out=np.zeros_like(off), where=larger > 0)
+        ratio = np.divide(
+            deviations[0], deviations[1], out=np.ones_like(off), where=deviations[1] > 0
+        )
+        return cls(method, parameters, difference, ratio)
+
+    @classmethod
+    def refused(cls, method: str, refusal: str) -> Comparison:
+        """Note that the closed form has no answer."""
+        return cls(method, (), np.empty(0), np.empty(0), refusal)
+
+    @property
+    def furthest(self) -> tuple[str, float]:
+        """Return the parameter that differs most, and by how many standard deviations."""
+        k = int(np.argmax(np.abs(self.difference)))
+        return self.parameters[k].name, float(np.abs(self.difference[k]))
+
+    @property
+    def tighter(self) -> float:
+        """By what share the joint estimate's deviations are smaller, in the geometric mean."""
+        return 1 - float(np.exp(np.mean(np.log(self.ratio))))
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether any parameter differs by more than chance makes one in a thousand sessions."""
+        if self.refusal:
+            return False
+        return self.furthest[1] > float(norm.isf(_ONE_IN / 2 / len(self.parameters)))
+
+    def sentence(self) -> str:
+        """Say how far the two are apart, and what the joint estimate gains."""
+        if self.refusal:
+            return f'closed form {self.method} has no answer: {self.refusal}'
+        name, far = self.furthest
+        agrees = 'differs by up to' if self.disagrees else 'agrees within'
+        share = abs(self.tighter)
+        gain = 'tighter' if self.tighter >= 0 else 'wider, by what wanders or misses'
+        return (
+            f'closed form {self.method} {agrees} {far:.1f} standard deviations ({name}); '
+            f'joint is {share:.0%} {gain}'
+        )
+
+    def finding(self) -> list[str]:
+        """Say what a person should know of it: that the two contradict each other, or nothing."""
+        if not self.disagrees:
+            return []
+        limit = float(norm.isf(_ONE_IN / 2 / len(self.parameters)))
+        names = ', '.join(
+            f'{p.name} ({off:+.1f})'
+            for p, off in zip(self.parameters, self.difference, strict=True)
+            if abs(off) > limit
+        )
+        return [
+            f'The closed form {self.method} differs from the joint estimate by more than their '
+            f'standard deviations allow: {names}. It knows nothing of tilts, of stretches that '
+            'count for less, of uneven ones.'
+        ]
+
+    def document(self) -> dict[str, object]:
+        """Return what calibration.yaml keeps of it."""
+        if self.refusal:
+            return {'method': self.method, 'refusal': self.refusal}
+        pairs = zip(self.parameters, self.difference, strict=True)
+        return {
+            'method': self.method,
+            'joint_std_over_closed_form': 1 - self.tighter,
+            'difference_in_std': {p.name: round(float(off), 3) for p, off in pairs},
+        }
