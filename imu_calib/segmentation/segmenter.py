@@ -201,6 +201,8 @@ class Segmenter:
         self._add_imu(self._imu_order.finish())
         self._add_skew(self._skew_order.finish())
         self._add_joints(self._joint_order.finish())
+        if self._joints is None:
+            self._watch_stillness(last=True)
         tracker = self._tracker
         if tracker is not None:
             self._pending.extend(tracker.finish())
