@@ -24,7 +24,8 @@ from .noise import session_noise
 from .plan import Plan
 from .progress import unsupported_steps
 from .segmentation.labelling import Labelled, label
-from .segmentation.segmenter import Segmented, Segmenter
+from .segmentation.segmenter import Segmenter
+from .segmentation.session import Segmented
 from .stream import Block, Floats
 from .turntable import Table
 from .units import DEG

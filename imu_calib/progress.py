@@ -5,7 +5,7 @@ from __future__ import annotations
 from .plan import Plan, Step
 from .segmentation.labelling import Labelled
 from .segmentation.segment import Turn
-from .segmentation.segmenter import Segmented
+from .segmentation.session import Segmented
 from .stream import Mode
 from .turntable import Table
 

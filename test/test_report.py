@@ -26,7 +26,7 @@ from imu_calib.model import PARAMETER_NAMES, PARAMETERS
 from imu_calib.report.page import Contents, page
 from imu_calib.report.repeatability import Repeated, repeated
 from imu_calib.report.svg import Axis
-from imu_calib.segmentation.segmenter import Rejected
+from imu_calib.segmentation.session import Rejected
 from imu_calib.specification import Specification, TriadLimits, Verdict, judge
 from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
 

@@ -18,7 +18,8 @@ from imu_calib.cli.simulate import serialised
 from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.model import Triad
-from imu_calib.segmentation.segmenter import Segmented, Segmenter
+from imu_calib.segmentation.segmenter import Segmenter
+from imu_calib.segmentation.session import Segmented
 from imu_calib.session import describe
 from imu_calib.stream import Floats, ImuBlock, Units
 from imu_calib.turntable import Table, load_table, rotation

@@ -11,7 +11,8 @@ from ..bags import open_recording
 from ..calibrator import Setup
 from ..errors import ImuCalibError
 from ..segmentation.labelling import label
-from ..segmentation.segmenter import Segmented, Segmenter
+from ..segmentation.segmenter import Segmenter
+from ..segmentation.session import Segmented
 from ..units import DEG, DEG_H, STANDARD_GRAVITY
 from . import options
 from .calibrate import Offline, open_offline

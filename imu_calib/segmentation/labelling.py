@@ -13,7 +13,7 @@ from ..stream import Floats, Mode, Setpoint
 from ..turntable import TURN, Table
 from ..units import DEG
 from .segment import Segment, Turn
-from .segmenter import FreeMotion, Rejected, Segmented, Slip
+from .session import FreeMotion, Rejected, Segmented, Slip
 
 _ARRIVAL_TOLERANCE = 0.2 * DEG
 _ATTITUDE_TOLERANCE = 1.0 * DEG

@@ -12,7 +12,7 @@ from ..imu import ImuSpec, TriadSpec
 from ..methods.evidence import Evidence, noise
 from ..plan import Plan
 from ..segmentation.labelling import Labelled, label
-from ..segmentation.segmenter import Segmented
+from ..segmentation.session import Segmented
 from ..stream import Floats, Units
 from ..turntable import Table
 

@@ -16,7 +16,8 @@ from ...imu import ImuSpec
 from ...model import PARAMETERS
 from ...segmentation.labelling import Labelled
 from ...segmentation.segment import Segment
-from ...segmentation.segmenter import Segmented, Segmenter
+from ...segmentation.segmenter import Segmenter
+from ...segmentation.session import Segmented
 from ...segmentation.statistics import gap_free, sample_period, to_samples
 from ...stream import Block, Floats, ImuBlock, Stamps, TemperatureBlock, Units
 from .. import estimates

@@ -1,0 +1,152 @@
+"""The streams of a session as they come in: sound rows in the order of their stamps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..stream import Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, SkewBlock, Stamps
+from ..turntable import Table
+from .buffer import RowBuffer
+from .order import Ordered, StampOrder
+
+
+class Intake:
+    """Buffers the samples, passes the joint states on, and counts what is lost.
+
+    Args:
+        table: The table whose joint states come in; None when the IMU stands alone.
+        skewed: Whether a skewed gyro is awaited.
+
+    Attributes:
+        imu: Samples that wait, six columns.
+        skew: Those of the skewed gyro, in the first of six columns; None without one.
+        setpoints: The first of every run of equal setpoints.
+        samples: IMU samples taken in.
+        first_stamp: Of the IMU, ns; None before the first.
+        last_stamp: Likewise.
+
+    """
+
+    def __init__(self, table: Table | None, *, skewed: bool) -> None:
+        self.imu = RowBuffer(6)
+        self.skew = RowBuffer(6) if skewed else None
+        self.setpoints: list[Setpoint] = []
+        self.samples = 0
+        self.first_stamp: int | None = None
+        self.last_stamp: int | None = None
+        self._table = table
+        self._imu_order, self._skew_order = StampOrder(6), StampOrder(6)
+        self._joint_order = StampOrder(len(table.names) if table else 0)
+        self._dropped: dict[str, tuple[int, int]] = {}
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last IMU stamp, s."""
+        if self.first_stamp is None or self.last_stamp is None:
+            return 0.0
+        return (self.last_stamp - self.first_stamp) * 1e-9
+
+    def take_imu(self, block: ImuBlock) -> None:
+        """Take samples in."""
+        stamp = block.stamp
+        self.samples += len(stamp)
+        values = np.hstack([block.gyro, block.accel])
+        what = 'values that are no numbers (NaN or infinite)'
+        self._add_imu(self._imu_order.take(*self._finite(what, stamp, values)))
+
+    def take_skew(self, block: SkewBlock) -> None:
+        """Take the skewed gyro's samples in."""
+        # It goes the way of an IMU whose first channel it is.
+        imu = block.as_imu()
+        values = np.hstack([imu.gyro, imu.accel])
+        what = 'values of the skewed gyro that are no numbers'
+        self._add_skew(self._skew_order.take(*self._finite(what, block.stamp, values)))
+
+    def take_joints(self, block: JointBlock) -> Ordered:
+        """Take joint states in; return those whose order is known, columns as the table's.
+
+        Raises:
+            InputError: They are another table's.
+
+        """
+        if self._table is None:
+            return self._joint_order.finish()
+        if set(block.names) != set(self._table.names):
+            raise InputError(
+                f'The joint states name {", ".join(block.names) or "no joint"}; table '
+                f'{self._table.name} has {", ".join(self._table.names)}.'
+            )
+        columns = [block.names.index(name) for name in self._table.names]
+        what = 'joint positions that are no numbers'
+        rows = self._finite(what, block.stamp, block.position[:, columns])
+        return self._counted(self._joint_order.take(*rows))
+
+    def take_setpoints(self, block: SetpointBlock) -> None:
+        """Take setpoints in."""
+        for setpoint in block.setpoints:
+            last = self.setpoints[-1] if self.setpoints else None
+            if last is None or _asks(last) != _asks(setpoint):
+                self.setpoints.append(setpoint)
+
+    def finish(self) -> Ordered:
+        """End of all streams; return the last joint states."""
+        self._add_imu(self._imu_order.finish())
+        self._add_skew(self._skew_order.finish())
+        return self._counted(self._joint_order.finish())
+
+    def all_here(self, until: float) -> bool:
+        """Say whether the samples up to an instant (ns) have come in."""
+        if self.last_stamp is None or self.last_stamp < until:
+            return False
+        return self.skew is None or (len(self.skew) > 0 and bool(self.skew.stamp[-1] >= until))
+
+    def drop_until(self, stamp: int) -> None:
+        """Forget the samples with stamps up to `stamp`."""
+        self.imu.drop_until(stamp)
+        if self.skew is not None:
+            self.skew.drop_until(stamp)
+
+    def losses(self) -> list[str]:
+        """Say what was lost, in sentences."""
+        return [
+            f'{count} samples left out for {what}, the first at {first * 1e-9:.3f} s'
+            for what, (count, first) in self._dropped.items()
+        ]
+
+    def _add_imu(self, ordered: Ordered) -> None:
+        self._note('stamps that jump or stand still', ordered.lost)
+        stamp = ordered.stamp
+        if not len(stamp):
+            return
+        if self.first_stamp is None:
+            self.first_stamp = int(stamp[0])
+        self.last_stamp = int(stamp[-1])
+        self.imu.append(stamp, ordered.values)
+
+    def _add_skew(self, ordered: Ordered) -> None:
+        self._note('stamps of the skewed gyro that jump or stand still', ordered.lost)
+        if self.skew is not None and len(ordered.stamp):
+            self.skew.append(ordered.stamp, ordered.values)
+
+    def _counted(self, joints: Ordered) -> Ordered:
+        self._note('joint stamps that jump or stand still', joints.lost)
+        return joints
+
+    def _finite(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+        """Drop the rows that hold no numbers, and remember how many and from when."""
+        mask: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
+        if mask.all():
+            return stamp, values
+        self._note(what, stamp[~mask])
+        return stamp[mask], values[mask]
+
+    def _note(self, what: str, lost: Stamps) -> None:
+        if len(lost):
+            count, first = self._dropped.get(what, (0, int(lost[0])))
+            self._dropped[what] = (count + len(lost), first)
+
+
+def _asks(setpoint: Setpoint) -> tuple[object, ...]:
+    return setpoint.step, setpoint.mode, setpoint.position, setpoint.plan

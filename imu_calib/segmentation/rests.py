@@ -1,0 +1,97 @@
+"""A stretch at rest: what of it is a segment, and why the remainder is not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats, Stamps
+from .cleaning import Sound, find_step, sound_part
+from .segment import Segment, Statistics
+from .sensor import Sensor
+from .session import Rejected, Slip
+from .statistics import Samples, gap_free, statistics_at_rest
+
+_SHORTEST_REST = 1.0
+_MOSTLY = 0.5
+
+
+def read_rest(
+    sensor: Sensor, stamp: Stamps, values: Floats, angles: Floats | None, attitude: Floats | None
+) -> list[Segment | Rejected | Slip]:
+    """Turn samples at rest into segments, or say why not.
+
+    A knock that left the unit turned parts the stretch in two where the table's angles tell its
+    attitude; without them the sound part alone is used.
+
+    Args:
+        sensor: The IMU.
+        stamp: (n,) ns.
+        values: (n, 6) as delivered.
+        angles: Joint angles during the stretch, rad; None without a table.
+        attitude: (3, 3) R_nb by them; None without a table.
+
+    Returns:
+        In order of time; nothing where it was too short to tell.
+
+    """
+    if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_REST:
+        return []
+    samples = sensor.samples(stamp, values)
+    saturated = sensor.saturated(values, samples)
+    if saturated.mean() > _MOSTLY:
+        return [Rejected(int(stamp[0]), int(stamp[-1]), 'the sensor is saturated')]
+    sound = sound_part(samples, sensor.walk, saturated)
+    if sound.knock is not None and angles is not None:
+        start, stop = sound.knock.start, sound.knock.stop
+        return [
+            *read_rest(sensor, stamp[:start], values[:start], angles, attitude),
+            Slip(int(stamp[start]), sound.knock.angle),
+            *read_rest(sensor, stamp[stop:], values[stop:], angles, attitude),
+        ]
+    found = _sound_statistics(samples, sound, saturated, sensor.walk)
+    if isinstance(found, str):
+        return [Rejected(int(stamp[0]), int(stamp[-1]), found)]
+    statistics, used, notes = found
+    return [Segment(int(used[0]), int(used[-1]), statistics, attitude, angles=angles, notes=notes)]
+
+
+def _sound_statistics(
+    samples: Samples, sound: Sound, saturated: NDArray[np.bool_], walk: Floats
+) -> tuple[Statistics, Stamps, tuple[str, ...]] | str:
+    """Estimate over the sound part of a stretch; a text says why there is none."""
+    notes = list(sound.notes)
+    if saturated.any():
+        notes.append(f'{saturated.sum()} samples are saturated')
+    kept = samples.at(sound.mask)
+    if len(kept.stamp) * samples.period < _SHORTEST_REST:
+        return '; '.join(notes) or 'too little of it was quiet'
+    gaps = gap_free(samples.stamp, samples.period)
+    missing = _missing(samples, gaps)
+    if missing:
+        notes.append(f'{missing} samples missing in {len(gaps) - 1} gap(s)')
+    statistics = statistics_at_rest(kept, walk)
+    step = find_step(statistics, walk)
+    if step is not None:
+        between, what = step
+        kept = _longer_part(kept, between)
+        if len(kept.stamp) * samples.period < _SHORTEST_REST:
+            return f'the unit was moved: {what}'
+        statistics = statistics_at_rest(kept, walk)
+        notes.append(f'{what}: the unit was moved; only the longer part is used')
+    return statistics, kept.stamp, tuple(notes)
+
+
+def _missing(samples: Samples, gaps: list[tuple[int, int]]) -> int:
+    starts = np.array([a for a, _ in gaps[1:]], dtype=int)
+    holes = (samples.stamp[starts] - samples.stamp[starts - 1]) * 1e-9 / samples.period
+    return int(np.sum(np.rint(holes) - 1))
+
+
+def _longer_part(samples: Samples, between: tuple[float, float]) -> Samples:
+    """Return the part before or after a step that lies between two instants."""
+    n = len(samples.stamp)
+    first, last = np.searchsorted(
+        samples.stamp, samples.stamp[0] + np.multiply(between, 1e9), side='right'
+    ).tolist()
+    return samples.part(0, first) if first >= n - last else samples.part(last, n)

@@ -1,0 +1,62 @@
+"""What an IMU's description says of its samples: how noisy, and where they end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..imu import ImuSpec, TriadSpec
+from ..stream import Floats, Stamps, Units
+from .statistics import Samples, sample_period, to_samples
+
+_FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
+_WALK_GUESS = 0.05
+_NEARLY = 0.999
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """An IMU whose samples are read.
+
+    Attributes:
+        spec: What their numbers mean.
+        walk: (6,) random walk to choose weights by, rad/sqrt(s) and (m/s)/sqrt(s).
+
+    """
+
+    spec: ImuSpec
+    walk: Floats
+
+    @classmethod
+    def of(cls, spec: ImuSpec) -> Sensor:
+        """Take the data sheet's random walk, or a fraction of a pulse.
+
+        Values that are no pulses need no weights, and their own scatter shows what is an outlier.
+        """
+        guess = _WALK_GUESS if spec.units is Units.PULSES else 0.0
+        walks = [
+            t.random_walk if t.random_walk > 0 else guess * t.scale_factor
+            for t in (spec.gyro, spec.accel)
+        ]
+        return cls(spec, np.repeat(walks, 3))
+
+    @property
+    def skewed(self) -> Sensor | None:
+        """The skewed gyro as an IMU whose first channel it is; None without one."""
+        if self.spec.skewed is None:
+            return None
+        return Sensor.of(replace(self.spec, gyro=self.spec.skewed, accel=TriadSpec()))
+
+    def samples(self, stamp: Stamps, values: Floats) -> Samples:
+        """Return rows as increments in SI units, timed by their own stamps."""
+        return to_samples(stamp, values, self.spec, sample_period(stamp))
+
+    def saturated(self, values: Floats, samples: Samples) -> NDArray[np.bool_]:
+        """Say of every sample whether a channel stands at the end of its range."""
+        limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
+        clipped = np.abs(samples.increments) >= _NEARLY * limits
+        if self.spec.units is not Units.SI:
+            clipped |= np.isin(np.abs(values), _FULL_SCALES)
+        return np.asarray(clipped.any(axis=1))

@@ -1,0 +1,73 @@
+"""What the streams of a session contain: the values that segmentation ends in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..stream import Floats, Setpoint
+from .clock import ClockFit
+from .segment import Segment, Statistics, Turn
+from .thermometer import Temperature
+
+
+@dataclass(frozen=True, eq=False)
+class Rejected:
+    """What was looked at and not used: when (ns, IMU clock), where, why; a rest or a turn."""
+
+    start: int
+    end: int
+    reason: str
+    position: str | None = None
+    turn: bool = False
+
+
+@dataclass(frozen=True)
+class Slip:
+    """At `instant` (ns, IMU clock) a knock turned the unit in its mount by `angle` (rad)."""
+
+    instant: int
+    angle: float
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMotion:
+    """A motion between two rests as the gyros alone saw it; `turned` is (3,) rad."""
+
+    start: int
+    end: int
+    statistics: Statistics
+    turned: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Segmented:
+    """All that a session's streams contain.
+
+    Attributes:
+        segments: Stretches at rest, in order.
+        turns: Whole turns measured by an encoder, in order.
+        motions: Larger motions that no encoder saw, in order.
+        rejected: Stretches that were not used.
+        slips: Knocks after which the unit sat otherwise in its mount, in order.
+        losses: What was lost on the way in, in sentences.
+        setpoints: The first of every run of equal setpoints, in order.
+        clock: Table against IMU.
+        samples: IMU samples taken in.
+        duration: From the first to the last IMU stamp, s.
+        start: First IMU stamp, ns; None without samples.
+        temperature: What the unit's thermometer showed; None where it has none.
+
+    """
+
+    segments: tuple[Segment, ...]
+    turns: tuple[Turn, ...]
+    motions: tuple[FreeMotion, ...]
+    rejected: tuple[Rejected, ...]
+    slips: tuple[Slip, ...]
+    losses: tuple[str, ...]
+    setpoints: tuple[Setpoint, ...]
+    clock: ClockFit
+    samples: int
+    duration: float
+    start: int | None = None
+    temperature: Temperature | None = None

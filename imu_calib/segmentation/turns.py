@@ -1,0 +1,197 @@
+"""A motion of the table: the whole turns in it, cut at the encoder, as the sensors saw them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..stream import Floats, Stamps
+from ..turntable import TURN, Table
+from .motion import Motion, WholeTurns, find_turns
+from .segment import Statistics, Turn
+from .sensor import Sensor
+from .session import FreeMotion, Rejected
+from .statistics import Samples, gap_free, statistics_between
+
+MARGIN_NS = 1_000_000_000
+"""How much is looked at before and after a motion, ns."""
+
+_VERTICAL = 1e-4
+_TURN_AND_RUN_UP = 1.25 * TURN
+_STEADY = 0.05
+_ENDS = 20
+_LEAST_TURNED = TURN / 72
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """What the sensors delivered around a motion.
+
+    Attributes:
+        sensor: The IMU.
+        values: (n, 6) as delivered.
+        samples: The same in SI units.
+        skew: (m,) stamps and (m, 6) values of the skewed gyro; None without one.
+
+    """
+
+    sensor: Sensor
+    values: Floats
+    samples: Samples
+    skew: tuple[Stamps, Floats] | None = None
+
+
+def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> list[Turn | Rejected]:
+    """Measure the whole turns of a motion about the vertical.
+
+    Args:
+        seen: What the sensors delivered.
+        motion: As the encoders saw it.
+        table: Whose.
+        offset_ns: IMU clock minus table clock.
+
+    """
+    found = find_turns(motion)
+    if not found and np.ptp(motion.position, axis=0).max() > _TURN_AND_RUN_UP:
+        reason = 'the joint states show no constant rate'
+        start, end = motion.start + offset_ns, motion.end + offset_ns
+        return [Rejected(start, end, reason, turn=True)]
+    read = (_read_turn(seen, turns, motion, table, offset_ns) for turns in found)
+    return [turn for turn in read if turn is not None]
+
+
+def read_free_motion(seen: Around, motion: Motion) -> list[FreeMotion | Rejected]:
+    """Measure a motion that no encoder saw."""
+    bounds = np.searchsorted(seen.samples.stamp, [motion.start, motion.end], side='right')
+    inside = slice(*bounds.tolist())
+    part = seen.samples.at(inside)
+    if len(part.stamp) < 2:
+        return []
+    turned = part.increments[:, :3].sum(axis=0)
+    if float(np.linalg.norm(turned)) < _LEAST_TURNED:
+        return []
+    if not _sound(part):
+        reason = 'IMU samples are missing within it'
+    elif seen.sensor.saturated(seen.values[inside], part).any():
+        reason = 'the sensor is saturated during it'
+    else:
+        statistics = statistics_between(part, 0.0, float(len(part.stamp)), seen.sensor.walk)
+        return [FreeMotion(motion.start, motion.end, statistics, turned)]
+    return [Rejected(motion.start, motion.end, reason, turn=True)]
+
+
+def _read_turn(
+    seen: Around, turns: WholeTurns, motion: Motion, table: Table, offset_ns: int
+) -> Turn | Rejected | None:
+    middle = turns.start + turns.seconds * 5e8
+    angles = motion.position[np.searchsorted(motion.stamp, middle) - 1]
+    up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
+    sense = float(table.joint_axis(turns.joint, angles) @ up)
+    if abs(sense) < 1 - _VERTICAL:
+        return None
+    start = turns.start + offset_ns
+    end = start + turns.seconds * 1e9
+    inside = _around(seen.samples, start, end)
+    part = seen.samples.at(inside)
+    reason = _unusable(seen, inside, start, end)
+    if reason:
+        return Rejected(int(start), int(end), reason, turn=True)
+    count = max(1, round(abs(turns.angle) / TURN))
+    around = _around(seen.samples, start, end, turns.spare)
+    wide = seen.samples.at(around)
+    # Beyond the cuts it only helps to read the counts there: what is unsound is done without.
+    if _sound(wide) and not seen.sensor.saturated(seen.values[around], wide).any():
+        part = wide
+    statistics, each = _between(part, start, turns.seconds, count, seen.sensor.walk)
+    skewed = _skewed_between(seen, start, turns, count)
+    if skewed is not None:
+        each = np.hstack([each[:, :3], skewed[1][:, :1]])
+    return Turn(
+        int(start),
+        int(end),
+        statistics,
+        turns.angle * float(np.sign(sense)),
+        turns.seconds,
+        up,
+        rate_error=turns.rate_error,
+        skewed=None if skewed is None else skewed[0],
+        each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
+    )
+
+
+def _unusable(seen: Around, inside: slice, start: float, end: float) -> str:
+    """Say why the samples between two instants (ns) measure no turn; empty where they do."""
+    part = seen.samples.at(inside)
+    if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
+        return 'the IMU stream does not span it'
+    if not _sound(part):
+        return 'IMU samples are missing within it'
+    if seen.sensor.saturated(seen.values[inside], part).any():
+        return 'the sensor is saturated during it'
+    if not _steady(part):
+        return 'the gyros do not turn steadily while the joint states do'
+    return ''
+
+
+def _skewed_between(
+    seen: Around, start: float, turns: WholeTurns, count: int
+) -> tuple[Statistics, Floats] | None:
+    """Return what the skewed gyro says of whole turns; None where it has gaps or none."""
+    sensor = seen.sensor.skewed
+    if seen.skew is None or sensor is None:
+        return None
+    end = start + turns.seconds * 1e9
+    bounds = [round(start) - MARGIN_NS, round(end) + MARGIN_NS]
+    near = slice(*np.searchsorted(seen.skew[0], bounds, side='right').tolist())
+    stamp, values = seen.skew[0][near], seen.skew[1][near]
+    if len(stamp) < 2 or stamp[0] > start or stamp[-1] < end:
+        return None
+    samples = sensor.samples(stamp, values)
+    if not _sound(samples) or sensor.saturated(values, samples).any():
+        return None
+    part = samples.at(_around(samples, start, end, turns.spare))
+    return _between(part, start, turns.seconds, count, sensor.walk)
+
+
+def _sound(samples: Samples) -> bool:
+    return len(gap_free(samples.stamp, samples.period)) == 1
+
+
+def _steady(samples: Samples) -> bool:
+    """Say whether the gyros turn as fast at the ends of a stretch as in the whole of it."""
+    n = len(samples.stamp)
+    length = max(1, n // _ENDS)
+    rates = samples.increments[:, :3]
+    mean = rates.mean(axis=0)
+    ends = np.array([rates[:length].mean(axis=0), rates[n - length :].mean(axis=0)])
+    return bool(np.all(np.linalg.norm(ends - mean, axis=1) < _STEADY * np.linalg.norm(mean)))
+
+
+def _around(samples: Samples, start: float, end: float, spare: float = 0.0) -> slice:
+    """Return which samples span two instants (ns), and `spare` seconds before and after them."""
+    margin = np.maximum(spare, samples.period * np.array([2, 3])) * 1e9
+    first, last = np.searchsorted(samples.stamp, [start - margin[0], end + margin[1]]).tolist()
+    return slice(first, last)
+
+
+def _between(
+    samples: Samples, start: float, seconds: float, count: int, walk: Floats
+) -> tuple[Statistics, Floats]:
+    """Return the statistics of whole turns, and the (count, 6) means of the single ones."""
+    origin = _line_origin(samples) - samples.period * 1e9
+    first = (start - origin) / (samples.period * 1e9)
+    statistics = statistics_between(samples, first, first + seconds / samples.period, walk)
+    if count == 1:
+        return statistics, statistics.mean[None]
+    edges = first + np.arange(count + 1) * (seconds / samples.period / count)
+    each = [statistics_between(samples, a, b, walk).mean for a, b in pairwise(edges.tolist())]
+    return statistics, np.array(each)
+
+
+def _line_origin(samples: Samples) -> float:
+    """Return the first stamp on the line through all stamps, ns."""
+    n = len(samples.stamp)
+    left = samples.stamp - samples.stamp[0] - np.arange(n) * samples.period * 1e9
+    return float(samples.stamp[0]) + float(left.mean())
