@@ -439,6 +439,14 @@ def test_what_tables_and_units_send(
     assert result.calibration.std[9:12].max() < bias_deg_h * DEG_H
 
 
+def test_two_codes_of_an_adc_tell_no_noise() -> None:
+    # The joint estimate trusts every deviation: a mean between two codes may be half a step off.
+    coarse = mems(0.01)
+    blocks = session(PLAN, stand(azimuth=0.3), seed=1, spec=coarse)
+    result = calibrate(blocks, PLAN, spec=coarse, method='joint')
+    assert np.abs(normalised(result)).max() < 4.5
+
+
 def test_si_units_need_no_noise_figures() -> None:
     result = calibrate(
         session(PLAN, stand(azimuth=0.3), seed=1, spec=si()), PLAN, spec=load_imu('si')

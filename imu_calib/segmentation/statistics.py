@@ -214,6 +214,9 @@ def _rounding(increments: Floats, grid: float) -> float:
     if grid == 0.0:
         return 0.0
     noise = max(0.0, float(np.var(increments)) / grid**2 - 1 / 12)
+    if np.ptp(increments) < 1.5 * grid:
+        # A value at the edge between two codes toggles with next to no noise.
+        noise = 0.0
     return grid**2 / 12 * math.exp(-4 * math.pi**2 * noise)
 
 
