@@ -12,7 +12,7 @@ import scipy
 from . import __version__
 from .calibration import Calibration, ResidualRow
 from .earth import Site
-from .errors import NotObservable
+from .errors import Contradiction, NotObservable
 from .imu import ImuSpec
 from .methods import check_plan, closed_form_beside, estimates, method
 from .methods.comparison import Comparison
@@ -195,15 +195,31 @@ class Calibrator:
             np.repeat([setup.imu.gyro.bias_instability, setup.imu.accel.bias_instability], 3),
         )
 
-    def _compare(self, evidence: Evidence, solution: Solution) -> Comparison | None:
-        """Solve by the closed form of the plan too, where the joint estimate is asked."""
+    def _estimate(self, evidence: Evidence) -> tuple[Solution, Comparison | None]:
+        """Solve; a joint estimate with the closed form of the plan beside it.
+
+        What a closed form finds contradictory is refused: a joint estimate could weigh half of
+        the data down until the other half agrees.
+
+        Raises:
+            InputError: The outputs are not in the units that the IMU's description states.
+            NotObservable: The data cannot give all parameters, or contradicts itself.
+
+        """
         name = closed_form_beside(self._setup.method_name, self._setup.plan)
         if name is None:
-            return None
+            return self._solver(evidence), None
+        closed: Solution | NotObservable
         try:
-            return Comparison.of(solution, method(name)(evidence), name)
+            closed = method(name)(evidence)
+        except Contradiction:
+            raise
         except NotObservable as error:
-            return Comparison.refused(name, str(error))
+            closed = error
+        solution = self._solver(evidence)
+        if isinstance(closed, NotObservable):
+            return solution, Comparison.refused(name, str(closed))
+        return solution, Comparison.of(solution, closed, name)
 
     def _solve(self, session: Segmented) -> Result:
         setup = self._setup
@@ -212,11 +228,10 @@ class Calibrator:
             raise NotObservable(_nothing_found(session, labelled, setup))
         evidence = self._evidence(labelled, session)
         try:
-            solution = self._solver(evidence)
+            solution, comparison = self._estimate(evidence)
         except NotObservable as error:
             why = _what_was_lost(evidence, labelled, session)
-            raise NotObservable(' '.join([str(error), *why])) from None
-        comparison = self._compare(evidence, solution)
+            raise type(error)(' '.join([str(error), *why])) from None
         contradiction = comparison.finding() if comparison is not None else []
         lost = _what_was_lost(evidence, labelled, session)
         findings = (*solution.findings, *contradiction, *lost)

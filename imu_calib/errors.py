@@ -17,3 +17,7 @@ class NotObservable(ImuCalibError):
     """The data cannot give the answer: which parameter or position, and why."""
 
     exit_code = 1
+
+
+class Contradiction(NotObservable):
+    """The data contradicts itself, or what is said of it: no weights can reconcile the two."""

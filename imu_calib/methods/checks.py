@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from ..earth import EARTH_RATE
-from ..errors import InputError, NotObservable
+from ..errors import Contradiction, InputError
 from ..model import AXES, SensorModel
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM
@@ -213,7 +213,7 @@ def check_axes(response: Floats, name: str, what: str) -> None:
     kind = 'mirrored' if np.linalg.det(response) < 0 else 'swapped'
     if not words:
         kind, words = 'turned', [f'{name} answer by {np.round(response, 2).tolist()}']
-    raise NotObservable(
+    raise Contradiction(
         f'The axes of the {name} are {kind} against the plan: {", ".join(words)}. Give the '
         "mounting in the table's YAML, or correct the driver."
     )
@@ -387,12 +387,12 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
         f'{level_std / DEG_H:.2f} deg/h level (expected {site.north_rate / DEG_H:.2f})'
     )
     if abs(total - EARTH_RATE) > _CONTRADICTION * total_std:
-        raise NotObservable(
+        raise Contradiction(
             f'The data contradicts itself: {text}, {total / DEG_H:.2f} deg/h in all, where the '
             f'Earth turns at {EARTH_RATE / DEG_H:.2f} deg/h at any latitude. The rate test does '
             'not fit the stretches at rest (saturated turns, clocks that differ, drift).'
         )
-    raise NotObservable(
+    raise Contradiction(
         f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}. It fits a '
         f'latitude of {seen / DEG:.1f} +- {total_std / total / DEG:.1f} deg.'
     )
