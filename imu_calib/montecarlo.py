@@ -186,7 +186,7 @@ def _runs(study: Study, seeds: range, jobs: int) -> Iterator[Run]:
     if jobs == 1:
         yield from map(one, seeds)
         return
-    with _single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
+    with single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
         try:
             yield from pool.map(one, seeds, chunksize=max(1, min(_CHUNK, len(seeds) // jobs)))
         except (ImuCalibError, KeyboardInterrupt):
@@ -195,7 +195,7 @@ def _runs(study: Study, seeds: range, jobs: int) -> Iterator[Run]:
 
 
 @contextmanager
-def _single_threaded() -> Iterator[None]:
+def single_threaded() -> Iterator[None]:
     """Let what is spawned run one thread each: small matrices gain nothing from more."""
     before = os.environ.get(_THREADS)
     os.environ[_THREADS] = '1'

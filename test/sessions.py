@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
+from multiprocessing import get_context
 from typing import Any
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec, load_imu
+from imu_calib.montecarlo import single_threaded
 from imu_calib.plan import Plan, load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate
@@ -45,6 +49,15 @@ def quick_plan(name: str, dwell: float) -> Plan:
     """A shipped plan with shorter dwells."""
     plan = load_plan(name)
     return replace(plan, positions=tuple(replace(p, dwell=dwell) for p in plan.positions))
+
+
+def in_parallel(function: Callable[[int], Any], seeds: Iterable[int]) -> list[Any]:
+    """Run a module's function for every seed, on all cores.
+
+    What other tests left running must not be forked: a copy of a thread's lock never opens.
+    """
+    with single_threaded(), ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
+        return list(pool.map(function, seeds))
 
 
 def stand(**options: Any) -> StandOptions:

@@ -159,6 +159,9 @@ class Controller:
         return sum(line.split()[0] == word for line in self.lines)
 
     def close(self):
+        # Closing alone does not wake who waits in accept.
+        with contextlib.suppress(OSError):
+            self.server.shutdown(socket.SHUT_RDWR)
         self.server.close()
         if self.line is not None:
             self.line.close()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,6 +14,7 @@ from sessions import (
     SITE,
     Named,
     calibrate,
+    in_parallel,
     paper_imu,
     quick_plan,
     session,
@@ -62,8 +61,7 @@ def one_session(seed: int) -> tuple[Floats, Floats]:
 
 
 def test_normalised_errors_of_a_hundred_sessions_are_standard_normal() -> None:
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        runs = list(pool.map(one_session, range(100)))
+    runs = in_parallel(one_session, range(100))
     errors_in_std = np.array([run[0] for run in runs])
     deviations = np.array([run[1] for run in runs])
     # 2400 values, a hundred per parameter: 1 / sqrt(2 n) is 1.4 % and 7 %.

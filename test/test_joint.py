@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
 
@@ -12,7 +10,7 @@ import pytest
 from bound import bound
 from scipy.signal import lfilter
 from scipy.stats import chi2, norm
-from sessions import SITE, paper_imu, quick_plan, session, stand, truth
+from sessions import SITE, in_parallel, paper_imu, quick_plan, session, stand, truth
 from test_information import SECOND, evidence_of
 
 from imu_calib.calibrator import Calibrator, Setup
@@ -145,8 +143,7 @@ def one_session(seed: int) -> tuple[Floats, ...]:
 
 @cache
 def sessions_run() -> tuple[Floats, ...]:
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        runs = list(pool.map(one_session, range(SEEDS)))
+    runs = in_parallel(one_session, range(SEEDS))
     return tuple(np.array(rows) for rows in zip(*runs, strict=True))
 
 
