@@ -199,7 +199,8 @@ def _timed_points(
     if not rows:
         return None
     steps = np.array([float(np.median(np.diff(b[:, 3]))) for b in rows])
-    period = float(np.median(steps))
+    # One that occurs: midway between two lengths there may be none alike.
+    period = float(np.sort(steps)[len(steps) // 2])
     rows = [b for b, step in zip(rows, steps, strict=True) if abs(step / period - 1) < _ALIKE]
     most = max(len(b) for b in rows)
     factors = cluster_sizes(octaves(most))

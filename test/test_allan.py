@@ -193,3 +193,24 @@ def test_a_channel_that_shows_nothing_is_left_out() -> None:
     assert list(session_noise([statistics_of(rates, SI)], np.full(6, 0.1))) == ['gx']
     bare = replace(statistics_of(rates, SI), allan=None)
     assert session_noise([bare], np.full(6, 0.1)) == {}
+
+
+def test_stretches_whose_blocks_differ_in_length_are_not_pooled() -> None:
+    """Two lengths, half each: midway between them there is none."""
+    rng = np.random.default_rng(11)
+    pulses = np.round(np.cumsum(np.full((6000, 6), 0.03), axis=0))
+    steps = np.diff(pulses, axis=0, prepend=0.0)
+    triad = TriadSpec(scale_factor=1.0)
+    coarse = ImuSpec('coarse', Units.PULSES, 100.0, triad, triad)
+    plain = statistics_of(steps, coarse)
+
+    def blocks_of(length: float) -> Statistics:
+        middle = length * (np.arange(12) + 0.5)
+        mean = rng.normal(size=12) * 0.1 / np.sqrt(length)
+        one = np.column_stack([mean, np.full(12, 1 / length), np.full(12, 1e-9), middle])
+        return replace(plain, blocks=(one,) * 6)
+
+    seen = session_noise([blocks_of(10.0), blocks_of(16.0)], np.full(6, 0.1))
+    for channel in seen.values():
+        assert channel.timed and channel.tau[0] == 16.0
+        assert channel.deviation[0] == pytest.approx(0.1 / np.sqrt(16.0), rel=0.5)

@@ -53,6 +53,8 @@ class CalibratorNode(ros.Node):
     def __init__(self) -> None:
         super().__init__('calibrator_node')
         self._setup = self._read_setup()
+        table, plan = self._setup.table, self._setup.plan
+        self._steps = len(plan.positions if table is None else plan.steps(table))
         self._output = Path(
             declare(self, 'output', 'calibration.yaml', 'file that takes the result')
         ).expanduser()
@@ -301,11 +303,6 @@ class CalibratorNode(ros.Node):
         )
         message.header.stamp = stamp
         self._progress_publisher.publish(message)
-
-    @property
-    def _steps(self) -> int:
-        table, plan = self._setup.table, self._setup.plan
-        return len(plan.positions if table is None else plan.steps(table))
 
     def _sentence(self) -> str:
         session = self._session

@@ -118,7 +118,7 @@ class LiveSession:
         self._pending: Future[Review] | None = None
         self._pending_is_final = False
         self._pending_until = 0
-        self._began = 0.0
+        self._solving_since = 0.0
         self._rested_at = 0.0
         self._ending = False
         self._done_at: int | None = None
@@ -240,6 +240,7 @@ class LiveSession:
             return
         self._pending_is_final = self._ending
         self._pending_until = self._leader.newest or 0
+        self._solving_since = time.monotonic()
         self._pending = self._solver.submit(self._calibrator.snapshot().review)
 
     def poll(self) -> bool:
@@ -250,7 +251,7 @@ class LiveSession:
             return False
         pending, self._pending = self._pending, None
         now = time.monotonic()
-        self._rested_at = now + (now - self._began)
+        self._rested_at = now + (now - self._solving_since)
         if self.over:
             return False
         try:
