@@ -31,7 +31,7 @@ def bias_error(plan: Plan, table: Table, azimuth: float) -> np.ndarray:
     options = StandOptions(
         azimuth=azimuth * DEG, positioning_error=0.0, bias_instability=False, noise=False
     )
-    calibrator = Calibrator(Setup(imu, plan, table, SITE))
+    calibrator = Calibrator(Setup(imu, plan, table, SITE, plan.method))
     for _, block in simulate(plan, table, imu, TRUTH.model, SITE, options, seed=1):
         calibrator.feed(block)
     found = calibrator.finish().calibration.model.gyro.bias

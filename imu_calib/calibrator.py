@@ -14,7 +14,7 @@ from .calibration import Calibration, ResidualRow
 from .earth import Site
 from .errors import Contradiction, NotObservable
 from .imu import ImuSpec
-from .methods import check_plan, closed_form_beside, estimates, method
+from .methods import check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
 from .methods.evidence import Evidence, noise
 from .methods.information import reached
@@ -42,7 +42,8 @@ class Setup:
         plan: What is run.
         table: The table whose joint states come in; None when the IMU stands alone.
         site: Gravity and Earth rate.
-        method: Name of the solver; None takes the plan's own.
+        method: Name of the solver; None takes the joint estimate where it applies, else the plan's
+            own method.
 
     """
 
@@ -55,7 +56,7 @@ class Setup:
     @property
     def method_name(self) -> str:
         """Name of the solver."""
-        return self.method or self.plan.method
+        return self.method or default_method(self.plan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -278,10 +278,8 @@ def test_the_positioning_that_a_table_states_is_in_the_standard_deviations(seed:
 
 
 def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
-    result = calibrate(
-        session(options=stand(positioning_error=10 * ARCMIN / 60), seed=1), method='joint'
-    )
-    plain = calibrate(session(seed=1), method='joint')
+    result = calibrate(session(options=stand(positioning_error=10 * ARCMIN / 60), seed=1))
+    plain = calibrate(session(seed=1))
     assert any('accelerometers scatter' in finding for finding in result.calibration.findings)
     assert np.abs(normalised(result)).max() < 4.5
     # Their misalignments; a scale factor feels a lean by its square alone.

@@ -10,7 +10,7 @@ import pytest
 from sessions import calibrate, quick_plan, session, stand, truth
 
 from imu_calib.cli.main import main
-from imu_calib.methods import closed_form_beside
+from imu_calib.methods import closed_form_beside, default_method
 from imu_calib.plan import load_plan
 from imu_calib.share import named_file
 from imu_calib.turntable import load_table
@@ -60,7 +60,7 @@ def test_a_closed_form_that_contradicts_is_a_finding() -> None:
     table = replace(load_table('three_axis'), azimuth=0.0)
     plan = quick_plan('six_position', 60.0)
     options = stand(azimuth=5 * DEG, tilt=(0.02 * DEG, 0.046 * DEG))
-    result = calibrate(session(plan, options, 1), plan, table=table, method='joint')
+    result = calibrate(session(plan, options, 1), plan, table=table)
     assert result.comparison is not None
     assert result.comparison.disagrees
     assert any('six_position differs from the joint' in f for f in result.calibration.findings)
@@ -71,7 +71,7 @@ def test_a_closed_form_that_contradicts_is_a_finding() -> None:
 
 def test_a_closed_form_without_an_answer_says_why() -> None:
     plan = quick_plan('six_position', 20.0)
-    result = calibrate(session(plan, stand(azimuth=1.0), 1), plan, method='joint')
+    result = calibrate(session(plan, stand(azimuth=1.0), 1), plan)
     assert result.comparison is not None
     assert 'six_position has no answer: Six positions need north' in result.comparison.sentence()
     assert 'need north' in result.calibration.provenance['closed_form']['refusal']
@@ -83,8 +83,28 @@ def test_the_command_line_shows_both(tmp_path: Path, capsys: pytest.CaptureFixtu
     Path(plan).write_text(text.replace('dwell: 120 s', 'dwell: 10 s'))
     assert main(['simulate', plan, '-o', bag]) == 0
     capsys.readouterr()
-    assert main(['calibrate', bag, '--method', 'joint', '-o', out]) == 0
+    assert main(['calibrate', bag, '-o', out]) == 0
     shown = ' '.join(capsys.readouterr().out.split())
     assert 'joint: 12 stretches at rest' in shown
     assert 'closed form twelve_position' in shown
     assert 'allow for biases that wander by' in shown
+
+
+@pytest.mark.parametrize(
+    ('plan', 'name'),
+    [
+        ('twelve_position', 'joint'),
+        ('six_position', 'joint'),
+        ('rate_24', 'joint'),
+        ('optimised_twelve', 'joint'),
+        ('eight_position', 'joint_33'),
+        ('twenty_four_position', 'joint_33'),
+        ('static_six', 'static_six'),
+        ('off_axis_four', 'off_axis_four'),
+        ('skewed', 'skewed'),
+        ('six_position_by_hand', 'six_position'),
+        ('free_positions', 'free_positions'),
+    ],
+)
+def test_the_joint_estimate_is_the_default_wherever_it_applies(plan: str, name: str) -> None:
+    assert default_method(load_plan(plan)) == name

@@ -17,7 +17,7 @@ from imu_calib.turntable import load_table
 
 def study(plan: str | None = None) -> Study:
     chosen = brisk(5.0) if plan is None else load_plan(plan)
-    setup = Setup(paper_imu(), chosen, load_table('three_axis'), SITE)
+    setup = Setup(paper_imu(), chosen, load_table('three_axis'), SITE, chosen.method)
     return Study(setup, truth().model, economical(stand()))
 
 
@@ -57,6 +57,6 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     assert 'spread/stated' in shown
     assert '2 runs of plan twelve_position' in shown
     assert target.exists() or 'matplotlib is not installed' in shown
-    assert main(['montecarlo', 'six_position', '--runs', '1', '--jobs', '1']) == 1
+    assert main(['montecarlo', 'six_position', '--method', 'six_position', '--runs', '1']) == 1
     assert main(['montecarlo', 'six_position_by_hand', '--runs', '1']) == 2
     assert main(['montecarlo', 'twelve_position', '--runs', '0']) == 2

@@ -466,7 +466,7 @@ def test_turns_that_leave_their_line_widen_what_rests_on_them() -> None:
     # Nobody stated that the range ends just below the fastest turn.
     narrow = replace(paper_imu(), gyro=replace(paper_imu().gyro, range=59.99 * DEG))
     blocks = session(PLAN, stand(azimuth=0.3), seed=1, spec=narrow)
-    result = calibrate(blocks, PLAN, spec=paper_imu(), method='joint')
+    result = calibrate(blocks, PLAN, spec=paper_imu())
     assert any('Between turns the gyros scatter' in f for f in result.calibration.findings)
     assert result.calibration.std[:3].max() > 20 * PPM
     assert np.abs(normalised(result)).max() < 4.5
@@ -486,7 +486,7 @@ def test_the_imu_alone_does_not_guess_which_of_two_positions_is_missing() -> Non
     sentence = 'only some of positions 7, 8 were found, and the IMU alone cannot tell which'
     with pytest.raises(NotObservable, match=sentence):
         calibrate(kept, PLAN, imu_only=True, method='twelve_position')
-    result = calibrate(kept, PLAN, imu_only=True, method='joint')
+    result = calibrate(kept, PLAN, imu_only=True)
     assert any(sentence in finding for finding in result.calibration.findings)
     assert np.abs(normalised(result)).max() < 4.5
 

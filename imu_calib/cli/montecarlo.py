@@ -65,7 +65,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="heading of the table's zero, known to the calibrator; without it the heading is "
         'another one in each run, and unknown',
     )
-    parser.add_argument('--method', metavar='NAME', help="the estimator (default: the plan's own)")
+    options.add_method_option(parser)
     parser.add_argument(
         '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
     )

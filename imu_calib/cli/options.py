@@ -38,7 +38,16 @@ def add_site_options(parser: argparse.ArgumentParser) -> None:
 def add_session_options(parser: argparse.ArgumentParser) -> None:
     """Add what says how a recording is to be read and solved."""
     add_recording_options(parser)
-    parser.add_argument('--method', metavar='NAME', help="the estimator (default: the plan's own)")
+    add_method_option(parser)
+
+
+def add_method_option(parser: argparse.ArgumentParser) -> None:
+    """Add --method."""
+    parser.add_argument(
+        '--method',
+        metavar='NAME',
+        help="the estimator (default: joint where it applies, else the plan's own)",
+    )
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:

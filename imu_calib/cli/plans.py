@@ -67,7 +67,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         '--azimuth', type=float, metavar='DEG', help="heading of the table's zero, where known"
     )
-    parser.add_argument('--method', metavar='NAME', help="the estimator (default: the plan's own)")
+    options.add_method_option(parser)
     parser.add_argument(
         '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
     )

@@ -48,7 +48,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
     )
-    parser.add_argument('--method', default='', metavar='NAME', help="default: the plan's own")
+    options.add_method_option(parser)
     options.add_site_options(parser)
     real = parser.add_argument_group(
         'real hardware', 'The table is then led by setpoints in the ROS domain of the environment.'
@@ -130,7 +130,7 @@ def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
     site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     table = None if plan.by_hand else load_table(arguments.table)
-    setup = Setup(imu, plan, table, site, arguments.method or None)
+    setup = Setup(imu, plan, table, site, arguments.method)
     _check_session(setup)
     if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
         raise InputError(
@@ -189,7 +189,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             **described,
             **site,
             'plan': arguments.plan,
-            'method': arguments.method,
+            'method': arguments.method or '',
             'journal': str(folder / _JOURNAL),
             'output': str(folder / _RESULT),
         },

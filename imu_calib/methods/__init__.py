@@ -88,6 +88,15 @@ def estimates(name: str) -> tuple[Parameter, ...]:
     return found
 
 
+def default_method(plan: Plan) -> str:
+    """Return the name of the estimator of a plan where none is asked for.
+
+    The joint estimate where it can solve what the plan's own method solves, else that. What is
+    held by hand stays with its own: its attitudes are those of nobody's encoder.
+    """
+    return plan.method if plan.by_hand else _JOINT_OF.get(plan.method, plan.method)
+
+
 def closed_form_beside(name: str, plan: Plan) -> str | None:
     """Return the closed form to hold a joint estimate of a plan against, None where none goes."""
     return plan.method if name in JOINT and plan.method in _JOINT_OF else None

@@ -110,7 +110,7 @@ class CalibratorNode(ros.Node):
         azimuth = declare(
             self, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
         )
-        method = declare(self, 'method', '', "the estimator; empty: the plan's own")
+        method = declare(self, 'method', '', 'the estimator; empty: joint where it applies')
         if math.isnan(latitude):
             raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
