@@ -101,17 +101,21 @@ from imu_calib import middleware as ros
 from imu_calib.cdr import encode_imu
 from imu_calib.nodes import qos
 from imu_calib.stream import ImuBlock
-ros.init(args=[])
-node = ros.Node('driver')
-publisher = node.create_publisher(ros.messages.Imu, '/robot/driver/raw', qos.stream())
-ones = np.ones((1, 3))
-try:
-    while True:
+
+
+class Driver(ros.Node):
+    def __init__(self):
+        super().__init__('driver')
+        self.publisher = self.create_publisher(ros.messages.Imu, '/robot/driver/raw', qos.stream())
+        self.create_timer(0.01, self.publish)
+
+    def publish(self):
+        ones = np.ones((1, 3))
         block = ImuBlock(np.array([time.time_ns()]), ones, ones, 'imu_link')
-        publisher.publish(encode_imu(block).payloads()[0])
-        time.sleep(0.01)
-except KeyboardInterrupt:
-    pass
+        self.publisher.publish(encode_imu(block).payloads()[0])
+
+
+ros.run(Driver, args=[])
 """
 
 
