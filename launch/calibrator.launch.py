@@ -30,7 +30,7 @@ ARGUMENTS = [
         'azimuth', default_value='nan', description="Heading of the table's zero, deg, if known."
     ),
     DeclareLaunchArgument(
-        'method', default_value='', description="The estimator; empty: the plan's own."
+        'method', default_value='', description='The estimator; empty: joint where it applies.'
     ),
     DeclareLaunchArgument(
         'journal', default_value='journal', description='Folder of the recording.'
