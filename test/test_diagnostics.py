@@ -110,6 +110,7 @@ def test_every_status_is_a_sentence_with_figures_about_something(wire):
         for status in statuses:
             assert status.level[0] in set(Level)
             assert status.message.endswith('.')
+            assert not status.message[0].islower()
             assert status.hardware_id
             assert all(value.key and value.value for value in status.values)
     figures = {v.key: v.value for v in heard['lab/calibrator_node: joint states'][-1].values}

@@ -231,7 +231,7 @@ def session(tmp_path_factory):
     look = ('--no-daemon', '--spin-time', '2')
     with nothing_left(net):
         launch(net, autostart='false')
-        net.says('launch', 'waiting for /imu/pulses', 'Frames come in.')
+        net.says('launch', 'Waiting for /imu/pulses.', 'Frames come in.')
         record(net)
         seen.started = net.call('/turntable_node/start')
         seen.parameters = net.ask('param', 'list', '/turntable_node', *look)
@@ -328,8 +328,8 @@ def test_a_real_stand_and_a_calibrator_alone_are_launched(tmp_path):
         for name, given in (('stand', real), ('calibrator', alone)):
             words = [f'{k}:={v}' for k, v in {'latitude': LATITUDE, **given}.items()]
             net.start(name, net.ros('ros2', 'launch', 'imu_calib', f'{name}.launch.py', *words))
-        net.says('stand', port, 'Nothing is started.', 'waiting for /real/imu/pulses')
-        net.says('calibrator', 'waiting for /my/imu')
+        net.says('stand', port, 'Nothing is started.', 'Waiting for /real/imu/pulses.')
+        net.says('calibrator', 'Waiting for /my/imu')
         topics = net.ask('topic', 'list', '--no-daemon', '--spin-time', '2').split()
         written = net.stop('calibrator') + net.stop('stand')
     assert ours | {trajectories} <= set(topics)

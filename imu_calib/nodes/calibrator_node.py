@@ -164,8 +164,11 @@ class CalibratorNode(ros.Node):
         self._shown: Calibration | None = None
         session = LiveSession(self._setup, journal, topics)
         held = sum(intake.count for intake in session.intakes.values())
-        text = f'goes on from {path}, which holds {held} messages' if held else f'writes {path}'
-        self._diagnostics.report('journal', Level.WARN if held else Level.OK, text)
+        resumed = f'The session goes on from {path}, which holds {held} messages.'
+        if held:
+            self._diagnostics.report('journal', Level.WARN, resumed)
+        else:
+            self._diagnostics.report('journal', Level.OK, _written(path))
         return session
 
     def _on_tick(self) -> None:
@@ -225,7 +228,7 @@ class CalibratorNode(ros.Node):
             self._diagnostics.report(
                 'quality of service',
                 Level.WARN,
-                f'{topic} is published best effort: messages can be lost on the way',
+                f'{topic} is published best effort: messages can be lost on the way.',
             )
         self._unreliable.clear()
 
@@ -313,10 +316,10 @@ class CalibratorNode(ros.Node):
         if session.guidance is not None and not session.over:
             return session.guidance.text
         words = {
-            Phase.WAITING: f'waiting for {imu.topic}',
-            Phase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined',
-            Phase.DETERMINED: f'{known} parameters are determined, and still improve',
-            Phase.FINISHED: f'{known} parameters are determined',
+            Phase.WAITING: f'Waiting for {imu.topic}.',
+            Phase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined.',
+            Phase.DETERMINED: f'{known} parameters are determined, and still improve.',
+            Phase.FINISHED: f'{known} parameters are determined.',
             Phase.FAILED: session.failure,
         }
         return words[session.phase]
@@ -335,28 +338,28 @@ class CalibratorNode(ros.Node):
         if session.guidance is not None and not session.over:
             known = int((session.review.std > 0).sum()) if session.review is not None else 0
             total = len(session.parameters)
-            text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined'
+            text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined.'
         self._diagnostics.report('calibration', level, text, **figures)
         if session.trouble:
             self._diagnostics.report('journal', Level.ERROR, session.trouble)
         elif not session.over:
-            self._diagnostics.report('journal', Level.OK, f'writes {session.journal.path}')
+            self._diagnostics.report('journal', Level.OK, _written(session.journal.path))
 
     def _report_imu(self) -> None:
         imu, joints = self._session.intakes[Kind.IMU], self._session.intakes.get(Kind.JOINTS)
         figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
-        level, text = Level.OK, f'{imu.topic} comes in'
+        level, text = Level.OK, f'{imu.topic} comes in.'
         if imu.newest is None:
-            level, text = Level.WARN, f'nothing has come in on {imu.topic} yet'
+            level, text = Level.WARN, f'Nothing has come in on {imu.topic} yet.'
         elif joints is None and not self._session.over:
             if time.monotonic() - imu.heard > max(_SILENCE_BY_HAND, self._imu_timeout):
-                level, text = Level.ERROR, f'{imu.topic} is silent'
+                level, text = Level.ERROR, f'{imu.topic} is silent.'
         elif joints is not None and joints.newest is not None and not self._session.over:
             behind = (joints.newest - imu.newest) * 1e-9
             figures['behind the table'] = f'{behind:.3f} s'
             silent = time.monotonic() - imu.heard
             if behind > self._imu_timeout and silent > self._imu_timeout:
-                level, text = Level.ERROR, f'{imu.topic} is silent while the table is not'
+                level, text = Level.ERROR, f'{imu.topic} is silent while the table is not.'
         if imu.malformed.count:
             level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
         self._diagnostics.report('stream', level, text, **figures)
@@ -368,9 +371,9 @@ class CalibratorNode(ros.Node):
         joints = self._session.intakes.get(Kind.JOINTS)
         if joints is None:
             return
-        level, text = Level.OK, f'{joints.topic} comes in'
+        level, text = Level.OK, f'{joints.topic} comes in.'
         if not joints.count:
-            level, text = Level.WARN, f'nothing has come in on {joints.topic} yet'
+            level, text = Level.WARN, f'Nothing has come in on {joints.topic} yet.'
         if joints.malformed.count:
             level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
         figures = {'samples': str(joints.count), 'malformed': str(joints.malformed.count)}
@@ -381,15 +384,15 @@ class CalibratorNode(ros.Node):
         skew = self._session.intakes.get(Kind.SKEW)
         if skew is None:
             return
-        level, text = Level.OK, f'{skew.topic} comes in'
+        level, text = Level.OK, f'{skew.topic} comes in.'
         if self._session.without_skew:
             level = Level.WARN
             text = (
-                f"nothing has come on {skew.topic}, though the IMU's file has a skewed_gyro: the "
-                'session goes on without it'
+                f"Nothing has come on {skew.topic}, though the IMU's file has a skewed_gyro: the "
+                'session goes on without it.'
             )
         elif not skew.count:
-            level, text = Level.WARN, f'nothing has come in on {skew.topic} yet'
+            level, text = Level.WARN, f'Nothing has come in on {skew.topic} yet.'
         if skew.malformed.count:
             level, text = Level.ERROR, f'{skew.topic}: {skew.malformed.reason}'
         self._diagnostics.report('skewed gyro', level, text, samples=str(skew.count))
@@ -404,7 +407,7 @@ class CalibratorNode(ros.Node):
         except InputError as error:
             self._diagnostics.report('file', Level.ERROR, str(error))
             return str(error)
-        self._diagnostics.report('file', Level.OK, f'{self._output} is written')
+        self._diagnostics.report('file', Level.OK, f'{self._output} is written.')
         return ''
 
     def _on_solve(self, _: Any, response: Any) -> Any:
@@ -418,7 +421,8 @@ class CalibratorNode(ros.Node):
             response.success, response.message = False, review.refusal
         if response.success:
             self._session.end()
-            response.message = 'solving; the result comes on calibration'
+            topic = self.resolve_topic_name('calibration')
+            response.message = f'The session is being solved; the result comes on {topic}.'
         return response
 
     def _on_reset(self, _: Any, response: Any) -> Any:
@@ -430,15 +434,19 @@ class CalibratorNode(ros.Node):
             response.success, response.message = False, str(error)
         else:
             response.success = True
-            response.message = f'a new session is written to {self._session.journal.path}'
+            response.message = f'A new session is written to {self._session.journal.path}.'
         self._publish_progress()
         return response
 
     def _on_save(self, _: Any, response: Any) -> Any:
         """Write what is determined so far."""
         problem = self._save()
-        response.success, response.message = not problem, problem or f'written to {self._output}'
+        response.success, response.message = not problem, problem or f'{self._output} is written.'
         return response
+
+
+def _written(path: Path) -> str:
+    return f'The journal is written to {path}.'
 
 
 def _worst(review: Review) -> dict[str, str]:

@@ -196,7 +196,7 @@ class CompensatorNode(ros.Node):
             self._compensator.replace(calibration)
         self._source, self._made_at = source, made_at
         self._diagnostics.hardware_id = first_of(calibration).imu.id
-        self._diagnostics.report('calibration offered', Level.OK, f'{source} is used')
+        self._diagnostics.report('calibration offered', Level.OK, f'{source} is used.')
         self._report_calibration()
 
     def _read_file(self) -> None:
@@ -247,7 +247,7 @@ class CompensatorNode(ros.Node):
         self._diagnostics.report(
             'quality of service',
             Level.WARN,
-            f'{topic} is published best effort: messages can be lost on the way',
+            f'{topic} is published best effort: messages can be lost on the way.',
         )
 
     def _report_calibration(self) -> None:
@@ -266,7 +266,7 @@ class CompensatorNode(ros.Node):
         self._diagnostics.report(
             'calibration',
             Level.OK,
-            f'{self._source} is applied',
+            f'{self._source} is applied.',
             imu=single.imu.id,
             source=self._source,
             age=f'{age / 3600:.1f} h',
@@ -283,7 +283,7 @@ class CompensatorNode(ros.Node):
             'without calibration': str(self._unused),
             'malformed': str(self._malformed.count),
         }
-        level, text = Level.OK, f'{topic} comes in and goes out'
+        level, text = Level.OK, f'{topic} comes in and goes out.'
         compensator = self._compensator
         if compensator is not None:
             figures['sample interval'] = f'{compensator.period * 1e3:.6f} ms'
@@ -302,9 +302,9 @@ class CompensatorNode(ros.Node):
         elif self._malformed.count:
             level, text = Level.ERROR, f'{topic}: {self._malformed.reason}'
         elif not second.taken:
-            level, text = Level.WARN, f'nothing comes in on {topic}'
+            level, text = Level.WARN, f'Nothing comes in on {topic}.'
         elif compensator is not None and not second.given:
-            level, text = Level.WARN, f'{topic} comes in, but nothing goes out'
+            level, text = Level.WARN, f'{topic} comes in, but nothing goes out.'
         self._diagnostics.report('stream', level, text, **figures)
 
     def _report_range(self) -> None:
@@ -314,10 +314,10 @@ class CompensatorNode(ros.Node):
         counts = self._compensator.counts
         fresh = [m for m in Mark if counts[m] > self._counted[m]]
         self._counted = {mark: counts[mark] for mark in Mark}
-        level, text = Level.OK, 'all samples are within what was calibrated'
+        level, text = Level.OK, 'All samples are within what was calibrated.'
         if fresh:
             level = Level.WARN
-            text = f'in the last second: {", ".join(_WORDS[mark] for mark in fresh)}'
+            text = f'In the last second: {", ".join(_WORDS[mark] for mark in fresh)}.'
         figures = {_WORDS[mark]: str(counts[mark]) for mark in Mark}
         if self._compensator.alone:
             figures["without the skewed gyro's value"] = str(self._compensator.alone)
@@ -329,11 +329,11 @@ class CompensatorNode(ros.Node):
             return
         topic = self.resolve_topic_name('imu/temperature')
         figures = {'temperature': f'{compensator.celsius:.2f} degC'}
-        level, text = Level.OK, f'{topic} comes in'
+        level, text = Level.OK, f'{topic} comes in.'
         if compensator.waits_for_temperature:
             level, text = Level.ERROR, f'The calibration needs {topic}: nothing is published.'
         elif time.monotonic() - self._heard_temperature > _STALE:
-            level, text = Level.WARN, f'{topic} is silent: its last value counts on'
+            level, text = Level.WARN, f'{topic} is silent: its last value counts on.'
         self._diagnostics.report('temperature', level, text, **figures)
 
 
