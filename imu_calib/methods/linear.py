@@ -7,11 +7,13 @@ follow from one small matrix, and the covariance is that of the very weights use
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..errors import NotObservable
+from ..model import Triad
 from ..stream import Floats
 
 UNKNOWNS = 4
@@ -58,12 +60,32 @@ class ChannelSystem:
         return gain @ outputs, (gain * variances) @ gain.T, condition
 
 
-def parameters_of(unknowns: Floats) -> tuple[Floats, Floats]:
+def solve_triad(
+    systems: Sequence[ChannelSystem], outputs: Floats, variances: Floats
+) -> tuple[Triad, Floats, float]:
+    """Return the triad of three channels, its (12, 12) covariance and the worst condition number.
+
+    Args:
+        systems: The equations of channels x, y, z.
+        outputs: (size, 3) mean outputs.
+        variances: (size, 3) their variances.
+
+    Raises:
+        NotObservable: The equations do not determine a channel.
+
+    """
+    solved = [s.solve(outputs[:, i], variances[:, i]) for i, s in enumerate(systems)]
+    triad = Triad(*_parameters_of(np.array([unknowns for unknowns, _, _ in solved])))
+    covariance = _triad_covariance([square for _, square, _ in solved])
+    return triad, covariance, max(condition for _, _, condition in solved)
+
+
+def _parameters_of(unknowns: Floats) -> tuple[Floats, Floats]:
     """Split (3, 4) unknowns of three channels into error matrix (3, 3) and bias (3,)."""
     return unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS]
 
 
-def triad_covariance(covariances: list[Floats]) -> Floats:
+def _triad_covariance(covariances: list[Floats]) -> Floats:
     """Arrange the (4, 4) covariances of three channels in the order of `Triad.vector`."""
     order = [(i, i) for i in range(3)]
     order += [(i, j) for i in range(3) for j in range(3) if i != j]

@@ -46,7 +46,22 @@ def solve(evidence: Evidence) -> Solution:
 
 
 def check(plan: Plan) -> None:
-    """Refuse a plan whose positions cannot tell the parameters apart, before it is run.
+    """Refuse a plan that cannot tell the 33 parameters apart, before it is run.
+
+    Raises:
+        NotObservable: Names the parameters.
+
+    """
+    check_positions(plan, with_g=True)
+    check_turns(plan)
+
+
+def check_positions(plan: Plan, *, with_g: bool) -> None:
+    """Refuse a plan whose positions cannot tell the parameters apart.
+
+    Args:
+        plan: To be run.
+        with_g: Whether the g-sensitivities are parameters too.
 
     Raises:
         NotObservable: Names the parameters.
@@ -55,8 +70,7 @@ def check(plan: Plan) -> None:
     held = [p for p in plan.positions if p.dwell > 0]
     ups = np.array([p.up for p in held]).reshape(-1, 3)
     what = f'The {len(held)} positions of plan {plan.name}'
-    force_weights(ups, np.ones(len(held)), what, with_g=True)
-    check_turns(plan)
+    force_weights(ups, np.ones(len(held)), what, with_g=with_g)
 
 
 def check_turns(plan: Plan) -> None:

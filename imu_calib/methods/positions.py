@@ -11,7 +11,7 @@ from ..errors import NotObservable
 from ..model import AXES, PARAMETERS, ParameterKind, SensorModel, Triad
 from ..stream import Floats
 from .evidence import Evidence
-from .linear import BIAS, UNKNOWNS, ChannelSystem, parameters_of, triad_covariance
+from .linear import BIAS, UNKNOWNS, ChannelSystem, solve_triad
 from .rate_test import RateTest
 
 _PASSES = 2
@@ -50,20 +50,14 @@ def _gyros(
     at_rest = len(evidence.segments)
     outputs = np.vstack([evidence.outputs()[:, :3], turned])
     variances = np.vstack([evidence.variances()[:, :3], test.variances])
-    unknowns, covariances, conditions = [], [], []
-    for channel in range(3):
-        system = ChannelSystem(len(outputs))
+    systems = [ChannelSystem(len(outputs)) for _ in range(3)]
+    for channel, system in enumerate(systems):
         for axis in range(3):
             test.add_to(system, axis, at_rest)
         row = np.zeros(len(outputs))
         row[:at_rest] = weights[:, channel]
         system.add(np.append(mean_input, 1.0), row)
-        solved = system.solve(outputs[:, channel], variances[:, channel])
-        unknowns.append(solved[0])
-        covariances.append(solved[1])
-        conditions.append(solved[2])
-    triad = Triad(*parameters_of(np.array(unknowns)))
-    return triad, triad_covariance(covariances), max(conditions)
+    return solve_triad(systems, outputs, variances)
 
 
 def solve_accelerometers(evidence: Evidence) -> tuple[Triad, Floats, float]:
@@ -92,9 +86,8 @@ def _accelerometers(evidence: Evidence, outputs: Floats) -> tuple[Triad, Floats,
     """Solve for (s, 3) outputs as if the vertical axis stood exactly so."""
     up_weights, down_weights = _up_and_down(evidence)
     variances = evidence.variances()[:, 3:]
-    unknowns, covariances, conditions = [], [], []
-    for channel in range(3):
-        system = ChannelSystem(len(outputs))
+    systems = [ChannelSystem(len(outputs)) for _ in range(3)]
+    for channel, system in enumerate(systems):
         up, down = up_weights[:, :, channel], down_weights[:, :, channel]
         for axis in range(3):
             coefficients = np.zeros(UNKNOWNS)
@@ -103,12 +96,7 @@ def _accelerometers(evidence: Evidence, outputs: Floats) -> tuple[Triad, Floats,
         coefficients = np.zeros(UNKNOWNS)
         coefficients[BIAS] = 1.0
         system.add(coefficients, (up + down).sum(axis=0) / 6)
-        solved = system.solve(outputs[:, channel], variances[:, channel])
-        unknowns.append(solved[0])
-        covariances.append(solved[1])
-        conditions.append(solved[2])
-    triad = Triad(*parameters_of(np.array(unknowns)))
-    return triad, triad_covariance(covariances), max(conditions)
+    return solve_triad(systems, outputs, variances)
 
 
 def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:

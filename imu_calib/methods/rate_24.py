@@ -14,7 +14,7 @@ from ..errors import NotObservable
 from ..plan import Plan
 from .evidence import Evidence
 from .gains import BIAS, Gains, biases, once, rate_test
-from .n_positions import check_turns, force_weights
+from .n_positions import check_positions, check_turns, force_weights
 from .solution import Solution
 
 
@@ -50,8 +50,5 @@ def check(plan: Plan) -> None:
         NotObservable: Names the parameters.
 
     """
-    held = [p for p in plan.positions if p.dwell > 0]
-    ups = np.array([p.up for p in held]).reshape(-1, 3)
-    what = f'The {len(held)} positions of plan {plan.name}'
-    force_weights(ups, np.ones(len(held)), what, with_g=False)
+    check_positions(plan, with_g=False)
     check_turns(plan)
