@@ -18,7 +18,6 @@ from .storage import Cache, Losses, RecordingError, Storage, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from types import TracebackType
     from typing import Any
 
     from ..cdr import Messages
@@ -86,12 +85,7 @@ class RecordingWriter:
         """Return the writer; leaving the block closes it, after an error too."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the recording."""
         self.close()
 

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
-from urllib.parse import urlsplit
+from typing import Any, ClassVar, NamedTuple, Protocol
 
+from ..address import host_and_port
 from ..errors import InputError
 
 _CHUNK = 16384
@@ -22,8 +22,6 @@ _POLL = 0.1
 _CONNECT = 2.0
 _RETRY = 0.5
 _CAPACITY = 1 << 18
-_UDP_BUFFER = 1 << 20
-_TCP_BUFFER = 1 << 16
 _KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
 """A device that lost its power closes nothing: so many seconds, and it counts as gone."""
 _SERIAL_NAME = re.compile(r'^(/dev/|COM\d+$|\\\\.\\)')
@@ -175,56 +173,71 @@ def _reason(error: Exception) -> str:
     return text if text.endswith('.') else f'{text}.'
 
 
-class _Tcp:
+class _Socket:
+    """What is read from a socket, waited for no longer than a poll takes."""
+
+    KIND: ClassVar[socket.SocketKind]
+    BUFFER: ClassVar[int]
+    MOST: ClassVar[int]
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(_family(host), self.KIND)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.BUFFER)
+            self._open(host, port)
+            self._socket.settimeout(_POLL)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def _open(self, host: str, port: int) -> None:
+        """Connect, or wait at an address."""
+        raise NotImplementedError
+
+    def _received(self, data: bytes) -> bytes | None:
+        """Return what was read, None where it means the end."""
+        return data
+
+    def read(self) -> bytes | None:
+        try:
+            return self._received(self._socket.recv(self.MOST))
+        except TimeoutError:
+            return b''
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Tcp(_Socket):
     """A TCP connection."""
 
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(_family(host), socket.SOCK_STREAM)
-        try:
-            # A small buffer: a device that is simulated goes no faster than its samples are used.
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _TCP_BUFFER)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            for option, value in _KEEPALIVE.items():
-                if hasattr(socket, option):
-                    self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
-            self._socket.settimeout(_CONNECT)
-            self._socket.connect((host, port))
-            self._socket.settimeout(_POLL)
-        except OSError:
-            self._socket.close()
-            raise
+    KIND = socket.SOCK_STREAM
+    # A small buffer: a device that is simulated goes no faster than its samples are used.
+    BUFFER = 1 << 16
+    MOST = _CHUNK
 
-    def read(self) -> bytes | None:
-        try:
-            return self._socket.recv(_CHUNK) or None
-        except TimeoutError:
-            return b''
+    def _open(self, host: str, port: int) -> None:
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in _KEEPALIVE.items():
+            if hasattr(socket, option):
+                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+        self._socket.settimeout(_CONNECT)
+        self._socket.connect((host, port))
 
-    def close(self) -> None:
-        self._socket.close()
+    def _received(self, data: bytes) -> bytes | None:
+        # Nothing at once: the other end has closed it.
+        return data or None
 
 
-class _Udp:
+class _Udp(_Socket):
     """Datagrams that arrive at an address of this host."""
 
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(_family(host), socket.SOCK_DGRAM)
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _UDP_BUFFER)
-            self._socket.bind((host, port))
-            self._socket.settimeout(_POLL)
-        except OSError:
-            self._socket.close()
-            raise
+    KIND = socket.SOCK_DGRAM
+    BUFFER = 1 << 20
+    MOST = 1 << 16
 
-    def read(self) -> bytes | None:
-        try:
-            return self._socket.recv(1 << 16)
-        except TimeoutError:
-            return b''
-
-    def close(self) -> None:
-        self._socket.close()
+    def _open(self, host: str, port: int) -> None:
+        self._socket.bind((host, port))
 
 
 class _Serial:
@@ -271,14 +284,10 @@ def _parse(url: str, baud: int) -> tuple[Callable[..., Line], tuple[Any, ...]]:
         )
     scheme, separator, _ = url.partition('://')
     if separator and scheme in {'socket', 'tcp', 'udp'}:
-        try:
-            parts = urlsplit(url)
-            host, port = parts.hostname, parts.port
-        except ValueError:
-            host = port = None
-        if not host or not port:
+        address = host_and_port(url)
+        if address is None:
             raise InputError(f'{url}: expected {scheme}://host:port.')
-        return (_Udp if scheme == 'udp' else _Tcp), (host, port)
+        return (_Udp if scheme == 'udp' else _Tcp), address
     if separator or _SERIAL_NAME.match(url) or _is_device(Path(url)):
         if find_spec('serial') is None:
             raise InputError(

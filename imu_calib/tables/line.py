@@ -6,8 +6,8 @@ import contextlib
 import socket
 import time
 from typing import Protocol
-from urllib.parse import urlsplit
 
+from ..address import host_and_port
 from ..errors import InputError
 from .ascii import BadReply
 
@@ -84,16 +84,13 @@ def tcp_address(url: str) -> tuple[str, int] | None:
     """
     if not url:
         raise InputError("The controller's port is missing: /dev/ttyUSB0 or socket://host:port.")
-    if '://' not in url:
+    scheme, separator, _ = url.partition('://')
+    if not separator:
         return None
-    try:
-        parts = urlsplit(url)
-        scheme, host, port = parts.scheme, parts.hostname, parts.port
-    except ValueError:
-        scheme, host, port = '', None, None
-    if scheme not in {'socket', 'tcp'} or not host or not port:
+    address = host_and_port(url)
+    if scheme.lower() not in {'socket', 'tcp'} or address is None:
         raise InputError(f'{url}: expected a serial port or socket://host:port.')
-    return host, port
+    return address
 
 
 class _Tcp:
