@@ -65,7 +65,7 @@ class SampleClock:
         return self._learn()
 
     def finish(self) -> Floats:
-        """End of the stream: time what waits; a single sample tells no interval."""
+        """End of the stream: intervals (n,) in s of what waits; a single sample tells none."""
         held, self._held = self._held, self._held[:0]
         if self._typical or len(held) < 2 or not np.median(np.diff(held)) > 0:
             self.lost += len(held)

@@ -90,7 +90,7 @@ class Surroundings:
 
     @classmethod
     def at(cls, site: Site, azimuth: float, tilt_x: float, tilt_y: float) -> Surroundings:
-        """Turn a site's vectors into the frame of a table that is turned and tilted."""
+        """Turn a site's vectors into the frame of a table that is turned and tilted, rad."""
         gx, gy, gz = _GENERATORS
         about_x, about_y = _turn(0, -tilt_x), _turn(1, -tilt_y)
         both = about_y @ about_x
@@ -175,11 +175,11 @@ class Equations:
         return rows
 
     def nominal(self) -> Floats:
-        """Return the state of ideal sensors on the table as it is described."""
+        """Return the state (n,) of ideal sensors on the table as it is described."""
         return np.concatenate([np.zeros(self.parameters), self.prior[0]])
 
     def model(self, state: Floats) -> SensorModel:
-        """Return the sensors that a state describes."""
+        """Return the sensors that a state (n,) describes: parameters, then `Nuisance`."""
         plain = SensorModel.from_vector(state[:SENSORS])
         if not self.with_g:
             return plain
@@ -187,7 +187,7 @@ class Equations:
         return SensorModel(plain.gyro, plain.accel, g)
 
     def surroundings(self, state: Floats) -> Surroundings:
-        """Return Earth rate and gravity in the frame of the attitudes.
+        """Return Earth rate and gravity in the frame of the attitudes, by a state (n,).
 
         An azimuth that is given is already in the attitudes: the state holds what is left of it.
         """

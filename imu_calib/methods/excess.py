@@ -177,7 +177,7 @@ def excess(equations: Equations, state: Floats) -> Excess:
 
     Args:
         equations: The session, any earlier excess is ignored.
-        state: A solution close to the final one.
+        state: (n,) a solution close to the final one.
 
     """
     plain = replace(equations, extra=None, positioning=None)

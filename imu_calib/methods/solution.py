@@ -61,5 +61,5 @@ class Solution:
 
     @property
     def std(self) -> Floats:
-        """Standard deviations of the parameters, SI units."""
+        """(n,) standard deviations of the parameters, SI units."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))

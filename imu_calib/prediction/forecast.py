@@ -155,7 +155,7 @@ def information(
 
 
 def state_at(equations: Equations, truth: SensorModel) -> Floats:
-    """Return the state of sensors that are what they are thought to be."""
+    """Return the state (n,) of `equations` for sensors that are what they are thought to be."""
     state = equations.nominal()
     state[:SENSORS] = truth.vector()
     if equations.with_g:

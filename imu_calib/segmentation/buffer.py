@@ -10,7 +10,12 @@ _FIRST_CAPACITY = 1024
 
 
 class RowBuffer:
-    """Rows (stamp, values) in order of their stamps; appending is amortised constant."""
+    """Rows (stamp, values) in order of their stamps; appending is amortised constant.
+
+    Args:
+        columns: Length of a row of values.
+
+    """
 
     def __init__(self, columns: int) -> None:
         self._stamp: Stamps = np.empty(_FIRST_CAPACITY, dtype=np.int64)
@@ -23,16 +28,16 @@ class RowBuffer:
 
     @property
     def stamp(self) -> Stamps:
-        """Stamps of the rows, a view."""
+        """Stamps (n,) of the rows, ns, a view."""
         return self._stamp[self._first : self._last]
 
     @property
     def values(self) -> Floats:
-        """Values of the rows, a view."""
+        """Values (n, columns) of the rows, a view."""
         return self._values[self._first : self._last]
 
     def append(self, stamp: Stamps, values: Floats) -> None:
-        """Add rows behind the last."""
+        """Add (n,) stamps and (n, columns) values behind the last."""
         needed = len(self) + len(stamp)
         if self._last + len(stamp) > len(self._stamp):
             capacity = max(len(self._stamp), 2 * needed)
@@ -46,7 +51,7 @@ class RowBuffer:
         self._last = end
 
     def between(self, start: int, end: int) -> tuple[Stamps, Floats]:
-        """Return copies of the rows with start < stamp <= end."""
+        """Return copies of the rows with start < stamp <= end: stamps (n,), values (n, columns)."""
         a, b = np.searchsorted(self.stamp, [start, end], side='right')
         return self.stamp[a:b].copy(), self.values[a:b].copy()
 

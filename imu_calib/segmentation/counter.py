@@ -77,7 +77,13 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
 
 
 def end_points(pulses: Floats, period: float) -> MeanRate:
-    """Estimate from the first and the last reading alone: the plain sum over the duration."""
+    """Estimate from the first and the last reading alone: the plain sum over the duration.
+
+    Args:
+        pulses: (n,) pulses per sample.
+        period: Sample interval, s.
+
+    """
     duration = len(pulses) * period
     return MeanRate(float(pulses.sum()) / duration, 1 / duration, END_POINT_VARIANCE / duration**2)
 
@@ -92,7 +98,14 @@ class Passages:
 
 
 def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
-    """Find the first passages; None where the drift does not clearly lead the walk."""
+    """Find the first passages; None where the drift does not clearly lead the walk.
+
+    Args:
+        pulses: (n,) pulses per sample.
+        period: Sample interval, s.
+        walk: Random walk, pulses/sqrt(s).
+
+    """
     count = np.cumsum(pulses)
     drift = float(count[-1]) / len(pulses)
     if abs(drift) * math.sqrt(len(pulses)) < _DRIFT_SIGNIFICANCE * walk * math.sqrt(period):
@@ -109,6 +122,11 @@ def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | Non
     one sample adds. Passage times of a drifting Brownian motion have independent increments, so
     levels passed over time elapsed is the maximum-likelihood drift (the inverse Gaussian law:
     Folks and Chhikara 1978, J. R. Statist. Soc. B 40, 263), with the walk's variance alone.
+
+    Args:
+        pulses: (n,) pulses per sample.
+        period: Sample interval, s.
+        walk: Random walk, pulses/sqrt(s).
 
     Returns:
         None where the drift does not clearly lead the walk, or passes too few levels.
@@ -246,6 +264,12 @@ def block_rates(
 
     A slow counter is cut where it passes a new value, any other into equal times.
 
+    Args:
+        pulses: (n,) pulses per sample.
+        period: Sample interval, s.
+        walk: Random walk, pulses/sqrt(s).
+        seconds: Shortest block, s.
+
     Returns:
         For each block its middle, s after the first sample began, and its rate.
 
@@ -275,7 +299,14 @@ def block_edges(samples: int, period: float, seconds: float) -> list[tuple[int, 
 
 
 def first_passages_are_best(pulses: Floats, period: float, walk: float) -> bool:
-    """Say whether first passages beat the smoothed ends for a whole stretch."""
+    """Say whether first passages beat the smoothed ends for a whole stretch.
+
+    Args:
+        pulses: (n,) pulses per sample.
+        period: Sample interval, s.
+        walk: Random walk, pulses/sqrt(s).
+
+    """
     passed, smoothed = first_passages(pulses, period, walk), smoothed_ends(pulses, period, walk)
     if passed is None or smoothed is None:
         return passed is not None

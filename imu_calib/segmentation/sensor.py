@@ -50,11 +50,17 @@ class Sensor:
         return Sensor.of(replace(self.spec, gyro=self.spec.skewed, accel=TriadSpec()))
 
     def samples(self, stamp: Stamps, values: Floats) -> Samples:
-        """Return rows as increments in SI units, timed by their own stamps."""
+        """Return (n, 6) values at (n,) stamps, ns, as increments in SI units, timed by these."""
         return to_samples(stamp, values, self.spec, sample_period(stamp))
 
     def saturated(self, values: Floats, samples: Samples) -> NDArray[np.bool_]:
-        """Say of every sample whether a channel stands at the end of its range."""
+        """Say of every sample, (n,), whether a channel stands at the end of its range.
+
+        Args:
+            values: (n, 6) as the sensor gives them.
+            samples: The same in SI units.
+
+        """
         limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
         clipped = np.abs(samples.increments) >= _NEARLY * limits
         if self.spec.units is not Units.SI:

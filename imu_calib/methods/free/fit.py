@@ -74,7 +74,16 @@ class FreeFit:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The least squares: parameters first, then two small angles for each direction of up."""
+    """The least squares: parameters first, then two small angles for each direction of up.
+
+    Attributes:
+        holds: The k holds.
+        swings: The turns between them.
+        site: Gravity and Earth rate.
+        scatter: (3,) factors on the standard deviations of the noise of accelerometers and gyros
+            at rest and of turns.
+
+    """
 
     holds: tuple[Hold, ...]
     swings: tuple[Swing, ...]
@@ -82,7 +91,13 @@ class System:
     scatter: Floats
 
     def rows(self, model: SensorModel, ups: Floats) -> tuple[Floats, Floats, NDArray[np.intp]]:
-        """Return whitened derivatives, whitened residuals, and the group of each row."""
+        """Return whitened derivatives (m, 24 + 2 k), residuals (m,) and the group (m,) of each row.
+
+        Args:
+            model: Where the derivatives are taken.
+            ups: (k, 3) up in body axes, unit vectors.
+
+        """
         size = len(PARAMETERS) + 2 * len(self.holds)
         jacobian, left, groups = [], [], []
         for k, hold in enumerate(self.holds):
@@ -204,7 +219,7 @@ def refuse(_: Evidence) -> Solution:
 
 
 def scatter_words(scatter: Floats) -> list[str]:
-    """Say what scatters more than its noise."""
+    """Say what scatters more than its noise, by the (3,) factors of `FreeFit.scatter`."""
     return [
         f'In {name} {factor:.1f} times the noise is left (a hand that trembles, biases that '
         'wander): the standard deviations are widened.'
@@ -215,6 +230,11 @@ def scatter_words(scatter: Floats) -> list[str]:
 
 def check_observable(system: System, model: SensorModel, ups: Floats) -> None:
     """Refuse attitudes and turns that leave parameters open.
+
+    Args:
+        system: Holds and turns.
+        model: Where they are looked at.
+        ups: (k, 3) up in body axes, unit vectors.
 
     Raises:
         NotObservable: Names the parameters.
@@ -327,7 +347,7 @@ def _wild_swings(system: System, model: SensorModel, ups: Floats) -> list[int]:
 
 
 def free_columns(jacobian: Floats) -> Floats:
-    """Return the columns of the 21 parameters and of the directions."""
+    """Return the columns of 21 parameters and of directions: (m, 21 + 2 k) of (m, 24 + 2 k)."""
     keep = np.concatenate([FREE, np.ones(jacobian.shape[1] - len(FREE), dtype=bool)])
     return np.asarray(jacobian[:, keep])
 

@@ -161,7 +161,7 @@ def _told(
 
 
 def direction(words: str) -> Floats | None:
-    """Return up in body axes that a candidate's words stand for; None for other words."""
+    """Return up (3,) in body axes that a candidate's words stand for; None for other words."""
     return dict(_directions()).get(words)
 
 
@@ -217,7 +217,15 @@ def _further(
 
 
 def planned_hold(up: Floats, model: SensorModel, variances: Floats, site: Site) -> Hold:
-    """Return what a hold would read, with (2,) variances of gyros and accelerometers."""
+    """Return what a hold would read.
+
+    Args:
+        up: (3,) in body axes, unit vector.
+        model: The sensors.
+        variances: (2,) of gyros and accelerometers, (rad/s)^2 and (m/s^2)^2.
+        site: Gravity and Earth rate; of the latter the vertical part alone is read.
+
+    """
     gyro, accel = model.predict(up * site.up_rate, up * site.gravity)
     return Hold(0, 0, gyro, accel, np.full(3, variances[0]), np.full(3, variances[1]))
 
@@ -225,7 +233,16 @@ def planned_hold(up: Floats, model: SensorModel, variances: Floats, site: Site) 
 def planned_swing(
     first: int, up: Floats, target: Floats, model: SensorModel, variance: float
 ) -> Swing:
-    """Return the short way from one direction of up to another, at an even pace."""
+    """Return the short way from one direction of up to another, at an even pace.
+
+    Args:
+        first: Index of the hold that it leaves.
+        up: (3,) in body axes there, unit vector.
+        target: (3,) the next one.
+        model: The sensors.
+        variance: Of the angle that the gyros' noise adds up to, rad^2.
+
+    """
     axis = np.cross(target, up)
     sine, cosine = float(np.linalg.norm(axis)), float(target @ up)
     if sine < _PARALLEL:
