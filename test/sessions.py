@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -58,6 +59,18 @@ def in_parallel(function: Callable[[int], Any], seeds: Iterable[int]) -> list[An
     """
     with single_threaded(), ProcessPoolExecutor(os.cpu_count(), get_context('spawn')) as pool:
         return list(pool.map(function, seeds))
+
+
+def ended(session: Any) -> Any:
+    """Let a live session end, and return it closed."""
+    session.end()
+    deadline = time.monotonic() + 60
+    while not session.over:
+        session.poll()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    session.close()
+    return session
 
 
 def stand(**options: Any) -> StandOptions:

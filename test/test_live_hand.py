@@ -1,6 +1,5 @@
 """A unit in the hand, live: the calibrator says what to do next, and the hand does it."""
 
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from live import Stand
 from rich.console import Console
-from sessions import SITE
+from sessions import SITE, ended
 
 from imu_calib.bags import Journal, open_recording
 from imu_calib.calibration import Calibration
@@ -187,10 +186,6 @@ def test_six_holds_and_three_turns_by_hand_live_are_those_of_the_recording(tmp_p
             offline.feed(block)
             session.take(Kind.IMU, encode_imu(block).payloads(), int(block.stamp[-1]))
     assert session.guidance is None
-    session.end()
-    while not session.over:
-        session.poll()
-        time.sleep(0.01)
-    session.close()
+    ended(session)
     assert session.phase is Phase.FINISHED, session.failure
     assert np.array_equal(session.calibration.values, offline.finish().calibration.values)

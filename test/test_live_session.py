@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sessions import SITE, paper_imu, quick_plan, stand
+from sessions import SITE, ended, paper_imu, quick_plan, stand
 
 from imu_calib.bags import Journal, open_recording
 from imu_calib.calibrator import Calibrator, Setup
@@ -67,13 +67,7 @@ def send(session, wire, rng, start=0.0, stop=1.0):
 
 
 def finish(session):
-    session.end()
-    deadline = time.monotonic() + 60
-    while not session.over:
-        session.poll()
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    session.close()
+    ended(session)
     assert session.phase is Phase.FINISHED, session.failure
     return session.calibration
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sessions import SITE, stand
+from sessions import SITE, ended, stand
 
 from imu_calib.bags import Journal
 from imu_calib.calibration import Calibration
@@ -70,17 +70,6 @@ def send(session, wire, without=frozenset()):
             now += 10**6
 
 
-def finish(session):
-    session.end()
-    deadline = time.monotonic() + 60
-    while not session.over:
-        session.poll()
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    session.close()
-    return session
-
-
 def reprocessed(folder, *options):
     arguments = build_parser().parse_args(['calibrate', str(folder), *options])
     offline = calibrate.open_offline(arguments)
@@ -92,7 +81,7 @@ def reprocessed(folder, *options):
 def test_sixteen_numbers_live_are_those_of_the_journal(tmp_path, wire):
     session = begin(tmp_path / 'journal')
     send(session, wire)
-    session = finish(session)
+    session = ended(session)
     assert session.phase is Phase.FINISHED, session.failure
     assert [p.name for p in session.parameters][-4:] == ['R_gsx', 'R_gsy', 'R_gsz', 'D_gs']
     assert (session.review.std > 0).sum() == len(session.parameters) == 16
@@ -113,7 +102,7 @@ def test_an_interrupted_session_goes_on_with_its_skewed_gyro(tmp_path, wire):
     session = begin(tmp_path / 'journal')
     assert session.intakes[Kind.SKEW].count > 0
     send(session, wire[half:])
-    found = finish(session).calibration
+    found = ended(session).calibration
     assert np.array_equal(
         reprocessed(tmp_path / 'journal').covariance, found.covariance, equal_nan=True
     )
@@ -152,5 +141,5 @@ def test_who_ends_a_session_early_need_not_wait_for_the_skewed_gyro(tmp_path, wi
     send(session, wire[:40], without={Kind.SKEW})
     session.solve()
     assert session.review is None
-    assert finish(session).phase is Phase.FAILED
+    assert ended(session).phase is Phase.FAILED
     assert session.without_skew
