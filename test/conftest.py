@@ -3,6 +3,8 @@
 import os
 from importlib.util import find_spec
 
+# Before numpy comes: threads gain small matrices nothing, and hold each other up.
+os.environ.setdefault('OMP_NUM_THREADS', '1')
 # ROS reads this when it first loads a message: fields are then checked on every assignment.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
 import itertools
 import os
+import socket
 import subprocess
 import sys
+import tempfile
 import time
+from collections import deque
 from pathlib import Path
+from typing import IO
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 _URI = (
@@ -15,13 +20,43 @@ _URI = (
     '</General></Domain></CycloneDDS>'
 )
 _numbers = itertools.count(os.getpid() * 17)
+# What a test left behind may be heard for a while: the last few domains stay this process's own.
+_held: deque[IO[bytes]] = deque(maxlen=8)
+
+
+def own_domain() -> int:
+    """Return a domain that no other process of the tests is on, and keep it for a while."""
+    while True:
+        # Up to 101 the ports lie below those that Linux gives to other programs.
+        domain = 1 + next(_numbers) % 101
+        lock = (Path(tempfile.gettempdir()) / f'imu_calib_test_domain_{domain}').open('wb')
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            continue
+        if not _silent(domain):
+            continue
+        if len(_held) == _held.maxlen:
+            _held.popleft().close()
+        _held.append(lock)
+        return domain
+
+
+def _silent(domain: int) -> bool:
+    """Say whether nobody is there: the port of the first participant is free (RTPS, 9.6.1.1)."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(('127.0.0.1', 7410 + 250 * domain))
+        except OSError:
+            return False
+    return True
 
 
 def environment(**more: str) -> dict[str, str]:
     """Return the variables that keep one test to itself."""
     return {
-        # Up to 101 the ports lie below those that Linux gives to other programs.
-        'ROS_DOMAIN_ID': str(1 + next(_numbers) % 101),
+        'ROS_DOMAIN_ID': str(own_domain()),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
         'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp',
         'CYCLONEDDS_URI': _URI,

@@ -15,8 +15,10 @@ from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec, load_imu
+from imu_calib.methods.evidence import Evidence
 from imu_calib.montecarlo import single_threaded
 from imu_calib.plan import Plan, load_plan
+from imu_calib.segmentation.labelling import label
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate
 from imu_calib.stream import Block, JointBlock, SetpointBlock
@@ -113,9 +115,21 @@ def calibrate(
     """Feed blocks to a calibrator and solve."""
     plan = load_plan(plan) if isinstance(plan, str) else plan
     table = None if imu_only else table or load_table('three_axis')
-    calibrator = Calibrator(Setup(spec or paper_imu(), plan, table, site, method))
+    setup = Setup(spec or paper_imu(), plan, table, site, method)
+    if imu_only:
+        blocks = (b for b in blocks if not isinstance(b[1], (JointBlock, SetpointBlock)))
+    return fed(blocks, setup).finish()
+
+
+def fed(blocks: Iterable[Named], setup: Setup) -> Calibrator:
+    """Feed blocks to a calibrator."""
+    calibrator = Calibrator(setup)
     for _, block in blocks:
-        if imu_only and isinstance(block, (JointBlock, SetpointBlock)):
-            continue
         calibrator.feed(block)
-    return calibrator.finish()
+    return calibrator
+
+
+def gathered(calibrator: Calibrator) -> Evidence:
+    """What the segmentation has made of what was fed."""
+    setup, found = calibrator._setup, calibrator._segmenter.finish()
+    return calibrator._evidence(label(found, setup.plan, setup.table), found)

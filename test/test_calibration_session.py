@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,8 @@ from sessions import (
     SITE,
     Named,
     calibrate,
+    fed,
+    gathered,
     in_parallel,
     paper_imu,
     quick_plan,
@@ -22,9 +25,10 @@ from sessions import (
     truth,
 )
 
-from imu_calib.calibrator import Result
+from imu_calib.calibrator import Result, Setup
 from imu_calib.config import Section
 from imu_calib.earth import Site
+from imu_calib.methods import twelve_position
 from imu_calib.methods.evidence import noise
 from imu_calib.montecarlo import economical
 from imu_calib.plan import Plan, load_plan
@@ -54,14 +58,29 @@ def normalised(result: Result) -> Floats:
     return errors(result) / result.calibration.std
 
 
-def one_session(seed: int) -> tuple[Floats, Floats]:
+def one_session(seed: int) -> dict[str, tuple[Floats, Floats]]:
+    """Errors in standard deviations, and these, by the default and by the closed form."""
     azimuth = np.random.default_rng(seed + 1000).uniform(-np.pi, np.pi)
-    result = calibrate(session(options=economical(stand(azimuth=azimuth)), seed=seed))
-    return normalised(result), result.calibration.std
+    blocks = session(options=economical(stand(azimuth=azimuth)), seed=seed)
+    setup = Setup(paper_imu(), load_plan('twelve_position'), load_table('three_axis'), SITE)
+    calibrator = fed(blocks, setup)
+    found = calibrator.snapshot().finish().calibration
+    closed = twelve_position.solve(gathered(calibrator))
+    true = truth().model.vector()
+    return {
+        found.provenance['method']: ((found.values - true) / found.std, found.std),
+        'twelve_position': ((closed.model.vector() - true) / closed.std, closed.std),
+    }
 
 
-def test_normalised_errors_of_a_hundred_sessions_are_standard_normal() -> None:
-    runs = in_parallel(one_session, range(100))
+@cache
+def a_hundred_sessions() -> list[dict[str, tuple[Floats, Floats]]]:
+    return in_parallel(one_session, range(100))
+
+
+@pytest.mark.parametrize('name', ['joint', 'twelve_position'])
+def test_normalised_errors_of_a_hundred_sessions_are_standard_normal(name: str) -> None:
+    runs = [run[name] for run in a_hundred_sessions()]
     errors_in_std = np.array([run[0] for run in runs])
     deviations = np.array([run[1] for run in runs])
     # 2400 values, a hundred per parameter: 1 / sqrt(2 n) is 1.4 % and 7 %.

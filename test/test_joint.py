@@ -10,10 +10,20 @@ import pytest
 from bound import bound
 from scipy.signal import lfilter
 from scipy.stats import chi2, norm
-from sessions import SITE, in_parallel, paper_imu, quick_plan, session, stand, truth
+from sessions import (
+    SITE,
+    fed,
+    gathered,
+    in_parallel,
+    paper_imu,
+    quick_plan,
+    session,
+    stand,
+    truth,
+)
 from test_information import SECOND, evidence_of
 
-from imu_calib.calibrator import Calibrator, Setup
+from imu_calib.calibrator import Setup
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.methods import joint, six_position, twelve_position
@@ -24,7 +34,6 @@ from imu_calib.methods.solution import Solution
 from imu_calib.model import PARAMETER_NAMES, SensorModel
 from imu_calib.montecarlo import economical
 from imu_calib.plan import Plan, Position, load_plan
-from imu_calib.segmentation.labelling import label
 from imu_calib.segmentation.segment import Segment, Statistics, Turn
 from imu_calib.simulation import StandOptions
 from imu_calib.stream import Floats
@@ -58,12 +67,9 @@ def simulated(
 ) -> Evidence:
     """What the segmentation makes of a session on the simulated stand."""
     table, spec = table or load_table('three_axis'), spec or paper_imu()
-    calibrator = Calibrator(Setup(spec, plan, table, SITE))
     options = economical(options or stand())
-    for _, block in session(plan, options, seed, table=table, spec=spec):
-        calibrator.feed(block)
-    found = calibrator._segmenter.finish()
-    return calibrator._evidence(label(found, plan, table), found)
+    blocks = session(plan, options, seed, table=table, spec=spec)
+    return gathered(fed(blocks, Setup(spec, plan, table, SITE)))
 
 
 @pytest.mark.parametrize('with_g', [False, True])
