@@ -307,7 +307,7 @@ def test_services_lead_a_stand_in_its_namespace(tmp_path):
         net.says('launch', 'nothing can be determined')
         agreed, where = net.call('/lab/calibrator_node/reset')
         assert agreed, where
-        assert where.endswith('journal_2')
+        assert where.endswith('journal_2.')
         turns = net.log('launch').count('Turning')
         assert net.call('/lab/turntable_node/start')[0]
         assert until(lambda: net.log('launch').count('Turning') > turns, 60)
