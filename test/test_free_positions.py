@@ -77,6 +77,29 @@ def test_the_covariance_is_that_of_the_errors() -> None:
     assert low < square.sum() / 2 < high
 
 
+def test_the_level_earth_rate_is_one_vector_and_no_noise_of_each_hold() -> None:
+    # Gyros that see the Earth within a hold: what they read of north goes with it from hold to turn
+    # to hold, and as independent noise of each would leave biases worse than stated.
+    gyro = replace(SPEC.gyro, random_walk=SPEC.gyro.random_walk / 10, scale_factor=1e-5)
+    spec, gyros, runs = replace(SPEC, gyro=gyro), FREE.nonzero()[0][:12], 8
+    square, biases = 0.0, []
+    for seed in range(runs):
+        free = FreeCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
+        options = ImuOptions(bias_instability=False)
+        for block in anyhow(18, seed).blocks(spec, unit(seed), SITE, options, seed):
+            free.feed(block)
+        found = free.finish().calibration
+        wrong = found.values - in_frame_of_accelerometers(unit(seed)).vector()
+        covariance = found.covariance[np.ix_(gyros, gyros)]
+        square += wrong[gyros] @ np.linalg.solve(covariance, wrong[gyros])
+        biases.append(wrong[9:12])
+    # 12 parameters of each session: a false alarm once in ten thousand, either way.
+    low, high = chi2.ppf([5e-5, 1 - 5e-5], runs * len(gyros))
+    assert low < square < high
+    # The level rate itself, spread over 18 holds, would leave 1/sqrt(3 * 18) of it in a bias.
+    assert np.sqrt(np.mean(np.square(biases))) < SITE.north_rate / np.sqrt(3 * 18)
+
+
 def test_three_angles_are_a_choice_of_frame() -> None:
     calibration = result().calibration
     fixed = [p.name for p, free in zip(PARAMETERS, FREE, strict=True) if not free]

@@ -14,8 +14,8 @@ gyros one after the other; Skog and Haendel 2006, XVII IMEKO, for the norm of gr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,7 @@ _ROUNDS = 4
 _SIGNIFICANT = 1e-3
 _USELESS = 0.05
 _OUTLYING = 6.0
+_PRIOR = 3
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
@@ -74,7 +75,13 @@ class FreeFit:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The least squares: parameters first, then two small angles for each direction of up.
+    """The least squares: parameters first, then north, then two small angles for each hold's up.
+
+    The level Earth rate is one vector of the world, and turns without a gap carry its direction
+    along: what it does in one hold it does in the turn after and in the next hold, so that it is no
+    independent noise of each. Of every unbroken run of turns two components are unknown, in
+    standard deviations of their prior: a vector of known length and any heading has half the square
+    of that length in each of two level axes.
 
     Attributes:
         holds: The k holds.
@@ -82,6 +89,7 @@ class System:
         site: Gravity and Earth rate.
         scatter: (3,) factors on the standard deviations of the noise of accelerometers and gyros
             at rest and of turns.
+        north: (2 c,) the components, where they are estimated so far; (0,) at the start.
 
     """
 
@@ -89,69 +97,137 @@ class System:
     swings: tuple[Swing, ...]
     site: Site
     scatter: Floats
+    north: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def runs(self) -> NDArray[np.intp]:
+        """Return in which unbroken run of turns each hold lies, (k,)."""
+        unled = np.ones(len(self.holds), dtype=np.intp)
+        unled[[swing.first + 1 for swing in self.swings]] = 0
+        return np.asarray(np.cumsum(unled) - 1)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Where the components of north end in the columns, and how many columns there are."""
+        end = len(PARAMETERS) + 2 * (int(self.runs[-1]) + 1)
+        return end, end + 2 * len(self.holds)
 
     def rows(self, model: SensorModel, ups: Floats) -> tuple[Floats, Floats, NDArray[np.intp]]:
-        """Return whitened derivatives (m, 24 + 2 k), residuals (m,) and the group (m,) of each row.
+        """Return whitened derivatives, residuals (m,) and the group (m,) of each row.
+
+        The derivatives are (m, 24 + 2 c + 2 k), for c unbroken runs of turns and k holds.
 
         Args:
             model: Where the derivatives are taken.
             ups: (k, 3) up in body axes, unit vectors.
 
         """
-        size = len(PARAMETERS) + 2 * len(self.holds)
+        runs, (end, _) = self.runs, self.size
+        count = end - len(PARAMETERS)
+        north = self.north if len(self.north) == count else np.zeros(count)
+        paths = {swing.first: _Path.of(swing, model) for swing in self.swings}
+        level = self._level_rates(paths, ups)
         jacobian, left, groups = [], [], []
         for k, hold in enumerate(self.holds):
-            for group, block, rest, variance in self._hold(k, hold, model, ups, size):
+            own = slice(2 * int(runs[k]), 2 * int(runs[k]) + 2)
+            beside = level[k] @ north[own]
+            both = self._hold(k, hold, model, ups, beside)
+            both[1][1][:, len(PARAMETERS) : end][:, own] = model.gyro.response @ level[k]
+            for group, block, rest, variance in both:
                 weight = 1 / (np.sqrt(variance) * self.scatter[group])
                 jacobian.append(block * weight[:, None])
                 left.append(rest * weight)
                 groups += [group] * len(rest)
         for swing in self.swings:
-            block, rest, spread = self._swing(swing, model, ups, size)
-            jacobian.append(block / (np.sqrt(spread) * self.scatter[2]))
-            left.append(rest / (np.sqrt(spread) * self.scatter[2]))
+            second = swing.first + 1
+            own = slice(2 * int(runs[second]), 2 * int(runs[second]) + 2)
+            block, unmoved = self._swing(swing, paths[swing.first], ups)
+            # Up itself goes round with the Earth: d up / dt = (Earth rate) x up in axes at rest.
+            moved = np.cross(level[second].T, ups[second]).T * swing.seconds
+            block[:, len(PARAMETERS) : end][:, own] = _level(ups[second]) @ moved
+            rest = unmoved - _level(ups[second]) @ moved @ north[own]
+            spread = np.sqrt(swing.variance) * self.scatter[2]
+            jacobian.append(block / spread)
+            left.append(rest / spread)
             groups += [2] * len(rest)
-        return np.vstack(jacobian), np.concatenate(left), np.array(groups)
+        prior = np.zeros((count, self.size[1]))
+        prior[:, len(PARAMETERS) : end] = np.eye(count)
+        groups += [_PRIOR] * count
+        return (
+            np.vstack([*jacobian, prior]),
+            np.concatenate([*left, -north]),
+            np.array(groups),
+        )
+
+    def _level_rates(self, paths: Mapping[int, _Path], ups: Floats) -> list[Floats]:
+        """Return for each hold the (3, 2) level Earth rates that one unit of north stands for."""
+        size = self.site.north_rate / np.sqrt(2)
+        found: list[Floats] = []
+        for k, up in enumerate(ups):
+            first = _level(up)[0]
+            if k - 1 in paths:
+                first = paths[k - 1].whole @ found[-1][:, 0]
+                first = first - up * (up @ first)
+                first = first / (np.linalg.norm(first) or 1.0)
+            found.append(np.column_stack([first, np.cross(up, first)]))
+        return [size * axes for axes in found]
 
     def _hold(
-        self, k: int, hold: Hold, model: SensorModel, ups: Floats, size: int
+        self, k: int, hold: Hold, model: SensorModel, ups: Floats, level_rate: Floats
     ) -> list[tuple[int, Floats, Floats, Floats]]:
         up, level = ups[k], _level(ups[k])
-        own = slice(len(PARAMETERS) + 2 * k, len(PARAMETERS) + 2 * k + 2)
-        force, rate = up * self.site.gravity, up * self.site.up_rate
+        end, size = self.size
+        own = slice(end + 2 * k, end + 2 * k + 2)
+        force, rate = up * self.site.gravity, up * self.site.up_rate + level_rate
         felt = np.zeros((3, size))
         felt[:, 12:24] = _by_parameters(force)
         felt[:, own] = model.accel.response @ level.T * self.site.gravity
         seen = np.zeros((3, size))
         seen[:, :12] = _by_parameters(rate)
         read = model.predict(rate, force)
-        # Where north is nobody knows: the level Earth rate is noise of its own size.
-        earth = np.full(3, self.site.north_rate**2 / 3)
         return [
             (0, felt, hold.accel - read[1], hold.accel_variance),
-            (1, seen, hold.gyro - read[0], hold.gyro_variance + earth),
+            (1, seen, hold.gyro - read[0], hold.gyro_variance),
         ]
 
-    def _swing(
-        self, swing: Swing, model: SensorModel, ups: Floats, size: int
-    ) -> tuple[Floats, Floats, float]:
+    def _swing(self, swing: Swing, path: _Path, ups: Floats) -> tuple[Floats, Floats]:
         """Lead up from one hold to the next: two components, at right angles to where it ends."""
-        inverse = np.linalg.inv(model.gyro.response)
-        angles = (swing.increments - model.gyro.bias * swing.period) @ inverse.T
-        whole, after = turned(angles)
         first, second = swing.first, swing.first + 1
-        led = whole @ ups[first]
+        led = path.whole @ ups[first]
         level = _level(ups[second])
         # An angle too much in interval i turns the vector at the end by after_i times it, backward.
         by_angle = np.cross(level, led)
+        start, size = self.size
         block = np.zeros((2, size))
-        block[:, :12] = by_angle @ _leaning(angles, after @ inverse, swing.period)
-        start = len(PARAMETERS)
-        block[:, start + 2 * first : start + 2 * first + 2] = level @ whole @ _level(ups[first]).T
+        block[:, :12] = by_angle @ _leaning(path.angles, path.carried, swing.period)
+        own = slice(start + 2 * first, start + 2 * first + 2)
+        block[:, own] = level @ path.whole @ _level(ups[first]).T
         block[:, start + 2 * second : start + 2 * second + 2] = -np.eye(2)
-        variance = swing.variance + (self.site.north_rate * swing.seconds) ** 2 / 2
         # Derivatives of what should be zero: led less the direction of the second hold.
-        return block, -(level @ (led - ups[second])), variance
+        return block, -(level @ (led - ups[second]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """A turn as the gyros of a model saw it.
+
+    Attributes:
+        angles: (n, 3) turned in each interval, rad.
+        whole: (3, 3) takes what stands still from its start to its end.
+        carried: (n, 3, 3) takes an error of the outputs to its end.
+
+    """
+
+    angles: Floats
+    whole: Floats
+    carried: Floats
+
+    @classmethod
+    def of(cls, swing: Swing, model: SensorModel) -> _Path:
+        inverse = np.linalg.inv(model.gyro.response)
+        angles = (swing.increments - model.gyro.bias * swing.period) @ inverse.T
+        whole, after = turned(angles)
+        return cls(angles, whole, after @ inverse)
 
 
 def solve(holds: Sequence[Hold], swings: Sequence[Swing], site: Site) -> FreeFit:
@@ -179,14 +255,16 @@ def solve(holds: Sequence[Hold], swings: Sequence[Swing], site: Site) -> FreeFit
     check_observable(system, model, ups)
     dropped: list[int] = []
     for _ in range(_ROUNDS):
-        model, ups = _iterate(system, model, ups)
+        system, model, ups = _iterate(system, model, ups)
         wild = _wild_swings(system, model, ups)
         scatter = _scatter(system, model, ups)
         if not wild and np.allclose(scatter, system.scatter, rtol=0.02):
             break
         dropped += [system.swings[k].first for k in wild]
         kept = tuple(s for k, s in enumerate(system.swings) if k not in wild)
-        system = replace(system, swings=kept, scatter=scatter if not wild else np.ones(3))
+        again = replace(system, swings=kept, scatter=scatter if not wild else np.ones(3))
+        # A turn less parts a run in two: north is then found anew.
+        system = replace(again, north=np.zeros(0)) if wild else again
     check_observable(system, model, ups)
     information = Information.of(free_columns(system.rows(model, ups)[0]))
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
@@ -300,9 +378,12 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
     )
 
 
-def _iterate(system: System, model: SensorModel, ups: Floats) -> tuple[SensorModel, Floats]:
+def _iterate(system: System, model: SensorModel, ups: Floats) -> tuple[System, SensorModel, Floats]:
     """Gauss-Newton to the least squares."""
     found = int(FREE.sum())
+    last = found + system.size[0] - len(PARAMETERS)
+    if not len(system.north):
+        system = replace(system, north=np.zeros(last - found))
     for _ in range(_ITERATIONS):
         jacobian, left, _ = system.rows(model, ups)
         columns = free_columns(jacobian)
@@ -311,12 +392,13 @@ def _iterate(system: System, model: SensorModel, ups: Floats) -> tuple[SensorMod
         vector = model.vector()
         vector[FREE] += step[:found]
         model = SensorModel.from_vector(vector)
-        tilts = step[found:].reshape(-1, 2)
+        system = replace(system, north=system.north + step[found:last])
+        tilts = step[last:].reshape(-1, 2)
         ups = ups + np.array([t @ _level(u) for t, u in zip(tilts, ups, strict=True)])
         ups = ups / np.linalg.norm(ups, axis=1)[:, None]
         if np.linalg.norm(columns @ step) < _CONVERGED * np.sqrt(len(left)):
             break
-    return model, ups
+    return system, model, ups
 
 
 def _scatter(system: System, model: SensorModel, ups: Floats) -> Floats:

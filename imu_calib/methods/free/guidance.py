@@ -213,7 +213,10 @@ def _further(
     further = planned_hold(target, model, variances, site)
     swing = planned_swing(0, up, target, model, float(noise[0] ** 2 * TURN_SECONDS))
     two = System((last, further), (swing,), site, np.ones(3))
-    return two.rows(model, np.array([up, target]))[0][6:]
+    rows, _, _ = two.rows(model, np.array([up, target]))
+    # North is taken for known by then: its columns, and what was known of it, stay out.
+    north = np.arange(len(PARAMETERS), two.size[0])
+    return np.asarray(np.delete(rows, north, axis=1)[6 : -len(north)])
 
 
 def planned_hold(up: Floats, model: SensorModel, variances: Floats, site: Site) -> Hold:
