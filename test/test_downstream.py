@@ -1,0 +1,140 @@
+"""What a robot makes of the stream, with the packages that it has for that, as they are.
+
+The chain is that of docs/robot.md, its two files word for word; the source is a simulated unit that
+is tilted, turned a quarter about the vertical and tilted the other way, all in seven seconds.
+"""
+
+import json
+import re
+from types import SimpleNamespace
+
+import downstream_peer as robot
+import numpy as np
+import pytest
+from loopback import CHECKOUT, until
+from scipy.spatial.transform import Rotation
+from test_interop import ROS
+from test_ros_stand import LAUNCHABLE, Network, _interruptible, nothing_left  # noqa: F401
+
+PACKAGES = ('imu_filter_madgwick', 'robot_localization', 'diagnostic_aggregator')
+MISSING = [p for p in PACKAGES if not (ROS.parent / 'share' / p / 'package.xml').is_file()]
+pytestmark = [
+    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
+    pytest.mark.skipif(not LAUNCHABLE, reason='not built: colcon build, source install/setup.bash'),
+    pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}'),
+]
+PEER = CHECKOUT / 'test' / 'downstream_peer.py'
+MRAD = 1e-3
+NOISE = 5 * MRAD
+"""What imu_filter_madgwick does at its gain of 0.1: each step turns by 2 * 0.1 rad/s * 10 ms, that
+is 2 mrad, towards the force of one sample, whose counter alone (0.5 mm/s in 10 ms) leaves 2 mrad."""
+
+SETTLED = 1.5
+"""From the tilt of one sample to that, with the dead time of the first 33 samples, s."""
+
+
+def documented(language):
+    """Return the file of docs/robot.md in a language: the only one that names imu_filter."""
+    text = (CHECKOUT / 'docs' / 'robot.md').read_text()
+    (found,) = [b for b in re.findall(rf'```{language}\n(.*?)```', text, re.S) if 'imu_filter' in b]
+    return found
+
+
+@pytest.fixture(scope='module')
+def run(tmp_path_factory):
+    net = Network(tmp_path_factory.mktemp('robot'))
+    folder = net.folder
+    for name, language in (('imu.launch.py', 'python'), ('imu.yaml', 'yaml')):
+        (folder / name).write_text(documented(language).replace('/etc/robot', str(folder)))
+    (folder / 'imu').mkdir()
+    robot.unit().save(folder / 'imu' / 'A1234.yaml')
+    groups = CHECKOUT / 'config' / 'nodes' / 'diagnostics.yaml'
+    # Not by `ros2 run`, which hands a signal on only where there is a terminal.
+    monitor = ROS.parent / 'lib' / 'diagnostic_aggregator' / 'aggregator_node'
+    words = ('--ros-args', '--params-file', str(groups))
+    with nothing_left(net):
+        net.start('launch', net.ros('ros2', 'launch', str(folder / 'imu.launch.py')))
+        net.start('monitor', net.ros(str(monitor), *words))
+        net.start('robot', net.ros('python3', str(PEER), str(folder / 'heard.json')))
+        assert until(lambda: net.processes['robot'].poll() is not None, 40), net.log('launch')
+        assert net.processes.pop('robot').returncode == 0, net.log('robot') + net.log('launch')
+        net.stop('monitor')
+        log = net.stop('launch')
+    heard = json.loads((folder / 'heard.json').read_text())
+    return SimpleNamespace(log=log, **heard)
+
+
+class Course:
+    """Messages of one topic as columns, beside the truth at their stamps."""
+
+    def __init__(self, run, messages, mounting=0.0):
+        self.time = np.array([m['stamp'] - run.epoch for m in messages]) * 1e-9
+        truth = Rotation.from_matrix(robot.motion().attitude(self.time))
+        self.truth = truth * Rotation.from_euler('z', -mounting)
+        self.attitude = Rotation.from_quat([m['orientation'] for m in messages])
+
+    def tilt_error(self):
+        """Return the angle between up as found and up as it is, rad."""
+        found, true = (r.as_matrix()[:, 2] for r in (self.attitude, self.truth))
+        return np.arcsin(np.linalg.norm(np.cross(found, true), axis=1))
+
+    def turn_error(self):
+        """Return by how much the turn between the two rests is missed, rad."""
+        error = (self.truth * self.attitude.inv()).as_rotvec()[:, 2]
+        before = (self.time > SETTLED) & (self.time < robot.STILL)
+        after = self.time > robot.motion().track.end + 0.5
+        return error[after].mean() - error[before].mean()
+
+
+def test_the_filters_orientation_shows_gravity_and_the_turn(run):
+    course = Course(run, run.imu)
+    assert course.time[-1] > robot.END - 0.1
+    assert course.tilt_error()[course.time > SETTLED].max() < 2 * NOISE
+    assert abs(course.turn_error()) < NOISE
+
+
+def test_the_filters_message_holds_our_rates_frame_and_covariances(run):
+    assert {message['frame'] for message in run.imu} == {'imu_link'}
+    variances = np.array([message['variances'] for message in run.imu])
+    assert (variances > 0).all()
+    course = Course(run, run.imu)
+    turned = course.truth[0]
+    for step, message in zip(np.diff(course.time), run.imu[1:], strict=True):
+        turned = turned * Rotation.from_rotvec(step * np.array(message['rate']))
+    # The gyros see the Earth turn as well: half a milliradian in seven seconds.
+    assert (course.truth[-1].inv() * turned).magnitude() < MRAD
+
+
+def test_the_ekf_takes_what_it_is_given(run):
+    assert {tuple(message['frames']) for message in run.odometry} == {('odom', 'base_link')}
+    course = Course(run, run.odometry, mounting=1.5708)
+    settled = course.time > SETTLED
+    assert course.tilt_error()[settled].max() < 2 * NOISE
+    assert abs(course.turn_error()) < NOISE
+    # It never leaves its place. A tilt error adds g times itself to the velocity each second; the
+    # tilt itself, were gravity left in, would add 2 m/s, and the unit's errors 2.5 m/s.
+    velocity = np.array([message['velocity'] for message in run.odometry])[settled]
+    assert np.abs(velocity - velocity[0]).max() < 9.8 * NOISE * robot.END
+
+
+def test_nobody_downstream_has_anything_to_complain_about(run):
+    complaints = [
+        line
+        for line in run.log.splitlines()
+        if re.match(r'\[(imu_filter|ekf|static)', line) and re.search(r'WARN|ERROR|FATAL', line)
+    ]
+    assert complaints == []
+    assert run.log.count('process has finished cleanly') == 4
+
+
+def test_the_monitor_groups_what_the_nodes_say(run):
+    head = '/Calibration stand'
+    group = f'{head}/Compensation'
+    assert run.aggregated[group][0] == 0
+    level, sentence, figures = run.aggregated[f'{group}/compensator_node: stream']
+    assert (level, sentence) == (0, '/driver/raw comes in and goes out.')
+    assert {'in', 'out', 'sample interval', 'left out'} <= set(figures)
+    # Groups that nobody speaks for on a robot are no error.
+    for other in ('Table', 'IMU', 'Calibration'):
+        assert run.aggregated[f'{head}/{other}'][0] == 0, run.aggregated
+    assert not [n for n in run.aggregated if n.startswith(f'{head}/Other') and 'compens' in n]
