@@ -26,8 +26,8 @@ pytestmark = [
 PEER = CHECKOUT / 'test' / 'downstream_peer.py'
 MRAD = 1e-3
 NOISE = 5 * MRAD
-"""What imu_filter_madgwick does at its gain of 0.1: each step turns by 2 * 0.1 rad/s * 10 ms, that
-is 2 mrad, towards the force of one sample, whose counter alone (0.5 mm/s in 10 ms) leaves 2 mrad."""
+"""What imu_filter_madgwick does at its gain of 0.1: a step turns by 2 * 0.1 rad/s * 10 ms, 2 mrad,
+towards the force of one sample, whose counter alone (0.5 mm/s in 10 ms) leaves 2 mrad."""
 
 SETTLED = 1.5
 """From the tilt of one sample to that, with the dead time of the first 33 samples, s."""

@@ -1,7 +1,8 @@
 """Free positions: no table, attitudes that nobody knows, holds found by the data."""
 
-from .fit import FREE, FreeFit, in_frame_of_accelerometers, refuse, solve
+from .fit import FreeFit, in_frame_of_accelerometers, refuse, solve
 from .holds import Hold, Swing
+from .system import FREE
 
 NAME = 'free_positions'
 """The method's name in plans."""

@@ -13,8 +13,8 @@ from ...model import PARAMETERS, SensorModel
 from ...plan import Position
 from ...stream import Floats
 from ..information import Information
-from .fit import FREE, System, free_columns
 from .guidance import TURN_SECONDS, planned_hold, planned_swing
+from .system import FREE, System, free_columns
 
 
 def deviations(

@@ -14,37 +14,30 @@ gyros one after the other; Skog and Haendel 2006, XVII IMEKO, for the norm of gr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ...earth import Site
 from ...errors import NotObservable
-from ...model import PARAMETERS, ParameterKind, SensorModel, Triad
+from ...model import PARAMETERS, SensorModel, Triad
 from ...stream import Floats
-from ..equations import PATTERN
 from ..evidence import Evidence
 from ..information import Information
 from ..solution import Solution
-from .holds import Hold, Swing, turned
+from .holds import Hold, Swing
+from .system import FREE, System, check_observable, free_columns, level_axes
 
 FEWEST = 9
 """Holds below which gravity cannot tell nine parameters of the accelerometers."""
-
-_KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
-FREE = np.array([(p.triad, p.row, p.column) not in _KEPT for p in PARAMETERS])
-"""(24,) which parameters exist in the frame of the accelerometers: 21."""
 
 _ITERATIONS = 40
 _CONVERGED = 1e-9
 _ROUNDS = 4
 _SIGNIFICANT = 1e-3
-_USELESS = 0.05
 _OUTLYING = 6.0
-_PRIOR = 3
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
@@ -71,163 +64,6 @@ class FreeFit:
     condition: float
     scatter: Floats
     dropped: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class System:
-    """The least squares: parameters first, then north, then two small angles for each hold's up.
-
-    The level Earth rate is one vector of the world, and turns without a gap carry its direction
-    along: what it does in one hold it does in the turn after and in the next hold, so that it is no
-    independent noise of each. Of every unbroken run of turns two components are unknown, in
-    standard deviations of their prior: a vector of known length and any heading has half the square
-    of that length in each of two level axes.
-
-    Attributes:
-        holds: The k holds.
-        swings: The turns between them.
-        site: Gravity and Earth rate.
-        scatter: (3,) factors on the standard deviations of the noise of accelerometers and gyros
-            at rest and of turns.
-        north: (2 c,) the components, where they are estimated so far; (0,) at the start.
-
-    """
-
-    holds: tuple[Hold, ...]
-    swings: tuple[Swing, ...]
-    site: Site
-    scatter: Floats
-    north: Floats = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def runs(self) -> NDArray[np.intp]:
-        """Return in which unbroken run of turns each hold lies, (k,)."""
-        unled = np.ones(len(self.holds), dtype=np.intp)
-        unled[[swing.first + 1 for swing in self.swings]] = 0
-        return np.asarray(np.cumsum(unled) - 1)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Where the components of north end in the columns, and how many columns there are."""
-        end = len(PARAMETERS) + 2 * (int(self.runs[-1]) + 1)
-        return end, end + 2 * len(self.holds)
-
-    def rows(self, model: SensorModel, ups: Floats) -> tuple[Floats, Floats, NDArray[np.intp]]:
-        """Return whitened derivatives, residuals (m,) and the group (m,) of each row.
-
-        The derivatives are (m, 24 + 2 c + 2 k), for c unbroken runs of turns and k holds.
-
-        Args:
-            model: Where the derivatives are taken.
-            ups: (k, 3) up in body axes, unit vectors.
-
-        """
-        runs, (end, _) = self.runs, self.size
-        count = end - len(PARAMETERS)
-        north = self.north if len(self.north) == count else np.zeros(count)
-        paths = {swing.first: _Path.of(swing, model) for swing in self.swings}
-        level = self._level_rates(paths, ups)
-        jacobian, left, groups = [], [], []
-        for k, hold in enumerate(self.holds):
-            own = slice(2 * int(runs[k]), 2 * int(runs[k]) + 2)
-            beside = level[k] @ north[own]
-            both = self._hold(k, hold, model, ups, beside)
-            both[1][1][:, len(PARAMETERS) : end][:, own] = model.gyro.response @ level[k]
-            for group, block, rest, variance in both:
-                weight = 1 / (np.sqrt(variance) * self.scatter[group])
-                jacobian.append(block * weight[:, None])
-                left.append(rest * weight)
-                groups += [group] * len(rest)
-        for swing in self.swings:
-            second = swing.first + 1
-            own = slice(2 * int(runs[second]), 2 * int(runs[second]) + 2)
-            block, unmoved = self._swing(swing, paths[swing.first], ups)
-            # Up itself goes round with the Earth: d up / dt = (Earth rate) x up in axes at rest.
-            moved = np.cross(level[second].T, ups[second]).T * swing.seconds
-            block[:, len(PARAMETERS) : end][:, own] = _level(ups[second]) @ moved
-            rest = unmoved - _level(ups[second]) @ moved @ north[own]
-            spread = np.sqrt(swing.variance) * self.scatter[2]
-            jacobian.append(block / spread)
-            left.append(rest / spread)
-            groups += [2] * len(rest)
-        prior = np.zeros((count, self.size[1]))
-        prior[:, len(PARAMETERS) : end] = np.eye(count)
-        groups += [_PRIOR] * count
-        return (
-            np.vstack([*jacobian, prior]),
-            np.concatenate([*left, -north]),
-            np.array(groups),
-        )
-
-    def _level_rates(self, paths: Mapping[int, _Path], ups: Floats) -> list[Floats]:
-        """Return for each hold the (3, 2) level Earth rates that one unit of north stands for."""
-        size = self.site.north_rate / np.sqrt(2)
-        found: list[Floats] = []
-        for k, up in enumerate(ups):
-            first = _level(up)[0]
-            if k - 1 in paths:
-                first = paths[k - 1].whole @ found[-1][:, 0]
-                first = first - up * (up @ first)
-                first = first / (np.linalg.norm(first) or 1.0)
-            found.append(np.column_stack([first, np.cross(up, first)]))
-        return [size * axes for axes in found]
-
-    def _hold(
-        self, k: int, hold: Hold, model: SensorModel, ups: Floats, level_rate: Floats
-    ) -> list[tuple[int, Floats, Floats, Floats]]:
-        up, level = ups[k], _level(ups[k])
-        end, size = self.size
-        own = slice(end + 2 * k, end + 2 * k + 2)
-        force, rate = up * self.site.gravity, up * self.site.up_rate + level_rate
-        felt = np.zeros((3, size))
-        felt[:, 12:24] = _by_parameters(force)
-        felt[:, own] = model.accel.response @ level.T * self.site.gravity
-        seen = np.zeros((3, size))
-        seen[:, :12] = _by_parameters(rate)
-        read = model.predict(rate, force)
-        return [
-            (0, felt, hold.accel - read[1], hold.accel_variance),
-            (1, seen, hold.gyro - read[0], hold.gyro_variance),
-        ]
-
-    def _swing(self, swing: Swing, path: _Path, ups: Floats) -> tuple[Floats, Floats]:
-        """Lead up from one hold to the next: two components, at right angles to where it ends."""
-        first, second = swing.first, swing.first + 1
-        led = path.whole @ ups[first]
-        level = _level(ups[second])
-        # An angle too much in interval i turns the vector at the end by after_i times it, backward.
-        by_angle = np.cross(level, led)
-        start, size = self.size
-        block = np.zeros((2, size))
-        block[:, :12] = by_angle @ _leaning(path.angles, path.carried, swing.period)
-        own = slice(start + 2 * first, start + 2 * first + 2)
-        block[:, own] = level @ path.whole @ _level(ups[first]).T
-        block[:, start + 2 * second : start + 2 * second + 2] = -np.eye(2)
-        # Derivatives of what should be zero: led less the direction of the second hold.
-        return block, -(level @ (led - ups[second]))
-
-
-@dataclass(frozen=True, eq=False)
-class _Path:
-    """A turn as the gyros of a model saw it.
-
-    Attributes:
-        angles: (n, 3) turned in each interval, rad.
-        whole: (3, 3) takes what stands still from its start to its end.
-        carried: (n, 3, 3) takes an error of the outputs to its end.
-
-    """
-
-    angles: Floats
-    whole: Floats
-    carried: Floats
-
-    @classmethod
-    def of(cls, swing: Swing, model: SensorModel) -> _Path:
-        inverse = np.linalg.inv(model.gyro.response)
-        angles = (swing.increments - model.gyro.bias * swing.period) @ inverse.T
-        whole, after = turned(angles)
-        return cls(angles, whole, after @ inverse)
 
 
 def solve(holds: Sequence[Hold], swings: Sequence[Swing], site: Site) -> FreeFit:
@@ -306,38 +142,6 @@ def scatter_words(scatter: Floats) -> list[str]:
     ]
 
 
-def check_observable(system: System, model: SensorModel, ups: Floats) -> None:
-    """Refuse attitudes and turns that leave parameters open.
-
-    Args:
-        system: Holds and turns.
-        model: Where they are looked at.
-        ups: (k, 3) up in body axes, unit vectors.
-
-    Raises:
-        NotObservable: Names the parameters.
-
-    """
-    jacobian = free_columns(system.rows(model, ups)[0])
-    found = int(FREE.sum())
-    information = Information.of(jacobian)
-    std = np.sqrt(np.diag(information.covariance)[:found])
-    parameters = [p for p, free in zip(PARAMETERS, FREE, strict=True) if free]
-    ratio = np.array([p.kind is not ParameterKind.BIAS for p in parameters])
-    lost = ~np.isfinite(std) | (ratio & (std > _USELESS))
-    if lost.any():
-        names = [p.name for p, gone in zip(parameters, lost, strict=True) if gone]
-        words = []
-        if any(name[2] == 'a' for name in names):
-            words.append('hold the unit in more different attitudes, each axis up and down')
-        if any(name[2] == 'g' for name in names):
-            words.append('turn it by a quarter turn or more about different axes between holds')
-        raise NotObservable(
-            f'{len(system.holds)} holds and {len(system.swings)} turns cannot tell '
-            f'{", ".join(names)}: {"; ".join(words)}.'
-        )
-
-
 def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:
     """Return the same sensors seen from the frame of their accelerometers.
 
@@ -394,7 +198,7 @@ def _iterate(system: System, model: SensorModel, ups: Floats) -> tuple[System, S
         model = SensorModel.from_vector(vector)
         system = replace(system, north=system.north + step[found:last])
         tilts = step[last:].reshape(-1, 2)
-        ups = ups + np.array([t @ _level(u) for t, u in zip(tilts, ups, strict=True)])
+        ups = ups + np.array([t @ level_axes(u) for t, u in zip(tilts, ups, strict=True)])
         ups = ups / np.linalg.norm(ups, axis=1)[:, None]
         if np.linalg.norm(columns @ step) < _CONVERGED * np.sqrt(len(left)):
             break
@@ -428,40 +232,6 @@ def _wild_swings(system: System, model: SensorModel, ups: Floats) -> list[int]:
     return [worst] if size[worst] > _OUTLYING * usual else []
 
 
-def free_columns(jacobian: Floats) -> Floats:
-    """Return the columns of 21 parameters and of directions: (m, 21 + 2 k) of (m, 24 + 2 k)."""
-    keep = np.concatenate([FREE, np.ones(jacobian.shape[1] - len(FREE), dtype=bool)])
-    return np.asarray(jacobian[:, keep])
-
-
 def _directions(accel: Triad, holds: Sequence[Hold]) -> Floats:
     forces = np.linalg.solve(accel.response, (np.array([h.accel for h in holds]) - accel.bias).T).T
     return np.asarray(forces / np.linalg.norm(forces, axis=1)[:, None])
-
-
-def _by_parameters(inputs: Floats) -> Floats:
-    """Return the derivatives of three channels by their 12 parameters at (3,) inputs: (3, 12)."""
-    return np.asarray(np.einsum('ipc,c->ip', PATTERN, np.append(inputs, 1.0)))
-
-
-def _leaning(angles: Floats, carried: Floats, period: float) -> Floats:
-    """Return how the whole turn follows the gyros' parameters, (3, 12).
-
-    Args:
-        angles: (n, 3) turned in each interval, rad.
-        carried: (n, 3, 3) takes an error of the outputs to the end of the turn.
-        period: Sample interval, s.
-
-    """
-    by_response = np.einsum('nij,nk->ijk', carried, angles)
-    by_bias = carried.sum(axis=0) * period
-    moments = np.concatenate([by_response, by_bias[:, :, None]], axis=2)
-    return np.asarray(-np.einsum('jpc,ijc->ip', PATTERN, moments))
-
-
-def _level(up: Floats) -> Floats:
-    """Return two unit vectors (2, 3) at right angles to `up`, right-handed with it."""
-    other = np.eye(3)[int(np.argmin(np.abs(up)))]
-    first = np.cross(up, other)
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(up, first)])

@@ -20,8 +20,9 @@ from ...imu import ImuSpec
 from ...model import AXES, PARAMETERS, ParameterKind, SensorModel, Triad
 from ...stream import Floats
 from ...units import ARCMIN, DEG, PPM
-from .fit import FEWEST, FREE, System, ellipsoid
+from .fit import FEWEST, ellipsoid
 from .holds import Hold, Swing
+from .system import FREE, System
 
 _SCALE_WIDTH = 0.1
 _GYRO_BIAS_WIDTH = 1.0 * DEG

@@ -24,9 +24,10 @@ from .. import estimates
 from ..evidence import Evidence, noise
 from ..solution import Residual, Solution
 from . import NAME
-from .fit import FREE, FreeFit, scatter_words, solve
+from .fit import FreeFit, scatter_words, solve
 from .guidance import HOLD_SECONDS, Guidance, Stage, guide
 from .holds import Hold, Swing
+from .system import FREE
 
 _NEARLY = 0.999
 _NOISE = (
