@@ -24,6 +24,7 @@ SITE = Site.at(34.65 * DEG)
 TILT, TURN = 12 * DEG, 90 * DEG
 STILL, END = 2.0, 7.0
 MARGIN = 0.5
+BROKEN = 150
 _RATE, _ACCELERATION = 60 * DEG, 120 * DEG
 _WAIT = 20.0
 
@@ -49,12 +50,14 @@ def _later(move, origin):
 
 
 def pulses():
-    """Return all samples of the run, stamped from zero on."""
+    """Return all samples of the run, stamped from zero on; one of them holds no number."""
     truth = unit()
     simulated = SimulatedImu(
         truth.imu, truth.model, SITE, ImuOptions(frame_id='sensor'), np.random.default_rng(3)
     )
-    return simulated.advance(motion(), END)
+    samples = simulated.advance(motion(), END)
+    samples.gyro[BROKEN, 1] = np.nan
+    return samples
 
 
 def listen_and_drive(target):

@@ -129,6 +129,17 @@ def test_live_and_offline_give_the_same_bytes(monkeypatch, tmp_path, file):
         assert figures['left out'] == '0'
 
 
+def test_a_sample_that_is_no_number_is_left_out_live_and_offline(monkeypatch, tmp_path, file):
+    broken = block()
+    broken.gyro[700, 1] = np.nan
+    broken.accel[COUNT - 1, 2] = np.inf
+    with Bench(monkeypatch, calibration=file) as bench:
+        bench.send(encode_imu(broken).payloads())
+        assert bench.until(lambda: len(bench.payloads) >= COUNT - 2)
+        assert bench.until(lambda: bench.said('range', 'no numbers'))
+        assert [bytes(p) for p in bench.payloads] == offline(tmp_path, file, broken)
+
+
 def test_without_a_calibration_nothing_comes_and_it_says_so_until_the_file_is_there(
     monkeypatch, tmp_path, file
 ):

@@ -25,9 +25,13 @@ pytestmark = [
 ]
 PEER = CHECKOUT / 'test' / 'downstream_peer.py'
 MRAD = 1e-3
+PERIOD = 0.01
 NOISE = 5 * MRAD
-"""What imu_filter_madgwick does at its gain of 0.1: a step turns by 2 * 0.1 rad/s * 10 ms, 2 mrad,
-towards the force of one sample, whose counter alone (0.5 mm/s in 10 ms) leaves 2 mrad."""
+"""What imu_filter_madgwick does at its gain of 0.1: each step turns by 2 * 0.1 rad/s * 10 ms, that
+is 2 mrad, towards the force of one sample, which itself is off by 2 mrad: pulses of 0.5 mm/s."""
+
+GAP = 10 * MRAD
+"""Samples dropped for 0.1 s while the turn speeds up: half of 2 rad/s^2 times its square."""
 
 SETTLED = 1.5
 """From the tilt of one sample to that, with the dead time of the first 33 samples, s."""
@@ -74,9 +78,10 @@ class Course:
         self.attitude = Rotation.from_quat([m['orientation'] for m in messages])
 
     def tilt_error(self):
-        """Return the angle between up as found and up as it is, rad."""
-        found, true = (r.as_matrix()[:, 2] for r in (self.attitude, self.truth))
-        return np.arcsin(np.linalg.norm(np.cross(found, true), axis=1))
+        """Return the angle between up as found and up as it is, root mean square, rad."""
+        settled = self.time > SETTLED
+        found, true = (r.as_matrix()[settled, 2] for r in (self.attitude, self.truth))
+        return np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1)))
 
     def turn_error(self):
         """Return by how much the turn between the two rests is missed, rad."""
@@ -89,31 +94,33 @@ class Course:
 def test_the_filters_orientation_shows_gravity_and_the_turn(run):
     course = Course(run, run.imu)
     assert course.time[-1] > robot.END - 0.1
-    assert course.tilt_error()[course.time > SETTLED].max() < 2 * NOISE
-    assert abs(course.turn_error()) < NOISE
+    assert course.tilt_error() < NOISE
+    assert abs(course.turn_error()) < NOISE + GAP
 
 
 def test_the_filters_message_holds_our_rates_frame_and_covariances(run):
     assert {message['frame'] for message in run.imu} == {'imu_link'}
     variances = np.array([message['variances'] for message in run.imu])
     assert (variances > 0).all()
-    course = Course(run, run.imu)
-    turned = course.truth[0]
-    for step, message in zip(np.diff(course.time), run.imu[1:], strict=True):
-        turned = turned * Rotation.from_rotvec(step * np.array(message['rate']))
-    # The gyros see the Earth turn as well: half a milliradian in seven seconds.
-    assert (course.truth[-1].inv() * turned).magnitude() < MRAD
+    # Sample by sample: a queue of sensor data may drop some where the machine is busy.
+    end = robot.pulses().stamp * 1e-9
+    true, _ = robot.motion().increments(np.append(end[0] - PERIOD, end), robot.SITE, np.zeros(3))
+    sample = np.searchsorted(end, Course(run, run.imu).time - PERIOD / 2)
+    assert len(sample) > 0.8 * len(end)
+    found = PERIOD * np.array([message['rate'] for message in run.imu])
+    # The unit's own errors are a milliradian in this turn and more; what is left is noise.
+    assert np.abs((found - true[sample]).sum(axis=0)).max() < 0.1 * MRAD
 
 
 def test_the_ekf_takes_what_it_is_given(run):
     assert {tuple(message['frames']) for message in run.odometry} == {('odom', 'base_link')}
     course = Course(run, run.odometry, mounting=1.5708)
-    settled = course.time > SETTLED
-    assert course.tilt_error()[settled].max() < 2 * NOISE
-    assert abs(course.turn_error()) < NOISE
+    assert course.tilt_error() < NOISE
+    assert abs(course.turn_error()) < NOISE + GAP
     # It never leaves its place. A tilt error adds g times itself to the velocity each second; the
     # tilt itself, were gravity left in, would add 2 m/s, and the unit's errors 2.5 m/s.
-    velocity = np.array([message['velocity'] for message in run.odometry])[settled]
+    velocity = np.array([message['velocity'] for message in run.odometry])
+    velocity = velocity[course.time > SETTLED]
     assert np.abs(velocity - velocity[0]).max() < 9.8 * NOISE * robot.END
 
 
@@ -125,6 +132,12 @@ def test_nobody_downstream_has_anything_to_complain_about(run):
     ]
     assert complaints == []
     assert run.log.count('process has finished cleanly') == 4
+
+
+def test_a_sample_that_is_no_number_ends_nobody(run):
+    assert np.isfinite([message['orientation'] for message in run.imu]).all()
+    figures = run.aggregated['/Calibration stand/Compensation/compensator_node: range'][2]
+    assert figures['values that are no numbers'] == '1'
 
 
 def test_the_monitor_groups_what_the_nodes_say(run):

@@ -33,7 +33,7 @@ _WORDS = {
     Mark.RATE: 'faster than the unit was turned when it was calibrated',
     Mark.TEMPERATURE: 'colder or warmer than it was calibrated at; the nearest was used',
     Mark.PARITY: 'four gyros that contradict each other',
-    Mark.NO_NUMBER: 'values that are no numbers (covariance -1: no estimate)',
+    Mark.NO_NUMBER: 'values that are no numbers (left out)',
 }
 
 
@@ -131,9 +131,10 @@ class _Stream:
             values, frame_id = reading.values, self._frame_id or reading.frame_id
             block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
             encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
-            self.given += len(reading)
-            times = self._next_times(len(reading))
-            writer.write(self._target, Kind.IMU.type_name, encoded, times)
+            rows = np.flatnonzero(reading.numbers)
+            self.given += len(rows)
+            times = self._next_times(len(reading))[rows]
+            writer.write(self._target, Kind.IMU.type_name, encoded.select(rows), times)
 
     def _next_times(self, count: int) -> Stamps:
         """Take out the log times of the oldest samples."""

@@ -170,6 +170,8 @@ class Compensation:
         ]
         return joined(parts)
 
+    # Infinite values are marked, not warned of.
+    @np.errstate(invalid='ignore')
     def _apply(self, raw: Floats, interval: Floats) -> Compensated:
         tau = interval[:, None]
         outputs = raw * self._scale

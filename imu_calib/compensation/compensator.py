@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
@@ -18,6 +19,7 @@ _LAG = 500_000_000
 _PATIENCE = 50_000_000
 _MOST_WAITING = 1 << 16
 _STEP = 0.01
+_NO_NUMBER = np.uint8(Mark.NO_NUMBER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,11 @@ class Reading:
 
     def __len__(self) -> int:
         return len(self.stamp)
+
+    @property
+    def numbers(self) -> NDArray[np.bool_]:
+        """Whether a sample may go out, (n,): a filter that has taken NaN never gets over it."""
+        return np.asarray((self.values.marks & _NO_NUMBER) == 0)
 
 
 @dataclass(frozen=True, eq=False)
