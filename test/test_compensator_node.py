@@ -249,3 +249,10 @@ def test_two_devices_on_one_topic_are_an_error_and_give_nothing(monkeypatch, fil
         assert bench.until(lambda: not bench.said('stream', 'Two publishers'))
         bench.send(encode_imu(block(200)).payloads())
         assert bench.until(lambda: len(bench.payloads) == 200)
+
+
+def test_an_override_changes_its_own_topic_alone(monkeypatch, file):
+    # rclpy writes what parameters override into the very profile that it was given.
+    with Bench(monkeypatch, calibration=file):
+        usual = ros.qos_profile_sensor_data
+        assert (usual.reliability, usual.depth) == (ros.ReliabilityPolicy.BEST_EFFORT, 5)

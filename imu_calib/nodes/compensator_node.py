@@ -81,7 +81,7 @@ class CompensatorNode(ros.Node):
         self._publisher = self.create_publisher(
             messages.Imu,
             'imu/data_raw',
-            ros.qos_profile_sensor_data,
+            qos.sensor_data(),
             qos_overriding_options=qos.overridable(),
         )
         self._second = _Second(time.monotonic())

@@ -17,6 +17,11 @@ def stream(*, reliable: bool = True) -> QoSProfile:
     return QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=reliability)
 
 
+def sensor_data() -> QoSProfile:
+    """Return ROS's profile of sensor data; its own object would keep what parameters override."""
+    return QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
 def overridable() -> QoSOverridingOptions:
     """Return what parameters may change in a sample stream: history, depth, reliability.
 
