@@ -461,6 +461,29 @@ def test_without_a_counter_the_host_puts_a_jump_right(jump):
     np.testing.assert_allclose(stamps - made, 2_000_000, atol=3_000_000)
 
 
+def test_when_the_hosts_clock_is_set_the_stamps_follow_it():
+    # Joint states are stamped by the host: device clock and counter go on, and both are right.
+    made, arrival = host(1000)
+    arrival[400:] += 9970 * NS
+    clock = DeviceClock(NANOSECONDS, COUNTER, None)
+    stamps = fed(clock, made, np.arange(1000), arrival)
+    assert clock.jumps == 1
+    assert (np.diff(stamps) > 0).all()
+    np.testing.assert_allclose(stamps[:400] - made[:400], 2_000_000, atol=3_000_000)
+    # A tenth of a second tells it from a host that was busy.
+    late = stamps[420:] - made[420:] - 9970 * NS
+    np.testing.assert_allclose(late, 2_000_000, atol=3_000_000)
+
+
+def test_a_host_that_slept_is_no_jump_where_the_counter_goes_on():
+    made, arrival = host(6000)
+    arrival[500:3500] = arrival[3500]
+    clock = DeviceClock(NANOSECONDS, COUNTER, None)
+    stamps = fed(clock, made, np.arange(6000), arrival)
+    assert clock.jumps == 0
+    assert (np.diff(stamps) == NS // 100).all()
+
+
 def test_a_busy_host_is_no_jump():
     made, arrival = host(1000)
     arrival[500:540] = arrival[540]

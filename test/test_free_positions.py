@@ -26,7 +26,7 @@ from imu_calib.prediction import forecast
 from imu_calib.segmentation.motion import Motion, Rest
 from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
-from imu_calib.simulation.hand import HandSession, anyhow, by_hand
+from imu_calib.simulation.hand import HandSession, anyhow, by_hand, the_short_way
 from imu_calib.turntable import rotation
 from imu_calib.units import ARCMIN, DEG, PPM
 
@@ -213,6 +213,18 @@ def test_the_plan_says_beforehand_what_thirty_holds_give() -> None:
     # Other attitudes, longer ways and a walk that 30 short holds know to a few percent.
     assert np.sqrt(np.mean((given[FREE] / ahead[FREE]) ** 2)) == pytest.approx(1, abs=0.35)
     assert (ahead[~FREE] == 0).all()
+
+
+def test_thirty_holds_with_the_shortest_turns_state_what_the_plan_said_beforehand() -> None:
+    # benchmarks/free_positions.py holds the errors of a thousand of them against it.
+    plan = load_plan('free_positions')
+    ups = np.array([p.up for p in plan.positions])
+    session = the_short_way(ups, np.array([p.dwell for p in plan.positions]), heading=1.0)
+    assert session.attitudes()[:, 2] == pytest.approx(ups, abs=1e-12)
+    found = calibrator(session, unit(0), 0, bias_instability=False).finish().calibration
+    ahead = forecast(Setup(SPEC, plan, None, SITE), unit(0)).std
+    # The noise of thirty short holds is known to a few percent; level biases share with north.
+    assert found.std[FREE] == pytest.approx(ahead[FREE], rel=0.25)
 
 
 def test_a_gyro_bias_of_degrees_a_second_hides_no_hold() -> None:

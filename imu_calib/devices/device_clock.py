@@ -22,6 +22,7 @@ _FEWEST_WINDOWS = 8
 _SILENCE = _NS // 4
 _CATCH_UP = _NS // 10
 _LEAST_JUMP = 1e6
+_HOST_STEP = 10.0 * _NS
 _PERIODS = 2.5
 _RATE_TOLERANCE = 1e-3
 _PLAUSIBLE = 2.0 * _NS
@@ -173,6 +174,9 @@ class DeviceClock:
             self._note(int(elapsed[finding.index]), finding.seconds, finding.reason)
         if self._live and self._tolerance is not None and (time is None or counter is None):
             self._compare_with_host(elapsed, arrival, self._tolerance)
+        elif self._live and self._line.recent is not None:
+            # Clock and counter agree on how much time goes by, but not on what time it is.
+            self._compare_after_silence(elapsed, arrival, _HOST_STEP)
         self._line.add(elapsed, arrival)
         # The fraction of a nanosecond is kept: a thousand roundings a second would add up.
         self._elapsed = float(exact[-1]) + int(elapsed[-1]) - uncorrected

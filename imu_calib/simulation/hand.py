@@ -11,6 +11,7 @@ from ..earth import Site
 from ..imu import ImuSpec
 from ..model import SensorModel
 from ..stream import Floats, ImuBlock
+from ..turntable import rotation
 from ..units import DEG
 from .imu import SimulatedImu
 from .motion import Motion
@@ -21,6 +22,7 @@ PAUSE = 0.2
 """From the end of a turn to a hand that is quiet, s."""
 
 _BLOCK_SECONDS = 10.0
+_PARALLEL = 1e-6
 _EPOCH = 1_700_000_000_000_000_000
 AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
 
@@ -90,6 +92,47 @@ def by_hand(
             tracks = [track.followed_by(move) for track, move in zip(tracks, moves, strict=True)]
             now = max(move.end for move in moves) + PAUSE
     motion = Motion(np.eye(3), AXES, np.zeros(3), np.eye(3), side_by_side(tracks))
+    return HandSession(motion, np.array(holds), now)
+
+
+def the_short_way(
+    ups: Floats,
+    seconds: Floats,
+    *,
+    heading: float = 0.0,
+    turn: float = 2.0,
+    acceleration: float = 720 * DEG,
+) -> HandSession:
+    """Lay out holds with a turn about one axis from each to the next, the shortest there is.
+
+    Args:
+        ups: (n, 3) directions of up in body axes, unit vectors.
+        seconds: (n,) how long each hold lasts.
+        heading: Of the first hold, rad.
+        turn: From hold to hold, the pause after it included, s; enough for half a turn.
+        acceleration: rad/s^2.
+
+    """
+    other = np.eye(3)[int(np.argmin(np.abs(ups[0])))]
+    east = np.cross(other, ups[0]) / np.linalg.norm(np.cross(other, ups[0]))
+    base = rotation(AXES[0], heading) @ np.array([east, np.cross(ups[0], east), ups[0]])
+    axes, tracks, holds, now = [], [], [], 0.0
+    for k, hold in enumerate(seconds):
+        holds.append((now, now + float(hold)))
+        now += float(hold)
+        if k + 1 < len(seconds):
+            axis = np.cross(ups[k + 1], ups[k])
+            if np.linalg.norm(axis) < _PARALLEL:
+                axis = np.cross(ups[k], np.eye(3)[int(np.argmin(np.abs(ups[k])))])
+            angle = float(np.arccos(np.clip(ups[k] @ ups[k + 1], -1.0, 1.0)))
+            moving = turn - PAUSE
+            # Up and down a ramp each, and the rate between: angle = rate (moving - rate / acc.).
+            rate = (moving - np.sqrt(moving**2 - 4 * angle / acceleration)) * acceleration / 2
+            move = trapezoid(now, 0.0, angle, rate, acceleration)
+            tracks.append(Track.standing(0.0, np.zeros(1)).followed_by(move))
+            axes.append(axis / np.linalg.norm(axis))
+            now += turn
+    motion = Motion(base, np.array(axes), np.zeros(len(axes)), np.eye(3), side_by_side(tracks))
     return HandSession(motion, np.array(holds), now)
 
 
