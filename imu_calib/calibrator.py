@@ -12,7 +12,7 @@ import scipy
 from . import __version__
 from .calibration import Calibration, ResidualRow
 from .earth import Site
-from .errors import Contradiction, NotObservable
+from .errors import Contradiction, InputError, NotObservable
 from .imu import ImuSpec
 from .methods import check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
@@ -217,7 +217,13 @@ class Calibrator:
             raise
         except NotObservable as error:
             closed = error
-        solution = self._solver(evidence)
+        try:
+            solution = self._solver(evidence)
+        except InputError:
+            # What a part of a session cannot determine may come out as anything.
+            if isinstance(closed, NotObservable):
+                raise closed from None
+            raise
         if isinstance(closed, NotObservable):
             return solution, Comparison.refused(name, str(closed))
         return solution, Comparison.of(solution, closed, name)

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from sessions import SITE, ended, paper_imu, quick_plan, stand
 
@@ -204,6 +204,7 @@ def test_others_read_a_journal_that_was_gone_on_with(tmp_path, wire):
 
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(lag=st.integers(-3000, 3000), share=st.floats(0, 1))
+@example(lag=2369, share=0.9636708728449709)
 def test_a_session_can_be_reviewed_wherever_it_stands(wire, lag, share):
     calibrator = Calibrator(SETUP)
     for kind, payloads in wire.items():
