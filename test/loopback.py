@@ -32,10 +32,11 @@ def own_domain() -> int:
         lock = (Path(tempfile.gettempdir()) / f'imu_calib_test_domain_{domain}').open('wb')
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            taken = not _silent(domain)
         except BlockingIOError:
+            taken = True
+        if taken:
             lock.close()
-            continue
-        if not _silent(domain):
             continue
         if len(_held) == _held.maxlen:
             _held.popleft().close()
