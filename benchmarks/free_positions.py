@@ -15,11 +15,10 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
-from scipy.stats import chi2
+from prediction import SITE, judge
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
-from imu_calib.earth import Site
 from imu_calib.imu import load_imu
 from imu_calib.methods.free import FREE, in_frame_of_accelerometers
 from imu_calib.methods.free.session import FreeCalibrator
@@ -29,12 +28,9 @@ from imu_calib.prediction import forecast
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import the_short_way
-from imu_calib.units import DEG
 
-SETUP = Setup(load_imu('mems_counts'), load_plan('free_positions'), None, Site.at(34.65 * DEG))
+SETUP = Setup(load_imu('mems_counts'), load_plan('free_positions'), None, SITE)
 TRUTH = in_frame_of_accelerometers(Calibration.load(named_file('truths', 'mems_counts')).model)
-TOLERANCE = 0.1
-UNLIKELY = 0.01
 
 
 def one(seed: int) -> np.ndarray:
@@ -59,18 +55,9 @@ def main() -> int:
     foreseen = forecast(SETUP, TRUTH).std[FREE]
     with ProcessPoolExecutor(chosen.jobs) as pool:
         errors = np.array(list(pool.map(one, range(chosen.runs), chunksize=10)))[:, FREE]
-    ratio = errors.std(axis=0, ddof=1) / foreseen
-    each, count = UNLIKELY / len(ratio) / 2, chosen.runs
-    low, high = np.sqrt(chi2.ppf([each, 1 - each], count - 1) / (count - 1))
-    names = [p.name for p, free in zip(PARAMETERS, FREE, strict=True) if free]
-    print(f'free_positions: {count} runs, achieved over predicted')
-    print('  ' + '  '.join(f'{n} {r:.3f}' for n, r in zip(names, ratio, strict=True)))
-    bias = np.abs(errors.mean(axis=0) / errors.std(axis=0, ddof=1) * np.sqrt(count)).max()
-    print(
-        f'  {ratio.min():.3f} to {ratio.max():.3f}; so many runs alone spread from {low:.3f} to '
-        f'{high:.3f}; largest bias {bias:.1f} of its deviations'
-    )
-    return int((ratio < (1 - TOLERANCE) * low).any() or (ratio > (1 + TOLERANCE) * high).any())
+    parameters = [p for p, free in zip(PARAMETERS, FREE, strict=True) if free]
+    print(f'free_positions: {chosen.runs} runs', end=', ')
+    return 0 if judge(parameters, errors, foreseen) else 1
 
 
 if __name__ == '__main__':

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from imu_calib.calibrator import Setup
 from imu_calib.earth import Site
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.imu import load_imu
+from imu_calib.model import Parameter
 from imu_calib.montecarlo import Study, economical, repeat
 from imu_calib.plan import Plan, load_plan
 from imu_calib.prediction import forecast
@@ -88,28 +90,35 @@ def compare(case: Study, runs: int, jobs: int, keep: Path | None) -> bool:
     outcome = repeat(case, runs, jobs=jobs)
     if keep is not None:
         np.savez(keep / f'{name}.npz', errors=outcome.errors, stated=outcome.stated)
-    count = len(outcome.errors)
+    print(f'{name} ({setup.method_name}): {len(outcome.errors)} of {runs} runs', end=', ')
     known = np.isfinite(foreseen.std)
-    ratio = outcome.spread / foreseen.std
-    each = UNLIKELY / known.sum() / 2
+    parameters = [p for p, told in zip(foreseen.parameters, known, strict=True) if told]
+    return judge(parameters, outcome.errors[:, known], foreseen.std[known])
+
+
+def judge(parameters: Sequence[Parameter], errors: np.ndarray, foreseen: np.ndarray) -> bool:
+    """Print the spread of (runs, n) errors over (n,) predictions; say whether all is in bounds."""
+    count = len(errors)
+    spread = errors.std(axis=0, ddof=1)
+    ratio = spread / foreseen
+    each = UNLIKELY / len(ratio) / 2
     low, high = np.sqrt(chi2.ppf([each, 1 - each], count - 1) / (count - 1))
-    print(f'{name} ({setup.method_name}): {count} of {runs} runs, achieved over predicted')
+    print('achieved over predicted')
     for triad in ('g', 'a'):
         cells = [
             f'{parameter.name} {value:.3f}'
-            for parameter, value in zip(foreseen.parameters, ratio, strict=True)
-            if parameter.triad == triad and np.isfinite(value)
+            for parameter, value in zip(parameters, ratio, strict=True)
+            if parameter.triad == triad
         ]
         if cells:
             print('  ' + '  '.join(cells))
-    spread = (outcome.bias / outcome.spread * np.sqrt(count))[known]
+    bias = np.abs(errors.mean(axis=0) / spread * np.sqrt(count)).max()
     print(
-        f'  {ratio[known].min():.3f} to {ratio[known].max():.3f}; so many runs alone spread from '
-        f'{low:.3f} to {high:.3f}; largest bias {np.abs(spread).max():.1f} of its deviations\n',
+        f'  {ratio.min():.3f} to {ratio.max():.3f}; so many runs alone spread from {low:.3f} to '
+        f'{high:.3f}; largest bias {bias:.1f} of its deviations\n',
         flush=True,
     )
-    bounds = (1 - TOLERANCE) * low, (1 + TOLERANCE) * high
-    return bool((ratio[known] > bounds[0]).all() and (ratio[known] < bounds[1]).all())
+    return bool((ratio > (1 - TOLERANCE) * low).all() and (ratio < (1 + TOLERANCE) * high).all())
 
 
 def shipped() -> list[str]:

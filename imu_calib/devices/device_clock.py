@@ -77,7 +77,8 @@ class DeviceClock:
     the nominal period, or else of the number of samples; lost samples then show as drift. The
     offset is the least delay between clock and arrival in the first moments, and stays. A clock
     that jumps is corrected by the counter, or by the arrival where the counter cannot tell, so
-    that stamps stay on the one line.
+    that stamps stay on the one line. Where the host's own clock is set, by ten seconds or more,
+    stamps follow it, as all else that the host stamps does.
 
     Args:
         time: The device's clock, None without one.
