@@ -13,13 +13,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import fresnel
+from scipy.stats import chi2
 
 from imu_calib.bags import open_recording
+from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.cdr import Kind
 from imu_calib.earth import Site
-from imu_calib.imu import load_imu
+from imu_calib.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.plan import load_plan
+from imu_calib.segmentation.motion import Motion
+from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.turns import Around, read_free_motion
+from imu_calib.share import named_file
+from imu_calib.simulation import ImuOptions
+from imu_calib.simulation.hand import as_planned
+from imu_calib.stream import Units
+from imu_calib.turntable import TURN
 from imu_calib.units import DEG
 
 RECORDING = Path(__file__).parent / 'data' / 'hand_session'
@@ -70,3 +81,49 @@ def test_biases_are_those_that_imucal_finds(result: Result) -> None:
 def test_leaning_holds_show_in_the_standard_deviations(result: Result) -> None:
     assert any('accelerometers scatter' in finding for finding in result.calibration.findings)
     assert result.calibration.std[12:15].min() > 1e-3
+
+
+def quiet_unit() -> ImuSpec:
+    """A unit whose gyros are far better than the Earth rate that they feel in the hand."""
+    gyro = TriadSpec(random_walk=0.005 * DEG / 60, range=400 * DEG)
+    return ImuSpec('quiet', Units.SI, 100.0, gyro, TriadSpec(random_walk=0.03 / 60))
+
+
+def test_an_earth_rate_from_anywhere_is_in_the_deviations() -> None:
+    runs, spec, plan = 16, quiet_unit(), load_plan('six_position_by_hand')
+    truth = Calibration.load(named_file('truths', 'mems_counts')).model
+    setup = Setup(spec, plan, None, Site.at(34.65 * DEG))
+    square = np.zeros(24)
+    for seed in range(runs):
+        calibrator = Calibrator(setup)
+        held = as_planned(plan, np.random.default_rng([seed, 1]))
+        options = ImuOptions(bias_instability=False)
+        for block in held.blocks(spec, truth, setup.site, options, seed):
+            calibrator.feed(block)
+        found = calibrator.finish().calibration
+        assert not any('scatter' in finding for finding in found.findings)
+        square += ((found.values - truth.vector()) / found.std) ** 2
+    low, high = chi2.ppf([1e-5, 1 - 1e-5], runs)
+    assert (square[:12] > low).all()
+    assert (square[:12] < high).all()
+    # Headings of six holds, independent of each other: the level rate times 2 / 6 / sqrt(2).
+    level = setup.site.north_rate * np.sqrt(4) / 6 / np.sqrt(2)
+    assert found.std[9:12] == pytest.approx(level, rel=0.01)
+
+
+def test_what_a_turn_from_rest_to_rest_leaves_of_a_level_rate() -> None:
+    # Up at one acceleration to half a turn and down again: the mean of exp(i angle) is that of
+    # cos(2 pi u^2) over u from 0 to 1/2 twice over, by the Fresnel integral C(sqrt 2) / sqrt 2.
+    seconds, period = 4.0, 0.01
+    times = np.arange(0, seconds + period / 2, period)
+    peak = 2 * TURN / seconds
+    rate = peak * (1 - np.abs(2 * (times[1:] + times[:-1]) / 2 / seconds - 1))
+    gyro = np.outer(rate, [0.0, 0.0, 1.0])
+    force = np.tile([0.0, 0.0, 9.8], (len(rate), 1))
+    spec = quiet_unit()
+    stamp = np.rint(times[1:] * 1e9).astype(np.int64)
+    sensor = Sensor.of(spec)
+    values = np.hstack([gyro, force])
+    seen = Around(sensor, values, sensor.samples(stamp, values))
+    (motion,) = read_free_motion(seen, Motion(0, int(stamp[-1]), stamp, np.empty((0, 0))))
+    assert abs(motion.level) == pytest.approx(fresnel(np.sqrt(2))[1] / np.sqrt(2), abs=1e-3)

@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..imu import load_imu
 from ..methods import METHODS, check_plan, closed_form_beside
 from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
-from ..plan import Plan, Step, load_plan
+from ..plan import Plan, Position, Step, load_plan
 from ..prediction import Forecast, duration, forecast, reach
 from ..report.parameters import decimals, engineering
 from ..share import named_file, share_folder
@@ -236,13 +236,21 @@ def _lay_out(plan: Plan, table: Table) -> None:
     OUTPUT.print(f'{plan.title} ({plan.source})\n')
     if plan.by_hand:
         for position in plan.positions:
-            turned = ', one turn by hand before' if position.rate_test else ''
-            OUTPUT.print(f'  {position.id}: hold {position.dwell:g} s{turned}')
+            OUTPUT.print(f'  {position.id}: {_in_words(position)}')
         return
     steps = plan.steps(table)
     OUTPUT.print(_step_rows(steps, table))
     OUTPUT.print()
     _show_time(plan, table)
+
+
+def _in_words(position: Position) -> str:
+    words = [f'hold {position.dwell:g} s'] if position.dwell else []
+    if position.rate_test is not None:
+        turns = position.rate_test.turns
+        often = 'once' if turns == 1 else f'{turns} times'
+        words.insert(0, f'turn {often} about what is up, still for 2 s before and after')
+    return ', then '.join(words)
 
 
 def _step_rows(steps: tuple[Step, ...], table: Table) -> Rows:

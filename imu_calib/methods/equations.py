@@ -257,8 +257,8 @@ class Equations:
     @cached_property
     def own_variances(self) -> Floats:
         """Variances of the outputs by random walk and quantisation, (6 s + 3 t,)."""
-        walk = self.evidence.walk
-        turned = [t.statistics.variance(walk)[:3] for t in self.evidence.turns]
+        walk, north_rate = self.evidence.walk, self.evidence.site.north_rate
+        turned = [t.variance(walk, north_rate) for t in self.evidence.turns]
         own = np.concatenate([self.evidence.variances().ravel(), np.array(turned).ravel()])
         own = np.maximum(own, SMALLEST_VARIANCE)
         return np.asarray(own if self.inflation is None else own * self.inflation)

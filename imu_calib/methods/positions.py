@@ -5,6 +5,8 @@ Sources: Cao 2022, sections 3.2 and 4, with the corrections of methods.md, secti
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from ..errors import NotObservable
@@ -17,13 +19,28 @@ from .rate_test import RateTest
 _PASSES = 2
 
 
-def solve_gyros(evidence: Evidence, bias: tuple[Floats, Floats]) -> tuple[Triad, Floats, float]:
+@dataclass(frozen=True, eq=False)
+class BiasEquation:
+    """The gyro biases as weighted means of the outputs at rest.
+
+    Attributes:
+        weights: (s, 3) of the stretches at rest, per channel.
+        mean_input: (3,) rad/s that these weights leave.
+        unknown: (3,) variance of what they leave and nobody knows, (rad/s)^2.
+
+    """
+
+    weights: Floats
+    mean_input: Floats
+    unknown: Floats = field(default_factory=lambda: np.zeros(3))
+
+
+def solve_gyros(evidence: Evidence, bias: BiasEquation) -> tuple[Triad, Floats, float]:
     """Solve the gyros from the rate test and one equation for the bias.
 
     Args:
         evidence: The session.
-        bias: (s, 3) weights of the stretches at rest per channel, and the (3,) mean input
-            (rad/s) that these weights leave.
+        bias: The equation for the biases.
 
     Returns:
         Triad, its (12, 12) covariance, condition number.
@@ -43,20 +60,20 @@ def solve_gyros(evidence: Evidence, bias: tuple[Floats, Floats]) -> tuple[Triad,
 
 
 def _gyros(
-    evidence: Evidence, test: RateTest, bias: tuple[Floats, Floats], turned: Floats
+    evidence: Evidence, test: RateTest, bias: BiasEquation, turned: Floats
 ) -> tuple[Triad, Floats, float]:
     """Solve for (t, 3) outputs of the turns as if the vertical axis alone had turned."""
-    weights, mean_input = bias
     at_rest = len(evidence.segments)
-    outputs = np.vstack([evidence.outputs()[:, :3], turned])
-    variances = np.vstack([evidence.variances()[:, :3], test.variances])
+    # The last output is what the bias equation does not know: zero, but for its variance.
+    outputs = np.vstack([evidence.outputs()[:, :3], turned, np.zeros(3)])
+    variances = np.vstack([evidence.variances()[:, :3], test.variances, bias.unknown])
     systems = [ChannelSystem(len(outputs)) for _ in range(3)]
     for channel, system in enumerate(systems):
         for axis in range(3):
             test.add_to(system, axis, at_rest)
         row = np.zeros(len(outputs))
-        row[:at_rest] = weights[:, channel]
-        system.add(np.append(mean_input, 1.0), row)
+        row[:at_rest], row[-1] = bias.weights[:, channel], 1.0
+        system.add(np.append(bias.mean_input, 1.0), row)
     return solve_triad(systems, outputs, variances)
 
 

@@ -56,7 +56,7 @@ class RateTest:
             axes.append(axis)
             inputs.append(sign * (rate + evidence.site.up_rate))
             off.append((rate + evidence.site.up_rate) * (turn.up - sign * np.eye(3)[axis]))
-            variance = turn.statistics.variance(evidence.walk)[:3]
+            variance = turn.variance(evidence.walk, evidence.site.north_rate)
             # An error of the encoder's rate shows in the channel that turns, and there alone.
             variance[axis] += (turn.rate_error * rate) ** 2
             variances.append(variance)

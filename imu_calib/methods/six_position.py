@@ -8,15 +8,15 @@ from ..errors import NotObservable
 from ..stream import Floats
 from .checks import conclude
 from .evidence import UP, Evidence
-from .positions import assemble, solve_accelerometers, solve_gyros
+from .positions import BiasEquation, assemble, solve_accelerometers, solve_gyros
 from .solution import Solution
 
 
 def solve(evidence: Evidence) -> Solution:
     """Estimate the 24 parameters; D_i is the mean of n_i - [(I + M_g) w] over the positions.
 
-    Where the session was turned by hand no north is needed: the horizontal Earth rate then counts
-    as an unknown of its own size and widens the biases' standard deviations.
+    Where the session was turned by hand no north is needed: every hold has a heading of its own
+    that nobody knows, and the level Earth rate widens the biases' standard deviations.
 
     Raises:
         NotObservable: North is unknown, or positions are missing.
@@ -27,16 +27,13 @@ def solve(evidence: Evidence) -> Solution:
             'Six positions need north: give the azimuth of the table (in its YAML, or with '
             '--azimuth), or run twelve positions. D_gx, D_gy, D_gz cannot be determined.'
         )
-    weights, mean_input, uncertain = _bias_equation(evidence)
-    gyros, covariance, condition = solve_gyros(evidence, (weights, mean_input))
-    covariance[9:12, 9:12] += uncertain
-    solved = assemble(evidence, (gyros, covariance, condition), solve_accelerometers(evidence))
+    gyros = solve_gyros(evidence, _bias_equation(evidence))
+    solved = assemble(evidence, gyros, solve_accelerometers(evidence))
     north = evidence.azimuth is not None
     return conclude(evidence, *solved, findings=[], north_known=north)
 
 
-def _bias_equation(evidence: Evidence) -> tuple[Floats, Floats, Floats]:
-    """Return weights (s, 3), the mean input (3,) and the covariance (3, 3) of what is unknown."""
+def _bias_equation(evidence: Evidence) -> BiasEquation:
     shares = evidence.shares()[:, :3]
     positions = len({s.position for s in evidence.segments})
     if not positions:
@@ -44,7 +41,13 @@ def _bias_equation(evidence: Evidence) -> tuple[Floats, Floats, Floats]:
     weights = shares / positions
     mean = np.einsum('s,sij->ji', weights.mean(axis=1), evidence.attitudes())
     earth = evidence.site.earth_rate
-    if evidence.azimuth is None:
-        level = mean[:, :2] * evidence.site.north_rate
-        return weights, mean @ (UP * earth), level @ level.T / 2
-    return weights, mean @ earth, np.zeros((3, 3))
+    if evidence.azimuth is not None:
+        return BiasEquation(weights, mean @ earth)
+    return BiasEquation(weights, mean @ (UP * earth), _level_earth_rate(evidence) / positions**2)
+
+
+def _level_earth_rate(evidence: Evidence) -> Floats:
+    """Return the variances (3,) of its sum over positions of which nobody knows the headings."""
+    ups = {s.position: s.attitude[2] for s in evidence.segments if s.attitude is not None}
+    level = 1 - np.array(list(ups.values())) ** 2
+    return np.asarray(level.sum(axis=0) * evidence.site.north_rate**2 / 2)

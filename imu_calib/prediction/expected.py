@@ -33,6 +33,12 @@ _SPARE = 1.0
 
 _BY_HAND_TURN = 2.0
 _BY_HAND_MOVE = 2.0
+_BY_HAND_STILL = 1.5
+"""Before and after a turn by hand, s: what divides it from the moves around it."""
+
+_BY_HAND_LEVEL = 0.25
+"""What such a turn leaves of a level rate where it rises and falls for a third of a second each."""
+
 _UP = np.array([0.0, 0.0, 1.0])
 _PHASE = 0.5
 _NODES = 8
@@ -115,6 +121,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
                 turning.position,
                 skewed=askew,
                 each=_each(setup.imu, statistics, askew, turning),
+                level=_BY_HAND_LEVEL if setup.plan.by_hand else 0.0,
             )
         )
     # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
@@ -162,8 +169,9 @@ def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
             turns = position.rate_test.turns
             seconds = turns * _BY_HAND_TURN
             rate = TURN * turns / seconds
+            now += _BY_HAND_STILL
             turnings.append(_Turning(position.id, position.up, now, seconds, rate))
-            now += seconds
+            now += seconds + _BY_HAND_STILL
         if position.dwell:
             rests.append(_Rest(position.id, position.attitude, now, now + position.dwell))
         now += position.dwell + _BY_HAND_MOVE

@@ -313,7 +313,9 @@ def _sum(first: FreeMotion, second: FreeMotion) -> FreeMotion:
         walk_gain=np.full(6, 1 / duration),
         quantum=share[0] ** 2 * a.quantum + share[1] ** 2 * b.quantum,
     )
-    return FreeMotion(first.start, second.end, statistics, first.turned + second.turned)
+    phase = np.exp(1j * np.linalg.norm(first.turned))
+    level = complex(share[0] * first.level + share[1] * phase * second.level)
+    return FreeMotion(first.start, second.end, statistics, first.turned + second.turned, level)
 
 
 def _turn_without_encoder(motion: FreeMotion, plan: Plan) -> Turn | None:
@@ -336,5 +338,6 @@ def _turn_without_encoder(motion: FreeMotion, plan: Plan) -> Turn | None:
                 None,
                 position.up,
                 position.id,
+                level=abs(motion.level),
             )
     return None

@@ -95,6 +95,8 @@ class Turn:
         rate_error: Standard deviation of the encoder's rate, relative; 0 without an encoder.
         skewed: What a skewed gyro says, its first channel that gyro; None where there is none.
         each: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
+        level: What share of a level rate does not average out: whole turns at a constant rate
+            leave nothing, turns from rest to rest what passes while they are slow.
 
     """
 
@@ -108,6 +110,18 @@ class Turn:
     rate_error: float = 0.0
     skewed: Statistics | None = None
     each: Floats | None = None
+    level: float = 0.0
+
+    def variance(self, walk: Floats, north_rate: float) -> Floats:
+        """Return the variances of the gyros' means, (3,), the level Earth rate among them.
+
+        Args:
+            walk: (6,) random-walk coefficients.
+            north_rate: Level Earth rate, rad/s; its direction is not used.
+
+        """
+        seen = (self.level * north_rate) ** 2 / 2 * (1 - self.up**2)
+        return np.asarray(self.statistics.variance(walk)[:3] + seen)
 
     def rate(self, clock_rate: float = 0.0) -> float:
         """Return the rate about up, rad/s, per second of the IMU's clock.

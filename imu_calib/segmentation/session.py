@@ -31,12 +31,22 @@ class Slip:
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """A motion between two rests as the gyros alone saw it; `turned` is (3,) rad."""
+    """A motion between two rests as the gyros alone saw it.
+
+    Attributes:
+        start: First instant, ns, IMU clock.
+        end: Last instant, ns, IMU clock.
+        statistics: What its samples say.
+        turned: (3,) integral of the rates, rad.
+        level: Mean over the motion of exp(i angle), the angle turned since its start.
+
+    """
 
     start: int
     end: int
     statistics: Statistics
     turned: Floats
+    level: complex
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,8 +78,14 @@ def read_free_motion(seen: Around, motion: Motion) -> list[FreeMotion | Rejected
         reason = 'the sensor is saturated during it'
     else:
         statistics = statistics_between(part, 0.0, float(len(part.stamp)), seen.sensor.walk)
-        return [FreeMotion(motion.start, motion.end, statistics, turned)]
+        return [FreeMotion(motion.start, motion.end, statistics, turned, _mean_phase(part, turned))]
     return [Rejected(motion.start, motion.end, reason, turn=True)]
+
+
+def _mean_phase(samples: Samples, turned: Floats) -> complex:
+    """Return the mean of exp(i angle) over the samples, by the angle turned about `turned`."""
+    steps = samples.increments[:, :3] @ (turned / np.linalg.norm(turned))
+    return complex(np.exp(1j * (np.cumsum(steps) - steps / 2)).mean())
 
 
 def _read_turn(

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..earth import Site
 from ..imu import ImuSpec
 from ..model import SensorModel
+from ..plan import Plan
 from ..stream import Floats, ImuBlock
-from ..turntable import rotation
+from ..turntable import TURN, rotation
 from ..units import DEG
 from .imu import SimulatedImu
 from .motion import Motion
@@ -21,8 +24,11 @@ from .profile import Track, side_by_side, trapezoid
 PAUSE = 0.2
 """From the end of a turn to a hand that is quiet, s."""
 
+_STILL = 2.0
+"""Before and after a whole turn, s."""
+
 _BLOCK_SECONDS = 10.0
-_PARALLEL = 1e-6
+_SAME = 1e-6
 _EPOCH = 1_700_000_000_000_000_000
 AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
 
@@ -95,45 +101,87 @@ def by_hand(
     return HandSession(motion, np.array(holds), now)
 
 
-def the_short_way(
-    ups: Floats,
+def one_turn_each(
+    attitudes: Floats,
     seconds: Floats,
     *,
-    heading: float = 0.0,
     turn: float = 2.0,
     acceleration: float = 720 * DEG,
 ) -> HandSession:
-    """Lay out holds with a turn about one axis from each to the next, the shortest there is.
+    """Lay out holds with one turn about one axis from each to the next.
+
+    Between two holds in the same attitude it is a whole turn about what is up.
 
     Args:
-        ups: (n, 3) directions of up in body axes, unit vectors.
+        attitudes: (n, 3, 3) R_nb of the holds.
         seconds: (n,) how long each hold lasts.
-        heading: Of the first hold, rad.
-        turn: From hold to hold, the pause after it included, s; enough for half a turn.
+        turn: From hold to hold, the pause after it included, s; enough for a whole turn.
         acceleration: rad/s^2.
 
     """
-    other = np.eye(3)[int(np.argmin(np.abs(ups[0])))]
-    east = np.cross(other, ups[0]) / np.linalg.norm(np.cross(other, ups[0]))
-    base = rotation(AXES[0], heading) @ np.array([east, np.cross(ups[0], east), ups[0]])
+    turns = Rotation.from_matrix(attitudes[:-1].transpose(0, 2, 1) @ attitudes[1:]).as_rotvec()
     axes, tracks, holds, now = [], [], [], 0.0
     for k, hold in enumerate(seconds):
         holds.append((now, now + float(hold)))
         now += float(hold)
         if k + 1 < len(seconds):
-            axis = np.cross(ups[k + 1], ups[k])
-            if np.linalg.norm(axis) < _PARALLEL:
-                axis = np.cross(ups[k], np.eye(3)[int(np.argmin(np.abs(ups[k])))])
-            angle = float(np.arccos(np.clip(ups[k] @ ups[k + 1], -1.0, 1.0)))
+            angle = float(np.linalg.norm(turns[k]))
+            axis = turns[k] / angle if angle > _SAME else attitudes[k, 2]
+            angle = angle if angle > _SAME else TURN
             moving = turn - PAUSE
             # Up and down a ramp each, and the rate between: angle = rate (moving - rate / acc.).
             rate = (moving - np.sqrt(moving**2 - 4 * angle / acceleration)) * acceleration / 2
             move = trapezoid(now, 0.0, angle, rate, acceleration)
             tracks.append(Track.standing(0.0, np.zeros(1)).followed_by(move))
-            axes.append(axis / np.linalg.norm(axis))
+            axes.append(axis)
             now += turn
-    motion = Motion(base, np.array(axes), np.zeros(len(axes)), np.eye(3), side_by_side(tracks))
+    motion = Motion(
+        attitudes[0], np.array(axes), np.zeros(len(axes)), np.eye(3), side_by_side(tracks)
+    )
     return HandSession(motion, np.array(holds), now)
+
+
+def the_short_way(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> HandSession:
+    """Lay out holds with the shortest turn there is from each to the next.
+
+    Args:
+        ups: (n, 3) directions of up in body axes, unit vectors.
+        seconds: (n,) how long each hold lasts.
+        heading: Of the first hold, rad.
+
+    """
+    attitudes = [rotation(AXES[0], heading) @ upright(ups[0])]
+    for up, target in pairwise(ups):
+        axis = np.cross(target, up)
+        if np.linalg.norm(axis) < _SAME:
+            axis = upright(up)[0]
+        angle = float(np.arccos(np.clip(up @ target, -1.0, 1.0)))
+        attitudes.append(attitudes[-1] @ rotation(axis / np.linalg.norm(axis), angle))
+    return one_turn_each(np.array(attitudes), seconds)
+
+
+def as_planned(plan: Plan, rng: np.random.Generator) -> HandSession:
+    """Lay out a plan that is turned by hand, every hold at a heading that nobody knows.
+
+    Args:
+        plan: Its turns go from rest to rest and end where they began.
+        rng: Source of the headings.
+
+    """
+    attitudes, seconds = [], []
+    for position in plan.positions:
+        attitude = rotation(AXES[0], float(rng.uniform(-np.pi, np.pi))) @ position.attitude
+        holds = 1 if position.rate_test is None else 2
+        attitudes += [attitude] * holds
+        seconds += [position.dwell if holds == 1 else _STILL] * holds
+    return one_turn_each(np.array(attitudes), np.array(seconds))
+
+
+def upright(up: Floats) -> Floats:
+    """Return an attitude R_nb (3, 3) with a direction (3,) of the body up, whatever its heading."""
+    other = np.eye(3)[int(np.argmin(np.abs(up)))]
+    east = np.cross(other, up) / np.linalg.norm(np.cross(other, up))
+    return np.array([east, np.cross(up, east), up])
 
 
 def anyhow(holds: int, seed: int = 0, shortest: float = 2.0, longest: float = 4.0) -> HandSession:

@@ -167,7 +167,7 @@ def observe(
         Spin(
             turn.position or str(k + 1),
             turn.statistics.mean[:3],
-            turn.statistics.variance(walk)[:3],
+            turn.variance(walk, site.north_rate),
             turn.up,
             turn.rate(clock),
             turn.statistics.duration,
