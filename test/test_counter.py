@@ -83,6 +83,21 @@ def test_passages_by_hand() -> None:
     assert found.walk_gain == pytest.approx(1 / 7)
 
 
+@pytest.mark.parametrize('levels', [4.5, 5.85, 6.5])
+def test_what_is_chosen_does_not_follow_the_phase(levels: float) -> None:
+    # Six levels are passed or five, by the phase: to do otherwise with five errs by 0.3.
+    runs, samples, period, walk = 1600, 1200, 0.05, 0.02
+    rate = -levels / (samples * period)
+    rng = np.random.default_rng(21)
+    errors = []
+    for phase in (np.arange(runs) + 0.5) / runs:
+        steps = rng.standard_normal(samples) * walk * np.sqrt(period) + rate * period
+        pulses = np.diff(np.floor(phase + np.append(0.0, np.cumsum(steps))))
+        found = mean_rate(pulses, period, walk)
+        errors.append((found.rate - rate) / np.sqrt(found.variance(walk)))
+    assert abs(np.mean(errors)) < 4 / np.sqrt(runs)
+
+
 def test_passages_need_a_drift_that_leads_the_walk() -> None:
     rng = np.random.default_rng(1)
     assert first_passages(counter(rng, 0.1, 2.0), PERIOD, 2.0) is None

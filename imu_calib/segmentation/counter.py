@@ -4,7 +4,7 @@ A counter shows floor(true count). Between two readings the error of a differenc
 values, with variance c (1 - c) in pulses squared, c the fraction of the true difference: 1/6 on
 average over phases, however long one waits (methods.md, section 11). A counter tells more than its
 two end readings, and what more depends on how fast it runs against its own noise. Three estimators
-share the work, each with the variance that it leaves; the smallest is taken.
+share the work, each with the variance that it leaves; the smallest to be expected is taken.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ END_POINT_VARIANCE = 1 / 6
 """Variance of the difference of two readings of a counter, pulses squared, mean over phases."""
 
 _READING_VARIANCE = 1 / 12
-_PASSAGES_NEEDED = 5
+_PASSAGES_NEEDED = 3
+_LEVELS_NEEDED = 4.0
+_FAR = 5.0
 _DRIFT_SIGNIFICANCE = 6.0
 _HARMONICS = 64
 _FADED_OUT = 37.0
@@ -60,20 +62,55 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
             wrong one costs efficiency; the stated variance stays true to the weights used.
 
     Returns:
-        The estimate with the smallest variance among those that are valid here, pulses/s.
+        The estimate with the smallest variance at such a rate, pulses/s.
 
     """
     # A whole number of pulses per sample carries no information on the fraction: without it, a
     # fast counter looks like the slow one that its readings drift against.
     whole = float(np.rint(pulses.mean()))
     remainder = pulses - whole
-    options = [
-        end_points(remainder, period),
-        first_passages(remainder, period, walk),
-        smoothed_ends(remainder, period, walk),
-    ]
-    best = min((o for o in options if o is not None), key=lambda o: o.variance(walk))
+    best = best_passages(remainder, period, walk) or _by_all_samples(remainder, period, walk)
     return MeanRate(best.rate + whole / period, best.walk_gain, best.quantum)
+
+
+def best_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None:
+    """Return the estimate from first passages where it is the best at such a rate, else None.
+
+    What decides is the rate that they give and what passages leave on average at that rate, not
+    how many there happened to be. That number depends on the phase that the stretch begins with: to
+    fall back on another estimator where it is small takes that one just where it errs most.
+
+    Args:
+        pulses: (n,) pulses per sample.
+        period: Sample interval, s.
+        walk: Random walk, pulses/sqrt(s).
+
+    """
+    passed = first_passages(pulses, period, walk)
+    if passed is None:
+        return None
+    whole = len(pulses) * period
+    levels = abs(passed.rate) * whole
+    # What rings passes levels too, and counts back. Else the two ends tell the passages' rate, but
+    # for a pulse and what the walk does before the first and after the last.
+    unseen = max(0.0, whole - 1 / passed.walk_gain)
+    astray = abs(levels - abs(float(pulses.sum()))) - 1 > _FAR * walk * math.sqrt(unseen)
+    if levels < _LEVELS_NEEDED or astray:
+        return None
+    # One level is lost: part of it before the first passage, the other after the last.
+    duration = (1 - 1 / levels) * whole
+    left = 2 * (passed.rate * period) ** 2 * _READING_VARIANCE / duration**2
+    expected = MeanRate(passed.rate, 1 / duration, left).variance(walk)
+    other = _by_all_samples(pulses, period, walk).variance(walk)
+    return passed if expected < other else None
+
+
+def _by_all_samples(pulses: Floats, period: float, walk: float) -> MeanRate:
+    """Return the better one of smoothed and plain ends."""
+    plain, smoothed = end_points(pulses, period), smoothed_ends(pulses, period, walk)
+    if smoothed is None:
+        return plain
+    return min(plain, smoothed, key=lambda found: found.variance(walk))
 
 
 def end_points(pulses: Floats, period: float) -> MeanRate:
@@ -112,7 +149,7 @@ def passages(pulses: Floats, period: float, walk: float) -> Passages | None:
         return None
     record = np.maximum.accumulate(count * math.copysign(1.0, drift))
     index = np.flatnonzero(np.diff(record, prepend=0.0) > 0)
-    return Passages(index, record[index], drift) if len(index) > _PASSAGES_NEEDED else None
+    return Passages(index, record[index], drift) if len(index) >= _PASSAGES_NEEDED else None
 
 
 def first_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None:
@@ -276,8 +313,7 @@ def block_rates(
     """
     whole = float(np.rint(pulses.mean()))
     found = passages(pulses - whole, period, walk)
-    slow = found is not None and first_passages_are_best(pulses - whole, period, walk)
-    if found is not None and slow:
+    if found is not None and best_passages(pulses - whole, period, walk) is not None:
         cuts = [0]
         for k in range(1, len(found.index)):
             if (found.index[k] - found.index[cuts[-1]]) * period >= seconds:
@@ -296,18 +332,3 @@ def block_edges(samples: int, period: float, seconds: float) -> list[tuple[int, 
     """Cut samples into blocks of equal length and at least `seconds`; half-open index ranges."""
     count = max(1, min(samples, int(samples * period // seconds)))
     return list(pairwise(np.linspace(0, samples, count + 1).astype(int).tolist()))
-
-
-def first_passages_are_best(pulses: Floats, period: float, walk: float) -> bool:
-    """Say whether first passages beat the smoothed ends for a whole stretch.
-
-    Args:
-        pulses: (n,) pulses per sample.
-        period: Sample interval, s.
-        walk: Random walk, pulses/sqrt(s).
-
-    """
-    passed, smoothed = first_passages(pulses, period, walk), smoothed_ends(pulses, period, walk)
-    if passed is None or smoothed is None:
-        return passed is not None
-    return passed.variance(walk) <= smoothed.variance(walk)

@@ -154,7 +154,8 @@ def the_short_way(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> Hand
     for up, target in pairwise(ups):
         axis = np.cross(target, up)
         if np.linalg.norm(axis) < _SAME:
-            axis = upright(up)[0]
+            # Half a turn, in the sense of `methods.free.guidance`.
+            axis = -upright(up)[0]
         angle = float(np.arccos(np.clip(up @ target, -1.0, 1.0)))
         attitudes.append(attitudes[-1] @ rotation(axis / np.linalg.norm(axis), angle))
     return one_turn_each(np.array(attitudes), seconds)
