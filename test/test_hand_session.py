@@ -23,6 +23,7 @@ from imu_calib.cdr import Kind
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.plan import load_plan
+from imu_calib.prediction import forecast
 from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.turns import Around, read_free_motion
@@ -109,6 +110,8 @@ def test_an_earth_rate_from_anywhere_is_in_the_deviations() -> None:
     # Headings of six holds, independent of each other: the level rate times 2 / 6 / sqrt(2).
     level = setup.site.north_rate * np.sqrt(4) / 6 / np.sqrt(2)
     assert found.std[9:12] == pytest.approx(level, rel=0.01)
+    # And beforehand: benchmarks/by_hand.py holds a thousand sessions of a MEMS unit against it.
+    assert found.std[:12] == pytest.approx(forecast(setup, truth).std[:12], rel=0.05)
 
 
 def test_what_a_turn_from_rest_to_rest_leaves_of_a_level_rate() -> None:

@@ -13,7 +13,7 @@ from ..calibrator import Setup
 from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
-from ..methods import METHODS, check_plan, closed_form_beside
+from ..methods import METHODS, check_plan, closed_form_beside, free
 from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..plan import Plan, Position, Step, load_plan
 from ..prediction import Forecast, duration, forecast, reach
@@ -27,6 +27,15 @@ from .terminal import OUTPUT
 
 LUOYANG = 34.65
 """Latitude of the site of Cao 2022, deg."""
+
+_ON_A_TABLE = (
+    'Predicted standard deviations: by the method named, and the least that the session '
+    'allows (Fisher information; azimuth and tilts unknown), which the joint estimate reaches.'
+)
+_IN_THE_HAND = (
+    'Predicted standard deviations by the noise, for turns of two seconds about one axis each.'
+)
+_LEANING = 'What a hold leans comes on top: E_a errs by half of it, D_a by g times a sixth.'
 
 _DIMENSIONS = {
     ParameterKind.SCALE_FACTOR_ERROR: (Dimension.RATIO, Dimension.RATIO),
@@ -163,9 +172,10 @@ def _show_forecast(
     found: Forecast, wanted: dict[str, float] | None = None, *, best: str = 'best'
 ) -> None:
     rows = Rows(box=None, pad_edge=False, header_style='bold')
-    headings = ['parameter', found.method, best, 'unit']
+    on_a_table = not found.evidence.plan.by_hand
+    headings = ['parameter', found.method, *[best] * on_a_table, 'unit']
     if wanted is not None:
-        headings.insert(3, 'wanted')
+        headings.insert(-1, 'wanted')
     for heading in headings:
         rows.add_column(heading, justify='left' if heading in {'parameter', 'unit'} else 'right')
     last: Parameter | None = None
@@ -174,15 +184,14 @@ def _show_forecast(
             rows.add_section()
         last = parameter
         shown = engineering(parameter)
-        cells = [_cell(value / shown.scale) for value in (std, least)]
+        cells = [_cell(value / shown.scale) for value in (std, *[least] * on_a_table)]
         if wanted is not None:
             cells.append(_cell(wanted.get(parameter.name, np.nan) / shown.scale, empty=''))
         rows.add_row(parameter.name, *cells, shown.unit)
     OUTPUT.print(rows)
-    OUTPUT.print(
-        '\nPredicted standard deviations: by the method named, and the least that the session '
-        'allows (Fisher information; azimuth and tilts unknown), which the joint estimate reaches.'
-    )
+    OUTPUT.print(f'\n{_ON_A_TABLE if on_a_table else _IN_THE_HAND}')
+    if not on_a_table and found.method != free.NAME:
+        OUTPUT.print(_LEANING)
     if found.refusal:
         OUTPUT.print(f'{found.method}: {found.refusal}', markup=False)
 

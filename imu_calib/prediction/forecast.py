@@ -43,7 +43,8 @@ class Forecast:
         parameters: What the method estimates.
         std: (n,) by that method, SI units; NaN for what it leaves alone, or where it cannot be
             asked.
-        best: (n,) by the Fisher information; NaN for what the session does not observe.
+        best: (n,) by the Fisher information; NaN for what the session does not observe, and all of
+            it where no table runs the plan: the joint estimate then does not apply.
         refusal: Why the method cannot be asked, else empty.
 
     """
@@ -84,7 +85,7 @@ def forecast(
     solver = method(name)
     refusal = ''
     parameters = extended_parameters(with_g=JOINT.get(name, False))
-    square = np.full(len(parameters), np.nan)
+    square = _nothing(parameters)
     if name not in JOINT:
         try:
             parameters, square = _by_closed_form(evidence, solver, extra)
@@ -92,7 +93,8 @@ def forecast(
                 square = square + skewed.doubt(evidence)
         except NotObservable as error:
             refusal = str(error)
-    best = _best(evidence, truth, parameters, extra)
+    by_hand = setup.plan.by_hand
+    best = _nothing(parameters) if by_hand else _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return Forecast(evidence, name, parameters, std, best, refusal)
 
@@ -137,7 +139,11 @@ def _in_the_hand(setup: Setup, truth: SensorModel, evidence: Evidence) -> Foreca
     """Ask what holds would tell: the method is the least squares that is the best."""
     model = free.in_frame_of_accelerometers(truth)
     std = deviations(setup.plan.positions, setup.imu, setup.site, model)
-    return Forecast(evidence, free.NAME, PARAMETERS, std, std, '')
+    return Forecast(evidence, free.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
+
+
+def _nothing(parameters: tuple[Parameter, ...]) -> Floats:
+    return np.full(len(parameters), np.nan)
 
 
 def information(
