@@ -15,6 +15,7 @@ import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 
 import numpy as np
 from prediction import SITE, judge
@@ -26,6 +27,7 @@ from imu_calib.methods.free import NAME as FREE_POSITIONS
 from imu_calib.methods.free import in_frame_of_accelerometers
 from imu_calib.methods.free.session import calibrator_of
 from imu_calib.model import PARAMETERS, SensorModel
+from imu_calib.montecarlo import single_threaded
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
 from imu_calib.share import named_file
@@ -63,7 +65,7 @@ def compare(name: str, runs: int, jobs: int | None) -> bool:
         truth = in_frame_of_accelerometers(truth)
     foreseen = forecast(setup, truth).std
     known = foreseen > 0
-    with ProcessPoolExecutor(jobs) as pool:
+    with single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
         errors = np.array(list(pool.map(partial(one, setup, truth), range(runs), chunksize=10)))
     parameters = [p for p, told in zip(PARAMETERS, known, strict=True) if told]
     print(f'{name}: {runs} runs', end=', ')
