@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     )
     from .messages import Bytes
 
+_FIRST_SECOND, _LAST_SECOND = -(1 << 31), (1 << 31) - 1
+
 PULSES = (-1.0, -1.0, -1.0)
 """First elements of the three covariances of a message of pulse counts: no filter takes them."""
 RATES = (-1.0, 0.0, 0.0)
@@ -77,24 +79,25 @@ class _Template:
     def repeat(self, stamp: Stamps) -> Bytes:
         """Return (n, size) copies of the message, each with its stamp."""
         if len(stamp) == 1:
-            _seconds(stamp // NS)
+            sec, nanosec = divmod(int(stamp[0]), NS)
+            if not _FIRST_SECOND <= sec <= _LAST_SECOND:
+                _seconds(stamp // NS)
             content = bytearray(self.content)
-            struct.pack_into('<iI', content, ENCAPSULATION, *divmod(int(stamp[0]), NS))
+            struct.pack_into('<iI', content, ENCAPSULATION, sec, nanosec)
             return np.frombuffer(content, np.uint8)[None]
         rows = np.empty((len(stamp), len(self.content)), np.uint8)
         rows[:] = np.frombuffer(self.content, np.uint8)
-        sec, nanosec = np.divmod(stamp, NS)
-        _column(rows, ENCAPSULATION, '<i4', 1)[:, 0] = _seconds(sec)
-        _column(rows, ENCAPSULATION + 4, '<u4', 1)[:, 0] = nanosec
+        seconds, rest = np.divmod(stamp, NS)
+        _column(rows, ENCAPSULATION, '<i4', 1)[:, 0] = _seconds(seconds)
+        _column(rows, ENCAPSULATION + 4, '<u4', 1)[:, 0] = rest
         return rows
 
 
 def _seconds(sec: Stamps) -> Stamps:
-    limit = np.iinfo(np.int32)
-    if len(sec) and (sec.min() < limit.min or sec.max() > limit.max):
+    if len(sec) and (sec.min() < _FIRST_SECOND or sec.max() > _LAST_SECOND):
         raise CdrError(
             f'Stamps from {sec.min()} s to {sec.max()} s do not fit a ROS header '
-            f'({limit.min} s to {limit.max} s).'
+            f'({_FIRST_SECOND} s to {_LAST_SECOND} s).'
         )
     return sec
 
@@ -154,6 +157,10 @@ def _imu(
 ) -> Messages:
     template, gyro, accel = _imu_template(block.frame_id, first_covariances)
     rows = template.repeat(block.stamp)
+    if len(rows) == 1:
+        _fill_one(rows[0], gyro, block.gyro, None if covariances is None else covariances[0])
+        _fill_one(rows[0], accel, block.accel, None if covariances is None else covariances[1])
+        return _messages(rows)
     _column(rows, gyro, '<f8', 3)[:] = block.gyro
     _column(rows, accel, '<f8', 3)[:] = block.accel
     if covariances is not None:
@@ -161,6 +168,13 @@ def _imu(
         _column(rows, gyro + 24, '<f8', 9)[:] = covariances[0]
         _column(rows, accel + 24, '<f8', 9)[:] = covariances[1]
     return _messages(rows)
+
+
+def _fill_one(row: Bytes, start: int, vector: Floats, covariance: Floats | None) -> None:
+    """Write a vector, and its covariance behind it: the way of a live stream."""
+    row.data[start : start + 24] = vector.astype('<f8').tobytes()
+    if covariance is not None:
+        row.data[start + 24 : start + 96] = covariance.astype('<f8').tobytes()
 
 
 @lru_cache(maxsize=64)

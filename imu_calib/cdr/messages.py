@@ -38,12 +38,20 @@ class Messages:
 
     def __post_init__(self) -> None:
         """Refuse messages outside of the buffer: the decoders read without further checks."""
-        if len(self.offset) and (
+        if len(self.offset) == 1:
+            start, size = self.offset.item(), self.size.item()
+            beyond = start < 0 or size < 0 or start + size > len(self.buffer)
+        else:
+            beyond = self._any_beyond()
+        if beyond:
+            raise ValueError(f'Messages reach beyond their buffer of {len(self.buffer)} bytes.')
+
+    def _any_beyond(self) -> bool:
+        return len(self.offset) > 0 and bool(
             self.offset.min() < 0
             or self.size.min() < 0
             or (self.offset + self.size).max() > len(self.buffer)
-        ):
-            raise ValueError(f'Messages reach beyond their buffer of {len(self.buffer)} bytes.')
+        )
 
     @classmethod
     def join(cls, payloads: Sequence[bytes]) -> Messages:

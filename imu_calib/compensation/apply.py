@@ -123,17 +123,19 @@ class Compensation:
             sensitivity = np.vstack([sensitivity, np.zeros((len(channels.bias), _AXES))])
         self._set_channels([*specs, *[imu.accel] * 3], np.concatenate([bias, model.accel.bias]))
         self._walk = _random_walk(calibration, len(specs))
+        self._power = self._walk**2
         force = _inverse(model.accel.response, np.ones(_AXES))
         rate = _inverse(response, self._weights(specs))
         from_force = -rate @ sensitivity
-        # Columns: gyro channels, then specific forces.
-        self._to_rate = np.hstack([rate, from_force]).T.copy()
-        self._to_force = force.T.copy()
+        # From all channels to rates and forces at once: a live sample pays for every step.
+        through = from_force @ force
+        nothing = np.zeros((_AXES, len(specs)))
+        self._to_both = np.block([[rate, through], [nothing, force]]).T.copy()
         self._known_force = calibration.has_accelerometers
-        self._covariance = self._covariances(rate, force, from_force @ force)
+        self._covariance = self._covariances(rate, force, through)
         self._parity_vector: Floats | None = None
         if channels is not None:
-            self._set_parity(response, sensitivity)
+            self._set_parity(response, sensitivity, force)
         # Most levers do nothing where there is no g-sensitivity.
         used = self._covariance[: len(_PAIRS)].any(axis=1)
         self._first, self._second = _FIRST[used], _SECOND[used]
@@ -178,14 +180,13 @@ class Compensation:
         if self._units is Units.PULSES:
             outputs = outputs / tau
         free = outputs - self._bias
-        force = _mix(free[:, self._gyros :], self._to_force)
-        channels = np.concatenate([free[:, : self._gyros], force], axis=1)
-        rate = _mix(channels, self._to_rate)
-        covariance = _mix(self._terms(rate, force, tau), self._covariance)
+        both = _mix(free, self._to_both)
+        rate, force = both[:, :_AXES], both[:, _AXES:]
+        covariance = _mix(self._terms(both, tau), self._covariance)
         rate_covariance, force_covariance = covariance[:, :9], covariance[:, 9:18]
         marks, parity = self._judge(raw, outputs, rate), None
         if self._parity_vector is not None:
-            parity = _mix(channels, self._parity_vector)[:, 0]
+            parity = _mix(free, self._parity_vector)[:, 0]
             marks |= (parity**2 > _PARITY**2 * covariance[:, 18]) * _BITS[Mark.PARITY]
         if marks.any():
             rate_covariance[marks & _RATE_UNKNOWN > 0, 0] = -1.0
@@ -206,12 +207,11 @@ class Compensation:
         walk = self._walk[: len(specs)]
         return np.asarray(1 / walk**2 if (walk > 0).all() else np.ones(len(specs)))
 
-    def _set_parity(self, response: Floats, sensitivity: Floats) -> None:
+    def _set_parity(self, response: Floats, sensitivity: Floats, force: Floats) -> None:
         """Prepare the combination of gyros that no rate can move (CN103697918A)."""
         vector = np.linalg.svd(response)[0][:, -1]
-        from_force = -vector @ sensitivity
-        self._parity_vector = np.concatenate([vector, from_force])[:, None]
-        accel = from_force @ self._to_force.T
+        accel = -vector @ sensitivity @ force
+        self._parity_vector = np.concatenate([vector, accel])[:, None]
         rows = self._propagated(vector[None], accel[None], ((0, 0),))
         self._covariance = np.hstack([self._covariance, rows])
 
@@ -254,22 +254,22 @@ class Compensation:
         rows += [[row[i] * row[j] for i, j in elements] for row in noise]
         return np.array(rows)
 
-    def _terms(self, rate: Floats, force: Floats, tau: Floats) -> Floats:
+    def _terms(self, both: Floats, tau: Floats) -> Floats:
         """Return the products of levers and the variances of the channels, (n, t)."""
-        levers = np.concatenate([rate, np.ones((len(rate), 1)), force], axis=1)
+        levers = np.ones((len(both), _LEVERS))
+        levers[:, :_AXES], levers[:, _AXES + 1 :] = both[:, :_AXES], both[:, _AXES:]
         products = levers[:, self._first] * levers[:, self._second]
         quantum = self._quantum / (tau * tau) if self._units is Units.PULSES else self._quantum
-        return np.concatenate([products, self._walk**2 / tau + quantum], axis=1)
+        return np.concatenate([products, self._power / tau + quantum], axis=1)
 
     def _judge(self, raw: Floats, outputs: Floats, rate: Floats) -> Marks:
         marks = np.full(len(raw), self._mark, np.uint8)
         size = np.abs(outputs)
         # A comparison with what is no number is false.
-        if (
-            (size < self._limit).all()
-            and (np.abs(rate) <= self._highest).all()
-            and (self._units is Units.SI or (np.abs(raw) < _FULL_SCALES[0]).all())
-        ):
+        sound = size < self._limit
+        if self._units is not Units.SI:
+            sound &= np.abs(raw) < _FULL_SCALES[0]
+        if sound.all() and (self._highest == np.inf or (np.abs(rate) <= self._highest).all()):
             return marks
         far = size >= self._limit
         if self._units is not Units.SI:

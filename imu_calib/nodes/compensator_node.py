@@ -162,12 +162,14 @@ class CompensatorNode(ros.Node):
                 reading.stamp, values.rate, values.force, self._frame_id or reading.frame_id
             )
             encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
-            rows = np.flatnonzero(reading.numbers)
-            if not len(rows):
+            stamp = reading.stamp
+            if values.marks.any():
+                encoded, stamp = encoded.select(reading.numbers), stamp[reading.numbers]
+            if not len(stamp):
                 continue
-            ros.publish_all(self._publisher, encoded.select(rows).payloads())
-            self._second.given += len(rows)
-            self._second.newest = int(reading.stamp[rows[-1]])
+            ros.publish_all(self._publisher, encoded.payloads())
+            self._second.given += len(stamp)
+            self._second.newest = int(stamp[-1])
 
     def _on_calibration(self, message: Any) -> None:
         """Take a calibration that is good over."""
