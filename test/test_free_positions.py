@@ -216,7 +216,7 @@ def test_the_plan_says_beforehand_what_thirty_holds_give() -> None:
 
 
 def test_thirty_holds_with_the_shortest_turns_state_what_the_plan_said_beforehand() -> None:
-    # benchmarks/free_positions.py holds the errors of a thousand of them against it.
+    # benchmarks/by_hand.py holds the errors of a thousand of them against it.
     plan = load_plan('free_positions')
     ups = np.array([p.up for p in plan.positions])
     session = the_short_way(ups, np.array([p.dwell for p in plan.positions]), heading=1.0)

@@ -105,6 +105,15 @@ def test_the_method_without_north_says_so() -> None:
     assert 'north' in found.refusal
 
 
+def test_in_the_hand_a_bound_is_the_joint_estimates_alone() -> None:
+    own = Setup(load_imu('mems_counts'), load_plan('six_position_by_hand'), None, SITE)
+    found, joint = (forecast(replace(own, method=m), truth().model) for m in (None, 'joint'))
+    assert np.isnan(found.best).all()
+    assert np.isfinite(found.std).all()
+    # Tilts that the plan's own method takes for none cost the joint estimate what they are.
+    assert (joint.std[K_AX:] >= found.std[K_AX:] * (1 - 1e-3)).all()
+
+
 def test_an_imu_without_noise_figures_is_refused() -> None:
     silent = replace(setup(), imu=load_imu('si'))
     with pytest.raises(InputError, match='angle_random_walk'):

@@ -131,10 +131,10 @@ class _Stream:
             values, frame_id = reading.values, self._frame_id or reading.frame_id
             block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
             encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
-            rows = np.flatnonzero(reading.numbers)
-            self.given += len(rows)
-            times = self._next_times(len(reading))[rows]
-            writer.write(self._target, Kind.IMU.type_name, encoded.select(rows), times)
+            times = self._next_times(len(reading))[reading.numbers]
+            self.given += len(times)
+            kept = encoded.select(reading.numbers)
+            writer.write(self._target, Kind.IMU.type_name, kept, times)
 
     def _next_times(self, count: int) -> Stamps:
         """Take out the log times of the oldest samples."""

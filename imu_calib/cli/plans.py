@@ -121,13 +121,14 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
         _show_forecast(found)
     else:
         own = forecast(replace(setup, method=beside), truth, wander=arguments.bias_instability)
-        _show_forecast(found if own.refusal else own, best=found.method)
+        shown = found if own.refusal else replace(own, best=found.std)
+        _show_forecast(shown, best=found.method)
         if own.refusal:
             OUTPUT.print(f'closed form {beside}: {own.refusal}', markup=False)
     if not arguments.bias_instability and imu.gyro.bias_instability + imu.accel.bias_instability:
         OUTPUT.print(
-            'Biases stand still here; with --bias-instability they wander by the data sheet, as '
-            'the joint estimate allows for.'
+            'Biases stand still here; with --bias-instability they wander by the data sheet'
+            f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
         )
     _show_time(plan, table)
 
@@ -173,7 +174,8 @@ def _show_forecast(
 ) -> None:
     rows = Rows(box=None, pad_edge=False, header_style='bold')
     on_a_table = not found.evidence.plan.by_hand
-    headings = ['parameter', found.method, *[best] * on_a_table, 'unit']
+    bounded = bool(np.isfinite(found.best).any())
+    headings = ['parameter', found.method, *[best] * bounded, 'unit']
     if wanted is not None:
         headings.insert(-1, 'wanted')
     for heading in headings:
@@ -184,7 +186,7 @@ def _show_forecast(
             rows.add_section()
         last = parameter
         shown = engineering(parameter)
-        cells = [_cell(value / shown.scale) for value in (std, *[least] * on_a_table)]
+        cells = [_cell(value / shown.scale) for value in (std, *[least] * bounded)]
         if wanted is not None:
             cells.append(_cell(wanted.get(parameter.name, np.nan) / shown.scale, empty=''))
         rows.add_row(parameter.name, *cells, shown.unit)

@@ -33,7 +33,7 @@ _SPARE = 1.0
 
 _BY_HAND_TURN = 2.0
 _BY_HAND_MOVE = 2.0
-_BY_HAND_STILL = 1.5
+_BY_HAND_STILL = 2.0
 """Before and after a turn by hand, s: what divides it from the moves around it."""
 
 _BY_HAND_LEVEL = 0.25

@@ -43,8 +43,8 @@ class Forecast:
         parameters: What the method estimates.
         std: (n,) by that method, SI units; NaN for what it leaves alone, or where it cannot be
             asked.
-        best: (n,) by the Fisher information; NaN for what the session does not observe, and all of
-            it where no table runs the plan: the joint estimate then does not apply.
+        best: (n,) by the Fisher information; NaN for what the session does not observe, and for
+            the plan's own method in the hand: it takes no tilts for unknown, and may lie below.
         refusal: Why the method cannot be asked, else empty.
 
     """
@@ -93,8 +93,9 @@ def forecast(
                 square = square + skewed.doubt(evidence)
         except NotObservable as error:
             refusal = str(error)
-    by_hand = setup.plan.by_hand
-    best = _nothing(parameters) if by_hand else _best(evidence, truth, parameters, extra)
+    best = _nothing(parameters)
+    if name in JOINT or not setup.plan.by_hand:
+        best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return Forecast(evidence, name, parameters, std, best, refusal)
 
