@@ -227,6 +227,13 @@ def test_the_result_does_not_depend_on_cuts_and_interleaving(seed: int) -> None:
     assert calibrate(recut(blocks, seed), short_plan()).calibration.to_yaml() == reference
 
 
+def test_nor_does_it_where_the_encoders_wrap() -> None:
+    blocks = list(session(short_plan(), stand(wrapped=True), seed=1))
+    reference = calibrate(blocks, short_plan()).calibration.to_yaml()
+    for seed in range(3):
+        assert calibrate(recut(blocks, seed), short_plan()).calibration.to_yaml() == reference
+
+
 def short_plan() -> Plan:
     return quick_plan('twelve_position', 10.0)
 

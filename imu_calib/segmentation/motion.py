@@ -58,6 +58,8 @@ class JointTracker:
     def __init__(self) -> None:
         self._stamp: Stamps = np.empty(0, dtype=np.int64)
         self._position: Floats = np.empty((0, 0))
+        self._delivered: Floats = np.empty(0)
+        self._turns: Floats = np.empty(0)
         self._judged = 0
         self._start: int | None = None
         self._moving = False
@@ -86,13 +88,19 @@ class JointTracker:
             position: (n, k) rad.
 
         """
-        if len(self._stamp):
-            position = np.unwrap(np.vstack([self._position[-1:], position]), axis=0)[1:]
-            self._position = np.vstack([self._position, position])
-        else:
-            self._position = np.unwrap(position, axis=0)
+        if self.silent:
+            self._delivered, self._turns = position[0], np.zeros(position.shape[1])
+            self._position = self._position.reshape(0, position.shape[1])
+        self._position = np.vstack([self._position, self._unwrapped(position)])
         self._stamp = np.concatenate([self._stamp, stamp])
         return self._judge()
+
+    def _unwrapped(self, position: Floats) -> Floats:
+        """Add whole turns: counted, where `np.unwrap` sums what each cut of the stream rounds."""
+        steps = np.diff(np.vstack([self._delivered, position]), axis=0)
+        turns = self._turns - np.cumsum(np.rint(steps / _TURN), axis=0)
+        self._delivered, self._turns = position[-1], turns[-1]
+        return np.asarray(position + _TURN * turns)
 
     def finish(self) -> list[Rest | Motion]:
         """End of the stream: return the rest or motion that was going on."""
