@@ -52,6 +52,7 @@ class Calibration:
         residuals: One per stretch at rest.
         findings: What a person should know, in sentences.
         provenance: Where it comes from: recording, hash, plan, method, site, versions.
+        serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
 
     """
 
@@ -61,6 +62,7 @@ class Calibration:
     residuals: tuple[ResidualRow, ...] = ()
     findings: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
+    serial_number: str = ''
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -105,6 +107,7 @@ class Calibration:
         document = {
             'format': _FORMAT,
             'imu': self.imu.id,
+            'serial_number': self.serial_number,
             'units': self.imu.units.value,
             'gyro': self._gyro_document(std.gyro),
             'accelerometer': (
@@ -229,7 +232,10 @@ class Calibration:
         provenance = section.raw('provenance') if section.has('provenance') else {}
         if not isinstance(findings, list) or not isinstance(provenance, dict):
             raise InputError(f'{section.where}: findings must be a list, provenance a mapping.')
-        return cls(spec, model, covariance, residuals, tuple(findings), provenance)
+        serial_number = section.text('serial_number', '')
+        return cls(
+            spec, model, covariance, residuals, tuple(findings), provenance, serial_number
+        )
 
 
 def write_whole(path: Path, text: str) -> None:

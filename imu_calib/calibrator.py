@@ -44,6 +44,7 @@ class Setup:
         site: Gravity and Earth rate.
         method: Name of the solver; None takes the joint estimate where it applies, else the plan's
             own method.
+        serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
 
     """
 
@@ -52,6 +53,7 @@ class Setup:
     table: Table | None
     site: Site
     method: str | None = None
+    serial_number: str = ''
 
     @property
     def method_name(self) -> str:
@@ -252,6 +254,7 @@ class Calibrator:
             ),
             findings,
             _provenance(setup, evidence, session, solution, comparison),
+            setup.serial_number,
         )
         return Result(calibration, solution, session, labelled, comparison)
 

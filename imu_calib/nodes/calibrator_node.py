@@ -111,18 +111,19 @@ class CalibratorNode(ros.Node):
             self, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
         )
         method = declare(self, 'method', '', 'the estimator; empty: joint where it applies')
+        serial = declare(self, 'serial_number', '', 'of the unit; empty: not stated')
         if math.isnan(latitude):
             raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
         laid_out = load_plan(plan)
         if laid_out.by_hand:
-            self._description = describe(plan, imu, None, site)
-            return Setup(load_imu(imu), laid_out, None, site, method or None)
+            self._description = describe(plan, imu, None, site, serial)
+            return Setup(load_imu(imu), laid_out, None, site, method or None, serial)
         described = load_table(table)
         if not math.isnan(azimuth):
             described = replace(described, azimuth=azimuth * DEG)
-        self._description = describe(plan, imu, table, site)
-        return Setup(load_imu(imu), laid_out, described, site, method or None)
+        self._description = describe(plan, imu, table, site, serial)
+        return Setup(load_imu(imu), laid_out, described, site, method or None, serial)
 
     def _kinds(self) -> list[Kind]:
         """List what there is to listen to: no table, no joint states; no skewed gyro, no topic."""

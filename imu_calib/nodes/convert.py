@@ -40,6 +40,7 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
     """
     text = ' '.join(calibration.findings)
     message = _empty(calibration.imu, status, text, frame_id, stamp)
+    message.serial_number = calibration.serial_number
     where = calibration.provenance
     message.plan = str(where['plan'])
     message.method = str(where['method'])
@@ -120,6 +121,7 @@ def calibration_of(message: Any) -> Calibration:
         SensorModel(Triad.from_vector(vector[:12]), accel, sensitivity, skewed),
         covariance.reshape(size, size),
         provenance=_provenance(message),
+        serial_number=message.serial_number,
     )
 
 
