@@ -21,6 +21,7 @@ from .model import (
     Triad,
     extended_parameters,
 )
+from .plausibility import check_plausible
 from .stream import Floats, Units
 
 _FORMAT = 1
@@ -205,7 +206,7 @@ class Calibration:
         """Read a calibration from its YAML mapping.
 
         Raises:
-            InputError: No calibration.
+            InputError: No calibration, or one that no strapdown IMU has.
 
         """
         version = section.number('format')
@@ -233,9 +234,11 @@ class Calibration:
         if not isinstance(findings, list) or not isinstance(provenance, dict):
             raise InputError(f'{section.where}: findings must be a list, provenance a mapping.')
         serial_number = section.text('serial_number', '')
-        return cls(
+        calibration = cls(
             spec, model, covariance, residuals, tuple(findings), provenance, serial_number
         )
+        check_plausible(calibration, section.where)
+        return calibration
 
 
 def write_whole(path: Path, text: str) -> None:
