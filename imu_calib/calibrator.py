@@ -122,12 +122,7 @@ class Calibrator:
         self._segmenter = Segmenter(setup.imu, setup.table)
 
     def feed(self, block: Block) -> None:
-        """Take a block of any topic in.
-
-        Raises:
-            InputError: Joint states of another table.
-
-        """
+        """Take a block of any topic in."""
         self._segmenter.feed(block)
 
     def finish(self) -> Result:
@@ -138,7 +133,10 @@ class Calibrator:
             NotObservable: The data cannot give all parameters; says which and why.
 
         """
-        return self._solve(self._segmenter.finish())
+        session = self._segmenter.finish()
+        if session.strangers:
+            raise InputError(session.strangers)
+        return self._solve(session)
 
     def snapshot(self) -> Calibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself.

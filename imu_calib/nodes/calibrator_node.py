@@ -377,7 +377,14 @@ class CalibratorNode(ros.Node):
             level, text = Level.WARN, f'Nothing has come in on {joints.topic} yet.'
         if joints.malformed.count:
             level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
-        figures = {'samples': str(joints.count), 'malformed': str(joints.malformed.count)}
+        figures = {
+            'samples': str(joints.count),
+            'of other joints': str(joints.ignored),
+            'malformed': str(joints.malformed.count),
+        }
+        if joints.ignored and not joints.count and self._setup.table is not None:
+            names = ', '.join(self._setup.table.names)
+            text = f'{joints.topic} names no message with all joints of the table ({names}) yet.'
         self._diagnostics.report('joint states', level, text, **figures)
 
     def _report_skew(self) -> None:
