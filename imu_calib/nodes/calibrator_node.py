@@ -75,6 +75,8 @@ class CalibratorNode(ros.Node):
         self._drains = {kind: self._open_drain(kind, reliable=True) for kind in self._kinds()}
         self._unreliable: set[Kind] = set()
         self._state_topic = self.resolve_topic_name('turntable/state')
+        self._early_states: list[bytes] = []
+        self._latest = 0
         self._seconds_left = math.nan
         if self._setup.table is not None:
             self.create_subscription(
@@ -177,8 +179,33 @@ class CalibratorNode(ros.Node):
         if self._session.poll():
             self._publish()
 
+    def _read_clock(self) -> int:
+        """Return the time of the recording, ns; 0 before the first /clock of a simulated time."""
+        now = int(self.get_clock().now().nanoseconds)
+        if now < self._latest:
+            back = (self._latest - now) * 1e-9
+            self._diagnostics.report(
+                'time',
+                Level.WARN,
+                f'The clock jumped back by {back:.3g} s: the recording goes on with its last time.',
+            )
+        elif now == 0:
+            self._diagnostics.report(
+                'time', Level.WARN, 'Nothing has come on /clock yet: nothing is taken in.'
+            )
+        else:
+            self._diagnostics.report('time', Level.OK, 'The clock runs.')
+        self._latest = max(now, self._latest)
+        return self._latest
+
     def _take_all(self) -> None:
-        now = self.get_clock().now().nanoseconds
+        now = self._read_clock()
+        if now == 0:
+            # A log time before the clock began would make a recording of decades.
+            return
+        for payload in self._early_states:
+            self._session.record(self._state_topic, _STATE_TYPE, payload, now)
+        self._early_states.clear()
         for kind, subscription in self._drains.items():
             payloads = ros.drain(subscription, _MOST)
             if not payloads or self._session.over:
@@ -235,9 +262,8 @@ class CalibratorNode(ros.Node):
 
     def _on_state(self, payload: bytes) -> None:
         state = ros.deserialize_message(payload, messages.TurntableState)
-        self._session.record(
-            self._state_topic, _STATE_TYPE, payload, self.get_clock().now().nanoseconds
-        )
+        self._early_states.append(payload)
+        self._take_all()
         if state.plan and state.plan != self._setup.plan.name:
             self._session.fail(
                 f'The table runs plan {state.plan}, this calibrator expects '

@@ -341,7 +341,8 @@ class TurntableNode(Node):
 
     def _on_progress(self, message: Any) -> None:
         self._heard_at = self._steady.now().nanoseconds * 1e-9
-        stamp = Time.from_msg(message.header.stamp).nanoseconds
+        # rclpy's Time refuses what lies before 1970, where simulated time may begin.
+        stamp = message.header.stamp.sec * _NS + message.header.stamp.nanosec
         self._sequencer.review(stamp, [int(step) for step in message.repeat_steps])
         failed = message.state == message.FAILED
         fault = ''
