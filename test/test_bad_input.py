@@ -739,3 +739,19 @@ def test_a_bump_that_comes_back(cli: CommandLine) -> None:
 
     sentence = r'Position 7: disturbed \d+\.\d s after it came to rest; (0.5|1.0) s left out'
     cli.uses_the_rest(sentence, good().with_imu(bump))
+
+
+# Which unit it is.
+
+
+def test_the_serial_number_of_the_recording_or_of_the_command_line(
+    cli: CommandLine, recorded: Path
+) -> None:
+    assert cli.calibrate(recorded, '--serial', '0042')[0] == 0
+    assert Calibration.load(cli.output).serial_number == '0042'
+    cli.output.unlink()
+    data = {**DATA, 'imu_calib.serial_number': 'A1'}
+    sentence = '--serial: found B2, but .*bag is of the unit with serial number A1'
+    cli.refuses(2, sentence, good().columns, '--serial', 'B2', data=data)
+    assert cli.calibrate(cli.folder / 'bag')[0] == 0
+    assert Calibration.load(cli.output).serial_number == 'A1'
