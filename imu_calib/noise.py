@@ -29,6 +29,7 @@ _FEWEST_POINTS = 2
 _SIGNIFICANT = 2.0
 _NINETY_FIVE = 1.645
 _ALIKE = 0.2
+_SMALLEST_EIGENVALUE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -277,9 +278,8 @@ def _non_negative(
     A handful of terms has few subsets: each is solved, and the best without a negative number is
     taken. What is not in it is zero, and known as well as if it were added.
     """
-    root = np.linalg.cholesky(covariance)
-    design = np.linalg.solve(root, units)
-    observed = np.linalg.solve(root, variance)
+    whiten = _whitening(covariance)
+    design, observed = whiten @ units, whiten @ variance
     size = np.linalg.norm(design, axis=0)
     design = design / size
     best: tuple[float, Floats, tuple[Term, ...]] = (float(observed @ observed), np.empty(0), ())
@@ -296,3 +296,16 @@ def _non_negative(
         information = design[:, among].T @ design[:, among]
         variances[term] = np.linalg.pinv(information)[0, 0] / size[term] ** 2
     return squares, variances
+
+
+def _whitening(covariance: Floats) -> Floats:
+    """Return the (k, k) matrix that makes points of a covariance independent, of variance one.
+
+    Clusters of a few samples of noise that averages out faster than white (rounding, a hand that
+    trembles) tell nearly the same: what rounding of numbers leaves of an eigenvalue is no
+    information.
+    """
+    deviation = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(deviation, deviation))
+    floor = _SMALLEST_EIGENVALUE * values[-1]
+    return np.asarray((vectors / np.sqrt(np.maximum(values, floor))).T / deviation)

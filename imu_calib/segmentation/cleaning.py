@@ -213,13 +213,12 @@ def _largest_step(blocks: Floats, walk: float) -> _Step | None:
     row, gain, quantum, middle = blocks.T
     if len(row) < _FEWEST_BLOCKS:
         return None
-    variance = walk**2 * gain + quantum
-    variance = variance if variance.min() > 0 else gain
+    # Where nobody states the noise, blocks count by their lengths, and their scatter shows it.
+    variance = walk**2 * gain + quantum if walk > 0 else gain
     # The largest difference is left out, since it may be the step itself.
     squares = np.sort(np.diff(row) ** 2 / (variance[1:] + variance[:-1]))[:-1]
-    excess = float(squares.mean()) / _WITHOUT_LARGEST
-    if walk > 0 or quantum.min() > 0:
-        excess = max(excess, 1.0)
+    least = 1.0 if walk > 0 else float((quantum / gain).max())
+    excess = max(float(squares.mean()) / _WITHOUT_LARGEST, least)
     weights = 1 / variance
     before, after = np.cumsum(weights)[:-1], np.cumsum(weights[::-1])[-2::-1]
     total, sums = float(weights @ row), np.cumsum(weights * row)[:-1]

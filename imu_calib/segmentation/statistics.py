@@ -221,10 +221,13 @@ def _rounding(increments: Floats, grid: float) -> float:
 
 
 def _combine(means: list[MeanRate], walk: float) -> MeanRate:
-    """Average the runs between gaps, each by its variance."""
-    variances = np.array([m.variance(walk) for m in means])
+    """Average the runs between gaps, each by its variance.
+
+    Where nobody states the noise they are weighed by their lengths: what rounding leaves vanishes
+    in noise that is not known.
+    """
     gains = np.array([m.walk_gain for m in means])
-    precision = 1 / (variances if variances.min() > 0 else gains)
+    precision = 1 / (np.array([m.variance(walk) for m in means]) if walk > 0 else gains)
     weights = precision / precision.sum()
     return MeanRate(
         float(weights @ [m.rate for m in means]),
