@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TypeAlias
 
 import numpy as np
 
 from ..stream import Floats, Stamps
-from ..units import DEG, STANDARD_GRAVITY
 from .motion import Motion, Rest
+from .offset import GyroOffset
+from .unrest import Tolerance
 
 _WINDOW_SECONDS = 0.1
 _WINDOWS_TO_SETTLE = 3
-_RATE_TOLERANCE = 0.5 * DEG
-_LARGEST_BIAS = 1.0 * DEG
-_FORCE_TOLERANCE = 0.02 * STANDARD_GRAVITY
-_WINDOWS_TO_OPEN = 20
+_WINDOWS_AHEAD = 300
+"""Half a minute: holds of some seconds with turns between show offset and noise in several
+attitudes, and the samples of so long are kept."""
+
+_WINDOWS_TO_LEARN = 50
 _NO_JOINTS = np.empty((0, 0))
 _NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
-
 
 _Window: TypeAlias = tuple[int, int, Floats]
 """First and last stamp, ns, and the (6,) mean."""
@@ -27,27 +29,33 @@ _Window: TypeAlias = tuple[int, int, Floats]
 class StillnessTracker:
     """Tells rests from motions by the means of short windows of IMU samples.
 
-    Windows are counted from the first sample, so the outcome does not depend on how the stream was
-    cut into blocks. A unit counts as still while its windows stay near those that began the rest
-    and its rate is below 1 deg/s. A steady turn about the vertical looks like a rest with a large
-    bias: only a stream that begins with two quiet seconds shows such a bias, and rates are then
-    counted from there.
+    A unit counts as still while the gyros stay near what they read at rest and the accelerometers
+    near what they read as the rest began. What the gyros read at rest, and how near is near, the
+    session says itself (`GyroOffset`, `Tolerance`). A window is therefore judged half a minute
+    after it came in, by all that came before and the half minute after, or at the end.
+
+    Windows are counted from the first sample, and the judgement follows that count: the outcome
+    does not depend on how the stream was cut into blocks.
     """
 
     def __init__(self, period: float) -> None:
         self._length = max(1, round(_WINDOW_SECONDS / period))
         self._stamp: Stamps = _NO_STAMPS
         self._rates: Floats = np.empty((0, 6))
-        self._windows: list[_Window] = []
-        self._opening: list[_Window] = []
-        self._bias: Floats | None = None
+        self._offset = GyroOffset()
+        self._tolerance = Tolerance()
+        self._around: deque[_Window] = deque(maxlen=4 * _WINDOWS_AHEAD)
+        self._ahead = 0
+        self._count = 0
+        self._learnt_at = -1
+        self._recent: list[_Window] = []
         self._reference: Floats | None = None
         self._start: int | None = None
 
     @property
     def known_until(self) -> int | None:
         """End of the last window that was judged, ns."""
-        return self._windows[-1][1] if self._windows else None
+        return self._recent[-1][1] if self._recent else None
 
     @property
     def rest_since(self) -> int | None:
@@ -71,12 +79,19 @@ class StillnessTracker:
                 self._rates[: self._length].mean(axis=0),
                 self._rates[self._length :],
             )
-            done += self._open((int(head[0]), int(head[-1]), mean))
+            self._offset.feed(mean)
+            self._around.append((int(head[0]), int(head[-1]), mean))
+            self._ahead += 1
+            self._count += 1
+            if self._ahead > _WINDOWS_AHEAD:
+                done += self._judge_next()
         return done
 
     def finish(self) -> list[Rest | Motion]:
-        """End of the stream: return the rest or motion that was going on."""
-        done = self._opened() if self._bias is None else []
+        """End of the stream: return what it holds to its end."""
+        done: list[Rest | Motion] = []
+        while self._ahead:
+            done += self._judge_next()
         end = self.known_until
         if end is None or self._start is None:
             return []
@@ -93,62 +108,42 @@ class StillnessTracker:
         self._start = end
         return rest
 
-    def _open(self, window: _Window) -> list[Rest | Motion]:
-        """Wait with the first windows until they show the bias."""
-        if self._bias is not None:
-            return self._judge(*window)
-        self._opening.append(window)
-        if len(self._opening) < _WINDOWS_TO_OPEN and _steady(self._opening):
-            return []
-        return self._opened()
+    def _judge_next(self) -> list[Rest | Motion]:
+        """Judge the oldest window that waits."""
+        if self._count // _WINDOWS_TO_LEARN != self._learnt_at:
+            self._learnt_at = self._count // _WINDOWS_TO_LEARN
+            means = np.array([mean for _, _, mean in self._around])
+            self._tolerance = Tolerance.of(means, self._offset.value)
+        window = self._around[-self._ahead]
+        self._ahead -= 1
+        return self._judge(window)
 
-    def _opened(self) -> list[Rest | Motion]:
-        self._bias = np.zeros(3)
-        if len(self._opening) >= _WINDOWS_TO_OPEN and _steady(self._opening):
-            level = np.mean([mean[:3] for _, _, mean in self._opening], axis=0)
-            if (np.abs(level) >= _LARGEST_BIAS).any():
-                self._bias = level
-        opening, self._opening = self._opening, []
-        return [done for window in opening for done in self._judge(*window)]
-
-    def _judge(self, start: int, end: int, mean: Floats) -> list[Rest | Motion]:
-        assert self._bias is not None
-        mean = mean - np.append(self._bias, np.zeros(3))
+    def _judge(self, window: _Window) -> list[Rest | Motion]:
+        start, _, mean = window
         self._start = start if self._start is None else self._start
-        self._windows = [*self._windows, (start, end, mean)][-_WINDOWS_TO_SETTLE:]
+        self._recent = [*self._recent, window][-_WINDOWS_TO_SETTLE:]
         if self._reference is not None:
-            if _near(mean, self._reference):
+            if self._still(mean, self._reference):
                 return []
             # The last window that was near may hold the first of the motion.
-            last = max(self._start, self._windows[-2][0] if len(self._windows) > 1 else start)
+            last = max(self._start, self._recent[-2][0] if len(self._recent) > 1 else start)
             rest = Rest(self._start, last)
             self._start, self._reference = last, None
             return [rest]
-        recent = np.array([w[2] for w in self._windows])
-        centre = recent.mean(axis=0)
-        fresh = [w for w in self._windows if w[0] >= self._start]
-        if len(fresh) < _WINDOWS_TO_SETTLE or not all(_near(m, centre) for m in recent):
+        centre = np.mean([mean for _, _, mean in self._recent], axis=0)
+        fresh = [w for w in self._recent if w[0] >= self._start]
+        if len(fresh) < _WINDOWS_TO_SETTLE or not all(self._still(m, centre) for *_, m in fresh):
             return []
         # The first window may hold the last of the motion: rest begins with the second.
-        motion = self._motion(self._windows[1][0])
-        self._start, self._reference = self._windows[1][0], centre
+        motion = self._motion(self._recent[1][0])
+        self._start, self._reference = self._recent[1][0], centre
         return [motion] if motion.end > motion.start else []
+
+    def _still(self, mean: Floats, reference: Floats) -> bool:
+        moved, leaning = np.abs(mean[:3] - self._offset.value), np.abs(mean - reference)[3:]
+        return bool(
+            (moved < self._tolerance.rate).all() and (leaning < self._tolerance.force).all()
+        )
 
     def _motion(self, end: int) -> Motion:
         return Motion(self._start or 0, end, _NO_STAMPS, _NO_JOINTS)
-
-
-def _steady(windows: list[_Window]) -> bool:
-    """Say whether windows lie near their mean, whatever that is."""
-    means = np.array([mean for _, _, mean in windows])
-    off = np.abs(means - means.mean(axis=0))
-    return bool((off[:, :3] < _RATE_TOLERANCE).all() and (off[:, 3:] < _FORCE_TOLERANCE).all())
-
-
-def _near(mean: Floats, reference: Floats) -> bool:
-    difference = np.abs(mean - reference)
-    return bool(
-        np.all(difference[:3] < _RATE_TOLERANCE)
-        and np.all(difference[3:] < _FORCE_TOLERANCE)
-        and np.all(np.abs(mean[:3]) < _LARGEST_BIAS)
-    )

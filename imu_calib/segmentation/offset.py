@@ -1,0 +1,96 @@
+"""What the gyros read while the unit stands still: told from the session, whatever it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..stream import Floats
+from ..units import DEG, STANDARD_GRAVITY
+
+_CHUNK_WINDOWS = 5
+"""Windows of a tenth of a second that are averaged: a hand trembles at 8 to 12 Hz (Stiles 1976,
+J. Appl. Physiol. 40), which half a second takes out."""
+
+_STEADY_RATE = 1.0 * DEG
+_STEADY_FORCE = 0.05 * STANDARD_GRAVITY
+"""Within which the means of two half seconds agree in a hand that holds still: 0.6 deg/s and 0.02 g
+in published sessions of five MPU-9150 (mikoff/imu-calib), with room for shakier hands."""
+
+_OTHER_WAY_UP = np.cos(np.radians(20))
+_MOST_LEVELS = 32
+_MEMORY = 20
+
+
+@dataclass(eq=False)
+class _Level:
+    """A steady rate, and the ways up in which it was read."""
+
+    rate: Floats
+    ups: list[Floats]
+    count: int = 1
+
+    def holds(self, rate: Floats) -> bool:
+        return bool((np.abs(rate - self.rate) < _STEADY_RATE).all())
+
+    def add(self, rate: Floats, up: Floats) -> None:
+        # A bias that warms up is followed: the last seconds count, not all.
+        self.count += 1
+        self.rate = self.rate + (rate - self.rate) / min(self.count, _MEMORY)
+        if all(up @ other < _OTHER_WAY_UP for other in self.ups):
+            self.ups.append(up)
+
+    @property
+    def support(self) -> tuple[int, bool]:
+        return len(self.ups), bool((np.abs(self.rate) < _STEADY_RATE).all())
+
+
+class GyroOffset:
+    """Finds the gyros' offset among the steady rates of a session.
+
+    At rest the gyros read the same rate whichever way is up; a turn about the vertical is just as
+    steady, but its rate goes with what is up. So the steady rate that was read in the most
+    attitudes is the offset. Between equals the one below 1 deg/s is, or else the earliest: nobody
+    begins to record in the middle of an even turn.
+
+    The outcome depends on the windows alone, in their order; memory is bounded.
+    """
+
+    def __init__(self) -> None:
+        self._levels: list[_Level] = []
+        self._sum = np.zeros(6)
+        self._windows = 0
+        self._last: Floats | None = None
+
+    @property
+    def value(self) -> Floats:
+        """The offset (3,), rad/s; zeros while nothing was steady."""
+        if not self._levels:
+            return np.zeros(3)
+        # The first of the best: levels are listed in the order in which they came.
+        return max(self._levels, key=lambda level: level.support).rate
+
+    def feed(self, mean: Floats) -> None:
+        """Take the mean (6,) of a window of a tenth of a second in, rad/s and m/s^2."""
+        self._sum += mean
+        self._windows += 1
+        if self._windows < _CHUNK_WINDOWS:
+            return
+        now, before = self._sum / _CHUNK_WINDOWS, self._last
+        self._sum, self._windows, self._last = np.zeros(6), 0, now
+        if before is None:
+            return
+        apart = np.abs(now - before)
+        if (apart[:3] < _STEADY_RATE).all() and (apart[3:] < _STEADY_FORCE).all():
+            second = (now + before) / 2
+            self._add(second[:3], second[3:] / (np.linalg.norm(second[3:]) or 1.0))
+
+    def _add(self, rate: Floats, up: Floats) -> None:
+        for level in self._levels:
+            if level.holds(rate):
+                level.add(rate, up)
+                return
+        if len(self._levels) == _MOST_LEVELS:
+            self._levels.remove(min(self._levels, key=lambda level: level.support))
+        self._levels.append(_Level(rate, [up]))
