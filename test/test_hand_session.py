@@ -9,6 +9,7 @@ but the sum of ours. Its K_ga (gyro counts per m/s^2) is what the 24-parameter m
 also spreads the turn of 360 deg over the samples by the gyro itself, where ours takes its angle.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,11 @@ import pytest
 from scipy.special import fresnel
 from scipy.stats import chi2
 
-from imu_calib.bags import open_recording
+from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
-from imu_calib.cdr import Kind
+from imu_calib.cdr import Kind, encode_imu
+from imu_calib.cli.main import main
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.plan import load_plan
@@ -130,3 +132,38 @@ def test_what_a_turn_from_rest_to_rest_leaves_of_a_level_rate() -> None:
     seen = Around(sensor, values, sensor.samples(stamp, values))
     (motion,) = read_free_motion(seen, Motion(0, int(stamp[-1]), stamp, np.empty((0, 0))))
     assert abs(motion.level) == pytest.approx(fresnel(np.sqrt(2))[1] / np.sqrt(2), abs=1e-3)
+
+
+def test_the_shipped_plan_by_hand_is_simulated_looked_at_and_calibrated(tmp_path, capsys) -> None:
+    session, result = tmp_path / 'session', tmp_path / 'calibration.yaml'
+    unit = ['--imu', 'mems_counts', '--truth', 'mems_counts']
+    assert main(['simulate', 'six_position_by_hand', *unit, '-o', str(session)]) == 0
+    with open_recording(session) as recording:
+        assert [topic.type for topic in recording.topics] == [Kind.IMU.type_name]
+    assert main(['info', str(session)]) == 0
+    assert 'plan six_position_by_hand: complete' in capsys.readouterr().out
+    assert main(['calibrate', str(session), '-o', str(result)]) == 0
+    found, truth = Calibration.load(result), Calibration.load(named_file('truths', 'mems_counts'))
+    assert np.abs((found.values - truth.values) / found.std).max() < 5
+
+
+def test_a_table_for_a_plan_by_hand_is_refused(tmp_path, capsys) -> None:
+    arguments = ['simulate', 'six_position_by_hand', '--azimuth', '5', '-o', str(tmp_path / 'x')]
+    assert main(arguments) == 2
+    assert '--azimuth: found 5.0, expected none' in capsys.readouterr().err
+
+
+def test_turns_that_are_missing_are_said_beforehand(tmp_path, capsys) -> None:
+    plan = load_plan('six_position_by_hand')
+    holds = replace(plan, positions=plan.positions[:7])
+    held = as_planned(holds, np.random.default_rng(1))
+    spec = load_imu('mems_counts')
+    truth = Calibration.load(named_file('truths', 'mems_counts')).model
+    with RecordingWriter(tmp_path / 'holds') as writer:
+        for block in held.blocks(spec, truth, Site.at(34.65 * DEG)):
+            message = encode_imu(block)
+            writer.write('/imu/raw', Kind.IMU.type_name, message, block.stamp)
+    arguments = ['info', str(tmp_path / 'holds'), '--plan', plan.name, '--imu', 'mems_counts']
+    assert main([*arguments, '--latitude', '34.65']) == 0
+    told = ' '.join(capsys.readouterr().out.split())
+    assert f'missing of plan {plan.name}: the turns at y_turn, the turns at z_turn' in told

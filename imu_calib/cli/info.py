@@ -18,6 +18,8 @@ from . import options
 from .calibrate import Offline, open_offline
 from .terminal import OUTPUT, progress_bar, sentence_list
 
+_SAME_UP = 0.999
+
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
@@ -97,6 +99,11 @@ def _show_segments(session: Segmented, setup: Setup) -> None:
     OUTPUT.print(f'\nwhole turns: {listed or "none"}', markup=False)
     found = {s.position for s in labelled.segments}
     missing = [p.id for p in setup.plan.positions if p.dwell > 0 and p.id not in found]
+    missing += [
+        f'the turns at {p.id}'
+        for p in setup.plan.positions
+        if p.rate_test and not any(t.up @ p.up > _SAME_UP for t in labelled.turns)
+    ]
     text = f'missing of plan {setup.plan.name}: {", ".join(missing)}' if missing else 'complete'
     OUTPUT.print(f'plan {setup.plan.name}: {text}')
     left_out = [f'{r.position or "?"}: {r.reason}' for r in labelled.rejected]

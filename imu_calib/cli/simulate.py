@@ -1,4 +1,4 @@
-"""imu-calib simulate: write a recording that a real stand could have written."""
+"""imu-calib simulate: write a recording that a real stand, or a hand, could have written."""
 
 from __future__ import annotations
 
@@ -11,16 +11,22 @@ import numpy as np
 from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
 from ..earth import Site
-from ..imu import load_imu
+from ..errors import InputError
+from ..imu import ImuSpec, load_imu
 from ..methods import check_plan
-from ..plan import load_plan
+from ..model import SensorModel
+from ..plan import Plan, load_plan
 from ..session import describe
-from ..simulation import SimulatedStand, StandOptions
+from ..simulation import ImuOptions, SimulatedStand, StandOptions
+from ..simulation.hand import as_planned
+from ..simulation.stand import IMU_TOPIC
 from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, SkewBlock, Stamps
-from ..turntable import load_table
+from ..turntable import Table, load_table
 from ..units import DEG
 from . import options
 from .terminal import OUTPUT, progress_bar
+
+_TABLE = 'three_axis'
 
 LUOYANG = 34.65
 """Latitude of the site of Cao 2022, deg."""
@@ -37,7 +43,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
     )
     parser.add_argument(
-        '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
+        '--table',
+        metavar='NAME|FILE',
+        help=f'default: {_TABLE}; none where the plan is run by hand',
     )
     parser.add_argument(
         '--truth',
@@ -48,7 +56,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         '--azimuth',
         type=float,
-        default=0.0,
         metavar='DEG',
         help="true heading of the table's zero against north, about up (default: 0)",
     )
@@ -68,42 +75,70 @@ def run(arguments: argparse.Namespace) -> None:
     """Simulate and write."""
     latitude = LUOYANG if arguments.latitude is None else arguments.latitude
     site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
-    table = load_table(arguments.table)
     imu = load_imu(arguments.imu)
     truth = options.load_truth(arguments.truth, imu)
     plan = load_plan(arguments.plan)
     check_plan(plan.method, plan, site)
-    stand = SimulatedStand(
-        plan,
-        table,
-        imu,
-        truth.model,
-        site,
-        StandOptions(
-            azimuth=arguments.azimuth * DEG,
-            # A uniform error of this half width has the standard deviation that the table states.
-            positioning_error=math.sqrt(3) * table.positioning,
-            bias_instability=arguments.bias_instability,
-        ),
-        arguments.seed,
-    )
-    data = describe(arguments.plan, arguments.imu, arguments.table, site, arguments.serial or '')
+    table = None if plan.by_hand else arguments.table or _TABLE
+    if table is None:
+        _refuse_table(plan, arguments)
+        held = as_planned(plan, np.random.default_rng([arguments.seed, 1]))
+        imu_options = ImuOptions(bias_instability=arguments.bias_instability)
+        read = held.blocks(imu, truth.model, site, imu_options, arguments.seed)
+        duration, blocks = held.duration, ((IMU_TOPIC, block) for block in read)
+    else:
+        stand = _stand(plan, load_table(table), imu, truth.model, site, arguments)
+        duration, blocks = stand.duration, stand.blocks()
+    data = describe(arguments.plan, arguments.imu, table, site, arguments.serial or '')
     target = Path(arguments.output)
     with (
         RecordingWriter(target, data, arguments.compression) as writer,
         progress_bar('simulating') as show,
     ):
         start = None
-        for topic, block in stand.blocks():
+        for topic, block in blocks:
             kind, messages, stamp = serialised(block)
             writer.write(f'/{topic}', kind.type_name, messages, stamp)
             start = int(stamp[0]) if start is None else start
-            show(int(stamp[-1]) - start, round(stand.duration * 1e9))
+            show(int(stamp[-1]) - start, round(duration * 1e9))
     truth.save(target / 'truth.yaml')
     OUTPUT.print(
-        f'{stand.duration:.0f} s of plan {stand.plan.name} written to {target}, '
+        f'{duration:.0f} s of plan {plan.name} written to {target}, '
         f'the true parameters to {target / "truth.yaml"}'
     )
+
+
+def _stand(
+    plan: Plan,
+    table: Table,
+    imu: ImuSpec,
+    model: SensorModel,
+    site: Site,
+    arguments: argparse.Namespace,
+) -> SimulatedStand:
+    stand = StandOptions(
+        azimuth=(arguments.azimuth or 0.0) * DEG,
+        # A uniform error of this half width has the standard deviation that the table states.
+        positioning_error=math.sqrt(3) * table.positioning,
+        bias_instability=arguments.bias_instability,
+    )
+    return SimulatedStand(plan, table, imu, model, site, stand, arguments.seed)
+
+
+def _refuse_table(plan: Plan, arguments: argparse.Namespace) -> None:
+    """Refuse options of a table for a plan that is run without one.
+
+    Raises:
+        InputError: Names the option.
+
+    """
+    for name in ('table', 'azimuth'):
+        found = getattr(arguments, name)
+        if found is not None:
+            raise InputError(
+                f'--{name}: found {found}, expected none: plan {plan.name} is run by hand, '
+                'without a table.'
+            )
 
 
 def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
