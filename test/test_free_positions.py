@@ -158,6 +158,18 @@ def test_holds_that_are_too_few_or_alike_are_refused_by_name() -> None:
         calibrator(by_hand(flat, np.full(12, 2.0)), unit(0), 0).finish()
 
 
+def test_numbers_in_si_without_any_noise_are_solved() -> None:
+    free = FreeCalibrator(Setup(load_imu('si'), load_plan('free_positions'), None, SITE))
+    for block in anyhow(30).blocks(load_imu('si'), unit(0), SITE, ImuOptions(), 0):
+        free.feed(block)
+    found = free.finish().calibration
+    wrong = found.values - in_frame_of_accelerometers(unit(0)).vector()
+    # Coning leaves 1e-5 rad in a turn at 200 Hz, four times that at 100 Hz, shared by 29 turns.
+    assert np.abs(wrong[SCALES]).max() < 4e-5 / np.sqrt(29)
+    assert np.abs(wrong[ANGLES]).max() < 4e-5 / np.sqrt(29)
+    assert found.std[SCALES].max() < 4e-5
+
+
 def test_a_lost_turn_costs_little_and_is_said() -> None:
     free = FreeCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
     session = anyhow(30)

@@ -1,5 +1,6 @@
 """A unit in the hand, live: the calibrator says what to do next, and the hand does it."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -35,15 +36,15 @@ TRUTH = Calibration.load(named_file('truths', 'mems_counts'))
 NODES = ('hand_node', 'imu_node', 'calibrator_node')
 
 
-def held(seed=0):
-    return HeldHardware(SPEC, TRUTH.model, SITE, ImuOptions(bias_instability=False), seed=seed)
+def held(seed=0, model=TRUTH.model):
+    return HeldHardware(SPEC, model, SITE, ImuOptions(bias_instability=False), seed=seed)
 
 
 class Session:
     """A hand and a calibrator that hear each other at once."""
 
-    def __init__(self, seed=0):
-        self.hand = held(seed)
+    def __init__(self, seed=0, model=TRUTH.model):
+        self.hand = held(seed, model)
         self.decoder = Decoder(load_format('simulated'))
         self.calibrator = FreeCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
         self.said = []
@@ -77,6 +78,25 @@ def test_a_hand_that_does_what_it_is_told_is_soon_told_that_it_is_enough():
     assert review.std[scales].max() < 300 * PPM
     # Live is offline: the last review is what the end of the session gives.
     assert np.array_equal(session.calibrator.finish().calibration.values, found.values)
+
+
+def test_a_session_that_begins_in_a_turn_is_guided_whatever_the_gyros_read_at_rest():
+    bias = np.array([3.0, -4.0, 1.0]) * DEG
+    session = Session(model=replace(TRUTH.model, gyro=replace(TRUTH.model.gyro, bias=bias)))
+    # The second turn goes on when the recording begins: nobody waits for two quiet seconds.
+    session.hand.advise(1, direction('Y down'))
+    session.hand.advance(4.5)
+    session.hand.advance(0.3)
+    known = []
+    for _ in range(25):
+        session.goes_on(1.0)
+        if session.hand.waits:
+            guidance = session.calibrator.snapshot().review().guidance
+            known.append((guidance.holds + 1, session.hand.holds))
+            session.hand.advise(guidance.holds + 1, direction(guidance.candidates[0].words))
+    assert [held for _, held in known] == list(range(2, 2 + len(known)))
+    assert len(known) >= 4
+    assert all(counted == held for counted, held in known)
 
 
 def test_the_countdown_runs_while_the_unit_is_held_and_the_hold_counts_at_its_end():

@@ -30,6 +30,10 @@ from .holds import Hold, Swing
 from .system import FREE
 
 _NEARLY = 0.999
+_LEAST_STD = np.repeat([1e-9, 1e-7], 3)
+_LEAST_ANGLE = 1e-9
+"""What numbers without noise are taken to be known to: rad/s, m/s^2 and rad. The best units of the
+shipped ones know 300 times less after a hold, and the solver's conditioning needs an end."""
 _NOISE = (
     "The noise of the sensors is unknown, and the IMU's file does not state it: hold the unit "
     'still for a minute.'
@@ -156,7 +160,8 @@ class FreeCalibrator:
     def _cut(self, segments: tuple[Segment, ...], walk: Floats) -> tuple[list[Hold], list[Swing]]:
         holds = []
         for segment in segments:
-            mean, variance = segment.statistics.mean, segment.statistics.variance(walk)
+            mean = segment.statistics.mean
+            variance = segment.statistics.variance(walk) + _LEAST_STD**2
             parts = (mean[:3], mean[3:], variance[:3], variance[3:])
             holds.append(Hold(segment.start, segment.end, *parts))
         stamp, values = np.concatenate(self._stamps), np.vstack(self._values)
@@ -263,4 +268,5 @@ def swing(
         return None
     pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else 0.0
     variance = float(np.mean(walk[:3] ** 2)) * len(increments) * period + pulse**2 / 6
+    variance += _LEAST_ANGLE**2
     return Swing(first, increments, period, variance)
