@@ -59,7 +59,14 @@ setup(
     ],
     extras_require={
         'dds': [DDS],
-        'test': ['pytest>=7.4', 'pytest-xdist>=3', 'hypothesis>=6', 'rosbags>=0.10.7', DDS],
+        'test': [
+            'pytest>=7.4',
+            'pytest-timeout>=2.2',
+            'pytest-xdist>=3',
+            'hypothesis>=6',
+            'rosbags>=0.10.7',
+            DDS,
+        ],
         'dev': ['matplotlib>=3.6', 'mypy>=1.11', 'ruff>=0.9', 'types-PyYAML', 'types-pyserial'],
     },
     entry_points={

@@ -14,6 +14,8 @@ from collections import deque
 from pathlib import Path
 from typing import IO
 
+import processes
+
 CHECKOUT = Path(__file__).resolve().parent.parent
 _URI = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
@@ -69,7 +71,7 @@ def environment(**more: str) -> dict[str, str]:
 def start(code: str, *arguments: str, **environ: str) -> subprocess.Popen[str]:
     """Start Python code in a process of its own, with this process's environment."""
     path = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
-    return subprocess.Popen(
+    return processes.start(
         [sys.executable, '-c', code, *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -592,7 +592,7 @@ def read_all(source, count):
 
 
 def test_a_file_is_read_to_its_end(tmp_path):
-    (tmp_path / 'frames.bin').write_bytes(content := os.urandom(100_000))
+    (tmp_path / 'frames.bin').write_bytes(content := np.random.default_rng(0).bytes(100_000))
     source = Source(str(tmp_path / 'frames.bin'), time.time_ns)
     source.start()
     assert read_all(source, 100_000) == content
@@ -607,7 +607,7 @@ def test_a_full_queue_holds_the_sender_back():
     device, _ = server.accept()
     device.setblocking(False)
     sent = 0
-    content = os.urandom(1 << 21)
+    content = np.random.default_rng(1).bytes(1 << 21)
 
     def stuck():
         nonlocal sent

@@ -14,7 +14,7 @@ import pytest
 from loopback import CHECKOUT, until
 from scipy.spatial.transform import Rotation
 from test_interop import ROS
-from test_ros_stand import LAUNCHABLE, Network, _interruptible, nothing_left  # noqa: F401
+from test_ros_stand import LAUNCHABLE, Network, nothing_left
 
 PACKAGES = ('imu_filter_madgwick', 'robot_localization', 'diagnostic_aggregator')
 MISSING = [p for p in PACKAGES if not (ROS.parent / 'share' / p / 'package.xml').is_file()]

@@ -10,6 +10,7 @@ import threading
 import time
 
 import numpy as np
+import processes
 import pytest
 from loopback import CHECKOUT, environment, until
 from test_devices import frame
@@ -188,11 +189,12 @@ def test_temperature_comes_once_a_second(bench):
 def test_garbage_and_lost_frames_are_said_and_no_damaged_frame_is_published(bench):
     bench.open()
     bench.connect()
+    garbage = np.random.default_rng(0).bytes(200)
 
     def work():
         bench.device.send(600)
         time.sleep(0.4)
-        bench.device.send(10, spoil=lambda line: line[:50] + os.urandom(200) + line[50:])
+        bench.device.send(10, spoil=lambda line: line[:50] + garbage + line[50:])
         bench.device.send(10, spoil=lambda line: line[:100] + b'\xff' + line[101:])
         bench.device.send(100, skip=7)
 
@@ -327,7 +329,7 @@ def test_the_program_ends_clean_and_says_what_is_wrong(bench, tmp_path):
     assert wrong.returncode == 2
     assert "No device is called 'no_such_device'; there are: " in wrong.stderr
     assert 'Traceback' not in wrong.stderr
-    process = subprocess.Popen(
+    process = processes.start(
         [*command, f'port:={bench.device.url}'],
         stderr=subprocess.PIPE,
         text=True,

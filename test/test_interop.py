@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import processes
 import pytest
 from loopback import CHECKOUT, environment
 
@@ -76,7 +77,7 @@ def side(runtime, domain):
 @contextmanager
 def started(runtime, domain, *words):
     """Run a command until the block ends."""
-    process = subprocess.Popen(
+    process = processes.start(
         command(runtime, *words),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

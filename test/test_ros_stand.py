@@ -1,20 +1,20 @@
 """The live stand under real ROS 2: launched, called, asked, recorded, and mixed with the DDS side.
 
 What runs is the workspace as `colcon build` left it, in a domain of its own on the loopback
-interface; every process is marked in its environment, and none may be left.
+interface; no process may be left.
 """
 
-import os
 import re
 import shlex
 import signal
 import subprocess
 import sys
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import processes
 import pytest
 import rich
 import yaml
@@ -48,20 +48,19 @@ RECORDED = (
 GLOBAL = {'/clock', '/diagnostics', '/parameter_events', '/rosout'}
 NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 TRIGGER = 'std_srvs/srv/Trigger'
-MARK = 'IMU_CALIB_TEST_OF'
 
 
 class Network:
     """A domain of its own, and what runs in it.
 
     Args:
-        folder: Takes the logs; its name marks the processes.
+        folder: Takes the logs.
 
     """
 
     def __init__(self, folder):
         self.folder = folder
-        self.own = {**environment(), **private_network(), MARK: f'{folder} {os.getpid()}'}
+        self.own = {**environment(), **private_network()}
         self.own['ROS_LOG_DIR'] = str(folder / 'ros_log')
         self.processes = {}
 
@@ -78,14 +77,13 @@ class Network:
     def start(self, name, words, **more):
         """Start a process whose output goes to a log of its name."""
         with (self.folder / f'{name}.log').open('wb') as log:
-            self.processes[name] = subprocess.Popen(
+            self.processes[name] = processes.start(
                 words,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=self.environ(**more),
                 cwd=self.folder,
-                start_new_session=True,
             )
 
     def ask(self, *words, seconds=60):
@@ -128,33 +126,13 @@ class Network:
         del self.processes[name]
         return self.log(name)
 
-    def left(self):
-        """Return the processes that still run: number and command line."""
-        mark = f'{MARK}={self.own[MARK]}'.encode()
-        found = {}
-        for process in Path('/proc').glob('[0-9]*'):
-            # It may end while it is looked at.
-            with suppress(OSError):
-                if mark in (process / 'environ').read_bytes().split(b'\0'):
-                    line = (process / 'cmdline').read_bytes().replace(b'\0', b' ').decode()
-                    found[int(process.name)] = line
-        return {number: line for number, line in found.items() if line}
-
 
 @contextmanager
 def nothing_left(net):
-    """End what runs in a network at the end of the block; nothing of it may be left."""
-    try:
-        yield net
-    except BaseException:
-        for number in net.left():
-            with suppress(ProcessLookupError):
-                os.kill(number, signal.SIGKILL)
-        for process in net.processes.values():
-            process.wait()
-        raise
+    """End the block with nothing running: the test has stopped all that it started."""
+    yield net
     assert not net.processes
-    assert until(lambda: not net.left(), 10.0), net.left()
+    assert until(lambda: not processes.running()), processes.running()
 
 
 def _ros_python():
@@ -213,14 +191,6 @@ def check_truth(calibration):
     truth = Calibration.load(named_file('truths', 'cao2022_table1')).model.vector()
     error = np.abs(calibration.model.vector() - truth) / calibration.std
     assert error.max() < LIMIT, error.round(1)
-
-
-@pytest.fixture(scope='module', autouse=True)
-def _interruptible():
-    """What a shell starts in the background ignores SIGINT, and so would all that starts here."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope='module')

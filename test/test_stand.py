@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 
+import processes
 import pytest
 
 from imu_calib.errors import ImuCalibError
@@ -247,15 +248,12 @@ def turning_session(tmp_path):
     nodes = tmp_path / 'session' / 'nodes'
     command = [sys.executable, '-m', 'imu_calib.cli.main', 'stand', str(short_plan(tmp_path))]
     path = os.pathsep.join([str(HERE.parent), os.environ.get('PYTHONPATH', '')])
-    # A shell's background job ignores Ctrl-C, and so would what it starts.
-    former = signal.signal(signal.SIGINT, signal.default_int_handler)
-    process = subprocess.Popen(
+    process = processes.start(
         [*command, '-o', str(nodes.parent)],
         env={**os.environ, 'PYTHONPATH': path},
         stderr=subprocess.PIPE,
         text=True,
     )
-    signal.signal(signal.SIGINT, former)
     log = nodes / 'turntable_node.log'
     deadline = time.monotonic() + 30
     while not (log.exists() and 'Turning' in log.read_text()):
