@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import yaml
+from loopback import patience, until
 
 from imu_calib import middleware as ros
 from imu_calib.bags import open_recording
@@ -106,7 +106,7 @@ class Stand:
                 self._faults.publish(messages.String(data=text))
             return self.wait(lambda: log.read_text().count('fault:') > before, 0.5)
 
-        assert any(ordered() for _ in range(10)), log.read_text()
+        assert self.wait(ordered), log.read_text()
 
     def estop(self, *, pressed):
         assert self.wait(lambda: self._estop.get_subscription_count() > 0)
@@ -115,19 +115,14 @@ class Stand:
     def call(self, service):
         """Call a Trigger service; return (success, message)."""
         client = self.node.create_client(ros.Trigger, service)
-        assert client.wait_for_service(timeout_sec=10)
+        assert client.wait_for_service(timeout_sec=patience())
         future = client.call_async(ros.Trigger.Request())
-        assert self.wait(future.done, 10), f'{service} does not answer'
+        assert self.wait(future.done), f'{service} does not answer'
         self.node.destroy_client(client)
         return future.result().success, future.result().message
 
-    def wait(self, condition, seconds=60.0):
-        end = time.monotonic() + seconds
-        while not condition():
-            if time.monotonic() > end:
-                return False
-            ros.spin_once(self.node, timeout_sec=0.02)
-        return True
+    def wait(self, condition, seconds=None):
+        return until(condition, seconds, lambda: ros.spin_once(self.node, timeout_sec=0.02))
 
     @property
     def state(self):
@@ -137,7 +132,7 @@ class Stand:
         """Wait until the table's leader is in one of the phases, at a step or beyond."""
         return self.wait(
             lambda: self.state.phase in phases and (step is None or self.state.step >= step),
-            seconds,
+            patience(seconds),
         )
 
     def table_stands(self, seconds=15.0):
@@ -153,7 +148,7 @@ class Stand:
                 since = now
             return since is not None and _seconds(now) > _seconds(since) + 1.0
 
-        return self.wait(stands, seconds)
+        return self.wait(stands, patience(seconds))
 
     def said(self, *words):
         """Whether one sentence on /diagnostics held all of the words."""
@@ -162,7 +157,9 @@ class Stand:
     def ended(self, seconds=90.0):
         """Wait for the final word of the calibrator; return its message."""
         final = {messages.ImuCalibration.VALID, messages.ImuCalibration.REFUSED}
-        assert self.wait(lambda: any(c.status in final for c in self.calibrations), seconds), (
+        assert self.wait(
+            lambda: any(c.status in final for c in self.calibrations), patience(seconds)
+        ), (
             self.state,
             self.progress[-1:],
             self.words[-5:],
@@ -185,7 +182,7 @@ class Stand:
 
     def check_reprocessing(self):
         """Reprocess the journal, and find the live result in it, bit for bit."""
-        assert self.wait((self.folder / 'calibration.yaml').exists, 10)
+        assert self.wait((self.folder / 'calibration.yaml').exists)
         live = Calibration.load(self.folder / 'calibration.yaml')
         arguments = ['calibrate', str(self.folder / 'journal')]
         offline = calibrate.open_offline(main.build_parser().parse_args(arguments))

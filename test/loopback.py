@@ -81,9 +81,21 @@ def start(code: str, *arguments: str, **environ: str) -> subprocess.Popen[str]:
     )
 
 
-def until(condition, seconds=5.0, step=lambda: time.sleep(0.01)):
-    """Step until a condition holds; return whether it came to that."""
-    end = time.monotonic() + seconds
+def patience(seconds=60.0):
+    """Return how long to wait at most for what must come: longer where many want the processor."""
+    return seconds * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+
+
+def until(condition, seconds=None, step=lambda: time.sleep(0.01)):
+    """Step until a condition holds; return whether it came to that.
+
+    Args:
+        condition: Asked before each step.
+        seconds: How long to look for what must not come; None for what must, see `patience`.
+        step: Lets something happen.
+
+    """
+    end = time.monotonic() + (patience() if seconds is None else seconds)
     while not condition():
         if time.monotonic() > end:
             return False

@@ -11,6 +11,8 @@ from functools import cache
 from multiprocessing import get_context
 from typing import Any
 
+from loopback import until
+
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.earth import Site
@@ -66,11 +68,7 @@ def in_parallel(function: Callable[[int], Any], seeds: Iterable[int]) -> list[An
 def ended(session: Any) -> Any:
     """Let a live session end, and return it closed."""
     session.end()
-    deadline = time.monotonic() + 60
-    while not session.over:
-        session.poll()
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    assert until(lambda: session.over, step=lambda: session.poll() or time.sleep(0.01))
     session.close()
     return session
 

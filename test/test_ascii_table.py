@@ -212,7 +212,7 @@ class Bench:
         assert self.until(lambda: self.controller.count('STATE') > 2)
         assert self.until(lambda: self.leader.output.get_subscription_count() == 1)
 
-    def until(self, condition, seconds=10.0):
+    def until(self, condition, seconds=None):
         return until(condition, seconds, lambda: self.executor.spin_once(timeout_sec=0.02))
 
     def lead(self, what):
@@ -251,11 +251,11 @@ def test_setpoints_become_lines_and_replies_joint_states(bench):
 def test_the_table_stops_when_setpoints_end_and_when_the_node_ends(bench):
     bench.lead(setpoint(angles=(0, 9000, 0)))
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
-    before = bench.stops()
+    before, asked = bench.stops(), bench.controller.count('STATE')
     bench.lead(None)
-    ended = time.monotonic()
     assert bench.until(lambda: bench.stops() > before)
-    assert time.monotonic() - ended < 1.0
+    # Within a second, at 50 a second: the controller counts them, however busy the machine is.
+    assert bench.controller.count('STATE') - asked <= 50
     bench.node.stop()
     assert bench.controller.lines[-1] == 'STOP'
 
@@ -309,11 +309,14 @@ def test_garbage_is_no_joint_state_and_much_of_it_is_a_broken_line(bench):
 def test_a_subscriber_that_holds_the_publisher_up_does_not_hold_the_stop_up(bench, monkeypatch):
     bench.lead(setpoint(angles=(0, 9000, 0)))
     assert bench.until(lambda: bench.controller.count('MOVE') == 3)
-    before, stuck = bench.stops(), threading.Event()
-    monkeypatch.setattr('imu_calib.nodes.ascii_table_node.publish_all', lambda *_: stuck.wait(2.0))
-    bench.until(lambda: False, 0.05)
-    assert until(lambda: bench.stops() > before, 2.0)
-    stuck.set()
+    before, stopped = bench.stops(), []
+
+    def held_up(*_):
+        stopped.append(until(lambda: bench.stops() > before))
+
+    monkeypatch.setattr('imu_calib.nodes.ascii_table_node.publish_all', held_up)
+    assert bench.until(lambda: stopped)
+    assert stopped[0]
 
 
 @pytest.mark.parametrize('port', ["''", 'socket://nowhere', 'http://127.0.0.1:80'])
@@ -376,7 +379,7 @@ def test_turntable_node_leads_a_plan_with_turns_through_lines_of_text(monkeypatc
         executor.add_node(node)
     done = ros.messages.TurntableState.DONE
     ended = until(
-        lambda: states and states[-1].phase >= done, 30.0, lambda: executor.spin_once(0.02)
+        lambda: states and states[-1].phase >= done, None, lambda: executor.spin_once(0.02)
     )
     for node in (leader, driver):
         node.stop()

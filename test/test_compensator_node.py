@@ -88,7 +88,7 @@ class Bench:
         ros.spin_once(self.node, timeout_sec=0.002)
         ros.spin_once(self.peer, timeout_sec=0.002)
 
-    def until(self, condition, seconds=15.0):
+    def until(self, condition, seconds=None):
         return until(condition, seconds, self.spin)
 
     def send(self, payloads, at_once=50):

@@ -82,7 +82,7 @@ def wire(monkeypatch, tmp_path):
         for node in made:
             executor.add_node(node)
         opened.extend(made[1:])
-        return heard, lambda until_true, seconds=10.0: until(
+        return heard, lambda until_true, seconds=None: until(
             until_true, seconds, lambda: executor.spin_once(timeout_sec=0.05)
         )
 

@@ -60,7 +60,7 @@ def run(tmp_path_factory):
         net.start('launch', net.ros('ros2', 'launch', str(folder / 'imu.launch.py')))
         net.start('monitor', net.ros(str(monitor), *words))
         net.start('robot', net.ros('python3', str(PEER), str(folder / 'heard.json')))
-        assert until(lambda: net.processes['robot'].poll() is not None, 40), net.log('launch')
+        assert until(lambda: net.processes['robot'].poll() is not None), net.log('launch')
         assert net.processes.pop('robot').returncode == 0, net.log('robot') + net.log('launch')
         net.stop('monitor')
         log = net.stop('launch')

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import processes
 import pytest
-from loopback import CHECKOUT, environment
+from loopback import CHECKOUT, environment, patience
 
 from imu_calib.bags import open_recording
 from imu_calib.cdr import Kind
@@ -109,7 +109,7 @@ def talker(runtime, domain):
 def interrupted(process):
     """End a tool as a user does; return all that it wrote."""
     process.send_signal(signal.SIGINT)
-    return '\n'.join(process.communicate(timeout=15))
+    return '\n'.join(process.communicate(timeout=patience()))
 
 
 def ask(runtime, domain, *words, seconds=30):
@@ -118,7 +118,7 @@ def ask(runtime, domain, *words, seconds=30):
         command(runtime, *words),
         capture_output=True,
         text=True,
-        timeout=seconds,
+        timeout=patience(seconds),
         env=side(runtime, domain),
         check=False,
     )

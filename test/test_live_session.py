@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from loopback import patience, until
 from sessions import SITE, ended, paper_imu, quick_plan, stand
 
 from imu_calib.bags import Journal, open_recording
@@ -74,10 +75,7 @@ def finish(session):
 
 def rested(session):
     """The next solving waits no longer than the last one took: seconds, never the machine's age."""
-    deadline = time.monotonic() + 10
-    while not session.rested:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    assert until(lambda: session.rested, patience(10))
 
 
 def offline(folder):

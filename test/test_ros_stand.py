@@ -18,7 +18,7 @@ import processes
 import pytest
 import rich
 import yaml
-from loopback import CHECKOUT, environment, until
+from loopback import CHECKOUT, environment, patience, until
 from test_interop import ROS, SETUP, has_wheel, without_ros
 
 from imu_calib.calibration import Calibration
@@ -92,7 +92,7 @@ class Network:
             self.ros('ros2', *words),
             capture_output=True,
             text=True,
-            timeout=seconds,
+            timeout=patience(seconds),
             env=self.environ(),
             cwd=self.folder,
             check=False,
@@ -117,12 +117,12 @@ class Network:
             assert self.processes[name].poll() is None, self.log(name)
             return all(sentence in self.log(name) for sentence in sentences)
 
-        assert until(all_there, seconds), self.log(name)
+        assert until(all_there, patience(seconds)), self.log(name)
 
     def stop(self, name):
         """End a process as a user does; return its log."""
         self.processes[name].send_signal(signal.SIGINT)
-        self.processes[name].wait(timeout=20)
+        self.processes[name].wait(timeout=patience())
         del self.processes[name]
         return self.log(name)
 
@@ -280,7 +280,7 @@ def test_services_lead_a_stand_in_its_namespace(tmp_path):
         assert where.endswith('journal_2.')
         turns = net.log('launch').count('Turning')
         assert net.call('/lab/turntable_node/start')[0]
-        assert until(lambda: net.log('launch').count('Turning') > turns, 60)
+        assert until(lambda: net.log('launch').count('Turning') > turns)
         written = net.stop('launch')
     # Ctrl-C in the middle of a turn.
     assert 'the table stands' in written

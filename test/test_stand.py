@@ -9,10 +9,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import processes
 import pytest
+from loopback import patience, until
 
 from imu_calib.errors import ImuCalibError
 
@@ -218,14 +218,14 @@ def test_a_full_disk_stops_the_table_and_loses_nothing(tmp_path):
         resource.prlimit(number, resource.RLIMIT_FSIZE, (300_000, unlimited[1]))
         stops(stand, 'cannot be written')
         resource.prlimit(number, resource.RLIMIT_FSIZE, unlimited)
-        assert stand.wait(lambda: stand.progress[-1].state != Progress.FAILED, 20)
+        assert stand.wait(lambda: stand.progress[-1].state != Progress.FAILED)
         finishes(stand, resumed=True)
 
 
 def test_ctrl_c_stops_the_table_and_leaves_nothing_running(tmp_path):
     process, nodes = turning_session(tmp_path)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=patience())
     assert process.returncode == 130, errors
     assert 'Traceback' not in errors
     assert 'the table stands' in (nodes / 'stand_node.log').read_text()
@@ -236,10 +236,7 @@ def test_a_killed_command_line_leaves_nothing_running(tmp_path):
     process, nodes = turning_session(tmp_path)
     process.kill()
     process.communicate()
-    deadline = time.monotonic() + 30
-    while running(str(tmp_path)):
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    assert until(lambda: not running(str(tmp_path)))
     assert 'the table stands' in (nodes / 'stand_node.log').read_text()
 
 
@@ -255,12 +252,12 @@ def turning_session(tmp_path):
         text=True,
     )
     log = nodes / 'turntable_node.log'
-    deadline = time.monotonic() + 30
-    while not (log.exists() and 'Turning' in log.read_text()):
-        if process.poll() is not None or time.monotonic() > deadline:
-            process.kill()
-            pytest.fail(process.communicate()[1])
-        time.sleep(0.05)
+
+    def turning():
+        assert process.poll() is None, process.communicate()[1]
+        return log.exists() and 'Turning' in log.read_text()
+
+    assert until(turning)
     return process, nodes
 
 

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from loopback import environment, start, until
+from loopback import environment, patience, start, until
 
 from imu_calib.cdr import Messages, decode_setpoints, encode_joints
 from imu_calib.errors import ImuCalibError, InputError
@@ -208,7 +208,7 @@ class Session:
             self.executor.add_node(node)
         return self
 
-    def until(self, condition, seconds=10.0):
+    def until(self, condition, seconds=None):
         return until(condition, seconds, lambda: self.executor.spin_once(timeout_sec=0.05))
 
     def press(self, name):
@@ -218,12 +218,12 @@ class Session:
         assert self.until(future.done)
         return future.result().success, future.result().message
 
-    def reaches(self, phase, seconds=10.0):
+    def reaches(self, phase, seconds=None):
         assert self.until(lambda: self.watcher.phase is phase, seconds), self.watcher.states[-1:]
 
     def ends_stopped(self):
         """Whether the table itself comes to rest, and stays there."""
-        return self.until(self.table.at_rest, 3.0) and not self.until(
+        return self.until(self.table.at_rest) and not self.until(
             lambda: not self.table.at_rest(), 0.3
         )
 
@@ -354,7 +354,7 @@ def test_ctrl_c_stops_the_table_before_the_node_ends(session):
     assert session.until(lambda: process.poll() is not None)
     _, err = process.communicate()
     assert process.returncode == 0, err
-    assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD, 1.0)
+    assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD)
     assert session.table.table.advance(session.table.now()).stopped == ''
     assert session.ends_stopped()
     assert session.watcher.states[-1].reason == 'The turntable node ends.'
@@ -364,7 +364,7 @@ def test_an_error_in_a_callback_stops_the_table(session):
     process = session.turn_at(360).process(BROKEN)
     assert session.until(lambda: process.poll() is not None)
     assert 'a fault in a callback' in process.communicate()[1]
-    assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD, 1.0)
+    assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD)
     assert session.ends_stopped()
 
 
@@ -387,7 +387,7 @@ def test_a_node_that_is_killed_leaves_a_table_that_stops(session):
 )
 def test_what_cannot_work_is_a_sentence_and_an_exit_code(session, changes, words):
     process = start(MAIN, *session.arguments(**changes))
-    _, err = process.communicate(timeout=10.0)
+    _, err = process.communicate(timeout=patience())
     assert process.returncode == 2
     assert words in err
     assert 'Traceback' not in err
