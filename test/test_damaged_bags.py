@@ -51,6 +51,28 @@ def write_chunks(path, compression='', count=5):
     return path
 
 
+@pytest.mark.parametrize('shuffled', ['reversed', 'at random'])
+def test_an_index_in_another_order_than_the_file_changes_nothing(tmp_path, shuffled):
+    # The mcap specification orders the entries of a message index in no way.
+    path = write_chunks(tmp_path / 'bag')
+    with open_recording(path) as recording:
+        expected = [(topic, len(block)) for topic, block in recording.read(KINDS)]
+    file = storage_file(path)
+    content, rng = bytearray(file.read_bytes()), np.random.default_rng(2)
+    for offset, _ in records(path, 0x07):
+        (size,) = struct.unpack_from('<I', content, offset + 11)
+        entries = np.frombuffer(bytes(content[offset + 15 : offset + 15 + size]), '<u8, <u8')
+        order = np.arange(len(entries))[::-1] if shuffled == 'reversed' else None
+        order = rng.permutation(len(entries)) if order is None else order
+        content[offset + 15 : offset + 15 + size] = entries[order].tobytes()
+    file.write_bytes(content)
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert not losses
+    with open_recording(path) as recording:
+        assert [(topic, len(block)) for topic, block in recording.read(KINDS)] == expected
+
+
 def records(path, op):
     """(offset, length) of the top-level records of one opcode."""
     content = storage_file(path).read_bytes()

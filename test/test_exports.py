@@ -133,8 +133,39 @@ def test_kalibrs_matrices_have_its_form_and_its_noise_its_units() -> None:
         assert np.array_equal(matrix, np.tril(matrix))
     assert file['update_rate'] == RATE
     assert file['rostopic'] == '/imu0'
+    # One figure for three axes: the root mean square. The IMU noise model of Kalibr's wiki has
+    # densities in rad/s/sqrt(Hz) and m/s^2/sqrt(Hz), random walks in rad/s^2/sqrt(Hz) and
+    # m/s^3/sqrt(Hz); 1/sqrt(Hz) is sqrt(s), so that ours in rad/sqrt(s) and so on are the same.
     assert file['gyroscope_noise_density'] == pytest.approx(np.sqrt(14 / 3) * 1e-5)
+    assert file['accelerometer_noise_density'] == pytest.approx(np.sqrt(14 / 3) * 1e-3)
+    assert file['gyroscope_random_walk'] == pytest.approx(np.sqrt((1 + 4 + 9) / 3) * 1e-6)
     assert file['accelerometer_random_walk'] == pytest.approx(np.sqrt((16 + 25 + 36) / 3) * 1e-6)
+
+
+def test_kalibrs_formula_makes_the_noise_that_its_figure_was_measured_from() -> None:
+    # The wiki: sigma_discrete = sigma / sqrt(dt). White samples of that size, summed up,
+    # are the random walk that our figure states: sigma^2 * t.
+    file = kalibr(unit('si'))
+    rng, dt, seconds, runs = np.random.default_rng(8), 0.1, 100.0, 400
+    for sensor, stated in (('gyroscope', WALK[:3]), ('accelerometer', WALK[3:])):
+        discrete = file[f'{sensor}_noise_density'] / np.sqrt(dt)
+        sums = discrete * rng.standard_normal((runs, round(seconds / dt))).sum(axis=1) * dt
+        expected = np.mean(np.square(stated)) * seconds
+        # 400 of them: 7 %, four deviations of that.
+        assert np.mean(sums**2) == pytest.approx(expected, rel=0.28)
+
+
+@pytest.mark.parametrize('share', [0.5, 2.0])
+def test_noise_from_the_data_sheet_is_in_kalibrs_units(share: float) -> None:
+    calibration = replace(unit('si'), provenance={})
+    sheet = load_imu('fog_medium')
+    sheet = replace(sheet, accel=replace(sheet.accel, random_walk=share * 1e-3))
+    file = yaml.safe_load(
+        EXPORTS['kalibr'](Source(calibration, Path('/c.yaml'), RATE, sheet=sheet)).text
+    )
+    assert file['accelerometer_noise_density'] == pytest.approx(share * 1e-3)
+    assert file['gyroscope_noise_density'] == pytest.approx(sheet.gyro.random_walk)
+    assert file['accelerometer_random_walk'] == pytest.approx(sheet.accel.bias_instability / 60)
 
 
 def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:

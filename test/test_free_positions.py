@@ -14,11 +14,13 @@ from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Result, Setup
 from imu_calib.cdr import RATES, encode_imu
 from imu_calib.cli.main import main
+from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.imu import load_imu
 from imu_calib.methods.free import FREE, Swing, in_frame_of_accelerometers
+from imu_calib.methods.free import fit as free
 from imu_calib.methods.free.guidance import Stage, guide
-from imu_calib.methods.free.holds import turned
+from imu_calib.methods.free.holds import Hold, turned
 from imu_calib.methods.free.session import FreeCalibrator
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.plan import load_plan
@@ -27,6 +29,7 @@ from imu_calib.segmentation.motion import Motion, Rest
 from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import HandSession, anyhow, by_hand, the_short_way
+from imu_calib.stream import Floats
 from imu_calib.turntable import rotation
 from imu_calib.units import ARCMIN, DEG, PPM
 
@@ -75,6 +78,60 @@ def test_the_covariance_is_that_of_the_errors() -> None:
     assert (square[FREE] < high).all()
     low, high = chi2.ppf([1e-4, 1 - 1e-4], runs * FREE.sum() / 2)
     assert low < square.sum() / 2 < high
+
+
+def test_the_covariance_is_that_of_the_errors_to_a_tenth() -> None:
+    # Holds and turns made from the model itself, with the noise that they state: what many
+    # sessions need no stream for. e' C^-1 e is chi-square with 21 degrees of freedom.
+    model, rng, runs = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5), 60
+    ups = np.array([p.up for p in load_plan('free_positions').positions])[::2]
+    square = 0.0
+    for _ in range(runs):
+        holds, swings = held(model, ups, rng)
+        found = free.solve(holds, swings, NOWHERE)
+        assert (found.scatter == 1).all()
+        wrong = (found.model.vector() - model.vector())[FREE]
+        covariance = found.covariance[np.ix_(FREE, FREE)]
+        scale = np.sqrt(np.diag(covariance))
+        correlation = covariance / np.outer(scale, scale)
+        square += (wrong / scale) @ np.linalg.solve(correlation, wrong / scale)
+    # One in a thousand on either side: 9 %.
+    low, high = chi2.ppf([1e-3, 1 - 1e-3], runs * FREE.sum())
+    assert low < square < high
+
+
+class Still(Site):
+    """A place on an Earth that does not turn."""
+
+    north_rate = 0.0
+    up_rate = 0.0
+
+
+NOWHERE = Still(SITE.latitude, SITE.gravity, SITE.gravity_source)
+
+
+def held(
+    model: SensorModel, ups: Floats, rng: np.random.Generator
+) -> tuple[list[Hold], list[Swing]]:
+    """Holds at (k, 3) ups and the shortest turns between them, each in 20 samples."""
+    at_rest, turning, period = 2e-5, 1e-4, 0.05
+    holds, swings = [], []
+    for k, up in enumerate(ups):
+        rate, force = model.predict(np.zeros(3), up * SITE.gravity)
+        gyro, accel = rate + at_rest * rng.standard_normal(3), force + 1e-3 * rng.standard_normal(3)
+        holds.append(Hold(2 * k, 2 * k + 1, gyro, accel, np.full(3, at_rest**2), np.full(3, 1e-6)))
+        if k + 1 == len(ups):
+            continue
+        # The body turns so that up moves from here to the next one.
+        axis = np.cross(ups[k + 1], up)
+        angle = np.arctan2(np.linalg.norm(axis), up @ ups[k + 1])
+        if np.linalg.norm(axis) < 1e-9:
+            axis = np.cross(up, [0.3, 0.5, 0.7])
+        true = np.tile(axis / np.linalg.norm(axis) * angle / 20, (20, 1)) / period
+        increments = (true @ model.gyro.response.T + model.gyro.bias) * period
+        increments += turning / np.sqrt(20) * rng.standard_normal((20, 3))
+        swings.append(Swing(k, increments, period, turning**2))
+    return holds, swings
 
 
 def test_the_level_earth_rate_is_one_vector_and_no_noise_of_each_hold() -> None:

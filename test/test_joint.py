@@ -37,7 +37,7 @@ from imu_calib.plan import Plan, Position, load_plan
 from imu_calib.segmentation.segment import Segment, Statistics, Turn
 from imu_calib.simulation import StandOptions
 from imu_calib.stream import Floats
-from imu_calib.turntable import Table, load_table
+from imu_calib.turntable import TURN, Table, load_table
 from imu_calib.units import ARCSEC, DEG, DEG_H, MICRO_G
 
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(21, 24)
@@ -257,6 +257,24 @@ def test_a_servo_that_misses_costs_nothing_that_the_encoder_sees() -> None:
     found = joint.solve(simulated(quick_plan('twelve_position', 60.0), options, 5))
     assert np.abs(normalised(found)).max() < 4.5
     assert not any('closed form' in finding for finding in found.findings)
+
+
+def test_an_encoder_that_errs_in_its_rates_leaves_scale_factors_as_sure_as_stated() -> None:
+    # 20 ppm of each turn's rate; of the walk over a turn 1 to 5 ppm are left.
+    size, seeds, square = 20e-6, 8, 0.0
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        evidence = evidence_of(model=truth().model, azimuth=rng.uniform(-3, 3), noise=rng)
+        turns = []
+        for turn in evidence.turns:
+            # The encoder shows too many or too few seconds; what turned, turned as it did.
+            seconds = TURN / abs(turn.rate()) * (1 + size * rng.standard_normal())
+            turns.append(replace(turn, seconds=seconds, rate_error=size))
+        found = joint.solve(replace(evidence, turns=tuple(turns)))
+        square += float((normalised(found)[:3] ** 2).sum())
+        assert found.std[:3].max() < size
+        assert not any('turns scatter' in finding for finding in found.findings)
+    assert chi2.ppf(1e-3, 3 * seeds) < square < chi2.isf(1e-3, 3 * seeds)
 
 
 INSTABILITY = np.repeat([0.1 * DEG_H, 20 * MICRO_G], 3)

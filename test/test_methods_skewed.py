@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from imu_calib.imu import load_imu
 from imu_calib.methods import check_plan, skewed
 from imu_calib.methods.evidence import Evidence
 from imu_calib.methods.skewed import RatePoints, parity
-from imu_calib.model import SensorModel
-from imu_calib.plan import load_plan
+from imu_calib.model import SensorModel, Triad
+from imu_calib.plan import Plan, load_plan
 from imu_calib.report.parameters import parameter_table
 from imu_calib.segmentation.segment import Turn
 from imu_calib.share import named_file
@@ -30,10 +31,12 @@ RATES = np.array([5.0, -5, 20, -20, 50, -50, 100, -100, 150, -150]) * DEG
 TURNS = 4
 
 
+@cache
 def truth() -> SensorModel:
     return Calibration.load(named_file('truths', 'fog_skewed')).model
 
 
+@cache
 def couplings() -> Floats:
     """The sixteen numbers: (4 channels, responses to X, Y, Z and bias)."""
     model = truth()
@@ -65,8 +68,12 @@ def session(rng: np.random.Generator | None) -> Evidence:
                 each=each,
             )
             turns.append(turn)
-    plan = load_plan('skewed')
-    return evidence(plan, SITE, np.empty((0, 6)), turns, azimuth=None)
+    return evidence(_plan(), SITE, np.empty((0, 6)), turns, azimuth=None)
+
+
+@cache
+def _plan() -> Plan:
+    return load_plan('skewed')
 
 
 def noise_of(rate: float) -> float:
@@ -113,6 +120,32 @@ def test_weights_by_the_spread_beat_plain_ones_and_come_near_true_ones() -> None
         # The floor is what Gauss and Markov leave; 200 runs tell a ratio to 5 %.
         assert weighted < 0.9, kind
         assert weighted < 1.15 * floor, kind
+
+
+def test_what_estimated_weights_cost_is_what_they_are_off_the_true_ones() -> None:
+    # Gauss and Markov: what any other unbiased estimate adds to the best one does not correlate
+    # with it, so that the cost in variance is the mean square of the difference.
+    true = np.tile([noise_of(r) ** 2 / TURNS for r in RATES], 3)[:, None] * np.ones(4)
+    runs, fewer, square, stated = 150, 15, np.zeros((4, 4)), np.zeros((4, 4))
+    for seed in range(runs):
+        evidence = session(np.random.default_rng(seed))
+        points = RatePoints.of(evidence)
+        plain = np.einsum('cut,tc->cu', points.weights()[0], points.outputs)
+        best, found = (
+            np.einsum('cut,tc->cu', points.weights(variances)[0], points.outputs)
+            for variances in (true, points.pooled(plain))
+        )
+        square += (found - best) ** 2 / runs
+        if seed >= fewer:
+            continue
+        added = skewed.doubt(evidence)
+        gyros = Triad.from_vector(added[:12])
+        three = np.column_stack([gyros.error_matrix, gyros.bias])
+        stated += np.vstack([three, added[24:]]) / fewer
+    # To second order, by 18 degrees of freedom to each rate.
+    ratio = stated / square
+    assert np.exp(np.mean(np.log(ratio))) == pytest.approx(1.0, abs=0.25)
+    assert np.abs(np.log(ratio)).max() < np.log(2)
 
 
 def test_stated_deviations_are_those_of_the_errors() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, norm
 from sessions import LATITUDE, SITE, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.bags import RecordingWriter
@@ -80,6 +81,36 @@ def test_what_is_compared_scatters_as_stated() -> None:
     assert len(ratios) == 3 * (6 * 4 + 18 * 2)
     # 180 ratios, not all independent of each other.
     assert 0.75 < np.sqrt(np.mean(np.square(ratios))) < 1.3
+
+
+def test_the_limits_are_those_of_the_largest_of_all_that_is_compared() -> None:
+    verification = verify(calibration(), observed())
+    # The chance that the largest of n independent ratios exceeds the limit, by sound data.
+    n = len(verification.compared)
+    assert n == 6 * 4 + 18 * 2
+    for limit, chance in zip(verification.limits, (1e-2, 1e-6), strict=True):
+        assert -np.expm1(n * np.log1p(-2 * norm.sf(limit))) == pytest.approx(chance, rel=0.01)
+
+
+@pytest.mark.parametrize(('gyros', 'size'), [(True, 5 * DEG_H), (False, 2e-3)])
+def test_biases_that_moved_as_the_data_sheet_allows_are_no_fault(gyros: bool, size: float) -> None:
+    # Far beyond what the calibration and the session leave open: the data sheet's figure alone is
+    # the measure of what the rests differ by.
+    name = 'gyro' if gyros else 'accel'
+    imu = paper_imu()
+    imu = replace(imu, **{name: replace(getattr(imu, name), bias_instability=size)})
+    seen, rng, square, runs = replace(observed(), imu=imu), np.random.default_rng(6), 0.0, 12
+    for _ in range(runs):
+        moved = size * rng.standard_normal(3)
+        good = getattr(calibration().model, name)
+        verification = verify(_spoilt(name, None, good.bias + moved), seen)
+        assert verification.verdict is Verdict.PASS
+        # At x_up the channel x sees gravity, or the Earth's vertical rate, and the bias of x.
+        quantity = Quantity.UP_RATE if gyros else Quantity.GRAVITY
+        along = [c.ratio for c in verification.compared if c.quantity is quantity]
+        square += np.mean(np.square(along)) * 3
+    # The three biases of each run, each seen up and down.
+    assert chi2.ppf(1e-3, 3 * runs) < square < chi2.isf(1e-3, 3 * runs)
 
 
 def gyro(matrix: Floats | None = None, bias: Floats | None = None) -> Calibration:

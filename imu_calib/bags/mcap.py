@@ -272,11 +272,12 @@ def _indexed(tables: dict[int, Indices], buffer: Bytes) -> dict[int, Placed] | N
     """Find messages by the index; None where it contradicts the chunk or leaves messages out."""
     placed = {}
     for channel, table in tables.items():
-        offsets = np.ascontiguousarray(table[:, 1])
-        if (offsets[1:] <= offsets[:-1]).any():
-            offsets = np.sort(offsets)
-            if (offsets[1:] == offsets[:-1]).any():
+        # No order of the entries is prescribed; messages count in the order of the file.
+        if (table[1:, 1] <= table[:-1, 1]).any():
+            table = table[np.argsort(table[:, 1])]
+            if (table[1:, 1] == table[:-1, 1]).any():
                 return None
+        offsets = np.ascontiguousarray(table[:, 1])
         if offsets[0] < 0 or offsets[-1] + _HEAD > len(buffer):
             return None
         heads = _heads(buffer, offsets)
