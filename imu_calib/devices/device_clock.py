@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..stream import Floats, Stamps
+from ..stream import Stamps
 from .delays import Delays, Drift
 from .fields import DeviceTime, FrameCounter
 from .host_clock import HostClock
-from .steps import Finding, Indices, Steps, differences, forward
+from .steps import Indices, Stepper
 
 _NS = 1_000_000_000
 _SETTLING = _NS // 2
@@ -25,7 +25,6 @@ _READS = 3
 _PART_OF_A_TURN = 8
 """A delay tells turns of a counter if it is whole turns within an eighth: for a turn of 128 ms
 16 ms, the time for which a USB adapter holds bytes back (latency timer of FTDI's)."""
-_LEAST_JUMP = 1e6
 _LOST = 'Frames are missing in whole turns of the counter: the host saw time go by.'
 _NOT_LOST = 'Frames that were counted as missing were only late.'
 _SET = "The host's clock was set, not the device's; stamps follow it."
@@ -37,9 +36,6 @@ _UNCLEAR = (
     'anew by the time of arrival.'
 )
 _HOST_STEP = 10.0 * _NS
-_PERIODS = 2.5
-_RATE_TOLERANCE = 1e-3
-_PLAUSIBLE = 2.0 * _NS
 
 
 @dataclass(frozen=True)
@@ -108,10 +104,8 @@ class DeviceClock:
 
     Attributes:
         offset: Host stamp of elapsed 0, ns; None until it is settled.
-        period: Sample period by the device's clock once it is settled, else nominal, ns.
         jumps: How often the clock jumped or started anew.
         last_jump: The last of them.
-        unseen: Frames lost in whole turns of the counter, which its steps do not show.
         set_by: (n,) of the samples fed last: by how much the host's clock has been set, ns.
 
     Raises:
@@ -136,9 +130,7 @@ class DeviceClock:
         self._counter = counter
         self._tolerance = None if tolerance is None else tolerance * _NS
         self._live = live
-        self._early_periods: list[Floats] = []
-        self._ticks = 0
-        self._count = 0
+        self._stepper = Stepper(time, counter, None if period is None else period * _NS, live=live)
         self._elapsed = 0.0
         self._arrival = 0
         self._first_arrival: int | None = None
@@ -147,10 +139,18 @@ class DeviceClock:
         self._host = HostClock()
         self.set_by: Stamps = np.empty(0, np.int64)
         self.offset: int | None = None
-        self.period: float | None = None if period is None else period * _NS
         self.jumps = 0
         self.last_jump: Jump | None = None
-        self.unseen = 0
+
+    @property
+    def period(self) -> float | None:
+        """Sample period by the device's clock once it is settled, else nominal, ns."""
+        return self._stepper.period
+
+    @property
+    def unseen(self) -> int:
+        """Frames lost in whole turns of the counter, which its steps do not show."""
+        return self._stepper.unseen
 
     @property
     def drift(self) -> Drift | None:
@@ -200,7 +200,8 @@ class DeviceClock:
         begins = self._first_arrival is None
         if self._first_arrival is None:
             self._first_arrival = self._arrival = int(arrival[0])
-        steps = self._steps(time, counter, arrival, begins)
+        past = np.diff(arrival, prepend=self._arrival).clip(min=0).astype(np.float64)
+        steps = self._stepper.feed(time, counter, past, begins=begins)
         exact = self._elapsed + np.cumsum(steps.nanoseconds)
         elapsed = np.rint(exact).astype(np.int64)
         uncorrected = int(elapsed[-1])
@@ -224,103 +225,7 @@ class DeviceClock:
         """Fix the offset, if it is not fixed yet and a sample has come."""
         if self.offset is None and self._line.lowest is not None:
             self.offset = self._line.lowest + self._host.first
-
-    def _steps(
-        self, time: Indices | None, counter: Indices | None, arrival: Stamps, begins: bool
-    ) -> Steps:
-        ticks = counts = None
-        if self._time is not None and time is not None:
-            ticks = self._time.steps(time, self._ticks) * self._time.unit
-            self._ticks = int(time[-1])
-        if self._counter is not None and counter is not None:
-            signed = self._counter.tells_direction
-            counts = differences(counter, self._count, self._counter.modulus, signed=signed)
-            if not signed:
-                # Frames that repeat were taken out: the same count again is a whole turn.
-                counts[counts == 0] = self._counter.modulus
-            counts /= self._counter.step
-            self._count = int(counter[-1])
-        if begins:
-            # The first sample has no step.
-            for column in (ticks, counts):
-                if column is not None:
-                    column[0] = 0.0
-        if ticks is not None:
-            self._learn_period(ticks, counts)
-        past = np.diff(arrival, prepend=self._arrival).clip(min=0).astype(np.float64)
-        if ticks is not None and counts is not None and self.period is not None:
-            steps = self._compared(ticks, counts, past, self.period, begins)
-        elif ticks is not None:
-            steps = forward(ticks, self.period, "The device's clock went back.", begins)
-        elif counts is not None and self.period is not None:
-            counts[counts * self.period > past + _PLAUSIBLE] = 0.0 if self._live else 1.0
-            reason = 'The frame counter does not go on where it was: the device started anew.'
-            steps = forward(counts * self.period, self.period, reason, begins)
-        else:
-            assert self.period is not None
-            steps = Steps(np.full(len(arrival), self.period))
-            steps.nanoseconds[0] *= not begins
-        return steps
-
-    def _learn_period(self, ticks: Floats, counts: Floats | None) -> None:
-        """Take the sample period from the device's clock in the first moments."""
-        if self.offset is not None:
-            return
-        frames = np.ones_like(ticks) if counts is None else counts
-        usable = (ticks > 0) & (frames > 0)
-        self._early_periods.append(ticks[usable] / frames[usable])
-        early = np.concatenate(self._early_periods)
-        if len(early):
-            self.period = float(np.median(early))
-
-    def _compared(
-        self, ticks: Floats, counts: Floats, past: Floats, period: float, begins: bool
-    ) -> Steps:
-        """Compare the steps of clock and counter; correct the one that is wrong."""
-        steps = Steps(ticks)
-        expected = counts * period
-        allowed = np.maximum(_LEAST_JUMP, _PERIODS * period)
-        allowed = np.maximum(allowed, _RATE_TOLERANCE * np.maximum(abs(expected), abs(ticks)))
-        wrong = (abs(ticks - expected) > allowed) | (counts <= 0)
-        wrong[0] &= not begins
-        for k in np.flatnonzero(wrong).tolist():
-            if not self._wraps(ticks, counts, past, period, k, float(allowed[k])):
-                steps.findings.append(self._finding(ticks, counts, past, period, k))
-        return steps
-
-    def _wraps(
-        self, ticks: Floats, counts: Floats, past: Floats, period: float, k: int, allowed: float
-    ) -> bool:
-        """Explain a contradiction by whole turns of the clock or of the counter, if that does."""
-        assert self._time is not None and self._counter is not None
-        excess = ticks[k] - counts[k] * period
-        if self._time.modulus is not None:
-            turn = self._time.modulus * self._time.unit
-            whole = round(excess / turn)
-            if whole and abs(excess - whole * turn) <= allowed:
-                ticks[k] -= whole * turn
-                return bool(ticks[k] > 0)
-        turn = self._counter.modulus / self._counter.step * period
-        whole = round(excess / turn)
-        # The host must have seen a gap of that length, too.
-        if whole > 0 and abs(excess - whole * turn) <= allowed and past[k] > ticks[k] / 2:
-            self.unseen += round(whole * self._counter.modulus / self._counter.step)
-            return True
-        return False
-
-    def _finding(
-        self, ticks: Floats, counts: Floats, past: Floats, period: float, k: int
-    ) -> Finding:
-        by_counter = counts[k] * period
-        if 0 < by_counter <= past[k] + _PLAUSIBLE or (by_counter > 0 and not self._live):
-            seconds = float(ticks[k] - by_counter) / _NS
-            ticks[k] = by_counter
-            return Finding(k, seconds, "The device's clock jumped.")
-        reason = 'The frame counter went back: the device started anew.'
-        if 0 < ticks[k] <= past[k] + _PLAUSIBLE:
-            return Finding(k, None, reason)
-        ticks[k] = period
-        return Finding(k, None, reason, by_arrival=True)
+            self._stepper.settled = True
 
     def _place_by_arrival(self, elapsed: Stamps, index: int, arrival: Stamps) -> None:
         """Shift all from an index on so that it has the delay that was usual before."""
@@ -384,7 +289,7 @@ class DeviceClock:
         whole = self._turns(shift)
         counted = 0 if self._counter is None else round(whole * self._counter.turn)
         if whole and self.period is not None and self.unseen + counted >= 0:
-            self.unseen += counted
+            self._stepper.unseen += counted
             shift = round(counted * self.period)
             reason = _LOST if whole > 0 else _NOT_LOST
         else:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..stream import Floats
 from .checksum import Bytes
-from .steps import differences
 
 Values: TypeAlias = NDArray[Any]
 
@@ -178,3 +177,24 @@ class Fault:
         bits = self.number.read(rows) & np.array(self.mask, np.uint64).astype(np.int64)
         wanted = 0 if self.when_set else np.array(self.mask, np.uint64).astype(np.int64)
         return np.asarray(bits != wanted)
+
+
+def differences(
+    values: NDArray[np.int64], previous: int, modulus: int | None, *, signed: bool = True
+) -> Floats:
+    """Return the (n,) steps of a number that starts anew at its modulus.
+
+    Args:
+        values: (n,) as sent.
+        previous: The one before.
+        modulus: None where it has none.
+        signed: Whether a step of more than half the modulus is one back.
+
+    """
+    with np.errstate(over='ignore'):
+        steps = np.diff(values, prepend=np.int64(previous))
+    if modulus is not None and modulus < 2**63:
+        steps = np.mod(steps, modulus)
+        if signed:
+            steps[steps > modulus // 2] -= modulus
+    return steps.astype(np.float64)
