@@ -7,7 +7,7 @@ import termios
 import tty
 
 import pytest
-from loopback import until
+from loopback import CHECKOUT, until
 from test_devices import SIMULATED, described
 from test_imu_node import bench  # noqa: F401 - a fixture
 
@@ -141,3 +141,11 @@ def test_the_node_opens_the_port_at_that_rate(bench, port, parameters, speed):  
 def test_the_node_warns_of_frames_that_do_not_fit(bench, port):  # noqa: F811
     bench.open(port=port[1], device='stim300', imu='stim300', sample_rate=500.0, baud=115200)
     assert bench.until(lambda: bench.listener.heard('port', 1, 'frames will be lost'))
+
+
+@pytest.mark.parametrize('name', ['stand', 'bringup'])
+def test_the_launch_files_leave_the_rate_to_the_devices_file_too(name):
+    text = (CHECKOUT / 'launch' / f'{name}.launch.py').read_text()
+    default = re.search(r"'baud'(?:,\s+default_value=|: \()'(\d+)'", text)
+    assert default[1] == '0'
+    assert "0: as the device's file says, else 115200" in text
