@@ -141,6 +141,33 @@ def test_a_busy_host_loses_nothing_and_nothing_jumps(name, milliseconds):
     assert np.ptp(stamps - made) == 0
 
 
+def test_two_late_reads_are_no_missing_turn():
+    # The host stalls, reads a part of what waits, stalls again; the newest of each is a turn late.
+    made = times(4, 1000)
+    arrival = bunched(made)
+    arrival[2000:2173] = made[2300]
+    arrival[2173:2303] = made[2430]
+    arrival[2303:] = np.maximum(arrival[2303:], made[2431])
+    clock = DeviceClock(None, SHORT, 1e-3)
+    numbers = np.arange(len(made)) % 128
+    stamps = stamped(clock, made, arrival, counter=numbers, set_by=np.zeros_like(made))
+    assert (clock.jumps, clock.unseen) == (0, 0)
+    assert np.ptp(stamps - made) == 0
+
+
+@pytest.mark.parametrize('kind', ['clock', 'short counter', 'long counter', 'neither'])
+def test_a_line_that_holds_back_for_half_a_second_is_no_jump(kind):
+    # By 80 ms: more than the tolerance, and no whole turn of the short counter.
+    made = times(5, RATE)
+    arrival = bunched(made)
+    arrival[2000:2500] += 80 * MS
+    arrival = np.maximum.accumulate(arrival)
+    clock = DeviceClock(*KINDS[kind], 1 / RATE)
+    stamps = stamped(clock, made, arrival, **columns(kind, made), set_by=np.zeros_like(made))
+    assert clock.jumps == 0
+    assert np.ptp(stamps - made) == 0
+
+
 def test_a_gap_that_the_counter_cannot_tell_is_said_and_stamps_begin_anew():
     # Ten minutes without a frame; the device is 100 ppm slow: 60 ms, half a turn of the counter.
     rate = 1000
