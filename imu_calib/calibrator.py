@@ -44,6 +44,7 @@ class Setup:
         site: Gravity and Earth rate.
         method: Name of the solver; None takes the joint estimate where it applies, else the plan's
             own method.
+        serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
 
     """
 
@@ -52,6 +53,7 @@ class Setup:
     table: Table | None
     site: Site
     method: str | None = None
+    serial_number: str = ''
 
     @property
     def method_name(self) -> str:
@@ -120,12 +122,7 @@ class Calibrator:
         self._segmenter = Segmenter(setup.imu, setup.table)
 
     def feed(self, block: Block) -> None:
-        """Take a block of any topic in.
-
-        Raises:
-            InputError: Joint states of another table.
-
-        """
+        """Take a block of any topic in."""
         self._segmenter.feed(block)
 
     def finish(self) -> Result:
@@ -136,7 +133,10 @@ class Calibrator:
             NotObservable: The data cannot give all parameters; says which and why.
 
         """
-        return self._solve(self._segmenter.finish())
+        session = self._segmenter.finish()
+        if session.strangers:
+            raise InputError(session.strangers)
+        return self._solve(session)
 
     def snapshot(self) -> Calibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself.
@@ -252,6 +252,7 @@ class Calibrator:
             ),
             findings,
             _provenance(setup, evidence, session, solution, comparison),
+            setup.serial_number,
         )
         return Result(calibration, solution, session, labelled, comparison)
 

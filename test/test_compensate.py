@@ -1,6 +1,7 @@
 """A recording compensated: right numbers, all else untouched, and words for what does not fit."""
 
 import sqlite3
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from imu_calib.cdr import Kind, Messages, encode_imu, encode_rates
 from imu_calib.cli.main import main
 from imu_calib.compensation.compensator import Compensator
 from imu_calib.compensation.thermal import combine
+from imu_calib.session import SERIAL_NUMBER
 from imu_calib.stream import ImuBlock
 
 SESSION = session(seconds=12, rate=200)
@@ -186,3 +188,19 @@ def test_a_scale_factor_may_be_written_in_other_digits(tmp_path, calibration):
     bag = write_with_rosbags(tmp_path / 'bag', ROWS[:500])
     words = ['compensate', str(bag), '--calibration', calibration, '--imu', 'fog_medium']
     assert main([*words, '-o', str(tmp_path / 'out')]) == 0
+
+
+def test_the_calibration_of_another_serial_number_is_refused(tmp_path, capsys):
+    file = tmp_path / 'unit.yaml'
+    replace(truth(), serial_number='B2').save(file)
+    bag = tmp_path / 'bag'
+    with RecordingWriter(bag, {SERIAL_NUMBER: 'A1'}) as writer:
+        block = SESSION[IMU]
+        writer.write(IMU, Kind.IMU.type_name, encode_imu(block), block.stamp)
+    words = ['compensate', str(bag), '--calibration', str(file), '-o', str(tmp_path / 'out')]
+    assert main(words) == 2
+    assert 'serial_number: found B2, expected A1' in capsys.readouterr().err
+    assert main([*words, '--serial', 'B2']) == 2
+    assert 'is of the unit with serial number A1' in capsys.readouterr().err
+    replace(truth(), serial_number='A1').save(file)
+    assert main(words) == 0

@@ -215,3 +215,45 @@ def test_a_session_can_be_reviewed_wherever_it_stands(wire, lag, share):
     review = calibrator.review()
     assert (review.result is None) == bool(review.refusal)
     assert len(review.std) == 24
+
+
+def joint_states(names, count, stamp=1_700_000_000_000_000_000):
+    block = JointBlock(
+        stamp + np.arange(count) * 10_000_000,
+        names,
+        np.full((count, len(names)), 7.0),
+        np.zeros((count, len(names))),
+    )
+    return encode_joints(block).payloads()
+
+
+def test_joint_states_of_others_end_no_session_and_its_journal_can_be_reprocessed(tmp_path, wire):
+    session, clean = begin(tmp_path / 'journal'), begin(tmp_path / 'clean')
+    odd = [('gripper',), ('outer', 'middle'), (), ('outer', 'outer', 'middle', 'inner')]
+    for k, names in enumerate(odd):
+        # Far ahead in time: what is not of the table must not say how far the session has come.
+        session.take(Kind.JOINTS, joint_states(names, 5, 1_800_000_000_000_000_000), k)
+    rng = np.random.default_rng(1)
+    send(session, wire, rng)
+    send(clean, wire, np.random.default_rng(2))
+    intake = session.intakes[Kind.JOINTS]
+    assert (intake.ignored, intake.count) == (20, len(wire[Kind.JOINTS]))
+    assert intake.newest == clean.intakes[Kind.JOINTS].newest
+    live = finish(session)
+    assert same(live, finish(clean))
+    assert same(live, offline(tmp_path / 'journal'))
+    told = ' '.join(live.findings)
+    assert '5 joint states left out: they name outer, middle, not all joints of table' in told
+    assert '5 joint states left out: they name no joint' in told
+
+
+def test_joint_states_of_others_alone_are_named_as_they_come_and_at_the_end(tmp_path, wire):
+    session = begin(tmp_path / 'journal')
+    session.take(Kind.JOINTS, joint_states(('gripper',), 5), 1)
+    send(session, {Kind.IMU: wire[Kind.IMU][:5000]}, np.random.default_rng(3))
+    assert session.phase is not Phase.FAILED
+    ended(session)
+    assert session.phase is Phase.FAILED
+    assert '5 joint states left out: they name gripper' in session.failure
+    with pytest.raises(InputError, match='joint states name gripper; table three_axis has outer'):
+        offline(tmp_path / 'journal')

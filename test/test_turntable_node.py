@@ -278,6 +278,24 @@ def test_the_services_start_pause_resume_and_abort(session):
     assert session.table.setpoints[-1].mode is Mode.HOLD
 
 
+def test_no_start_while_the_calibrator_cannot_go_on(session):
+    session.turn_at(90).open(supervised=True)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    kind = ros.messages.CalibrationProgress
+
+    def say(state, text=''):
+        session.watcher.progress.publish(kind(state=state, text=text))
+
+    say(kind.FAILED, 'the disk is full.')
+    words = 'The calibrator cannot go on: the disk is full.'
+    assert session.until(lambda: session.press('start') == (False, words))
+    say(kind.FINISHED)
+    assert session.until(lambda: 'has finished its session' in session.press('start')[1])
+    assert session.table.setpoints == []
+    say(kind.WAITING)
+    assert session.until(lambda: session.press('start')[0])
+
+
 def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(session):
     session.turn_at(90).open(autostart=True)
     session.reaches(Phase.TURNING)
