@@ -25,7 +25,7 @@ ARGUMENTS = {
     'port': ('', 'Of the IMU; empty: another driver publishes imu_topic.'),
     'device': ('', "Name or file of the frames' format; needed with a port."),
     'imu': ('', 'Name or file: what its numbers mean; needed with a port.'),
-    'baud': ('115200', 'Of a serial port, bit/s.'),
+    'baud': ('0', "Of a serial port, bit/s; 0: as the device's file says, else 115200."),
     'frame_id': ('', "Frame of imu/data_raw; empty: the raw stream's (imu_link from a port)."),
     'namespace': ('', 'Of nodes and topics.'),
     'imu_topic': ('imu/pulses', 'Raw sensor_msgs/Imu.'),

@@ -22,7 +22,11 @@ ARGUMENTS = [
     ),
     DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
     DeclareLaunchArgument('device', description="Name or file of the frames' format."),
-    DeclareLaunchArgument('baud', default_value='115200', description='Of a serial port, bit/s.'),
+    DeclareLaunchArgument(
+        'baud',
+        default_value='0',
+        description="Of a serial port, bit/s; 0: as the device's file says, else 115200.",
+    ),
     DeclareLaunchArgument(
         'table_output',
         default_value='setpoint',

@@ -243,6 +243,25 @@ def test_a_clock_that_jumps_is_an_error_and_stamps_go_on(bench):
     assert bench.until(lambda: bench.listener.heard('clock', 2, 'jumped. By 3 s.'))
 
 
+@pytest.mark.parametrize('step', [-20.0, 3600.0, -0.2])
+def test_when_the_hosts_clock_is_set_stamps_follow_it_with_the_next_frame(bench, step):
+    bench.open()
+    bench.connect()
+    bench.while_spinning(lambda: bench.device.send(600))
+    assert bench.arrived(600)
+    set_by = round(step * NS)
+    now = bench.node._now
+    # What the node reads of the host's clock: in the reading thread, and for its sentences.
+    bench.node._now = bench.node._source._now = lambda: now() + set_by
+    bench.while_spinning(lambda: bench.device.send(100))
+    assert bench.arrived(700)
+    steps = np.diff(bench.listener.samples().stamp) - NS // RATE
+    assert np.flatnonzero(steps).tolist() == [599]
+    # The two clocks are read apart by less than a millisecond, as a thread is interrupted.
+    assert steps[599] == pytest.approx(set_by, abs=10_000_000)
+    assert bench.until(lambda: bench.listener.heard('clock', 2, "The host's clock was set"))
+
+
 def test_a_connection_that_breaks_is_opened_again_and_said(bench):
     bench.open()
     bench.connect()

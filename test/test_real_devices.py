@@ -169,7 +169,7 @@ def test_the_stamps_of_a_real_device_have_its_nominal_rate(name):
     ('name', 'fault', 'severity', 'words'),
     [
         ('kvh_1750', {'status': 0x73}, Severity.ERROR, 'gyro z is not valid'),
-        ('stim300', {'gyro': 0x40}, Severity.WARN, 'gyros start up'),
+        ('stim300', {'gyro': 0x40}, Severity.ERROR, 'gyros start up'),
         ('stim300', {'accelerometer': 0x12}, Severity.ERROR, 'an accelerometer is overloaded'),
         ('xsens_mti', {'status': 0x1003}, Severity.ERROR, 'a gyro is at its limit'),
     ],

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..calibration import Calibration
 from ..calibrator import Setup
+from ..devices import choose_baud, is_serial, load_format, too_slow
 from ..earth import Site
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
@@ -27,6 +28,8 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 
 _ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 _IMU, _TRUTH, _HELD = 'fog_medium', 'cao2022_table1', 'mems_counts'
+_SLOWEST = 50
+"""The slowest rate of a serial port that POSIX names, bit/s."""
 _JOURNAL = 'journal'
 _RESULT = 'calibration.yaml'
 _START = 30.0
@@ -57,6 +60,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     real.add_argument('--port', metavar='URL', help='where the IMU is, for instance /dev/ttyUSB0')
     real.add_argument(
         '--device', default='', metavar='NAME|FILE', help="format of the IMU's frames"
+    )
+    real.add_argument(
+        '--baud',
+        type=int,
+        metavar='BIT/S',
+        help="of a serial port (default: as the device's file says, else 115200)",
     )
     simulated = parser.add_argument_group('simulated hardware')
     simulated.add_argument(
@@ -92,6 +101,7 @@ def run(arguments: argparse.Namespace) -> None:
     folder = Path(arguments.output).expanduser()
     _complete(arguments)
     truth = _check(arguments, folder)
+    _say_baud(arguments)
     folder.mkdir(parents=True)
     environment = {} if arguments.port else private_network()
     parameters = _parameters(arguments, folder)
@@ -143,6 +153,30 @@ def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
     return options.load_truth(arguments.truth, imu)
 
 
+def _say_baud(arguments: argparse.Namespace) -> None:
+    """Say at what rate a serial port is read, and where its frames do not fit.
+
+    Raises:
+        InputError: There is no serial port, or its rate is no rate.
+
+    """
+    if arguments.baud is not None:
+        if not arguments.port:
+            raise InputError('--baud: simulated hardware has no serial port; give --port, too.')
+        if not is_serial(arguments.port):
+            raise InputError(f'--baud: {arguments.port} is no serial port; leave --baud out.')
+        if arguments.baud < _SLOWEST:
+            raise InputError(f'--baud: found {arguments.baud}, expected {_SLOWEST} bit/s or more.')
+    if not arguments.port or not is_serial(arguments.port):
+        return
+    frames = load_format(arguments.device or _frames(arguments))
+    baud = choose_baud(arguments.baud, frames)
+    OUTPUT.print(f'{arguments.port} is read at {baud}.', markup=False)
+    rate = arguments.sample_rate or load_imu(arguments.imu).sample_rate
+    if sentence := too_slow(baud.rate, frames, rate):
+        OUTPUT.print(sentence, markup=False)
+
+
 def _check_session(setup: Setup) -> None:
     """Refuse what the method could not solve; say who tells north where that is missing."""
     try:
@@ -184,6 +218,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             'device': arguments.device or _frames(arguments),
             'sample_rate': arguments.sample_rate,
             'port': arguments.port or f'socket://127.0.0.1:{port}',
+            'baud': arguments.baud or 0,
         },
         'calibrator_node': {
             **clock,

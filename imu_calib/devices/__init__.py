@@ -1,14 +1,17 @@
 """IMU devices: the bytes of a line to columns of samples with the host's stamps."""
 
+from .baud import Baud, choose_baud, too_slow
 from .checksum import CATALOGUE, Checksums, Crc, Sum, Xor
 from .decoder import Counts, Decoder, Samples
-from .device_clock import DeviceClock, Drift, Jump
+from .delays import Drift
+from .device_clock import DeviceClock, Jump
 from .format import FrameFormat, load_format, read_format
 from .health import Health, Severity, Word
-from .source import Chunk, Source, State
+from .source import Chunk, Source, State, is_serial
 
 __all__ = [
     'CATALOGUE',
+    'Baud',
     'Checksums',
     'Chunk',
     'Counts',
@@ -26,6 +29,9 @@ __all__ = [
     'Sum',
     'Word',
     'Xor',
+    'choose_baud',
+    'is_serial',
     'load_format',
     'read_format',
+    'too_slow',
 ]

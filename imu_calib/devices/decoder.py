@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..stream import Floats
 from .checksum import Bytes
 from .format import FrameFormat
+from .messages import Messages
 
 Indices = NDArray[np.int64]
 
@@ -24,7 +25,8 @@ class Samples:
         accel: (n, 3) counts.
         skew: (n,) counts of the skewed gyro, None without one.
         celsius: (n,) temperature, None without one.
-        counter: (n,) frame counter as sent, None without one.
+        counter: (n,) frame counter, less the messages before that it counts and that are no
+            frames; None without one.
         time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
         faults: (n,) bit k is set where the format's fault k is there.
         end: (n,) how many bytes had come since the start when the frame was complete.
@@ -51,7 +53,9 @@ class Counts:
     Attributes:
         frames: Frames that were decoded.
         bad: Frames whose checksum is wrong.
-        skipped: Bytes that belong to no good frame, those of bad frames included.
+        skipped: Bytes that belong to no good frame and no known message, those of bad frames
+            included.
+        others: Messages that the format knows and that are no frames.
         lost: Frames that are missing by the counter.
         repeated: Frames that came twice and were taken once.
         restarts: How often the counter went back.
@@ -62,6 +66,7 @@ class Counts:
     frames: int = 0
     bad: int = 0
     skipped: int = 0
+    others: int = 0
     lost: int = 0
     repeated: int = 0
     restarts: int = 0
@@ -88,6 +93,8 @@ class Decoder:
         self._bad_until = 0
         self._last_frame: Bytes | None = None
         self._last_counter = 0
+        self._others = Messages(frames.others)
+        self._counted_others = 0
         self.counts = Counts()
 
     def feed(self, data: bytes) -> Samples:
@@ -100,11 +107,33 @@ class Decoder:
             starts = np.concatenate([starts, self._search(buffer, step * length)])
         rows = _frames(buffer, starts, length)
         end = self._begin + starts + length
-        self._keep_tail(buffer, int(starts[-1]) + length if len(starts) else 0)
-        self.counts.skipped = self._begin - length * (self._taken + len(starts))
+        cut = max(int(starts[-1]) + length if len(starts) else 0, len(buffer) - length + 1, 0)
+        counted = self._between(buffer[:cut], starts)
+        self._tail = buffer[cut:].tobytes()
+        self._begin += cut
         self._taken += len(starts)
-        rows, end = self._without_repetitions(rows, end)
-        return self._columns(rows, end)
+        self._count_skipped()
+        return self._columns(*self._without_repetitions(rows, end, counted))
+
+    def _between(self, buffer: Bytes, starts: Indices) -> Indices:
+        """Look for other messages; return how many before each frame its counter counts."""
+        counted = np.zeros(len(starts), np.int64)
+        if not self._others.kinds:
+            return counted
+        ends = np.concatenate([[0], starts + self._format.length])
+        apart = starts != ends[:-1]
+        # The first frame ends what was open before it.
+        apart[:1] = True
+        for k in np.flatnonzero(apart).tolist():
+            self._others.take(buffer[ends[k] : starts[k]].tobytes())
+            counted[k] = self._others.close()
+        self._others.take(buffer[ends[-1] :].tobytes())
+        return counted
+
+    def _count_skipped(self) -> None:
+        known = self._format.length * self._taken + self._others.size + self._others.undecided
+        self.counts.skipped = self._begin - known
+        self.counts.others = self._others.found
 
     def _in_step(self, buffer: Bytes) -> int:
         """Return how many good frames follow each other from the beginning."""
@@ -159,18 +188,19 @@ class Decoder:
                 self.counts.bad += 1
                 self._bad_until = start + length
 
-    def _keep_tail(self, buffer: Bytes, end: int) -> None:
-        """Keep what may belong to a frame that is not complete."""
-        cut = max(end, len(buffer) - self._format.length + 1)
-        self._tail = buffer[cut:].tobytes()
-        self._begin += cut
+    def _without_repetitions(
+        self, rows: Bytes, end: Indices, others: Indices
+    ) -> tuple[Bytes, Indices, Indices | None]:
+        """Look at the steps of the counter; leave out frames that repeat the one before.
 
-    def _without_repetitions(self, rows: Bytes, end: Indices) -> tuple[Bytes, Indices]:
-        """Look at the steps of the counter; leave out frames that repeat the one before."""
+        Returns:
+            Rows, their ends, and their counter without the (n,) others that it counted before each.
+
+        """
         counter = self._format.counter
         if counter is None or len(rows) == 0:
             self.counts.frames += len(rows)
-            return rows, end
+            return rows, end, None if counter is None else np.empty(0, np.int64)
         values = counter.number.read(rows)
         last = self._last_frame
         previous = values[0] - counter.step if last is None else self._last_counter
@@ -179,26 +209,35 @@ class Decoder:
         if same.any():
             former = np.concatenate([rows[:1] if last is None else last[None], rows[:-1]])
             same &= (rows == former).all(axis=1)
-            rows, end, steps = rows[~same], end[~same], steps[~same]
+            rows, end, values = rows[~same], end[~same], values[~same]
+            steps, others = steps[~same], others[~same]
             self.counts.repeated += int(same.sum())
-        self._count_lost(steps)
+        others = self._count_lost(steps, others)
         self.counts.frames += len(rows)
         if len(rows):
             self._last_frame, self._last_counter = rows[-1].copy(), int(values[-1])
-        return rows, end
+        if not self._format.others:
+            return rows, end, values
+        taken = self._counted_others + np.cumsum(others)
+        self._counted_others = int(taken[-1]) if len(taken) else self._counted_others
+        return rows, end, np.mod(values - counter.step * taken, counter.modulus)
 
-    def _count_lost(self, steps: Indices) -> None:
+    def _count_lost(self, steps: Indices, others: Indices) -> Indices:
+        """Count missing frames; return how many of the missing counts are other messages'."""
         counter = self._format.counter
         assert counter is not None
         if counter.tells_direction:
             back = (steps > counter.modulus // 2) | (steps == 0)
             self.counts.restarts += int(back.sum())
-            steps = steps[~back]
+            steps = np.where(back, counter.step, steps)
         else:
             steps = np.where(steps == 0, counter.modulus, steps)
-        self.counts.lost += int((steps // counter.step - 1).clip(min=0).sum())
+        missing = (steps // counter.step - 1).clip(min=0)
+        others = np.minimum(others, missing)
+        self.counts.lost += int((missing - others).sum())
+        return others
 
-    def _columns(self, rows: Bytes, end: Indices) -> Samples:
+    def _columns(self, rows: Bytes, end: Indices, counter: Indices | None) -> Samples:
         """Return the columns of frames that are known to be good."""
         form = self._format
         gyro = np.column_stack([channel.read(rows) for channel in form.gyro])
@@ -212,7 +251,7 @@ class Decoder:
             accel=accel,
             skew=None if form.skew is None else form.skew.read(rows),
             celsius=None if form.temperature is None else form.temperature.read(rows),
-            counter=None if form.counter is None else form.counter.number.read(rows),
+            counter=counter,
             time=None if form.time is None else form.time.read(rows),
             faults=faults,
             end=end,

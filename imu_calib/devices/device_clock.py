@@ -1,31 +1,41 @@
-"""The device's clock on the host's time line: one line per session, of rate one."""
+"""The device's clock on the host's time line: a line of rate one, begun anew where it must be."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..stream import Floats, Stamps
-from .format import DeviceTime, FrameCounter
-
-Indices = NDArray[np.int64]
+from ..stream import Stamps
+from .delays import Delays, Drift
+from .fields import DeviceTime, FrameCounter
+from .host_clock import HostClock
+from .steps import Indices, Stepper
 
 _NS = 1_000_000_000
 _SETTLING = _NS // 2
 _LONGEST_SETTLING = 2 * _NS
-_WINDOW = 2 * _NS
-_MOST_WINDOWS = 512
-_FEWEST_WINDOWS = 8
-_SILENCE = _NS // 4
 _CATCH_UP = _NS // 10
-_LEAST_JUMP = 1e6
+"""A host that was busy reads what waits for it much faster than it came: by then it has."""
+_LONG_CATCH_UP = _NS
+"""The same where nothing else says that time was lost: being late is likelier then."""
+_READS = 3
+"""One late read proves nothing of the line."""
+_PART_OF_A_TURN = 8
+"""A delay tells turns of a counter if it is whole turns within an eighth: for a turn of 128 ms
+16 ms, the time for which a USB adapter holds bytes back (latency timer of FTDI's)."""
+_LOST = 'Frames are missing in whole turns of the counter: the host saw time go by.'
+_NOT_LOST = 'Frames that were counted as missing were only late.'
+_SET = "The host's clock was set, not the device's; stamps follow it."
+_JUMPED = "The device's clock jumped against the host's."
+_MISSING = 'Samples are missing: the host saw time go by without them.'
+_EARLY = "Samples came before they could be made: the host's clock was set."
+_UNCLEAR = (
+    'Frames are missing, or a clock was set: the counter does not tell by how much. Stamps begin '
+    'anew by the time of arrival.'
+)
 _HOST_STEP = 10.0 * _NS
-_PERIODS = 2.5
-_RATE_TOLERANCE = 1e-3
-_PLAUSIBLE = 2.0 * _NS
 
 
 @dataclass(frozen=True)
@@ -34,7 +44,8 @@ class Jump:
 
     Attributes:
         elapsed: When, ns after the first sample.
-        seconds: By how much the device's clock went too far, s; None where that is not known.
+        seconds: By how much the device's clock went too far, or the host's was set, s; None where
+            that is not known.
         reason: What happened, for a person.
 
     """
@@ -44,56 +55,58 @@ class Jump:
     reason: str
 
 
-@dataclass(frozen=True)
-class Drift:
-    """How much faster the device's clock runs than the host's, and the standard deviation, ppm."""
-
-    ppm: float
-    std: float
-
-
 @dataclass
-class _Finding:
-    """A jump at an index; `by_arrival` where only the arrival tells how much time went by."""
+class _Late:
+    """Samples that all came late: since when, ns, the least delay, ns, and in how many reads."""
 
-    index: int
-    seconds: float | None
-    reason: str
-    by_arrival: bool = False
-
-
-@dataclass
-class _Steps:
-    """(n,) ns from sample to sample, and where they had to be corrected."""
-
-    nanoseconds: Floats
-    findings: list[_Finding] = field(default_factory=list)
+    since: int
+    least: int
+    reads: int
 
 
 class DeviceClock:
-    """Maps samples to the host's time: stamp = offset + elapsed.
+    """Maps samples to the host's time: stamp = offset + elapsed + set_by.
 
     `elapsed` runs at the rate of the device's clock, or, without one, of its frame counter times
     the nominal period, or else of the number of samples; lost samples then show as drift. The
     offset is the least delay between clock and arrival in the first moments, and stays. A clock
-    that jumps is corrected by the counter, or by the arrival where the counter cannot tell, so
-    that stamps stay on the one line. Where the host's own clock is set, by ten seconds or more,
-    stamps follow it, as all else that the host stamps does.
+    that jumps is corrected by the counter, or by the arrival where the counter cannot tell.
+
+    Where arrivals are given on a steady clock, too, the host's clock is compared with that:
+    `set_by` is what it has been set by since the first sample, back or forth, and stamps follow
+    each step from the first sample that arrived after it, as all else does that the host stamps.
+    They go back where the host's clock does, and where samples turn out to be placed too late. A
+    clock that is slewed is not set: the device then drifts against it, which is said, not applied.
+
+    Without a steady clock, and for all that it does not explain, the least delay of late is what
+    a sample must have:
+
+    - Less of it by more than the tolerance: time cannot have been saved, so a clock was set. From
+      that sample on all have the least delay again.
+    - More of it, in every sample for a while: samples are missing, or a clock was set. Where there
+      is a counter and no clock, whole turns of the counter are put in and counted after a tenth
+      of a second, and stamps are exact again: a gap of any length, if a turn is longer than twice
+      the tolerance. What is not whole turns within an eighth of one cannot be told: after a
+      second the line begins anew at the least delay. So it does without a counter.
+    - Where clock and counter agree, no sample is missing, and only the host's clock can have been
+      set: with a steady clock ten seconds count (a host that was suspended), else the tolerance.
+
+    Such a line is as exact as the least delay of what it was begun with: a bunch of a USB adapter,
+    16 ms, at most. All of it is a `Jump`.
 
     Args:
         time: The device's clock, None without one.
         counter: The frame counter, None without one.
         period: Nominal sample period, s; None where it is not known.
-        tolerance: How far the host may contradict a device that has not both clock and counter,
-            s; None where the host's clock is too coarse to say so.
+        tolerance: How far arrivals may contradict the device, s; None where the host's clock is
+            too coarse to say so.
         live: Whether arrivals tell the time; those of a file do not.
 
     Attributes:
         offset: Host stamp of elapsed 0, ns; None until it is settled.
-        period: Sample period by the device's clock once it is settled, else nominal, ns.
         jumps: How often the clock jumped or started anew.
         last_jump: The last of them.
-        unseen: Frames lost in whole turns of the counter, which its steps do not show.
+        set_by: (n,) of the samples fed last: by how much the host's clock has been set, ns.
 
     Raises:
         InputError: Neither a clock nor a nominal period is known.
@@ -117,19 +130,27 @@ class DeviceClock:
         self._counter = counter
         self._tolerance = None if tolerance is None else tolerance * _NS
         self._live = live
-        self._early_periods: list[Floats] = []
-        self._ticks = 0
-        self._count = 0
+        self._stepper = Stepper(time, counter, None if period is None else period * _NS, live=live)
         self._elapsed = 0.0
         self._arrival = 0
         self._first_arrival: int | None = None
-        self._suspect: int | None = None
-        self._line = _Line()
+        self._late: _Late | None = None
+        self._line = Delays()
+        self._host = HostClock()
+        self.set_by: Stamps = np.empty(0, np.int64)
         self.offset: int | None = None
-        self.period: float | None = None if period is None else period * _NS
         self.jumps = 0
         self.last_jump: Jump | None = None
-        self.unseen = 0
+
+    @property
+    def period(self) -> float | None:
+        """Sample period by the device's clock once it is settled, else nominal, ns."""
+        return self._stepper.period
+
+    @property
+    def unseen(self) -> int:
+        """Frames lost in whole turns of the counter, which its steps do not show."""
+        return self._stepper.unseen
 
     @property
     def drift(self) -> Drift | None:
@@ -146,26 +167,41 @@ class DeviceClock:
         """How far the newest stamps are ahead of their arrival, s; None while not settled."""
         if self.offset is None or self._line.recent is None or not self._live:
             return None
-        return (self.offset - self._line.recent) / _NS
+        return (self.offset - self._host.first - self._line.recent) / _NS
 
-    def feed(self, time: Indices | None, counter: Indices | None, arrival: Stamps) -> Stamps:
+    def feed(
+        self,
+        time: Indices | None,
+        counter: Indices | None,
+        arrival: Stamps,
+        steady: Stamps | None = None,
+    ) -> Stamps:
         """Take samples; return when they were made.
 
         Args:
             time: (n,) device time in units of `DeviceTime.unit`, as sent; None without one.
             counter: (n,) frame counter as sent; None without one.
-            arrival: (n,) host time at which each sample had arrived, ns, in order.
+            arrival: (n,) host time at which each sample had arrived, ns; in order but where the
+                host's clock was set back.
+            steady: (n,) the same by a clock that nobody sets, ns, in order; None without one.
 
         Returns:
-            (n,) elapsed, ns after the first sample, increasing.
+            (n,) elapsed, ns after the first sample. It increases but where the class says.
 
         """
         if len(arrival) == 0:
-            return np.empty(0, np.int64)
+            self.set_by = np.empty(0, np.int64)
+            return self.set_by
+        settings: list[tuple[int, int]] = []
+        self.set_by = np.zeros(len(arrival), np.int64)
+        if steady is not None:
+            self.set_by, settings = self._host.feed(arrival, steady)
+            arrival = steady
         begins = self._first_arrival is None
         if self._first_arrival is None:
             self._first_arrival = self._arrival = int(arrival[0])
-        steps = self._steps(time, counter, arrival, begins)
+        past = np.diff(arrival, prepend=self._arrival).clip(min=0).astype(np.float64)
+        steps = self._stepper.feed(time, counter, past, begins=begins)
         exact = self._elapsed + np.cumsum(steps.nanoseconds)
         elapsed = np.rint(exact).astype(np.int64)
         uncorrected = int(elapsed[-1])
@@ -173,12 +209,10 @@ class DeviceClock:
             if finding.by_arrival:
                 self._place_by_arrival(elapsed, finding.index, arrival)
             self._note(int(elapsed[finding.index]), finding.seconds, finding.reason)
-        if self._live and self._tolerance is not None and (time is None or counter is None):
-            self._compare_with_host(elapsed, arrival, self._tolerance)
-        elif self._live and self._line.recent is not None:
-            # Clock and counter agree on how much time goes by, but not on what time it is.
-            self._compare_after_silence(elapsed, arrival, _HOST_STEP)
-        self._line.add(elapsed, arrival)
+        known = self._compare(elapsed, arrival, steady is not None)
+        self._line.add(elapsed[:known], arrival[:known])
+        for index, by in settings:
+            self._note(int(elapsed[index]), by / _NS, "The host's clock was set; stamps follow it.")
         # The fraction of a nanosecond is kept: a thousand roundings a second would add up.
         self._elapsed = float(exact[-1]) + int(elapsed[-1]) - uncorrected
         self._arrival = int(arrival[-1])
@@ -190,262 +224,87 @@ class DeviceClock:
     def settle(self) -> None:
         """Fix the offset, if it is not fixed yet and a sample has come."""
         if self.offset is None and self._line.lowest is not None:
-            self.offset = self._line.lowest
-
-    def _steps(
-        self, time: Indices | None, counter: Indices | None, arrival: Stamps, begins: bool
-    ) -> _Steps:
-        ticks = counts = None
-        if self._time is not None and time is not None:
-            ticks = _differences(time, self._ticks, self._time.modulus) * self._time.unit
-            self._ticks = int(time[-1])
-        if self._counter is not None and counter is not None:
-            signed = self._counter.tells_direction
-            counts = _differences(counter, self._count, self._counter.modulus, signed=signed)
-            counts /= self._counter.step
-            self._count = int(counter[-1])
-        if begins:
-            # The first sample has no step.
-            for column in (ticks, counts):
-                if column is not None:
-                    column[0] = 0.0
-        if ticks is not None:
-            self._learn_period(ticks, counts)
-        past = np.diff(arrival, prepend=self._arrival).astype(np.float64)
-        if ticks is not None and counts is not None and self.period is not None:
-            steps = self._compared(ticks, counts, past, self.period, begins)
-        elif ticks is not None:
-            steps = _forward(ticks, self.period, "The device's clock went back.", begins)
-        elif counts is not None and self.period is not None:
-            counts[counts * self.period > past + _PLAUSIBLE] = 0.0 if self._live else 1.0
-            reason = 'The frame counter does not go on where it was: the device started anew.'
-            steps = _forward(counts * self.period, self.period, reason, begins)
-        else:
-            assert self.period is not None
-            steps = _Steps(np.full(len(arrival), self.period))
-            steps.nanoseconds[0] *= not begins
-        return steps
-
-    def _learn_period(self, ticks: Floats, counts: Floats | None) -> None:
-        """Take the sample period from the device's clock in the first moments."""
-        if self.offset is not None:
-            return
-        frames = np.ones_like(ticks) if counts is None else counts
-        usable = (ticks > 0) & (frames > 0)
-        self._early_periods.append(ticks[usable] / frames[usable])
-        early = np.concatenate(self._early_periods)
-        if len(early):
-            self.period = float(np.median(early))
-
-    def _compared(
-        self, ticks: Floats, counts: Floats, past: Floats, period: float, begins: bool
-    ) -> _Steps:
-        """Compare the steps of clock and counter; correct the one that is wrong."""
-        steps = _Steps(ticks)
-        expected = counts * period
-        allowed = np.maximum(_LEAST_JUMP, _PERIODS * period)
-        allowed = np.maximum(allowed, _RATE_TOLERANCE * np.maximum(abs(expected), abs(ticks)))
-        wrong = (abs(ticks - expected) > allowed) | (counts <= 0)
-        wrong[0] &= not begins
-        for k in np.flatnonzero(wrong).tolist():
-            if not self._wraps(ticks, counts, past, period, k, float(allowed[k])):
-                steps.findings.append(self._finding(ticks, counts, past, period, k))
-        return steps
-
-    def _wraps(
-        self, ticks: Floats, counts: Floats, past: Floats, period: float, k: int, allowed: float
-    ) -> bool:
-        """Explain a contradiction by whole turns of the clock or of the counter, if that does."""
-        assert self._time is not None and self._counter is not None
-        excess = ticks[k] - counts[k] * period
-        if self._time.modulus is not None:
-            turn = self._time.modulus * self._time.unit
-            whole = round(excess / turn)
-            if whole and abs(excess - whole * turn) <= allowed:
-                ticks[k] -= whole * turn
-                return bool(ticks[k] > 0)
-        turn = self._counter.modulus / self._counter.step * period
-        whole = round(excess / turn)
-        # The host must have seen a gap of that length, too.
-        if whole > 0 and abs(excess - whole * turn) <= allowed and past[k] > ticks[k] / 2:
-            self.unseen += round(whole * self._counter.modulus / self._counter.step)
-            return True
-        return False
-
-    def _finding(
-        self, ticks: Floats, counts: Floats, past: Floats, period: float, k: int
-    ) -> _Finding:
-        by_counter = counts[k] * period
-        if 0 < by_counter <= past[k] + _PLAUSIBLE or (by_counter > 0 and not self._live):
-            seconds = float(ticks[k] - by_counter) / _NS
-            ticks[k] = by_counter
-            return _Finding(k, seconds, "The device's clock jumped.")
-        reason = 'The frame counter went back: the device started anew.'
-        if 0 < ticks[k] <= past[k] + _PLAUSIBLE:
-            return _Finding(k, None, reason)
-        ticks[k] = period
-        return _Finding(k, None, reason, by_arrival=True)
+            self.offset = self._line.lowest + self._host.first
+            self._stepper.settled = True
 
     def _place_by_arrival(self, elapsed: Stamps, index: int, arrival: Stamps) -> None:
         """Shift all from an index on so that it has the delay that was usual before."""
         usual = self._line.recent
         if usual is None or not self._live:
             return
-        delay = int((arrival[index:] - elapsed[index:]).min())
-        self._shift(elapsed, index, delay - usual)
-
-    def _shift(self, elapsed: Stamps, index: int, shift: int) -> int:
-        """Shift all from an index on, as far as time goes forward; return by how much."""
+        shift = int((arrival[index:] - elapsed[index:]).min()) - usual
         before = int(elapsed[index - 1]) if index else int(self._elapsed)
-        possible = max(shift, before + 1 - int(elapsed[index]))
-        elapsed[index:] += possible
-        return possible
+        elapsed[index:] += max(shift, before + 1 - int(elapsed[index]))
 
-    def _compare_with_host(self, elapsed: Stamps, arrival: Stamps, tolerance: float) -> None:
-        """Find jumps where clock and counter cannot be compared.
+    def _compare(self, elapsed: Stamps, arrival: Stamps, steady: bool) -> int:
+        """Hold samples against their arrival, and correct what contradicts it.
 
-        No sample arrives before it is made: a delay that shrinks is a clock that went ahead.
+        Returns:
+            How many of the samples are not late for reasons that are still open.
+
         """
+        usual = self._line.recent
+        if not self._live or self._tolerance is None or usual is None:
+            return len(arrival)
+        agreed = self._time is not None and self._counter is not None
+        tolerance = _HOST_STEP if agreed and steady else self._tolerance
         begin = 0
-        while self._line.recent is not None:
-            delay = arrival[begin:] - elapsed[begin:] - self._line.recent
-            ahead = delay < -tolerance
-            if not ahead.any():
-                self._compare_after_silence(elapsed, arrival, tolerance)
-                return
-            begin += int(ahead.argmax())
-            self._correct(elapsed, begin, arrival)
+        while (early := arrival[begin:] - elapsed[begin:] < usual - tolerance).any():
+            begin += int(early.argmax())
+            self._correct(elapsed, begin, int((arrival - elapsed)[begin:].min()) - usual)
             begin += 1
+        return self._compare_late(elapsed, arrival, usual, tolerance)
 
-    def _compare_after_silence(self, elapsed: Stamps, arrival: Stamps, tolerance: float) -> None:
-        """Find jumps by a delay that grows and stays: a host that was busy catches up at once."""
-        assert self._line.recent is not None
-        delay = arrival - elapsed - self._line.recent
-        silent = np.diff(arrival, prepend=self._arrival) > _SILENCE
-        first = 0
-        if silent.any() and delay[silent.argmax()] > tolerance:
-            first = int(silent.argmax())
-            self._suspect = int(arrival[first])
-        if self._suspect is None:
-            return
-        if delay[first:].min() <= tolerance:
-            self._suspect = None
-        elif arrival[-1] - self._suspect >= _CATCH_UP:
-            self._correct(elapsed, int((arrival - self._suspect >= _CATCH_UP).argmax()), arrival)
-            self._suspect = None
+    def _compare_late(self, elapsed: Stamps, arrival: Stamps, usual: int, tolerance: float) -> int:
+        """Find delays that grow and stay; return how many samples are not late."""
+        in_time = np.flatnonzero(arrival - elapsed - usual <= tolerance)
+        begin = int(in_time[-1]) + 1 if len(in_time) else 0
+        if begin:
+            self._late = None
+        if begin == len(arrival):
+            return begin
+        if self._late is None:
+            self._late = _Late(int(arrival[begin]), np.iinfo(np.int64).max, 0)
+        self._late.least = min(self._late.least, int((arrival - elapsed)[begin:].min()))
+        self._late.reads += len(np.unique(arrival[begin:]))
+        growth = self._late.least - usual
+        certain = growth > _HOST_STEP or self._turns(growth) > 0
+        patience = _CATCH_UP if certain else _LONG_CATCH_UP
+        if arrival[-1] - self._late.since < patience or self._late.reads < _READS:
+            return begin
+        self._correct(elapsed, begin, growth)
+        self._late = None
+        return len(arrival)
 
-    def _correct(self, elapsed: Stamps, index: int, arrival: Stamps) -> None:
-        """Give all from an index on the usual delay, and say so."""
-        assert self._line.recent is not None
-        shift = int((arrival[index:] - elapsed[index:]).min()) - self._line.recent
-        if self._shift(elapsed, index, shift) != shift:
-            # Time cannot go back, as the host's has: what is usual begins anew from here.
-            self._line.forget()
-        self._note(int(elapsed[index]), -shift / _NS, self._explained(shift))
+    def _turns(self, shift: float) -> int:
+        """Return how many whole turns of the counter explain a delay, ns; 0 where none do."""
+        if self._time is not None or self._counter is None or self.period is None:
+            return 0
+        turn = self._counter.turn * self.period
+        whole = round(shift / turn)
+        return whole if abs(shift - whole * turn) <= turn / _PART_OF_A_TURN else 0
 
-    def _explained(self, shift: int) -> str:
-        """Say what must have happened where the device shows less time than the host."""
-        if self._time is not None or shift < 0:
-            return "The device's clock jumped against the host's."
-        if self._counter is None or self.period is None:
-            return 'Samples are missing: the host saw time go by without them.'
-        turn = self._counter.modulus / self._counter.step
-        self.unseen += round(shift / (turn * self.period)) * round(turn)
-        return 'Frames are missing in whole turns of the counter: the host saw time go by.'
+    def _correct(self, elapsed: Stamps, index: int, shift: int) -> None:
+        """Shift all from an index on, by whole turns of the counter where those explain it."""
+        whole = self._turns(shift)
+        counted = 0 if self._counter is None else round(whole * self._counter.turn)
+        if whole and self.period is not None and self.unseen + counted >= 0:
+            self._stepper.unseen += counted
+            shift = round(counted * self.period)
+            reason = _LOST if whole > 0 else _NOT_LOST
+        else:
+            reason = self._contradiction(shift)
+        elapsed[index:] += shift
+        self._note(int(elapsed[index]), -shift / _NS, reason)
+
+    def _contradiction(self, shift: int) -> str:
+        """Say what samples mean that are late by so much, below zero early."""
+        if self._time is not None:
+            return _SET if self._counter is not None else _JUMPED
+        if self._counter is not None:
+            return _UNCLEAR
+        return _MISSING if shift > 0 else _EARLY
 
     def _note(self, elapsed: int, seconds: float | None, reason: str) -> None:
         self.jumps += 1
         self.last_jump = Jump(elapsed, seconds, reason)
-
-
-def _differences(
-    values: Indices, previous: int, modulus: int | None, *, signed: bool = True
-) -> Floats:
-    """Return the (n,) steps of a number that starts anew at its modulus.
-
-    Args:
-        values: (n,) as sent.
-        previous: The one before.
-        modulus: None where it has none.
-        signed: Whether a step of more than half the modulus is one back.
-
-    """
-    with np.errstate(over='ignore'):
-        steps = np.diff(values, prepend=np.int64(previous))
-    if modulus is not None and modulus < 2**63:
-        steps = np.mod(steps, modulus)
-        if signed:
-            steps[steps > modulus // 2] -= modulus
-    return steps.astype(np.float64)
-
-
-def _forward(steps: Floats, period: float | None, reason: str, begins: bool) -> _Steps:
-    """Leave the steps to the arrival that do not go forward."""
-    back = steps <= 0
-    back[0] &= not begins
-    steps[back] = 1.0 if period is None else period
-    return _Steps(steps, [_Finding(k, None, reason, True) for k in np.flatnonzero(back).tolist()])
-
-
-class _Line:
-    """Least delay between sample and arrival, in windows of time."""
-
-    def __init__(self) -> None:
-        self._width = _WINDOW
-        self._windows: list[tuple[int, int]] = []
-        self._current: tuple[int, int] | None = None
-        self.lowest: int | None = None
-
-    @property
-    def recent(self) -> int | None:
-        """Least delay of late, ns."""
-        if self._current is None:
-            return None
-        return min(delay for _, delay in [*self._windows[-1:], self._current])
-
-    def add(self, elapsed: Stamps, arrival: Stamps) -> None:
-        """Take (n,) samples, ns."""
-        delay = arrival - elapsed
-        number = elapsed // self._width
-        starts = np.flatnonzero(np.diff(number, prepend=number[0] - 1))
-        lowest = np.minimum.reduceat(delay, starts)
-        for window, least in zip(number[starts].tolist(), lowest.tolist(), strict=True):
-            self._add(window, least)
-        least = int(lowest.min())
-        self.lowest = least if self.lowest is None else min(self.lowest, least)
-        if len(self._windows) > _MOST_WINDOWS:
-            self._merge()
-
-    def forget(self) -> None:
-        """Begin anew."""
-        self._windows, self._current = [], None
-
-    def _add(self, window: int, least: int) -> None:
-        if self._current is not None and self._current[0] == window:
-            self._current = window, min(self._current[1], least)
-            return
-        if self._current is not None:
-            self._windows.append(self._current)
-        self._current = window, least
-
-    def _merge(self) -> None:
-        """Make the windows twice as wide."""
-        windows, current = self._windows, self._current
-        self._width *= 2
-        self._windows, self._current = [], None
-        for window, least in [*windows, *([] if current is None else [current])]:
-            self._add(window // 2, least)
-
-    def drift(self) -> Drift | None:
-        """Fit a line to the delays of complete windows."""
-        if len(self._windows) < _FEWEST_WINDOWS:
-            return None
-        number, delay = np.array(self._windows).T
-        place = (number - number.mean()) * self._width
-        spread = float(place @ place)
-        residual = (delay - delay[0]).astype(np.float64)
-        residual -= residual.mean()
-        slope = float(place @ residual) / spread
-        residual -= slope * place
-        std = np.sqrt(float(residual @ residual) / (len(residual) - 2) / spread)
-        return Drift(-slope * 1e6, float(std) * 1e6)

@@ -48,11 +48,15 @@ class Health:
         frames: The format of its frames.
         nominal: Sample rate, Hz; None where it is not known.
         gap_timeout: Longest time without a frame, s.
+        caution: What is wrong with the port though it is open, a sentence; empty for nothing.
 
     """
 
-    def __init__(self, frames: FrameFormat, nominal: float | None, gap_timeout: float) -> None:
+    def __init__(
+        self, frames: FrameFormat, nominal: float | None, gap_timeout: float, caution: str = ''
+    ) -> None:
         self._format = frames
+        self._caution = caution
         self._nominal = nominal
         self._gap_timeout = gap_timeout
         self._bytes = 0
@@ -106,7 +110,7 @@ class Health:
     def _measure_rate(self, elapsed: Stamps, now: int) -> None:
         """Count samples per second of the device's clock, of the host's where it has none."""
         time = int(elapsed[-1]) if self._format.time is not None else now
-        if self._rate_from is None:
+        if self._rate_from is None or time < self._rate_from[0]:
             self._rate_from = time, 0
             return
         begin, count = self._rate_from
@@ -122,9 +126,14 @@ class Health:
         Simulated time may leap by seconds while a busy machine reads the line: it takes a while
         of the steady clock, too. What is missing then is said when the next frame comes.
         """
-        if self._heard is None or now - self._heard <= self._gap_timeout * _NS:
+        if self._heard is None:
             return False
-        return steady - self._heard_steady > min(self._gap_timeout, _PATIENCE)
+        passed = steady - self._heard_steady
+        if now < self._heard:
+            # The host's clock was set back.
+            return passed > self._gap_timeout
+        late = now - self._heard > self._gap_timeout * _NS
+        return late and passed > min(self._gap_timeout, _PATIENCE)
 
     def words(
         self, state: State, counts: Counts, clock: DeviceClock, now: int, steady: float
@@ -134,11 +143,19 @@ class Health:
             self._begun = now
         self._note_events(counts, steady)
         return [
-            Word('port', _port_severity(state), state.text, {'bytes': str(self._bytes)}),
+            self._port(state),
             self._stream(state, counts, clock, now, steady),
             self._clock(clock, steady),
             *self._status(steady),
         ]
+
+    def _port(self, state: State) -> Word:
+        figures = {'bytes': str(self._bytes)}
+        if not (state.open or state.ended):
+            return Word('port', Severity.ERROR, state.text, figures)
+        if self._caution:
+            return Word('port', Severity.WARN, f'{state.text} {self._caution}', figures)
+        return Word('port', Severity.OK, state.text, figures)
 
     def _note_events(self, counts: Counts, steady: float) -> None:
         seen, self._seen = self._seen, replace(counts)
@@ -176,6 +193,8 @@ class Health:
             'counter restarts': str(counts.restarts),
             'bytes skipped': str(counts.skipped),
         }
+        if self._format.others:
+            figures['other messages'] = str(counts.others)
         return Word('stream', *self._stream_sentence(state, now, steady), figures)
 
     def _stream_sentence(self, state: State, now: int, steady: float) -> tuple[Severity, str]:
@@ -242,7 +261,3 @@ class Health:
             grave = any(fault.error and fault.words in now for fault in self._format.faults)
             return [Word('status', Severity.ERROR if grave else Severity.WARN, text, figures)]
         return [Word('status', Severity.OK, 'The device reports no fault.', figures)]
-
-
-def _port_severity(state: State) -> Severity:
-    return Severity.OK if state.open or state.ended else Severity.ERROR

@@ -7,6 +7,7 @@ import re
 import socket
 import stat
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,22 +17,35 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 from ..address import host_and_port
 from ..errors import InputError
+from .baud import DEFAULT
 
 _CHUNK = 16384
 _POLL = 0.1
 _CONNECT = 2.0
 _RETRY = 0.5
 _CAPACITY = 1 << 18
+_TRIES = 5
+_AT_ONCE = 1_000_000
+"""ns; a thread that is interrupted between two clocks reads them again."""
 _KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
 """A device that lost its power closes nothing: so many seconds, and it counts as gone."""
+_SOCKETS = ('socket', 'tcp', 'udp')
 _SERIAL_NAME = re.compile(r'^(/dev/|COM\d+$|\\\\.\\)')
 
 
 class Chunk(NamedTuple):
-    """Bytes that were read at once, and the host's time just after, ns."""
+    """Bytes that were read at once, and when: host's time just after, and a steady clock's, ns."""
 
     data: bytes
     arrival: int
+    steady: int
+
+
+def steady_time() -> int:
+    """Return the time of a clock that nobody sets, ns; it goes on while the host is suspended."""
+    if hasattr(time, 'CLOCK_BOOTTIME'):
+        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    return time.monotonic_ns()
 
 
 @dataclass(frozen=True)
@@ -83,7 +97,7 @@ class Source:
     """
 
     def __init__(
-        self, url: str, now: Callable[[], int], baud: int = 115200, capacity: int = _CAPACITY
+        self, url: str, now: Callable[[], int], baud: int = DEFAULT, capacity: int = _CAPACITY
     ) -> None:
         self._kind, self._where = _parse(url, baud)
         self.url = url
@@ -151,7 +165,7 @@ class Source:
                 if data is None:
                     break
                 if data:
-                    self._put(Chunk(data, self._now()))
+                    self._put(Chunk(data, *self._moment()))
         except Exception as error:
             self.state = State(False, False, f'{self.url} broke: {_reason(error)}')
             return
@@ -159,6 +173,16 @@ class Source:
             self.state = State(False, True, f'{self.url} was read to its end.')
         else:
             self.state = State(False, False, f'{self.url} was closed by the other end.')
+
+    def _moment(self) -> tuple[int, int]:
+        """Read the host's clock and the steady one at once, as far as nothing interrupts."""
+        for _ in range(_TRIES):
+            before = steady_time()
+            host = self._now()
+            after = steady_time()
+            if after - before < _AT_ONCE:
+                break
+        return host, (before + after) // 2
 
     def _put(self, chunk: Chunk) -> None:
         with self._changed:
@@ -275,6 +299,14 @@ def _family(host: str) -> socket.AddressFamily:
     return socket.AF_INET6 if ':' in host else socket.AF_INET
 
 
+def is_serial(url: str) -> bool:
+    """Say whether pyserial opens it: a port that has a baud rate."""
+    scheme, separator, _ = url.partition('://')
+    if separator:
+        return scheme not in _SOCKETS
+    return bool(_SERIAL_NAME.match(url)) or _is_device(Path(url))
+
+
 def _parse(url: str, baud: int) -> tuple[Callable[..., Line], tuple[Any, ...]]:
     """Return what opens a URL, and its arguments."""
     if not url:
@@ -283,12 +315,12 @@ def _parse(url: str, baud: int) -> tuple[Callable[..., Line], tuple[Any, ...]]:
             'file.'
         )
     scheme, separator, _ = url.partition('://')
-    if separator and scheme in {'socket', 'tcp', 'udp'}:
+    if separator and scheme in _SOCKETS:
         address = host_and_port(url)
         if address is None:
             raise InputError(f'{url}: expected {scheme}://host:port.')
         return (_Udp if scheme == 'udp' else _Tcp), address
-    if separator or _SERIAL_NAME.match(url) or _is_device(Path(url)):
+    if is_serial(url):
         if find_spec('serial') is None:
             raise InputError(
                 f'{url}: pyserial is missing: python3-serial on Ubuntu, pyserial on PyPI.'

@@ -8,7 +8,19 @@ from typing import Any
 import numpy as np
 
 from ..cdr import PULSES, RATES, encode_imu, encode_temperatures
-from ..devices import Chunk, Decoder, DeviceClock, Health, Samples, Source, load_format
+from ..devices import (
+    Baud,
+    Chunk,
+    Decoder,
+    DeviceClock,
+    Health,
+    Samples,
+    Source,
+    choose_baud,
+    is_serial,
+    load_format,
+    too_slow,
+)
 from ..imu import load_imu
 from ..middleware import Clock, ClockType, Node, messages, publish_all
 from ..stream import ImuBlock, Stamps, TemperatureBlock, Units
@@ -33,7 +45,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         self._format = load_format(
             declare(self, 'device', 'simulated', "Name or file of the frames' format.")
         )
-        self._source = self._declare_source()
+        self._source, baud = self._declare_source()
         self._frame_id = declare(self, 'frame_id', 'imu_link', 'Frame of all messages.')
         rate = declare(
             self, 'sample_rate', 0.0, "Nominal, Hz; 0: the IMU's own.", lower=0.0, upper=1e5
@@ -52,7 +64,8 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             tolerance=None if self._simulated else 0.05,
             live=self._source.live,
         )
-        self._health = Health(self._format, nominal, gap_timeout)
+        caution = '' if baud is None else too_slow(baud.rate, self._format, nominal)
+        self._health = Health(self._format, nominal, gap_timeout, caution)
         self._covariances = RATES if imu.units is Units.SI else PULSES
         self._diagnostics = Diagnostics(self, imu.id)
         self._pulses = self._open_stream('imu/pulses')
@@ -89,15 +102,27 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             messages.Imu, topic, qos.stream(), qos_overriding_options=qos.overridable()
         )
 
-    def _declare_source(self) -> Source:
+    def _declare_source(self) -> tuple[Source, Baud | None]:
+        """Return where the bytes come from, and the rate of a serial port."""
         port = declare(
             self, 'port', '', 'Serial port, socket://host:port, udp://host:port, or a file.'
         )
-        baud = declare(self, 'baud', 115200, 'Of a serial port, bit/s.', lower=50)
+        given = declare(
+            self,
+            'baud',
+            0,
+            "Of a serial port, bit/s; 0: as the device's file says, else 115200.",
+            lower=0,
+        )
         buffer = declare(
             self, 'buffer', 1 << 18, 'Bytes that may wait before reading pauses.', lower=1 << 12
         )
-        return Source(port, self._now, baud, buffer)
+        baud = choose_baud(given, self._format)
+        source = Source(port, self._now, baud.rate, buffer)
+        if not is_serial(port):
+            return source, None
+        self.get_logger().info(f'{port} is read at {baud}.')
+        return source, baud
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -144,7 +169,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         ready = len(self._waiting)
         if self._line.offset is None:
             ready = sum(chunk.arrival < now for chunk in self._waiting)
-        chunks = [Chunk(chunk.data, now) for chunk in self._waiting[:ready]]
+        chunks = [Chunk(chunk.data, now, now) for chunk in self._waiting[:ready]]
         del self._waiting[:ready]
         return chunks
 
@@ -155,12 +180,12 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         now = self._now()
         ends = self._received + np.cumsum([len(chunk.data) for chunk in chunks], dtype=np.int64)
         self._received += len(data)
-        arrivals = np.maximum.accumulate([chunk.arrival for chunk in chunks], dtype=np.int64)
-        arrival = arrivals[np.searchsorted(ends, samples.end)]
-        elapsed = self._line.feed(samples.time, samples.counter, arrival)
+        times = np.array([(chunk.arrival, chunk.steady) for chunk in chunks], np.int64)
+        arrival, steady = times[np.searchsorted(ends, samples.end)].T
+        elapsed = self._line.feed(samples.time, samples.counter, arrival, steady)
         self._health.take(samples, elapsed, len(data), now, self._seconds())
         if len(samples):
-            self._held.append((samples, elapsed))
+            self._held.append((samples, elapsed + self._line.set_by))
 
     def _release(self) -> None:
         """Publish the samples that wait, as soon as they can be stamped."""
