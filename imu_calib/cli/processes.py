@@ -101,6 +101,11 @@ class Processes:
         process.wait()
         log.close()
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the nodes that were started."""
+        return tuple(self._running)
+
     def number(self, node: str) -> int:
         """Return the process number of a node."""
         return self._running[node][0].pid

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 from ..calibration import Calibration
 from ..calibrator import Setup
 from ..earth import Site
+from ..devices import check_port, load_format
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import free
@@ -24,6 +26,7 @@ from . import by_hand, options
 from .processes import Outcome, Processes, free_port, private_network
 from .simulate import LUOYANG
 from .terminal import OUTPUT, progress_bar, sentence_list
+from .words import NothingComes
 
 _ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 _IMU, _TRUTH, _HELD = 'fog_medium', 'cao2022_table1', 'mems_counts'
@@ -98,14 +101,12 @@ def run(arguments: argparse.Namespace) -> None:
     if environment:
         joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
         OUTPUT.print(f'to look on: export {joined}', markup=False)
-    with Processes(folder, environment) as processes:
-        for node in _ORDER:
-            if node in parameters:
-                processes.start(node, parameters[node])
-        if load_plan(arguments.plan).by_hand:
-            outcome = by_hand.follow(processes, environment)
-        else:
-            outcome = _follow(processes, environment)
+    try:
+        outcome = _session(arguments, folder, environment, parameters)
+    except NothingComes:
+        # Nothing was recorded: the same command is to work once the device is there.
+        shutil.rmtree(folder)
+        raise
     if not outcome.finished:
         raise NotObservable(outcome.text)
     calibration = Calibration.load(folder / _RESULT)
@@ -120,12 +121,28 @@ def run(arguments: argparse.Namespace) -> None:
     sentence_list('Worth knowing', calibration.findings)
 
 
+def _session(
+    arguments: argparse.Namespace,
+    folder: Path,
+    environment: dict[str, str],
+    parameters: dict[str, dict[str, Any]],
+) -> Outcome:
+    """Start the nodes, and watch them until the session ends."""
+    with Processes(folder, environment) as processes:
+        for node in _ORDER:
+            if node in parameters:
+                processes.start(node, parameters[node])
+        if load_plan(arguments.plan).by_hand:
+            return by_hand.follow(processes)
+        return _follow(processes)
+
+
 def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
     """Refuse what cannot work before anything moves; return the truth of a simulation."""
     if folder.exists():
         raise InputError(f'{folder} exists already; recordings are not overwritten.')
-    if arguments.port and arguments.latitude is None:
-        raise InputError('--port: a real stand needs --latitude.')
+    if arguments.port:
+        _check_device(arguments)
     latitude = LUOYANG if arguments.latitude is None else arguments.latitude
     site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
@@ -140,6 +157,19 @@ def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
     if arguments.port:
         return None
     return options.load_truth(arguments.truth, imu)
+
+
+def _check_device(arguments: argparse.Namespace) -> None:
+    """Refuse a device that cannot be read."""
+    if arguments.latitude is None:
+        raise InputError('--port: a real stand needs --latitude.')
+    if not arguments.device:
+        raise InputError(
+            "--port: give --device too, the format of the frames that come there: a device's name "
+            f'({options.shipped("devices")}), or a file of your own (docs/devices.md).'
+        )
+    load_format(arguments.device)
+    check_port(arguments.port)
 
 
 def _check_session(setup: Setup) -> None:
@@ -235,12 +265,12 @@ def _frames(arguments: argparse.Namespace) -> str:
     return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
 
 
-def _follow(processes: Processes, environment: dict[str, str]) -> Outcome:
+def _follow(processes: Processes) -> Outcome:
     """Watch the session until it ends, with a progress bar."""
     # Which runtime there is, is asked here alone: the other commands need none.
     from .monitor import watching
 
-    with watching(environment) as monitor, progress_bar('starting') as show:
+    with watching(processes) as monitor, progress_bar('starting') as show:
         deadline = time.monotonic() + _START
         while True:
             monitor.spin(0.1)

@@ -5,7 +5,7 @@ from .decoder import Counts, Decoder, Samples
 from .device_clock import DeviceClock, Drift, Jump
 from .format import FrameFormat, load_format, read_format
 from .health import Health, Severity, Word
-from .source import Chunk, Source, State
+from .source import Chunk, Source, State, check_port
 
 __all__ = [
     'CATALOGUE',
@@ -26,6 +26,7 @@ __all__ = [
     'Sum',
     'Word',
     'Xor',
+    'check_port',
     'load_format',
     'read_format',
 ]

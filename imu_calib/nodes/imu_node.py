@@ -52,7 +52,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             tolerance=None if self._simulated else 0.05,
             live=self._source.live,
         )
-        self._health = Health(self._format, nominal, gap_timeout)
+        self._health = Health(self._format, nominal, gap_timeout, imu)
         self._covariances = RATES if imu.units is Units.SI else PULSES
         self._diagnostics = Diagnostics(self, imu.id)
         self._pulses = self._open_stream('imu/pulses')
