@@ -12,8 +12,8 @@ from typing import Any
 
 from ..calibration import Calibration
 from ..calibrator import Setup
-from ..earth import Site
 from ..devices import check_port, load_format
+from ..earth import Site
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import free
