@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -140,10 +141,9 @@ def left(mark):
     """Return the processes with a mark in their environment."""
     found = []
     for process in Path('/proc').glob('[0-9]*'):
-        try:
+        # It may end while it is looked at.
+        with suppress(OSError):
             environment = (process / 'environ').read_bytes().split(b'\0')
             if mark.encode() in environment and (process / 'cmdline').read_bytes():
                 found.append(int(process.name))
-        except OSError:
-            continue
     return found
