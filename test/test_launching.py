@@ -85,9 +85,9 @@ def _declared(text):
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'DeclareLaunchArgument':
             names |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], 'id', '') == 'ARGUMENTS':
-            if isinstance(node.value, ast.Dict):
-                names |= {key.value for key in node.value.keys}
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
+            named = getattr(node.targets[0], 'id', '') == 'ARGUMENTS'
+            names |= {key.value for key in node.value.keys} if named else set()
     return names
 
 
