@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
+import select
 import signal
 import sys
+import threading
 
 ENDS_WITH = 'IMU_CALIB_ENDS_WITH'
 """Environment variable: number of the process to end with."""
@@ -14,14 +17,39 @@ _SET_DEATH_SIGNAL = 1
 
 
 def end_with_parent() -> None:
-    """Ask the kernel for SIGTERM when the parent ends, where the environment says so.
+    """Have this process get SIGTERM when the one that the environment names ends.
 
-    A node stops its table on SIGTERM. Linux only: prctl(2), PR_SET_PDEATHSIG.
+    A node stops its table on SIGTERM. Linux only: prctl(2), PR_SET_PDEATHSIG; where there is
+    another process in between, a prefix of ros2 launch for one, pidfd_open(2).
     """
     parent = os.environ.get(ENDS_WITH)
     if parent is None or not sys.platform.startswith('linux'):
         return
     ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGTERM)
-    if str(os.getppid()) != parent:
+    if str(os.getppid()) == parent:
+        return
+    try:
+        watched = os.pidfd_open(int(parent))
+    except (OSError, ValueError):
         # It ended before the kernel was asked.
         os.kill(os.getpid(), signal.SIGTERM)
+        return
+    threading.Thread(target=_end_with, args=(watched,), name='parent', daemon=True).start()
+
+
+def _end_with(watched: int) -> None:
+    select.select([watched], [], [])
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def main() -> int:
+    """Become the program of the command line, and end with the parent all the same."""
+    end_with_parent()
+    with contextlib.suppress(IndexError):
+        # The request for a signal stays; a program that changes its user alone loses it.
+        os.execvp(sys.argv[1], sys.argv[1:])
+    return 2
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

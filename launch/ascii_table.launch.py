@@ -2,9 +2,9 @@
 
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from imu_calib.launching import checks, node
 from launch import LaunchDescription
 
 ARGUMENTS = [
@@ -26,7 +26,8 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             *ARGUMENTS,
-            Node(
+            checks(),
+            node(
                 package='imu_calib',
                 executable='ascii_table_node',
                 namespace=LaunchConfiguration('namespace'),

@@ -11,10 +11,10 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from launch import LaunchContext, LaunchDescription
+from imu_calib.launching import checks, node
+from launch import Action, LaunchContext, LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
 _AGAIN = 1.0
@@ -52,6 +52,8 @@ def generate_launch_description() -> LaunchDescription:
                 DeclareLaunchArgument(name, default_value=default, description=description)
                 for name, (default, description) in ARGUMENTS.items()
             ),
+            # On a robot the device may come later.
+            checks(port=False),
             OpaqueFunction(function=_nodes),
         ]
     )
@@ -99,13 +101,13 @@ def _calibration(given: dict[str, str]) -> Path | str:
     return file
 
 
-def _node(name: str, given: dict[str, str], parameters: dict[str, object]) -> Node:
+def _node(name: str, given: dict[str, str], parameters: dict[str, object]) -> Action:
     """Return a node that is started anew where it ends: a robot goes on."""
     time = ParameterValue(given['use_sim_time'].lower() in {'true', '1'}, value_type=bool)
     typed = {
         key: ParameterValue(value, value_type=type(value)) for key, value in parameters.items()
     }
-    return Node(
+    return node(
         package='imu_calib',
         executable=name,
         namespace=given['namespace'],

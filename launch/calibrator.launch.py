@@ -5,9 +5,9 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from imu_calib.launching import checks, node
 from launch import LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
@@ -75,7 +75,7 @@ def generate_launch_description() -> LaunchDescription:
         for kind, names in typed.items()
         for name in names
     }
-    calibrator = Node(
+    calibrator = node(
         package='imu_calib',
         executable='calibrator_node',
         namespace=LaunchConfiguration('namespace'),
@@ -89,4 +89,4 @@ def generate_launch_description() -> LaunchDescription:
         # It ends when it cannot go on, not when it is done: then the rest of a stand ends too.
         on_exit=Shutdown(reason='calibrator_node has ended'),
     )
-    return LaunchDescription([*ARGUMENTS, calibrator])
+    return LaunchDescription([*ARGUMENTS, checks(), calibrator])

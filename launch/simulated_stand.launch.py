@@ -5,9 +5,9 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, Shutdown
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from imu_calib.launching import checks, node
 from launch import LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
@@ -28,6 +28,8 @@ ARGUMENTS = {
         'Parameters that are no arguments.',
     ),
     'namespace': ('', 'Of nodes and topics.'),
+    'view': ('true', 'Whether robot_state_publisher shows the table.'),
+    'rviz': ('false', 'Whether RViz shows it.'),
 }
 
 
@@ -44,7 +46,7 @@ def generate_launch_description() -> LaunchDescription:
         for kind, names in typed.items()
         for parameter, argument in names.items()
     }
-    devices = Node(
+    devices = node(
         package='imu_calib',
         executable='stand_node',
         namespace=LaunchConfiguration('namespace'),
@@ -67,6 +69,7 @@ def generate_launch_description() -> LaunchDescription:
                 DeclareLaunchArgument(name, default_value=default, description=description)
                 for name, (default, description) in ARGUMENTS.items()
             ),
+            checks(view=True),
             devices,
             stand,
         ]

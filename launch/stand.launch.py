@@ -7,12 +7,18 @@ joint_trajectory_controller follows trajectories, and it publishes turntable/joi
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    Shutdown,
+)
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from launch import LaunchDescription
+from imu_calib.launching import checks, node
+from launch import Action, LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
 ARGUMENTS = [
@@ -38,6 +44,10 @@ ARGUMENTS = [
         default_value='false',
         description='Whether the plan starts by itself; else call turntable_node/start.',
     ),
+    DeclareLaunchArgument(
+        'view', default_value='true', description='Whether robot_state_publisher shows the table.'
+    ),
+    DeclareLaunchArgument('rviz', default_value='false', description='Whether RViz shows it.'),
 ]
 
 
@@ -46,12 +56,17 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             *ARGUMENTS,
+            checks(view=True),
             _include('calibrator.launch.py', latitude=LaunchConfiguration('latitude')),
             _node('imu_node', imu=str, port=str, device=str, baud=int),
             _node(
                 'turntable_node', ('output', 'table_output'), plan=str, table=str, autostart=bool
             ),
-            _include('table_view.launch.py'),
+            GroupAction(
+                [_include('table_view.launch.py')],
+                scoped=False,
+                condition=IfCondition(LaunchConfiguration('view')),
+            ),
         ]
     )
 
@@ -61,11 +76,11 @@ def _include(name: str, **required: LaunchConfiguration) -> IncludeLaunchDescrip
     return IncludeLaunchDescription(str(SHARE / 'launch' / name), launch_arguments=required.items())
 
 
-def _node(name: str, *renamed: tuple[str, str], **arguments: type) -> Node:
+def _node(name: str, *renamed: tuple[str, str], **arguments: type) -> Action:
     """Return a node whose parameters are arguments, of other names where they are renamed."""
     typed = {name: (name, kind) for name, kind in {'use_sim_time': bool, **arguments}.items()}
     typed |= {parameter: (argument, str) for parameter, argument in renamed}
-    return Node(
+    return node(
         package='imu_calib',
         executable=name,
         namespace=LaunchConfiguration('namespace'),

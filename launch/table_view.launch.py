@@ -2,16 +2,12 @@
 
 from pathlib import Path
 
-from ament_index_python.packages import (
-    PackageNotFoundError,
-    get_package_prefix,
-    get_package_share_directory,
-)
+from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from imu_calib.launching import checks, node
 from launch import LaunchContext, LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
@@ -34,6 +30,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 'use_sim_time', default_value='false', description='Whether /clock is the time.'
             ),
+            checks(view=True),
             OpaqueFunction(function=_view),
         ]
     )
@@ -50,7 +47,8 @@ def _view(context: LaunchContext) -> list:
     common = {'namespace': LaunchConfiguration('namespace'), 'output': 'screen'}
     time = {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)}
     actions = [
-        Node(
+        node(
+            foreign=True,
             package='robot_state_publisher',
             executable='robot_state_publisher',
             parameters=[time, {'robot_description': description}],
@@ -58,15 +56,12 @@ def _view(context: LaunchContext) -> list:
             **common,
         )
     ]
-    if rviz.lower() not in {'true', '1'}:
+    if rviz.lower() != 'true':
         return actions
-    try:
-        get_package_prefix('rviz2')
-    except PackageNotFoundError:
-        return [*actions, LogInfo(msg='RViz is not shown: the package rviz2 is not installed.')]
     return [
         *actions,
-        Node(
+        node(
+            foreign=True,
             package='rviz2',
             executable='rviz2',
             arguments=['-d', str(SHARE / 'config' / 'rviz' / 'stand.rviz')],

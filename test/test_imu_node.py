@@ -294,7 +294,7 @@ def test_bytes_of_another_device_are_said_to_be_that(bench):
     bench.connect()
     bench.while_spinning(lambda: bench.device.line.sendall(bytes(5000)))
     assert bench.until(
-        lambda: bench.listener.heard('stream', 2, 'no frame of the format simulated')
+        lambda: bench.listener.heard('format', 2, 'no frame of the format simulated')
     )
 
 

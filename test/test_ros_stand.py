@@ -307,6 +307,74 @@ def test_a_real_stand_and_a_calibrator_alone_are_launched(tmp_path):
     assert 'Traceback' not in written
 
 
+def one_joint_state(net):
+    """Return positions and velocities of the table as it says them now."""
+    echo = ('topic', 'echo', '--no-daemon', '--once', '--full-length', '/turntable/joint_states')
+    message = yaml.safe_load(net.ask(*echo, 'sensor_msgs/msg/JointState').split('\n---')[0])
+    return message['position'], message['velocity']
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
+    net = Network(tmp_path)
+    port = free_port()
+    table = ['-p', f'port:={port}', '-p', 'speed:=1.0']
+    given = {
+        'plan': str(short_plan(tmp_path)),
+        'latitude': LATITUDE,
+        'port': f'socket://127.0.0.1:{port}',
+        'device': 'simulated',
+        'autostart': 'true',
+        'use_sim_time': 'true',
+        'view': 'false',
+    }
+    words = [f'{k}:={v}' for k, v in given.items()]
+    with nothing_left(net):
+        # The table is no child of the launcher, and outlives it.
+        run = ('ros2', 'run', 'imu_calib', 'stand_node', '--ros-args', *table)
+        net.start('table', net.ros(*run))
+        net.says('table', 'wait for a reader')
+        net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'stand.launch.py', *words))
+        net.says('launch', 'Turning: step', seconds=120)
+        launcher = net.processes.pop('launch')
+        launcher.send_signal(number)
+        launcher.wait(timeout=60)
+        launched = ('imu_node', 'calibrator_node', 'turntable_node')
+        assert until(
+            lambda: not [line for line in net.left().values() if any(n in line for n in launched)],
+            30,
+        ), net.left()
+        before, rates = one_joint_state(net)
+        after, _ = one_joint_state(net)
+        assert not any(rates)
+        assert after == before
+        net.stop('table')
+
+
+@pytest.mark.parametrize(
+    ('name', 'given', 'sentence'),
+    [
+        ('simulated_stand', {'autostart': 'nope'}, "Argument autostart:=nope: found 'nope'"),
+        ('calibrator', {'latitude': '134'}, "Argument latitude:=134: found '134'"),
+        ('ascii_table', {'table_port': 'x', 'table_baud': 'fast'}, 'Argument table_baud:=fast'),
+        ('bringup', {'baud': 'fast'}, 'Argument baud:=fast'),
+        ('table_view', {'rviz': 'perhaps'}, 'Argument rviz:=perhaps'),
+        ('simulated_stand', {'rviz': 'true'}, 'apt install ros-jazzy-rviz2'),
+    ],
+)
+def test_what_cannot_be_launched_is_refused_before_the_first_node(name, given, sentence, tmp_path):
+    net = Network(tmp_path)
+    if 'apt' in sentence and (ROS.parent / 'share' / 'rviz2').is_dir():
+        pytest.skip('RViz is here')
+    words = [f'{k}:={v}' for k, v in given.items()]
+    with nothing_left(net):
+        net.start('launch', net.ros('ros2', 'launch', 'imu_calib', f'{name}.launch.py', *words))
+        process = net.processes.pop('launch')
+        assert process.wait(timeout=60) != 0
+    assert sentence in net.log('launch')
+    assert 'process started' not in net.log('launch')
+
+
 @pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
 @pytest.mark.parametrize('on_ros', [{'calibrator_node'}, set(NODES) - {'calibrator_node'}])
 def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):

@@ -338,6 +338,15 @@ def test_clocks_that_jump_are_parallel_lines() -> None:
     assert fit.jumps == pytest.approx((0.2,))
 
 
+def test_an_interruption_parts_the_line_however_little_it_jumps() -> None:
+    line = [0.01 + 50e-6 * 50 * k for k in range(8)]
+    jumped = offsets([*line[:4], *(v + 0.001 for v in line[4:])])
+    assert fit_clock(jumped, [175_000_000_000]).rate == pytest.approx(50e-6)
+    assert fit_clock(jumped, [175_000_000_000]).jumps == pytest.approx((0.001,))
+    # Unknown it would pass for a rate, and for scale factors that are off by as much.
+    assert abs(fit_clock(jumped).rate - 50e-6) > 1e-6
+
+
 def test_a_motion_that_stands_alone_is_an_outlier() -> None:
     line = [0.01 + 50e-6 * 50 * k for k in range(8)]
     line[3] += 0.2

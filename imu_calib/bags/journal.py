@@ -69,7 +69,7 @@ class Journal:
             filled = {t.name for t in recording.topics if t.count != 0}
             topics = {name: kind for name, kind in self._topics.items() if name in filled}
             if topics:
-                yield from recording.read(topics)
+                yield from _whole(recording, topics)
             self.losses = recording.losses
 
     def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
@@ -124,6 +124,18 @@ class Journal:
         if finished:
             self._writer.add_custom_data({FINISHED: 'true'})
         self._writer.close()
+
+
+def _whole(recording: Recording, topics: Mapping[str, Kind]) -> Iterator[tuple[str, Block]]:
+    """Yield what can be read, which is nothing where the file is cut off in its first messages."""
+    empty = True
+    try:
+        for topic, block in recording.read(topics):
+            empty = False
+            yield topic, block
+    except RecordingError:
+        if not empty:
+            raise
 
 
 def _unfinished(path: Path, description: Mapping[str, str]) -> Recording | None:

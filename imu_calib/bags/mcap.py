@@ -271,10 +271,11 @@ def _read_index(chunk: Chunk, file: BinaryIO) -> dict[int, Indices]:
 def _indexed(tables: dict[int, Indices], buffer: Bytes) -> dict[int, Placed] | None:
     """Find messages by the index; None where it contradicts the chunk or leaves messages out."""
     placed = {}
-    for channel, table in tables.items():
+    for channel, entries in tables.items():
         # No order of the entries is prescribed; messages count in the order of the file.
-        if (table[1:, 1] <= table[:-1, 1]).any():
-            table = table[np.argsort(table[:, 1])]
+        table = entries
+        if (entries[1:, 1] <= entries[:-1, 1]).any():
+            table = entries[np.argsort(entries[:, 1])]
             if (table[1:, 1] == table[:-1, 1]).any():
                 return None
         offsets = np.ascontiguousarray(table[:, 1])

@@ -13,6 +13,7 @@ from . import metadata
 from .codec import compressor
 from .definitions import definition
 from .files import Scratch, find_files, open_storage
+from .mcap_records import MAGIC
 from .mcap_writer import McapWriter
 from .storage import Cache, Losses, RecordingError, Storage, Topic
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 CHUNK_BYTES = 1 << 20
 CHUNK_NS = 5_000_000_000
 _RECORD = 'imu_calib'
+_SHORTEST = len(MAGIC)
 
 
 class RecordingWriter:
@@ -222,7 +224,9 @@ def _former_files(path: Path) -> list[_Former]:
     losses, scratch = Losses(), Scratch()
     try:
         found = find_files(path, losses)
-        return [_counted(open_storage(p, scratch, losses)) for p in found.paths]
+        # A file that was cut off within its first bytes holds nothing, and is no file of its kind.
+        begun = [path for path in found.paths if path.stat().st_size >= _SHORTEST]
+        return [_counted(open_storage(p, scratch, losses)) for p in begun]
     except OSError as error:
         raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
     finally:

@@ -24,7 +24,7 @@ _BAR = 24
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
-def follow(processes: Processes, environment: dict[str, str]) -> Outcome:
+def follow(processes: Processes) -> Outcome:
     """Show a person what to do until the session ends.
 
     Raises:
@@ -34,7 +34,7 @@ def follow(processes: Processes, environment: dict[str, str]) -> Outcome:
     from .monitor import watching
 
     with (
-        watching(environment) as monitor,
+        watching(processes) as monitor,
         Live(console=ERRORS, refresh_per_second=8, transient=True) as display,
     ):
         deadline = time.monotonic() + _START

@@ -65,15 +65,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         ERRORS.print(
             f'imu-calib {arguments.command}: {error}', style='red', markup=False, highlight=False
         )
+        _last_word(arguments)
         return error.exit_code
     except KeyboardInterrupt:
         ERRORS.print(f'imu-calib {arguments.command}: interrupted')
+        _last_word(arguments)
         return _INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has seen enough; keep the interpreter from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return 0
+
+
+def _last_word(arguments: argparse.Namespace) -> None:
+    """Say how to go on, where a command has left something that can be gone on with."""
+    if word := getattr(arguments, 'last_word', ''):
+        ERRORS.print(word, markup=False)
 
 
 if __name__ == '__main__':

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -10,10 +11,18 @@ from typing import Any
 from .. import middleware as ros
 from ..middleware import messages
 from ..nodes import qos
+from .processes import Processes
+from .words import Words
+
+_DEEP = 100
+"""Several nodes speak at once, and none of it is to be lost."""
 
 
 class Monitor:
-    """Listens to turntable/state, calibration/progress and calibration.
+    """Listens to turntable/state, calibration/progress, calibration and /diagnostics.
+
+    Args:
+        words: Shows what the nodes say of themselves.
 
     Attributes:
         outcome: Whether there is a calibration, and what was said of it; None while it runs.
@@ -21,8 +30,9 @@ class Monitor:
 
     """
 
-    def __init__(self) -> None:
+    def __init__(self, words: Words) -> None:
         self._node = ros.Node('imu_calib_stand')
+        self._words = words
         self._state: Any = None
         self._progress: Any = None
         self._service: Any = None
@@ -38,10 +48,19 @@ class Monitor:
             messages.CalibrationProgress, 'calibration/progress', self._on_progress, qos.latched()
         )
         subscribe(messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched())
+        subscribe(messages.DiagnosticArray, '/diagnostics', words.take, _DEEP)
 
     def spin(self, seconds: float) -> None:
-        """Listen for a while."""
-        ros.spin_once(self._node, timeout_sec=seconds)
+        """Listen for a while, and show what the nodes say of themselves.
+
+        Raises:
+            InputError: Nothing can come from the IMU.
+
+        """
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0:
+            ros.spin_once(self._node, timeout_sec=left)
+        self._words.show()
 
     @property
     def begun(self) -> bool:
@@ -124,11 +143,12 @@ class Monitor:
 
 
 @contextmanager
-def watching(environment: dict[str, str]) -> Iterator[Monitor]:
-    """Join a stand's network with a monitor; leave it at the end of the block."""
-    os.environ.update(environment)
+def watching(processes: Processes) -> Iterator[Monitor]:
+    """Join the network of a stand's nodes with a monitor; leave it at the end of the block."""
+    os.environ.update(processes.environment)
     ros.init(args=[])
-    monitor = Monitor()
+    # A network of its own is that of simulated hardware.
+    monitor = Monitor(Words(processes.names, real=not processes.environment))
     try:
         yield monitor
     finally:

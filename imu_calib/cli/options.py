@@ -108,7 +108,7 @@ def find_plan(arguments: argparse.Namespace, data: Mapping[str, str], where: str
         return load_plan(arguments.plan)
     if 'imu_calib.plan' in data:
         return read_plan(Section.parse(data['imu_calib.plan'], f'{where}: its plan'))
-    raise InputError(f'{where} does not say which plan was run: give --plan ({_shipped("plans")}).')
+    raise InputError(f'{where} does not say which plan was run: give --plan ({shipped("plans")}).')
 
 
 def find_imu(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> ImuSpec:
@@ -119,7 +119,7 @@ def find_imu(arguments: argparse.Namespace, data: Mapping[str, str], where: str)
         return read_imu(Section.parse(data['imu_calib.imu'], f'{where}: its IMU'))
     raise InputError(
         f"{where} does not say what the IMU's numbers mean: "
-        f'give --imu ({_shipped("imus")}, or a file).'
+        f'give --imu ({shipped("imus")}, or a file).'
     )
 
 
@@ -280,12 +280,13 @@ def _named(
     )
 
 
-def _shipped(kind: str) -> str:
+def shipped(kind: str) -> str:
+    """List the names that ship of a kind of file: 'plans', 'imus' or 'devices'."""
     folder = named_file(kind, _ANY[kind]).parent
     return ', '.join(sorted(path.stem for path in folder.glob('*.yaml')))
 
 
-_ANY = {'plans': 'twelve_position', 'imus': 'si'}
+_ANY = {'plans': 'twelve_position', 'imus': 'si', 'devices': 'simulated'}
 
 
 def output_path(text: str) -> Path:

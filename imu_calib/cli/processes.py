@@ -51,15 +51,19 @@ class Processes:
     Args:
         folder: Takes parameter files and logs, in its folder `nodes`.
         environment: Variables on top of this process's own.
+        inherited: File descriptors that the nodes keep open as long as they run.
 
     Attributes:
         environment: As given.
 
     """
 
-    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
+    def __init__(
+        self, folder: Path, environment: dict[str, str], inherited: tuple[int, ...] = ()
+    ) -> None:
         self._folder = folder / 'nodes'
-        self._folder.mkdir()
+        self._folder.mkdir(exist_ok=True)
+        self._inherited = inherited
         self.environment = environment
         own = {'PYTHONUNBUFFERED': '1', ENDS_WITH: str(os.getpid())}
         self._environment = {**os.environ, **own, **environment}
@@ -91,6 +95,7 @@ class Processes:
             env=self._environment,
             # Ctrl-C is for this process alone, which ends them in order.
             start_new_session=True,
+            pass_fds=self._inherited,
         )
         self._running[node] = process, log
 
@@ -100,6 +105,11 @@ class Processes:
         process.send_signal(number)
         process.wait()
         log.close()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the nodes that were started."""
+        return tuple(self._running)
 
     def number(self, node: str) -> int:
         """Return the process number of a node."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
     plan = load_plan(arguments.plan)
     check_plan(plan.method, plan, site)
     table = None if plan.by_hand else arguments.table or _TABLE
+    blocks: Iterator[tuple[str, Block]]
     if table is None:
         _refuse_table(plan, arguments)
         held = as_planned(plan, np.random.default_rng([arguments.seed, 1]))

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
+import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ..calibration import Calibration
 from ..calibrator import Setup
-from ..devices import choose_baud, is_serial, load_format, too_slow
+from ..devices import check_port, choose_baud, is_serial, load_format, too_slow
 from ..earth import Site
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
@@ -21,17 +25,16 @@ from ..prediction import check_session
 from ..report.parameters import parameter_table
 from ..turntable import load_table
 from ..units import DEG
-from . import by_hand, options
+from . import by_hand, options, resume
 from .processes import Outcome, Processes, free_port, private_network
 from .simulate import LUOYANG
 from .terminal import OUTPUT, progress_bar, sentence_list
+from .words import NothingComes
 
 _ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 _IMU, _TRUTH, _HELD = 'fog_medium', 'cao2022_table1', 'mems_counts'
 _SLOWEST = 50
 """The slowest rate of a serial port that POSIX names, bit/s."""
-_JOURNAL = 'journal'
-_RESULT = 'calibration.yaml'
 _START = 30.0
 """Longest wait for the nodes to find each other, s."""
 
@@ -39,7 +42,12 @@ _START = 30.0
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = commands.add_parser('stand', help='run a stand live', description=__doc__)
-    parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
+    parser.add_argument('plan', metavar='PLAN', nargs='?', help='name of a plan, or a file')
+    parser.add_argument(
+        '--resume',
+        metavar='FOLDER',
+        help='instead of a plan: go on with the interrupted session of a folder',
+    )
     parser.add_argument(
         '-o', '--output', default='stand', metavar='DIR', help='folder to create (default: stand)'
     )
@@ -87,7 +95,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar='X',
         help='times real time at most (default: as fast as the nodes follow)',
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, start=0.0, default_of=parser.get_default)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -98,45 +106,102 @@ def run(arguments: argparse.Namespace) -> None:
         NotObservable: The session gives no calibration; says why.
 
     """
-    folder = Path(arguments.output).expanduser()
+    folder = resume.restore(arguments) if arguments.resume else _folder(arguments)
     _complete(arguments)
-    truth = _check(arguments, folder)
+    truth = _check(arguments)
     _say_baud(arguments)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=bool(arguments.resume))
+    with resume.claimed(folder) as claim, _signals():
+        if arguments.resume:
+            resume.check_unfinished(folder)
+            arguments.start = 0.0 if arguments.port else resume.switched_on_at(folder)
+        else:
+            resume.keep(arguments, folder)
+        _run(arguments, folder, truth, claim)
+
+
+def _folder(arguments: argparse.Namespace) -> Path:
+    """Return the folder to create."""
+    if arguments.plan is None:
+        raise InputError('Give a PLAN (imu-calib plans lists them), or --resume FOLDER.')
+    folder = Path(arguments.output).expanduser()
+    if not folder.exists():
+        return folder
+    if resume.unfinished(folder):
+        raise InputError(
+            f'{folder} exists already and holds a session that was interrupted. Go on with it: '
+            f'{resume.command(arguments.output)}, or name another folder with -o.'
+        )
+    raise InputError(f'{folder} exists already; recordings are not overwritten.')
+
+
+@contextmanager
+def _signals() -> Iterator[None]:
+    """Have SIGTERM and SIGHUP end the session as Ctrl-C does: the table first."""
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _run(
+    arguments: argparse.Namespace, folder: Path, truth: Calibration | None, claim: int
+) -> None:
+    """Run a session that can be run, and print what came out."""
     environment = {} if arguments.port else private_network()
     parameters = _parameters(arguments, folder)
     began = time.monotonic()
     if environment:
         joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
         OUTPUT.print(f'to look on: export {joined}', markup=False)
-    with Processes(folder, environment) as processes:
-        for node in _ORDER:
-            if node in parameters:
-                processes.start(node, parameters[node])
-        if load_plan(arguments.plan).by_hand:
-            outcome = by_hand.follow(processes, environment)
-        else:
-            outcome = _follow(processes, environment)
+    try:
+        with Processes(folder, environment, (claim,)) as processes:
+            outcome = _session(arguments, processes, parameters)
+    except NothingComes:
+        if not arguments.resume:
+            # Nothing was recorded: the same command is to work once the device is there.
+            shutil.rmtree(folder)
+        raise
+    finally:
+        if resume.unfinished(folder):
+            given = arguments.resume or arguments.output
+            arguments.last_word = f'To go on with it: {resume.command(given)}'
     if not outcome.finished:
         raise NotObservable(outcome.text)
-    calibration = Calibration.load(folder / _RESULT)
+    calibration = Calibration.load(folder / resume.RESULT)
     if truth is not None:
         truth.save(folder / 'truth.yaml')
     OUTPUT.print(parameter_table(calibration, truth))
     seconds = time.monotonic() - began
     OUTPUT.print(
         f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '
-        f'{seconds:.0f} s; recording: {folder / _JOURNAL}, result: {folder / _RESULT}'
+        f'{seconds:.0f} s; recording: {folder / resume.JOURNAL}, result: {folder / resume.RESULT}'
     )
     sentence_list('Worth knowing', calibration.findings)
 
 
-def _check(arguments: argparse.Namespace, folder: Path) -> Calibration | None:
+def _session(
+    arguments: argparse.Namespace,
+    processes: Processes,
+    parameters: dict[str, dict[str, Any]],
+) -> Outcome:
+    """Start the nodes, and watch them until the session ends."""
+    for node in _ORDER:
+        if node in parameters:
+            processes.start(node, parameters[node])
+    if load_plan(arguments.plan).by_hand:
+        return by_hand.follow(processes)
+    return _follow(processes)
+
+
+def _check(arguments: argparse.Namespace) -> Calibration | None:
     """Refuse what cannot work before anything moves; return the truth of a simulation."""
-    if folder.exists():
-        raise InputError(f'{folder} exists already; recordings are not overwritten.')
-    if arguments.port and arguments.latitude is None:
-        raise InputError('--port: a real stand needs --latitude.')
+    if arguments.port:
+        _check_device(arguments)
     latitude = LUOYANG if arguments.latitude is None else arguments.latitude
     site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
@@ -177,6 +242,19 @@ def _say_baud(arguments: argparse.Namespace) -> None:
         OUTPUT.print(sentence, markup=False)
 
 
+def _check_device(arguments: argparse.Namespace) -> None:
+    """Refuse a device that cannot be read."""
+    if arguments.latitude is None:
+        raise InputError('--port: a real stand needs --latitude.')
+    if not arguments.device:
+        raise InputError(
+            "--port: give --device too, the format of the frames that come there: a device's name "
+            f'({options.shipped("devices")}), or a file of your own (docs/devices.md).'
+        )
+    load_format(arguments.device)
+    check_port(arguments.port)
+
+
 def _check_session(setup: Setup) -> None:
     """Refuse what the method could not solve; say who tells north where that is missing."""
     try:
@@ -196,7 +274,8 @@ def _complete(arguments: argparse.Namespace) -> None:
     """Put in what goes without saying: the IMU, and what it truly is where it is simulated."""
     held = load_plan(arguments.plan).by_hand
     arguments.imu = arguments.imu or (_HELD if held else _IMU)
-    arguments.truth = arguments.truth or (_HELD if held else _TRUTH)
+    if not arguments.port:
+        arguments.truth = arguments.truth or (_HELD if held else _TRUTH)
 
 
 def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
@@ -227,14 +306,15 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             'plan': arguments.plan,
             'method': arguments.method or '',
             'serial_number': arguments.serial or '',
-            'journal': str(folder / _JOURNAL),
-            'output': str(folder / _RESULT),
+            'journal': str(folder / resume.JOURNAL),
+            'output': str(folder / resume.RESULT),
         },
         'turntable_node': {
             **clock,
             'plan': arguments.plan,
             'table': arguments.table,
             'autostart': True,
+            'resume': bool(arguments.resume),
         },
     }
     if load_plan(arguments.plan).by_hand:
@@ -246,6 +326,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
                 'truth': arguments.truth,
                 'sample_rate': arguments.sample_rate,
                 'seed': arguments.seed,
+                'start': arguments.start,
                 'speed': arguments.speed,
                 'port': port,
             }
@@ -260,6 +341,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             'azimuth': arguments.azimuth,
             'sample_rate': arguments.sample_rate,
             'seed': arguments.seed,
+            'start': arguments.start,
             'speed': arguments.speed,
             'port': port,
         }
@@ -272,12 +354,12 @@ def _frames(arguments: argparse.Namespace) -> str:
     return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
 
 
-def _follow(processes: Processes, environment: dict[str, str]) -> Outcome:
+def _follow(processes: Processes) -> Outcome:
     """Watch the session until it ends, with a progress bar."""
     # Which runtime there is, is asked here alone: the other commands need none.
     from .monitor import watching
 
-    with watching(environment) as monitor, progress_bar('starting') as show:
+    with watching(processes) as monitor, progress_bar('starting') as show:
         deadline = time.monotonic() + _START
         while True:
             monitor.spin(0.1)

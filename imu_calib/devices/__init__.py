@@ -7,7 +7,7 @@ from .delays import Drift
 from .device_clock import DeviceClock, Jump
 from .format import FrameFormat, load_format, read_format
 from .health import Health, Severity, Word
-from .source import Chunk, Source, State, is_serial
+from .source import Chunk, Source, State, check_port, is_serial
 
 __all__ = [
     'CATALOGUE',
@@ -29,6 +29,7 @@ __all__ = [
     'Sum',
     'Word',
     'Xor',
+    'check_port',
     'choose_baud',
     'is_serial',
     'load_format',

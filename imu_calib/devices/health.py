@@ -8,10 +8,12 @@ from enum import IntEnum
 
 import numpy as np
 
+from ..imu import ImuSpec
 from ..stream import Stamps
 from .decoder import Counts, Samples
 from .device_clock import DeviceClock
 from .format import FrameFormat
+from .gravity import Gravity
 from .source import State
 
 _REMEMBERED = 10.0
@@ -49,14 +51,22 @@ class Health:
         nominal: Sample rate, Hz; None where it is not known.
         gap_timeout: Longest time without a frame, s.
         caution: What is wrong with the port though it is open, a sentence; empty for nothing.
+        imu: What its numbers are said to mean; None where nobody says.
 
     """
 
     def __init__(
-        self, frames: FrameFormat, nominal: float | None, gap_timeout: float, caution: str = ''
+        self,
+        frames: FrameFormat,
+        nominal: float | None,
+        gap_timeout: float,
+        caution: str = '',
+        imu: ImuSpec | None = None,
     ) -> None:
         self._format = frames
         self._caution = caution
+        self._gravity = Gravity(imu)
+        self._misfit = ''
         self._nominal = nominal
         self._gap_timeout = gap_timeout
         self._bytes = 0
@@ -89,6 +99,7 @@ class Health:
         self._bytes += received
         if len(samples) == 0:
             return
+        self._misfit = self._gravity.take(samples.accel, elapsed)
         self._heard, self._heard_steady = now, steady
         self._look_for_faults(samples)
         self._measure_rate(elapsed, now)
@@ -144,6 +155,7 @@ class Health:
         self._note_events(counts, steady)
         return [
             self._port(state),
+            self._what_comes(),
             self._stream(state, counts, clock, now, steady),
             self._clock(clock, steady),
             *self._status(steady),
@@ -152,7 +164,8 @@ class Health:
     def _port(self, state: State) -> Word:
         figures = {'bytes': str(self._bytes)}
         if not (state.open or state.ended):
-            return Word('port', Severity.ERROR, state.text, figures)
+            severity = Severity.ERROR if state.tried else Severity.WARN
+            return Word('port', severity, state.text, figures)
         if self._caution:
             return Word('port', Severity.WARN, f'{state.text} {self._caution}', figures)
         return Word('port', Severity.OK, state.text, figures)
@@ -212,15 +225,27 @@ class Health:
         return Severity.OK, 'Frames come in.'
 
     def _before_the_first(self, now: int) -> tuple[Severity, str]:
-        if self._bytes >= _STRANGE * self._format.length:
-            return Severity.ERROR, (
-                f'Bytes come, but no frame of the format {self._format.name}: check the device '
-                'and its baud rate.'
-            )
         begun = now if self._begun is None else self._begun
         if now - begun > self._gap_timeout * _NS:
-            return Severity.ERROR, f'No frame has come since the start at {begun / _NS:.3f} s.'
+            return Severity.ERROR, (
+                f'No frame has come since the start at {begun / _NS:.3f} s. Is the device on, '
+                'connected, and set to send by itself?'
+            )
         return Severity.WARN, 'The first frame has not come yet.'
+
+    def _what_comes(self) -> Word:
+        """Say whether it is what the files of device and IMU describe."""
+        if self._heard is None and self._bytes >= _STRANGE * self._format.length:
+            return Word(
+                'format',
+                Severity.ERROR,
+                f'Bytes come, but no frame of the format {self._format.name}: this is another '
+                'device, it is set up otherwise, or the baud rate is another one. Check the '
+                "device's file, and at its top how the device is to be set up.",
+            )
+        if self._misfit:
+            return Word('format', Severity.ERROR, self._misfit)
+        return Word('format', Severity.OK, f'Frames of the format {self._format.name} are read.')
 
     def _clock(self, clock: DeviceClock, steady: float) -> Word:
         drift = clock.drift

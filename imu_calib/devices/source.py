@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 import re
 import socket
 import stat
@@ -30,6 +32,26 @@ _AT_ONCE = 1_000_000
 _KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
 """A device that lost its power closes nothing: so many seconds, and it counts as gone."""
 _SOCKETS = ('socket', 'tcp', 'udp')
+_ADVICE = {
+    errno.ENOENT: 'there is no such device. Connect it and switch it on; ls -l /dev/serial/by-id '
+    'lists the serial ports that are there.',
+    errno.EACCES: 'this user may not open it. Join the group that owns it '
+    '(sudo usermod -aG dialout $USER) and log in anew.',
+    errno.EBUSY: 'another program holds it. End that one.',
+    errno.ECONNREFUSED: 'nothing listens there. Switch the device on, and check host and port.',
+    errno.EHOSTUNREACH: 'the host does not answer. Check address, cable and network.',
+    errno.EADDRNOTAVAIL: 'this machine has no such address. udp:// takes the address at which the '
+    'datagrams arrive, 0.0.0.0 for any.',
+    errno.EADDRINUSE: 'another program takes what arrives there. End that one.',
+}
+"""What a failure to open means, and what to do."""
+_ALIKE = {
+    errno.ENODEV: errno.ENOENT,
+    errno.ENXIO: errno.ENOENT,
+    errno.EPERM: errno.EACCES,
+    errno.ENETUNREACH: errno.EHOSTUNREACH,
+    errno.ETIMEDOUT: errno.EHOSTUNREACH,
+}
 _SERIAL_NAME = re.compile(r'^(/dev/|COM\d+$|\\\\.\\)')
 
 
@@ -56,12 +78,14 @@ class State:
         open: Whether bytes can come.
         ended: Whether none will ever come again: the end of a file.
         text: A sentence.
+        tried: Whether it was tried to open it.
 
     """
 
     open: bool
     ended: bool
     text: str
+    tried: bool = True
 
 
 class Line(Protocol):
@@ -107,7 +131,7 @@ class Source:
         self._waiting = 0
         self._changed = threading.Condition()
         self._stopping = threading.Event()
-        self.state = State(False, False, f'{url} is not open yet.')
+        self.state = State(False, False, f'{url} is not open yet.', tried=False)
         self._thread = threading.Thread(target=self._run, name=f'read {url}', daemon=True)
 
     def start(self) -> None:
@@ -149,7 +173,7 @@ class Source:
             try:
                 line = self._kind(*self._where)
             except Exception as error:  # Drivers raise what they like, termios.error for one.
-                self.state = State(False, False, f'{self.url} does not open: {_reason(error)}')
+                self.state = State(False, False, _does_not_open(self.url, error))
             else:
                 with contextlib.closing(line):
                     self.state = State(True, False, f'{self.url} is open.')
@@ -190,6 +214,39 @@ class Source:
                 self._changed.wait(_POLL)
             self._chunks.append(chunk)
             self._waiting += len(chunk.data)
+
+
+def check_port(url: str) -> None:
+    """Refuse what no device can be read from now, without opening it.
+
+    Opening a serial port moves its control lines, which resets some devices.
+
+    Args:
+        url: As of `Source`.
+
+    Raises:
+        InputError: The URL is none, the device or file is not there, or may not be read.
+
+    """
+    kind, _ = _parse(url, baud=50)
+    if kind is not _Serial or '://' in url or not url.startswith('/'):
+        return
+    if not Path(url).exists():
+        raise InputError(_does_not_open(url, FileNotFoundError(errno.ENOENT, '')))
+    if not os.access(url, os.R_OK | os.W_OK):
+        raise InputError(_does_not_open(url, PermissionError(errno.EACCES, '')))
+
+
+def _does_not_open(url: str, error: Exception) -> str:
+    """Say that a port does not open, why, and what to do."""
+    number = getattr(error, 'errno', None) or 0
+    if isinstance(error, socket.gaierror):
+        reason = 'the name of the host is not known. Check it, or give the address.'
+    elif isinstance(error, TimeoutError):
+        reason = _ADVICE[errno.EHOSTUNREACH]
+    else:
+        reason = _ADVICE.get(_ALIKE.get(number, number)) or _reason(error)
+    return f'{url} does not open: {reason}'
 
 
 def _reason(error: Exception) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from ..model import Parameter, extended_parameters
 from ..stream import Floats
@@ -75,7 +75,7 @@ class Comparison:
         """Whether any parameter differs by more than chance makes one in a thousand sessions."""
         if self.refusal:
             return False
-        return self.furthest[1] > float(norm.isf(_ONE_IN / 2 / len(self.parameters)))
+        return self.furthest[1] > float(-ndtri(_ONE_IN / 2 / len(self.parameters)))
 
     def sentence(self) -> str:
         """Say how far the two are apart, and what the joint estimate gains."""
@@ -94,7 +94,7 @@ class Comparison:
         """Say what a person should know of it: that the two contradict each other, or nothing."""
         if not self.disagrees:
             return []
-        limit = float(norm.isf(_ONE_IN / 2 / len(self.parameters)))
+        limit = float(-ndtri(_ONE_IN / 2 / len(self.parameters)))
         names = ', '.join(
             f'{p.name} ({off:+.1f})'
             for p, off in zip(self.parameters, self.difference, strict=True)

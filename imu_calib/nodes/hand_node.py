@@ -19,7 +19,7 @@ from ..imu import load_imu
 from ..methods.free.guidance import direction
 from ..middleware import messages
 from ..share import named_file
-from ..simulation import ImuOptions
+from ..simulation import ImuOptions, StandOptions, switched_on
 from ..simulation.held import HeldHardware
 from ..units import DEG
 from . import qos
@@ -32,7 +32,6 @@ _STEP = 0.1
 _REST = 0.0005
 _PATIENCE = 5.0
 _LUOYANG = 34.65
-_EPOCH = 1_700_000_000_000_000_000
 
 
 class HandNode(ros.Node):
@@ -77,13 +76,15 @@ class HandNode(ros.Node):
         wander = declare(self, 'bias_instability', False, 'whether the biases wander')
         rate = declare(self, 'sample_rate', 0.0, 'of the IMU, Hz; 0: its own', lower=0.0)
         seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
+        start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
+        self._epoch = round(start * 1e9) + StandOptions.start_time
         return HeldHardware(
             imu,
             Calibration.load(named_file('truths', truth)).model,
             Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity),
             ImuOptions(bias_instability=wander, sample_rate=rate or None),
-            seed=seed,
-            epoch=_EPOCH,
+            seed=switched_on(seed, start),
+            epoch=self._epoch,
         )
 
     def _on_progress(self, message: Any) -> None:
@@ -122,7 +123,7 @@ class HandNode(ros.Node):
         # The line before the clock: what a frame is stamped with is then never early.
         self._line.send(self._hardware.advance(_STEP))
         clock = messages.Clock()
-        now = _EPOCH + round(self._hardware.time * 1e9)
+        now = self._epoch + round(self._hardware.time * 1e9)
         clock.clock.sec, clock.clock.nanosec = divmod(now, 1_000_000_000)
         self._clock_publisher.publish(clock)
 

@@ -65,7 +65,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             live=self._source.live,
         )
         caution = '' if baud is None else too_slow(baud.rate, self._format, nominal)
-        self._health = Health(self._format, nominal, gap_timeout, caution)
+        self._health = Health(self._format, nominal, gap_timeout, caution, imu)
         self._covariances = RATES if imu.units is Units.SI else PULSES
         self._diagnostics = Diagnostics(self, imu.id)
         self._pulses = self._open_stream('imu/pulses')

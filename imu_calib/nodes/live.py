@@ -17,7 +17,7 @@ from ..methods import estimates
 from ..methods.free.guidance import Guidance, Stage
 from ..methods.free.session import FreeCalibrator, FreeReview, calibrator_of
 from ..model import Parameter, skewed_parameters
-from ..stream import Block, ImuBlock, JointBlock, SetpointBlock
+from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 
 _LATE = 500_000_000
 _PATIENCE = 2.0
@@ -338,7 +338,12 @@ class LiveSession:
         intake = self.intakes[kind]
         intake.count += len(block)
         if isinstance(block, SetpointBlock):
-            steps = [s.step for s in block.setpoints if s.plan == self.setup.plan.name]
+            # A table that is held is on its way to no step.
+            steps = [
+                s.step
+                for s in block.setpoints
+                if s.plan == self.setup.plan.name and s.mode is not Mode.HOLD
+            ]
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
             intake.newest = block.setpoints[-1].stamp if block.setpoints else intake.newest
         elif isinstance(block, JointBlock) and not self._of_the_table(block):

@@ -21,7 +21,7 @@ from ..errors import ImuCalibError, InputError
 from ..imu import load_imu
 from ..middleware import messages
 from ..share import named_file
-from ..simulation import StandOptions
+from ..simulation import StandOptions, switched_on
 from ..simulation.hardware import SimulatedHardware
 from ..stream import Mode, Setpoint
 from ..turntable import load_table
@@ -38,7 +38,6 @@ _ALIVE = 2.0
 _REST = 0.0005
 _PATIENCE = 5.0
 _LUOYANG = 34.65
-_EPOCH = 1_700_000_000_000_000_000
 
 
 class StandNode(ros.Node):
@@ -121,13 +120,13 @@ class StandNode(ros.Node):
             clock_rate_error=drift * 1e-6,
             joint_state_rate=joints,
             sample_rate=rate or None,
-            start_time=round(start * 1e9) + _EPOCH,
+            start_time=round(start * 1e9) + StandOptions.start_time,
         )
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
         model = Calibration.load(named_file('truths', truth)).model
         seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
         self._epoch = options.start_time
-        return SimulatedHardware(table, imu, model, site, options, seed)
+        return SimulatedHardware(table, imu, model, site, options, switched_on(seed, start))
 
     def _on_setpoint(self, payload: bytes) -> None:
         for block in decode_setpoints(Messages.join([payload])):

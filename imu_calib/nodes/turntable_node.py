@@ -48,6 +48,13 @@ class TurntableNode(Node):
         plan = load_plan(declare(self, 'plan', 'twelve_position', 'Name or file of the plan.'))
         table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
         self._autostart = declare(self, 'autostart', False, 'Start as soon as all are there.')
+        resume = declare(
+            self,
+            'resume',
+            False,
+            'Whether only those steps are run that the calibrator lacks: its session is gone on '
+            'with.',
+        )
         self._watchdog = declare(
             self,
             'watchdog_timeout',
@@ -68,6 +75,8 @@ class TurntableNode(Node):
         self._period = round(_NS / rate)
         rules = self._declare_rules()
         self._sequencer = Sequencer(plan, table, rules)
+        if resume:
+            self._sequencer.resume()
         self._lead = self._declare_output()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._malformed = Malformed()
@@ -343,7 +352,10 @@ class TurntableNode(Node):
         self._heard_at = self._steady.now().nanoseconds * 1e-9
         # rclpy's Time refuses what lies before 1970, where simulated time may begin.
         stamp = message.header.stamp.sec * _NS + message.header.stamp.nanosec
-        self._sequencer.review(stamp, [int(step) for step in message.repeat_steps])
+        repeat_steps = [int(step) for step in message.repeat_steps]
+        self._sequencer.review(stamp, repeat_steps)
+        if stamp:
+            self._sequencer.hear_what_is_done(int(message.step), repeat_steps)
         failed = message.state == message.FAILED
         fault = ''
         if failed:

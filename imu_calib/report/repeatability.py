@@ -8,7 +8,7 @@ from datetime import datetime
 from html import escape
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ..calibration import Calibration
 from ..errors import InputError
@@ -61,7 +61,7 @@ class Repeated:
         """
         weights = 1 / np.maximum(self.std, 1e-300) ** 2
         mean = weights @ self.value / weights.sum()
-        return float(chi2.sf(weights @ (self.value - mean) ** 2, len(self.value) - 1))
+        return float(chdtrc(len(self.value) - 1, weights @ (self.value - mean) ** 2))
 
     @property
     def drift(self) -> tuple[float, float] | None:

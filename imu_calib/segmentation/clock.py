@@ -183,13 +183,20 @@ def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> S
     )
 
 
-def fit_clock(samples: Sequence[ClockSample]) -> ClockFit:
-    """Fit a line through the offsets of all motions; where they jump, parallel pieces of one."""
+def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ()) -> ClockFit:
+    """Fit a line through the offsets of all motions; where they jump, parallel pieces of one.
+
+    Args:
+        samples: One per motion, in order.
+        interruptions: Instants, ns, at which the IMU's stream begins anew: whoever stamps it may
+            have been started again, and then the offset is another one, by however little.
+
+    """
     if not samples:
         return ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
     time = np.array([s.time for s in samples])
     offset = np.array([s.offset for s in samples])
-    pieces = _pieces(time, offset)
+    pieces = _pieces(time, offset) + np.searchsorted(np.asarray(interruptions), time)
     # A motion that stands alone between two jumps is an outlier.
     sizes = np.bincount(pieces)
     keep = sizes[pieces] > 1 if sizes.max() > 1 else np.ones(len(time), dtype=bool)

@@ -14,6 +14,7 @@ from ..stream import (
     JointBlock,
     SetpointBlock,
     SkewBlock,
+    Stamps,
     TemperatureBlock,
 )
 from ..turntable import Table
@@ -34,6 +35,8 @@ _LONGEST_REST = 1 << 20
 _SAMPLES_FOR_PERIOD = 256
 _SEEN = 0.75
 _ALIKE = 1.5
+_INTERRUPTION = 1_000_000_000
+"""A stream that is silent for so long, ns, may come from a program that was started again."""
 
 
 class Segmenter:
@@ -61,6 +64,8 @@ class Segmenter:
         self._pending: deque[Rest | Motion] = deque()
         self._offset_ns = 0
         self._clock: list[ClockSample] = []
+        self._newest: int | None = None
+        self._interruptions: list[int] = []
         self._seen_motions: list[tuple[float, Seen]] = []
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
@@ -84,6 +89,7 @@ class Segmenter:
     def feed(self, block: Block) -> None:
         """Take a block in."""
         if isinstance(block, ImuBlock):
+            self._note_interruptions(block.stamp)
             self._intake.take_imu(block)
         elif isinstance(block, JointBlock):
             self._follow_joints(self._intake.take_joints(block))
@@ -95,6 +101,15 @@ class Segmenter:
             self._thermometer.feed(block.celsius)
         self._work()
 
+    def _note_interruptions(self, stamp: Stamps) -> None:
+        """Note where the IMU's stream begins anew."""
+        if not len(stamp):
+            return
+        before = stamp[0] if self._newest is None else self._newest
+        begins = np.diff(stamp, prepend=before) > _INTERRUPTION
+        self._interruptions += stamp[begins].tolist()
+        self._newest = int(stamp[-1])
+
     def finish(self) -> Segmented:
         """End of all streams."""
         self._follow_joints(self._intake.finish())
@@ -105,7 +120,7 @@ class Segmenter:
             self._pending.extend(tracker.finish())
         self._work(last=True)
         self._drop_unseen()
-        clock = fit_clock(self._clock)
+        clock = fit_clock(self._clock, self._interruptions)
         return Segmented(
             tuple(self._segments),
             tuple(self._turns),

@@ -95,6 +95,8 @@ class Sequencer:
         self._reason, self._fault = '', False
         self._emergency = False
         self._heard = not self.rules.supervised
+        self._resumes = False
+        self._done: frozenset[int] | None = None
         self._steps: tuple[Step, ...] = ()
         self._home: Step | None = None
         self._queue: deque[Step] = deque()
@@ -155,6 +157,28 @@ class Sequencer:
             return f'Waits for {_CALIBRATOR}.'
         self._go()
         return f'Resumes with step {self._index()}.' if resumes else f'Runs {self.plan.name}.'
+
+    def resume(self) -> None:
+        """Have the first start run what the calibrator lacks alone: its session is gone on with.
+
+        Raises:
+            InputError: No calibrator is listened to.
+
+        """
+        if not self.rules.supervised:
+            raise InputError('A session is gone on with by what the calibrator lacks: supervise.')
+        self._resumes = True
+
+    def hear_what_is_done(self, seen: int, repeat_steps: Sequence[int]) -> None:
+        """Take what the calibrator has from before.
+
+        Args:
+            seen: How many steps it has seen at least the beginning of.
+            repeat_steps: Indices of those among them that left too little.
+
+        """
+        if self._resumes:
+            self._done = frozenset(range(seen)) - frozenset(repeat_steps)
 
     def pause(self) -> None:
         """Stop, to go on later.
@@ -217,6 +241,7 @@ class Sequencer:
         """Take whether the calibrator is there; while it is silent the table is not led."""
         if not self.rules.supervised:
             return
+        heard = heard and not (self._resumes and self._done is None)
         self._heard = heard
         if not heard:
             self.fail(reason or 'The calibrator is silent.')
@@ -333,6 +358,12 @@ class Sequencer:
             self._times['home' if step is self._home else step.index] = time
             before = end_of(step)
 
+    def _leave_out(self, done: frozenset[int]) -> None:
+        """Leave out steps that were run in a session that is gone on with, once."""
+        self._resumes = False
+        self._queue = deque(step for step in self._queue if step.index not in done)
+        self._current = self._queue[0] if self._queue else self._steps[-1]
+
     def _index(self) -> int:
         return 0 if self._current is None else self._current.index
 
@@ -382,6 +413,8 @@ class Sequencer:
 
     def _go(self) -> None:
         """Go on once the table stands."""
+        if self._resumes and self._done is not None:
+            self._leave_out(self._done)
         self._place_is_known = False
         self._enter(_Stage.STOPPING)
         self._hold_table()

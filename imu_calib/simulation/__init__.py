@@ -9,6 +9,7 @@ from .options import (
     ThermalDrift,
     Vibration,
     Warming,
+    switched_on,
 )
 from .stand import SimulatedStand, simulate
 from .table import SimulatedTable, TableState
@@ -26,4 +27,5 @@ __all__ = [
     'Vibration',
     'Warming',
     'simulate',
+    'switched_on',
 ]

@@ -112,7 +112,7 @@ class SimulatedHardware:
         model: SensorModel,
         site: Site,
         options: StandOptions,
-        seed: int,
+        seed: int | tuple[int, ...],
     ) -> None:
         """Switch on.
 

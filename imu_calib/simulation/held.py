@@ -46,7 +46,7 @@ class HeldHardware:
         site: Site,
         options: ImuOptions,
         *,
-        seed: int = 0,
+        seed: int | tuple[int, ...] = 0,
         epoch: int = 0,
         patience: float = 10.0,
     ) -> None:

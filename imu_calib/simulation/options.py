@@ -193,3 +193,16 @@ class StandOptions(TableOptions, ImuOptions):
     block_length: float = 10.0
     vibration: Vibration = field(default_factory=Vibration)
     knock: Knock | None = None
+
+
+def switched_on(seed: int, start: float) -> int | tuple[int, int]:
+    """Return the seed of hardware that is switched on at a time.
+
+    Switched on again it is the same unit, but its noise is not that of the first time again.
+
+    Args:
+        seed: As a person gives it.
+        start: s since the epoch.
+
+    """
+    return (seed, round(start * 1e3)) if start else seed

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ...earth import Site
 from ...errors import NotObservable
@@ -216,7 +216,7 @@ def _scatter(system: System, model: SensorModel, ups: Floats) -> Floats:
         mine = groups == group
         freedom = float(mine.sum() - taken[mine].sum())
         square = float(left[mine] @ left[mine])
-        if freedom > 1 and chi2.sf(square, freedom) < _SIGNIFICANT:
+        if freedom > 1 and chdtrc(freedom, square) < _SIGNIFICANT:
             result[group] = np.sqrt(square / freedom)
     return result
 

@@ -1,0 +1,235 @@
+"""What a stand's folder keeps of its settings, to go on with a session that was interrupted."""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import os
+import shlex
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..bags import FINISHED, Recording, RecordingError, open_recording
+from ..errors import InputError
+from ..share import named_file
+from ..simulation import StandOptions
+from .terminal import ERRORS
+
+JOURNAL = 'journal'
+RESULT = 'calibration.yaml'
+_SETTINGS = 'settings'
+_OPTIONS = 'options.yaml'
+_RUNNING = 'running'
+_FILES = {
+    'plan': 'plans',
+    'imu': 'imus',
+    'table': 'tables',
+    'device': 'devices',
+    'truth': 'truths',
+}
+"""Options that name a file, and of which kind."""
+
+_OF_THE_RUN = frozenset({'command', 'run', 'default_of', 'last_word', 'output', 'resume', 'start'})
+"""What belongs to one run rather than to the session."""
+
+_MAY_CHANGE = frozenset({'port', 'baud', 'speed'})
+"""A device comes back at another port after a power cut; how fast to simulate is no matter."""
+
+_OUTAGE = 10
+"""How long simulated hardware is off, s of its time: longer than anybody waits for joint states."""
+
+_PATIENCE = 30.0
+"""Longest wait for the nodes of a run that was killed, s: they stop the table first, and wait until
+that was heard."""
+
+
+def keep(arguments: argparse.Namespace, folder: Path) -> None:
+    """Write the settings of a session into its folder, and point them at the copies there.
+
+    Files are copied: the session is gone on with as it began, whatever becomes of the originals.
+
+    Raises:
+        InputError: One of the files is not there.
+
+    """
+    settings = folder / _SETTINGS
+    settings.mkdir()
+    for option, kind in _FILES.items():
+        name = getattr(arguments, option)
+        if name:
+            text = named_file(kind, name).read_text(encoding='utf-8')
+            (settings / f'{option}.yaml').write_text(text, encoding='utf-8')
+    kept = {k: v for k, v in vars(arguments).items() if k not in _OF_THE_RUN and k not in _FILES}
+    # Last, and whole: without it the folder is no stand's.
+    draft = settings / f'{_OPTIONS}.new'
+    with draft.open('w', encoding='utf-8') as file:
+        yaml.safe_dump(kept, file)
+        file.flush()
+        os.fsync(file.fileno())
+    draft.rename(settings / _OPTIONS)
+    _point_at_copies(arguments, settings)
+
+
+def restore(arguments: argparse.Namespace) -> Path:
+    """Put in what the interrupted session was started with; return its folder.
+
+    Raises:
+        InputError: The folder is no stand's, or options are given that belong to the session.
+
+    """
+    folder = Path(arguments.resume).expanduser()
+    settings = folder / _SETTINGS
+    try:
+        kept: dict[str, Any] = yaml.safe_load((settings / _OPTIONS).read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        what = (
+            'there is no such folder' if not folder.is_dir() else f'{settings / _OPTIONS}: {error}'
+        )
+        raise InputError(
+            f'--resume {folder}: expected a folder that imu-calib stand has made; {what}.'
+        ) from None
+    _refuse_other_settings(arguments, folder)
+    if arguments.port and not kept.get('port'):
+        raise InputError(f'--resume {folder}: its hardware is simulated; leave --port out.')
+    for name, value in kept.items():
+        if name not in _MAY_CHANGE or getattr(arguments, name) == arguments.default_of(name):
+            setattr(arguments, name, value)
+    _point_at_copies(arguments, settings)
+    return folder
+
+
+def check_unfinished(folder: Path) -> None:
+    """Refuse to go on with what is complete.
+
+    Raises:
+        InputError: It is; says where the result is, or how to see why there is none.
+
+    """
+    if not unfinished(folder):
+        raise InputError(_complete(folder))
+
+
+def unfinished(folder: Path) -> bool:
+    """Say whether a folder holds a session that can be gone on with."""
+    if not (folder / _SETTINGS / _OPTIONS).is_file():
+        return False
+    recording = _recorded(folder)
+    return recording is None or FINISHED not in recording.custom_data
+
+
+def switched_on_at(folder: Path) -> float:
+    """Return when simulated hardware is switched on again, s after its epoch."""
+    recording = _recorded(folder)
+    if recording is None:
+        return 0.0
+    with recording:
+        end = recording.end_ns
+        if end is None:
+            logged = (times.log for _, _, times in recording.messages())
+            end = max((int(log.max()) for log in logged if len(log)), default=None)
+    if end is None:
+        return 0.0
+    return float((end - StandOptions.start_time) // 1_000_000_000 + _OUTAGE)
+
+
+def command(folder: str) -> str:
+    """Return what to type to go on with a session whose folder was given so."""
+    return f'imu-calib stand --resume {shlex.quote(folder)}'
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[int]:
+    """Hold a folder for this run; yield the file descriptor that its nodes are to inherit.
+
+    The lock goes when the last process that has it ends, however it ends.
+
+    Raises:
+        InputError: Another stand runs in it.
+
+    """
+    descriptor = os.open(folder / _RUNNING, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        _lock(descriptor, folder)
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, folder: Path) -> None:
+    deadline = time.monotonic() + _PATIENCE
+    waits = False
+    while True:
+        with suppress(BlockingIOError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        number = os.pread(descriptor, 20, 0).decode(errors='replace')
+        if _runs(number):
+            raise InputError(
+                f'{folder}: the stand of this folder still runs (process {number}). End it with '
+                'Ctrl-C first, or let it finish.'
+            )
+        if time.monotonic() > deadline:
+            raise InputError(f'{folder}: nodes of the interrupted stand still run. End them first.')
+        if not waits:
+            waits = True
+            ERRORS.print('The nodes of the interrupted stand are still ending.')
+        time.sleep(0.1)
+
+
+def _runs(number: str) -> bool:
+    try:
+        os.kill(int(number), 0)
+    except (ValueError, ProcessLookupError):
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def _point_at_copies(arguments: argparse.Namespace, settings: Path) -> None:
+    for option in _FILES:
+        copy = settings / f'{option}.yaml'
+        if copy.is_file():
+            setattr(arguments, option, str(copy))
+
+
+def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
+    given = [
+        name
+        for name, value in vars(arguments).items()
+        if name not in _OF_THE_RUN
+        and name not in _MAY_CHANGE
+        and value != arguments.default_of(name)
+    ]
+    if arguments.output != arguments.default_of('output'):
+        given.append('output')
+    if given:
+        named = ', '.join('PLAN' if n == 'plan' else f'--{n.replace("_", "-")}' for n in given)
+        raise InputError(
+            f'--resume {folder}: found {named} too, expected at most --port and --speed: '
+            'the session goes on with the settings it began with.'
+        )
+
+
+def _recorded(folder: Path) -> Recording | None:
+    """Open the journal; None where nothing of it can be read."""
+    try:
+        return open_recording(folder / JOURNAL)
+    except RecordingError:
+        return None
+
+
+def _complete(folder: Path) -> str:
+    if (folder / RESULT).is_file():
+        return f'--resume {folder}: its session is complete; the result is {folder / RESULT}.'
+    return (
+        f'--resume {folder}: its session has ended without a result, there is nothing to be gone '
+        f'on with. imu-calib calibrate {shlex.quote(str(folder / JOURNAL))} says why.'
+    )

@@ -1,0 +1,107 @@
+"""What the nodes say of themselves, on the screen: at once, and each sentence once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from ..errors import InputError
+from .terminal import ERRORS
+
+_STANDS = 1.0
+"""A sentence that stands for so long is no passing one, s: at the start every node lacks something
+for a moment, and a device may send a greeting before its frames."""
+
+_STARTS = 5.0
+"""The same where all hardware is simulated: there is nothing that somebody could have forgotten,
+only a machine that is busy with the start."""
+
+_NEEDED = frozenset({'imu_node: port', 'imu_node: format'})
+"""Without these nothing comes of a session; a silent device may still begin to send."""
+
+_ENDS_IT = frozenset({'turntable_node: plan', 'calibrator_node: calibration'})
+"""What these say in trouble ends the command, which then says it itself."""
+
+
+class NothingComes(InputError):
+    """The device is not there, or not the one that was described."""
+
+
+class _Level(IntEnum):
+    """As in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+_STYLES = {_Level.OK: 'green', _Level.WARN: 'yellow', _Level.ERROR: 'red'}
+
+
+@dataclass
+class _Part:
+    """What was last said of one part of a node, since when, and what of it was shown."""
+
+    level: _Level
+    text: str
+    since: float
+    shown: str = ''
+
+
+class Words:
+    """Takes /diagnostics in, and shows what a person should know on the standard error output.
+
+    Args:
+        nodes: Names of the nodes that are listened to: others may be in the domain.
+        real: Whether there is hardware that could be missing.
+
+    """
+
+    def __init__(self, nodes: Collection[str], *, real: bool) -> None:
+        self._nodes = nodes
+        self._real = real
+        self._patience = _STANDS if real else _STARTS
+        self._parts: dict[str, _Part] = {}
+        self._came = False
+
+    def take(self, message: Any) -> None:
+        """Take a diagnostic_msgs/DiagnosticArray."""
+        now = time.monotonic()
+        for status in message.status:
+            if status.name.partition(': ')[0] not in self._nodes or status.name in _ENDS_IT:
+                continue
+            level = _Level(min(status.level[0], _Level.ERROR))
+            before = self._parts.get(status.name)
+            if before is None or before.level is not level:
+                shown = '' if before is None else before.shown
+                self._parts[status.name] = _Part(level, status.message, now, shown)
+            else:
+                before.text = status.message
+            if status.name == 'imu_node: port':
+                self._came |= any(v.key == 'bytes' and v.value != '0' for v in status.values)
+
+    def show(self) -> None:
+        """Show what is new.
+
+        Raises:
+            NothingComes: The device does not open, or what it sends is not what the files say.
+
+        """
+        now = time.monotonic()
+        for name, part in self._parts.items():
+            stands = now - part.since
+            if part.level is _Level.WARN and stands < self._patience:
+                continue
+            if part.level is _Level.OK and (not part.shown or stands < _STANDS):
+                continue
+            lost = self._real and part.level is _Level.ERROR and name in _NEEDED
+            if lost and stands >= _STANDS and not (self._came and name == 'imu_node: port'):
+                raise NothingComes(part.text)
+            if part.text != part.shown:
+                node = name.partition(': ')[0]
+                style = _STYLES[part.level]
+                ERRORS.print(f'{node}: {part.text}', style=style, markup=False)
+                part.shown = '' if part.level is _Level.OK else part.text

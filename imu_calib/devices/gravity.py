@@ -1,0 +1,82 @@
+"""Whether what the accelerometers say is gravity: whether the IMU's file fits the device."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..imu import ImuSpec
+from ..stream import Floats, Stamps, Units
+from ..units import STANDARD_GRAVITY
+
+_SPAN_NS = 1_000_000_000
+"""What is looked at: the first second."""
+
+_PIECE_NS = 100_000_000
+"""Averaged piece by piece: a table at 400 deg/s turns by 40 deg in one, which takes 2 % off the
+mean; a pulse more or less is little beside what gravity gives in it."""
+
+_FACTOR = 3.0
+"""Further off than the worst accelerometer and the centripetal force of a fast table, closer than
+the units that are mistaken for each other: g and m/s^2 (9.8), g and mg (1000)."""
+
+
+class Gravity:
+    """Looks at the first second of samples.
+
+    Args:
+        imu: What the numbers are said to mean; None: nothing is judged.
+
+    """
+
+    def __init__(self, imu: ImuSpec | None) -> None:
+        self._imu = imu
+        self._accel: list[Floats] = []
+        self._elapsed: list[Stamps] = []
+        self._verdict: str | None = None if imu is not None else ''
+
+    def take(self, accel: Floats, elapsed: Stamps) -> str:
+        """Take samples in; say in a sentence why the numbers cannot be what the file says.
+
+        Args:
+            accel: (n, 3) as sent, n > 0.
+            elapsed: (n,) ns after the first sample.
+
+        Returns:
+            The sentence; empty while there is nothing to be said.
+
+        """
+        if self._verdict is None:
+            self._accel.append(accel)
+            self._elapsed.append(elapsed)
+            if elapsed[-1] - self._elapsed[0][0] >= _SPAN_NS:
+                self._verdict = self._judge(np.concatenate(self._elapsed))
+                self._accel.clear()
+                self._elapsed.clear()
+        return self._verdict or ''
+
+    def _judge(self, elapsed: Stamps) -> str:
+        imu = self._imu
+        assert imu is not None
+        force = _specific_force(np.concatenate(self._accel), elapsed, imu)
+        low, high = STANDARD_GRAVITY / _FACTOR, STANDARD_GRAVITY * _FACTOR
+        # A converter may count from any offset: its codes may come to more than gravity.
+        if low <= force and (force <= high or imu.units is Units.COUNTS):
+            return ''
+        return (
+            f'The accelerometers read {force:.3g} m/s^2 by the file of IMU {imu.id} (units: '
+            f'{imu.units.value}, scale_factor {imu.accel.scale_factor:.3g}), expected gravity, '
+            f'{STANDARD_GRAVITY:.2f} m/s^2: the file is not that of this device. Give the file '
+            "that says what the numbers of this device's frames mean."
+        )
+
+
+def _specific_force(accel: Floats, elapsed: Stamps, imu: ImuSpec) -> float:
+    """Return the median over pieces of the length of the mean specific force, m/s^2."""
+    piece = (elapsed - elapsed[0]) // _PIECE_NS
+    first = np.flatnonzero(np.diff(piece, prepend=-1))
+    count = np.diff(first, append=len(piece))
+    mean = np.add.reduceat(accel, first, axis=0) / count[:, None] * imu.accel.scale_factor
+    if imu.units is Units.PULSES:
+        period = (elapsed[-1] - elapsed[0]) * 1e-9 / (len(elapsed) - 1)
+        mean = mean / period
+    return float(np.median(np.linalg.norm(mean, axis=1)))

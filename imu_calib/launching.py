@@ -1,0 +1,201 @@
+"""What all launch files share: nodes that end with their launcher, arguments that are checked."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from .devices import check_port, load_format
+from .errors import ImuCalibError, InputError
+from .imu import load_imu
+from .methods import METHODS
+from .parent import ENDS_WITH
+from .plan import load_plan
+from .share import named_file
+from .turntable import load_table
+
+_MODULES = {
+    'numpy': 'python3-numpy',
+    'scipy': 'python3-scipy',
+    'rich': 'python3-rich',
+    'serial': 'python3-serial',
+    'imu_calib_msgs': 'imu_calib_msgs (in this repository: msg_defs, built by colcon)',
+}
+"""Python modules that the nodes need, and the packages of Ubuntu that hold them."""
+
+
+def node(*, foreign: bool = False, **options: Any) -> Any:
+    """Return a launch_ros Node that ends with its launcher, even if that one is killed.
+
+    Args:
+        foreign: Not of this package: it is started through this package's `parent`, which asks the
+            kernel for the signal in its place.
+        **options: Of the Node.
+
+    """
+    from launch_ros.actions import Node
+
+    if foreign:
+        options['prefix'] = f'{sys.executable} -m imu_calib.parent'
+    return Node(additional_env={ENDS_WITH: str(os.getpid())}, **options)
+
+
+def checks(*, view: bool = False, port: bool = True) -> Any:
+    """Return the action that checks arguments and packages; it comes before the first node.
+
+    Args:
+        view: Whether the table is shown, unless an argument says otherwise.
+        port: Whether the IMU's port must be there at the start.
+
+    """
+    from launch.actions import OpaqueFunction
+
+    def check(context: Any) -> list[Any]:
+        given = dict(context.launch_configurations)
+        if not port:
+            given.pop('port', None)
+        problems = wrong(given) or missing(_viewers(given) if view else ())
+        if problems:
+            raise InputError(' '.join(problems))
+        return []
+
+    return OpaqueFunction(function=check)
+
+
+def _viewers(given: Mapping[str, str]) -> tuple[str, ...]:
+    """Name the packages that show the table, as the arguments want it."""
+    if given.get('view', 'true').lower() == 'false':
+        return ()
+    shows = given.get('rviz', 'false').lower() == 'true'
+    return ('robot_state_publisher', 'rviz2') if shows else ('robot_state_publisher',)
+
+
+def missing(packages: tuple[str, ...]) -> list[str]:
+    """Name what is not installed, and how to install it."""
+    from ament_index_python.packages import get_packages_with_prefixes
+
+    modules = [
+        f'The Python module {module} is missing: install {package}.'
+        for module, package in _MODULES.items()
+        if find_spec(module) is None
+    ]
+    known = get_packages_with_prefixes() if packages else {}
+    distribution = os.environ.get('ROS_DISTRO', 'jazzy')
+    return modules + [
+        f'The package {package} is missing: sudo apt install '
+        f'ros-{distribution}-{package.replace("_", "-")}, or rosdep install --from-paths . '
+        f'--ignore-src in the workspace{_WITHOUT.get(package, "")}.'
+        for package in packages
+        if package not in known
+    ]
+
+
+_WITHOUT = {
+    'robot_state_publisher': '; or do without the view, view:=false',
+    'rviz2': '; or do without, rviz:=false',
+}
+
+
+def wrong(given: Mapping[str, str]) -> list[str]:
+    """Name the arguments that cannot be used: which, what was found, what is expected.
+
+    Args:
+        given: Arguments by name; those of other names are not looked at.
+
+    """
+    sentences = []
+    for name, check in _CHECKS.items():
+        if name not in given:
+            continue
+        try:
+            check(given[name])
+        except ImuCalibError as error:
+            sentences.append(f'Argument {name}:={given[name]}: {error}')
+    return sentences
+
+
+def _boolean(text: str) -> None:
+    if text not in {'true', 'false', 'True', 'False'}:
+        raise InputError(f'found {text!r}, expected true or false.')
+
+
+def _number(lower: float = -math.inf, upper: float = math.inf) -> Callable[[str], None]:
+    """Return a check of a number; nan says that there is none, where any number may stand."""
+    limited = lower > -math.inf
+
+    def check(text: str) -> None:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.inf
+        if math.isinf(value) or (limited and not lower <= value <= upper):
+            limits = f' from {lower:g} to {upper:g}' if limited else ''
+            raise InputError(f'found {text!r}, expected a number{limits}.')
+
+    return check
+
+
+def _whole(lower: int, upper: int) -> Callable[[str], None]:
+    def check(text: str) -> None:
+        value = yaml.safe_load(text or 'null')
+        if type(value) is not int or not lower <= value <= upper:
+            raise InputError(f'found {text!r}, expected a whole number from {lower} to {upper}.')
+
+    return check
+
+
+def _one_of(*known: str) -> Callable[[str], None]:
+    def check(text: str) -> None:
+        if text not in known:
+            raise InputError(f'found {text!r}, expected one of {", ".join(filter(None, known))}.')
+
+    return check
+
+
+def _unless_empty(check: Callable[[str], Any]) -> Callable[[str], None]:
+    def checked(text: str) -> None:
+        if text:
+            check(text)
+
+    return checked
+
+
+def _file(text: str) -> None:
+    if not Path(text).expanduser().is_file():
+        raise InputError(f'found no such file, expected one. {text} is missing.')
+
+
+_BAUD = _whole(50, 10_000_000)
+_CHECKS: dict[str, Callable[[str], Any]] = {
+    'plan': load_plan,
+    'imu': _unless_empty(load_imu),
+    'table': load_table,
+    'truth': lambda name: named_file('truths', name),
+    'device': _unless_empty(load_format),
+    'method': _one_of('', *METHODS),
+    'port': _unless_empty(check_port),
+    'baud': _BAUD,
+    'table_baud': _BAUD,
+    'frame_port': _whole(1, 65535),
+    'seed': _whole(0, 2**62),
+    'latitude': _number(-90.0, 90.0),
+    'height': _number(-1000.0, 10_000.0),
+    'speed': _number(0.0, 1e6),
+    'gravity': _number(),
+    'azimuth': _number(),
+    'true_azimuth': _number(-360.0, 360.0),
+    'autostart': _boolean,
+    'use_sim_time': _boolean,
+    'view': _boolean,
+    'rviz': _boolean,
+    'table_output': _one_of('setpoint', 'trajectory'),
+    'params_file': _file,
+    'urdf': _unless_empty(_file),
+}

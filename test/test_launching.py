@@ -1,0 +1,149 @@
+"""Launch files: arguments that are refused in words, and processes that end with their launcher."""
+
+import ast
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from loopback import CHECKOUT, until
+
+from imu_calib import launching
+from imu_calib.launching import wrong
+
+SOUND = {
+    'plan': 'twelve_position',
+    'imu': '',
+    'table': 'three_axis',
+    'truth': 'cao2022_table1',
+    'device': 'stim300',
+    'method': '',
+    'port': 'socket://10.0.0.3:5000',
+    'baud': '921600',
+    'latitude': '-34.5',
+    'gravity': 'nan',
+    'azimuth': '12.3',
+    'true_azimuth': '0.0',
+    'autostart': 'true',
+    'view': 'False',
+    'table_output': 'trajectory',
+    'seed': '3',
+    'frame_port': '5760',
+    'params_file': str(CHECKOUT / 'config' / 'nodes' / 'stand.yaml'),
+    'of_another_launch_file': 'nope',
+}
+
+
+def test_sound_arguments_are_taken():
+    assert wrong(SOUND) == []
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'expected'),
+    [
+        ('autostart', 'nope', "found 'nope', expected true or false."),
+        ('view', '', "found '', expected true or false."),
+        ('latitude', '91', "found '91', expected a number from -90 to 90."),
+        ('latitude', 'nan', "found 'nan', expected a number from -90 to 90."),
+        ('latitude', '48,1', "found '48,1', expected a number from -90 to 90."),
+        ('gravity', 'much', "found 'much', expected a number."),
+        ('baud', '9600.5', "found '9600.5', expected a whole number from 50 to 10000000."),
+        ('seed', '-1', "found '-1', expected a whole number"),
+        ('plan', 'twelve', 'there are:'),
+        ('device', 'kvh', 'there are:'),
+        ('imu', 'no/such.yaml', 'no such file'),
+        ('port', '/dev/ttyUSB9', 'there is no such device'),
+        ('method', 'guess', 'expected one of'),
+        ('table_output', 'setpoints', 'expected one of setpoint, trajectory.'),
+        ('params_file', 'none.yaml', 'none.yaml'),
+    ],
+)
+def test_an_argument_is_refused_by_name_with_what_was_found_and_expected(name, value, expected):
+    (sentence,) = wrong({**SOUND, name: value})
+    assert sentence.startswith(f'Argument {name}:={value}: ')
+    assert expected in sentence
+
+
+def test_every_argument_of_every_launch_file_is_known():
+    # What is any text: topics, names, files that are written.
+    free = {'namespace', 'journal', 'output', 'imu_topic', 'joint_topic', 'setpoint_topic'}
+    free |= {'skew_topic', 'temperature_topic', 'output_topic', 'frame_id', 'serial'}
+    free |= {'calibration', 'calibrations', 'table_port'}
+    declared = set()
+    for path in (CHECKOUT / 'launch').glob('*.launch.py'):
+        declared |= _declared(path.read_text())
+    assert 'plan' in declared
+    assert declared - free <= set(launching._CHECKS)
+
+
+def _declared(text):
+    """Return the names of the arguments that a launch file declares."""
+    names = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'DeclareLaunchArgument':
+            names |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
+            named = getattr(node.targets[0], 'id', '') == 'ARGUMENTS'
+            names |= {key.value for key in node.value.keys} if named else set()
+    return names
+
+
+CHILD = 'from imu_calib.parent import end_with_parent as e; import time; e(); print(1, flush=True);'
+LAUNCHER = """
+import os, subprocess, sys
+os.environ['IMU_CALIB_ENDS_WITH'] = str(os.getpid())
+child = subprocess.Popen(sys.argv[1:], stdout=subprocess.PIPE)
+print(child.pid, flush=True)
+child.stdout.readline()
+print('ready', flush=True)
+child.wait()
+"""
+NODE = [sys.executable, '-c', f'{CHILD} time.sleep(1000)']
+PROGRAM = 'import time; print(1, flush=True); time.sleep(1000)'
+
+
+@pytest.mark.parametrize(
+    'command',
+    [
+        NODE,
+        # As a prefix of ros2 launch: a process in between.
+        ['sh', '-c', '"$0" "$@"; :', *NODE],
+        # A program that is not ours becomes it.
+        [sys.executable, '-m', 'imu_calib.parent', sys.executable, '-c', PROGRAM],
+    ],
+)
+@pytest.mark.skipif(not sys.platform.startswith('linux'), reason='the kernel is to tell')
+def test_what_is_launched_ends_with_its_launcher_even_if_that_is_killed(command, tmp_path):
+    mark = f'IMU_CALIB_TEST_OF={tmp_path}'
+    launcher = subprocess.Popen(
+        [sys.executable, '-c', LAUNCHER, *command],
+        stdout=subprocess.PIPE,
+        env={**os.environ, 'PYTHONPATH': str(CHECKOUT), 'IMU_CALIB_TEST_OF': str(tmp_path)},
+        start_new_session=True,
+    )
+    try:
+        assert launcher.stdout.readline()
+        assert launcher.stdout.readline() == b'ready\n'
+        assert left(mark)
+        launcher.kill()
+        launcher.wait()
+        assert until(lambda: not left(mark), 20), left(mark)
+    finally:
+        launcher.stdout.close()
+        for number in left(mark):
+            os.kill(number, signal.SIGKILL)
+
+
+def left(mark):
+    """Return the processes with a mark in their environment."""
+    found = []
+    for process in Path('/proc').glob('[0-9]*'):
+        # It may end while it is looked at.
+        with suppress(OSError):
+            environment = (process / 'environ').read_bytes().split(b'\0')
+            if mark.encode() in environment and (process / 'cmdline').read_bytes():
+                found.append(int(process.name))
+    return found

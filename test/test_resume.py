@@ -1,0 +1,334 @@
+"""`imu-calib stand --resume`: what was interrupted, killed or torn off goes on from its journal."""
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+from loopback import CHECKOUT, until
+from test_sequencer import Stand as Simulated
+
+from imu_calib.bags import Journal, open_recording
+from imu_calib.calibration import Calibration
+from imu_calib.cdr import Kind, Messages, encode_imu
+from imu_calib.cli import calibrate, main, resume
+from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.sequencing import Phase, Rules
+from imu_calib.share import named_file
+from imu_calib.stream import ImuBlock, Mode
+
+try:
+    from live import LIMIT, short_plan
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+STEP = 8
+"""At which step the session is interrupted: some positions are done, most are not."""
+
+
+def begin(tmp_path, *options, name='my stand'):
+    """Start a simulated stand in a process group of its own; return it and its folder."""
+    folder = tmp_path / name
+    words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), *options]
+    return command(words), folder
+
+
+def command(words):
+    path = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
+    # What a shell starts in the background ignores Ctrl-C, and so would what starts here.
+    former = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'imu_calib.cli.main', *words],
+        env={**os.environ, 'PYTHONPATH': path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    )
+    signal.signal(signal.SIGINT, former)
+    return process
+
+
+def comes_to(process, folder, words):
+    """Wait until the leader of the table has said something."""
+    log = folder / 'nodes' / 'turntable_node.log'
+
+    def said():
+        assert process.poll() is None, process.communicate()
+        return log.exists() and words in log.read_text()
+
+    assert until(said, 60)
+
+
+def numbers(folder):
+    """Return the process numbers of the nodes whose parameters are in a folder."""
+    listed = subprocess.run(
+        ['ps', '-eww', '-o', 'pid,args'], capture_output=True, text=True, check=True
+    )
+    rows = [line.split(maxsplit=1) for line in listed.stdout.splitlines()]
+    return [int(row[0]) for row in rows if len(row) == 2 and f'{folder}/nodes/' in row[1]]
+
+
+def kill_everything(process, folder):
+    """End the command's process group and all nodes, as a power cut does."""
+    nodes = numbers(folder)
+    os.killpg(process.pid, signal.SIGKILL)
+    for number in nodes:
+        os.kill(number, signal.SIGKILL)
+    process.communicate()
+    assert until(lambda: not numbers(folder), 20)
+
+
+def tear(folder):
+    """Cut the end off the journal, in the middle of a chunk."""
+    file = max((folder / 'journal').glob('*.mcap'))
+    with file.open('r+b') as held:
+        held.truncate(file.stat().st_size - 3000)
+
+
+def finishes(process, folder):
+    """Let a session end; it must be that of an uninterrupted one, in the true parameters."""
+    output, errors = process.communicate(timeout=150)
+    assert process.returncode == 0, errors
+    assert not numbers(folder)
+    assert {path.name for path in folder.iterdir()} >= {
+        'calibration.yaml',
+        'truth.yaml',
+        'journal',
+        'nodes',
+    }
+    live = Calibration.load(folder / 'calibration.yaml')
+    truth = Calibration.load(named_file('truths', 'cao2022_table1')).model.vector()
+    error = np.abs(live.model.vector() - truth) / live.std
+    assert len(error) == 24
+    assert error.max() < LIMIT, error.round(1)
+    arguments = main.build_parser().parse_args(['calibrate', str(folder / 'journal')])
+    offline = calibrate.open_offline(arguments)
+    with offline.recording:
+        again = calibrate.calibrate(offline).calibration
+    assert np.array_equal(again.model.vector(), live.model.vector())
+    assert np.array_equal(again.covariance, live.covariance)
+    return output
+
+
+def runs(folder):
+    """Return the steps that each run of the table's leader was in, as it says."""
+    text = (folder / 'nodes' / 'turntable_node.log').read_text()
+    parts = text.split('Nothing is started.')[1:]
+    steps = [re.findall(r': step (\d+) of \d+, position', p) for p in parts]
+    return [list(dict.fromkeys(int(step) for step in found)) for found in steps]
+
+
+def test_after_ctrl_c_the_last_line_is_what_goes_on(tmp_path):
+    process, folder = begin(tmp_path)
+    comes_to(process, folder, f'step {STEP} of')
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    last = errors.splitlines()[-1].rpartition(': ')[2]
+    assert last == f"imu-calib stand --resume '{folder}'"
+    # Files that a person edits meanwhile are no matter.
+    (tmp_path / 'short.yaml').write_text('name: another\n')
+    output = finishes(command(shlex.split(last)[1:]), folder)
+    first, second = runs(folder)
+    assert first == list(range(1, first[-1] + 1))
+    # The step that was interrupted, and one whose last data was under way, are run again.
+    assert first[-1] - 1 <= second[0] <= first[-1] + 1
+    assert second == list(range(second[0], 22))
+    assert 'The session was interrupted' in output
+
+
+@pytest.mark.parametrize('torn', [False, True])
+def test_after_a_power_cut_it_goes_on_with_what_reached_the_disk(tmp_path, torn):
+    process, folder = begin(tmp_path)
+    comes_to(process, folder, f'step {STEP} of')
+    kill_everything(process, folder)
+    if torn:
+        tear(folder)
+    output = finishes(command(['stand', '--resume', str(folder)]), folder)
+    first, second = runs(folder)
+    # What was in memory alone is run again, and no more: five seconds of the stand, and a chunk.
+    assert 1 < second[0] <= first[-1] + 1
+    assert second == list(range(second[0], 22))
+    assert 'The session was interrupted' in output
+
+
+def test_a_killed_command_is_gone_on_with_at_once_and_again(tmp_path):
+    process, folder = begin(tmp_path)
+    comes_to(process, folder, f'step {STEP} of')
+    # Its nodes end by themselves: what goes on waits for that.
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    again = command(['stand', '--resume', str(folder)])
+    comes_to(again, folder, f'step {STEP + 4} of')
+    again.send_signal(signal.SIGTERM)
+    _, errors = again.communicate(timeout=60)
+    assert again.returncode == 130, errors
+    assert errors.splitlines()[-1].endswith(f"imu-calib stand --resume '{folder}'")
+    finishes(command(['stand', '--resume', str(folder)]), folder)
+    assert len(runs(folder)) == 3
+    assert all(min(later) > 1 for later in runs(folder)[1:])
+
+
+def test_free_positions_in_a_simulated_hand_go_on_too(tmp_path):
+    folder = tmp_path / 'hand'
+    process = command(['stand', 'free_positions', '-o', str(folder)])
+    log = folder / 'nodes' / 'calibrator_node.log'
+    assert until(lambda: log.exists() and '6 holds' in log.read_text(), 60)
+    kill_everything(process, folder)
+    again = command(['stand', '--resume', str(folder)])
+    output, errors = again.communicate(timeout=150)
+    assert again.returncode == 0, errors
+    live = Calibration.load(folder / 'calibration.yaml')
+    arguments = main.build_parser().parse_args(['calibrate', str(folder / 'journal')])
+    offline = calibrate.open_offline(arguments)
+    with offline.recording:
+        calibration = calibrate.calibrate(offline).calibration
+    assert np.array_equal(calibration.model.vector(), live.model.vector())
+    assert 'The session was interrupted' in output
+
+
+def ended(folder, *, finished, result=False):
+    """Write a folder as a stand leaves it."""
+    arguments = main.build_parser().parse_args(['stand', 'twelve_position', '-o', str(folder)])
+    folder.mkdir()
+    arguments.imu, arguments.truth = 'fog_medium', 'cao2022_table1'
+    resume.keep(arguments, folder)
+    journal = Journal(folder / 'journal', {}, {'/imu/pulses': Kind.IMU})
+    write(journal, 10)
+    journal.close(finished=finished)
+    if result:
+        (folder / 'calibration.yaml').write_text('x')
+    return folder
+
+
+def write(journal, seconds):
+    for second in range(seconds):
+        stamp = second * 10**9 + np.arange(100) * 10_000_000
+        block = ImuBlock(stamp, np.ones((100, 3)), np.ones((100, 3)), 'imu_link')
+        payloads = Messages.join(encode_imu(block).payloads())
+        journal.write('/imu/pulses', Kind.IMU.type_name, payloads, int(stamp[-1]))
+        journal.flush()
+
+
+def says(capsys, *words):
+    """Run a command that is refused; return what it says."""
+    assert main.main(['stand', *words]) == 2
+    return capsys.readouterr().err
+
+
+def test_what_cannot_be_gone_on_with_is_refused(tmp_path, capsys):
+    assert 'there is no such folder' in says(capsys, '--resume', str(tmp_path / 'no'))
+    assert 'imu-calib stand has made' in says(capsys, '--resume', str(tmp_path))
+    complete = ended(tmp_path / 'complete', finished=True, result=True)
+    assert 'is complete; the result is' in says(capsys, '--resume', str(complete))
+    failed = ended(tmp_path / 'failed', finished=True)
+    assert 'ended without a result' in says(capsys, '--resume', str(failed))
+    left = ended(tmp_path / 'left', finished=False)
+    with resume.claimed(left):
+        assert f'still runs (process {os.getpid()})' in says(capsys, '--resume', str(left))
+    assert 'found --imu too' in says(capsys, '--resume', str(left), '--imu', 'si')
+    assert 'found PLAN too' in says(capsys, 'six_position', '--resume', str(left))
+    simulated = says(capsys, '--resume', str(left), '--port', '/dev/ttyS0')
+    assert 'its hardware is simulated' in simulated
+    assert 'Give a PLAN' in says(capsys)
+    exists = says(capsys, 'six_position', '-o', str(left))
+    assert f'imu-calib stand --resume {left}' in exists
+    assert 'recordings are not overwritten' in says(capsys, 'six_position', '-o', str(complete))
+
+
+def test_a_real_stand_goes_on_with_its_own_settings_at_another_port(tmp_path):
+    folder = ended(tmp_path / 'real', finished=False)
+    options = folder / 'settings' / 'options.yaml'
+    kept = yaml.safe_load(options.read_text())
+    options.write_text(yaml.safe_dump({**kept, 'port': '/dev/ttyUSB0', 'latitude': 48.0}))
+    (folder / 'settings' / 'device.yaml').write_text('name: mine')
+    for words, port in ([], '/dev/ttyUSB0'), (['--port', '/dev/ttyUSB1'], '/dev/ttyUSB1'):
+        given = ['stand', '--resume', str(folder), *words]
+        arguments = main.build_parser().parse_args(given)
+        assert resume.restore(arguments) == folder
+        assert (arguments.port, arguments.latitude) == (port, 48.0)
+        assert arguments.plan == str(folder / 'settings' / 'plan.yaml')
+        assert arguments.device == str(folder / 'settings' / 'device.yaml')
+
+
+def test_simulated_hardware_is_switched_on_after_what_it_said_before(tmp_path):
+    folder = ended(tmp_path / 'stand', finished=False)
+    at = resume.switched_on_at(folder)
+    with open_recording(folder / 'journal') as recording:
+        last = recording.end_ns
+    epoch = 1_700_000_000 * 10**9
+    assert 1.0 < at - (last - epoch) * 1e-9 < 60.0
+
+
+def test_a_journal_torn_anywhere_can_be_gone_on_with(tmp_path):
+    topics = {'/imu/pulses': Kind.IMU}
+    journal = Journal(tmp_path / 'whole', {'imu_calib.plan': 'x'}, topics)
+    write(journal, 3)
+    content = (tmp_path / 'whole' / 'whole_0.mcap').read_bytes()
+    journal.close(finished=False)
+    rng = np.random.default_rng(0)
+    cuts = {*range(12), *rng.integers(0, 3000, 30).tolist(), *rng.integers(0, len(content), 20)}
+    held = []
+    for cut in sorted(int(cut) for cut in cuts):
+        folder = tmp_path / str(cut)
+        folder.mkdir()
+        (folder / f'{cut}_0.mcap').write_bytes(content[:cut])
+        again = Journal(folder, {'imu_calib.plan': 'x'}, topics)
+        held.append(sum(len(block) for _, block in again.replay()))
+        again.close(finished=False)
+    assert held == sorted(held)
+    assert held[0] == 0
+    assert held[-1] > 200
+
+
+def steps_run(stand):
+    """Let a supervised sequencer run until it asks the calibrator; return the steps it ran."""
+    before = len(stand.sent)
+    stand.run(lambda _: stand.sequencer.reviewing)
+    moved = [s.step for s in stand.sent[before:] if s.mode is not Mode.HOLD]
+    return list(dict.fromkeys(moved))
+
+
+def test_a_session_that_is_gone_on_with_runs_what_is_missing_alone():
+    stand = Simulated(rules=Rules())
+    stand.tick()
+    sequencer = stand.sequencer
+    sequencer.resume()
+    sequencer.attend(heard=True)
+    sequencer.start()
+    # The calibrator is there, but has not said yet what it has.
+    stand.tick()
+    sequencer.attend(heard=True)
+    assert sequencer.state().waits_for
+    sequencer.hear_what_is_done(3, [1])
+    sequencer.attend(heard=True)
+    assert steps_run(stand) == [1, *range(3, sequencer.state().steps)]
+    # After an abort all of it is run anew: somebody may have touched the unit.
+    sequencer.abort()
+    stand.phase(Phase.ABORTED)
+    sequencer.hear_what_is_done(sequencer.state().steps, [])
+    sequencer.start()
+    assert steps_run(stand) == list(range(sequencer.state().steps))
+
+
+def test_nothing_is_left_to_run_but_the_calibrator_has_the_last_word():
+    stand = Simulated(rules=Rules())
+    stand.tick()
+    stand.sequencer.resume()
+    stand.sequencer.hear_what_is_done(1000, [])
+    stand.sequencer.attend(heard=True)
+    stand.sequencer.start()
+    assert steps_run(stand) == []
+    stand.sequencer.review(stand.sequencer.feedback.stamp, [2])
+    assert steps_run(stand) == [2]
+
+
+def test_what_is_done_cannot_be_known_without_a_calibrator():
+    with pytest.raises(InputError, match='supervise'):
+        Simulated().sequencer.resume()
