@@ -273,7 +273,7 @@ def test_an_encoder_that_errs_in_its_rates_leaves_scale_factors_as_sure_as_state
         found = joint.solve(replace(evidence, turns=tuple(turns)))
         square += float((normalised(found)[:3] ** 2).sum())
         assert found.std[:3].max() < size
-        assert not any('turns scatter' in finding for finding in found.findings)
+        assert not any('Between turns' in finding for finding in found.findings)
     assert chi2.ppf(1e-3, 3 * seeds) < square < chi2.isf(1e-3, 3 * seeds)
 
 

@@ -274,7 +274,7 @@ def _indexed(tables: dict[int, Indices], buffer: Bytes) -> dict[int, Placed] | N
     for channel, entries in tables.items():
         # No order of the entries is prescribed; messages count in the order of the file.
         table = entries
-        if (entries[1:, 1] <= entries[:-1, 1]).any():
+        if (table[1:, 1] <= table[:-1, 1]).any():
             table = entries[np.argsort(entries[:, 1])]
             if (table[1:, 1] == table[:-1, 1]).any():
                 return None
