@@ -80,10 +80,10 @@ def test_the_covariance_is_that_of_the_errors() -> None:
     assert low < square.sum() / 2 < high
 
 
-def test_the_covariance_is_that_of_the_errors_to_a_tenth() -> None:
+def test_the_covariance_is_that_of_the_errors_to_a_sixth() -> None:
     # Holds and turns made from the model itself, with the noise that they state: what many
     # sessions need no stream for. e' C^-1 e is chi-square with 21 degrees of freedom.
-    model, rng, runs = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5), 60
+    model, rng, runs = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5), 30
     ups = np.array([p.up for p in load_plan('free_positions').positions])[::2]
     square = 0.0
     for _ in range(runs):
@@ -95,7 +95,7 @@ def test_the_covariance_is_that_of_the_errors_to_a_tenth() -> None:
         scale = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(scale, scale)
         square += (wrong / scale) @ np.linalg.solve(correlation, wrong / scale)
-    # One in a thousand on either side: 9 %.
+    # One in a thousand on either side: 17 %.
     low, high = chi2.ppf([1e-3, 1 - 1e-3], runs * FREE.sum())
     assert low < square < high
 

@@ -277,6 +277,19 @@ def test_an_encoder_that_errs_in_its_rates_leaves_scale_factors_as_sure_as_state
     assert chi2.ppf(1e-3, 3 * seeds) < square < chi2.isf(1e-3, 3 * seeds)
 
 
+def test_an_encoders_error_is_its_share_of_the_rate_in_the_channel_that_turns() -> None:
+    # The estimate widens what scatters too much: the weight itself shows only here.
+    size, whole = 20e-6, evidence_of()
+    turns = tuple(replace(turn, rate_error=size) for turn in whole.turns)
+    equations = Equations(replace(whole, turns=turns))
+    added = equations.covariance(equations.nominal()) - np.diag(equations.own_variances)
+    errors = [size * TURN / turn.seconds * np.outer(turn.up, turn.up) for turn in turns]
+    first = 6 * len(whole.segments)
+    for k, error in enumerate(errors):
+        rows = slice(first + 3 * k, first + 3 * k + 3)
+        assert added[rows, rows] == pytest.approx(error @ error, rel=1e-6, abs=1e-18)
+
+
 INSTABILITY = np.repeat([0.1 * DEG_H, 20 * MICRO_G], 3)
 CORRELATION = 1000.0
 
