@@ -83,7 +83,7 @@ def test_the_covariance_is_that_of_the_errors() -> None:
 def test_the_covariance_is_that_of_the_errors_to_a_sixth() -> None:
     # Holds and turns made from the model itself, with the noise that they state: what many
     # sessions need no stream for. e' C^-1 e is chi-square with 21 degrees of freedom.
-    model, rng, runs = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5), 30
+    model, rng, runs = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5), 29
     ups = np.array([p.up for p in load_plan('free_positions').positions])[::2]
     square = 0.0
     for _ in range(runs):
