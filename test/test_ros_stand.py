@@ -331,8 +331,8 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
     words = [f'{k}:={v}' for k, v in given.items()]
     with nothing_left(net):
         # The table is no child of the launcher, and outlives it.
-        run = ('ros2', 'run', 'imu_calib', 'stand_node', '--ros-args', *table)
-        net.start('table', net.ros(*run))
+        executable = str(PACKAGE / 'lib' / 'imu_calib' / 'stand_node')
+        net.start('table', net.ros(executable, '--ros-args', *table))
         net.says('table', 'wait for a reader')
         net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'stand.launch.py', *words))
         net.says('launch', 'Turning: step', seconds=120)
