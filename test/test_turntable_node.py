@@ -4,6 +4,7 @@ import math
 import os
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -139,20 +140,25 @@ class Watcher(ros.Node):
         )
         self.buttons = {
             name: self.create_client(ros.Trigger, f'/turntable_node/{name}')
-            for name in ('start', 'pause', 'abort')
+            for name in ('start', 'release', 'pause', 'abort')
         }
 
     @property
     def phase(self):
         return Phase(self.states[-1].phase) if self.states else None
 
+    def says(self, part, level, words):
+        """Whether the last word on a part of the node has a level and some words."""
+        told = [s for d in self.diagnostics for s in d.status if s.name.endswith(f'node: {part}')]
+        return bool(told) and told[-1].level[0] == level and words in told[-1].message
+
     def phases(self):
         """The phases, one after the other."""
         phases = [Phase(s.phase) for s in self.states]
         return [p for k, p in enumerate(phases) if k == 0 or p is not phases[k - 1]]
 
-    def calibrate(self, stamp, repeat_steps=()):
-        message = ros.messages.CalibrationProgress(repeat_steps=list(repeat_steps))
+    def calibrate(self, stamp, repeat_steps=(), plan='tiny'):
+        message = ros.messages.CalibrationProgress(plan=plan, repeat_steps=list(repeat_steps))
         message.header.stamp = ros.Time(nanoseconds=stamp).to_msg()
         self.progress.publish(message)
 
@@ -185,6 +191,7 @@ class Session:
             'supervised': False,
         }
         self.node = None
+        self.processes = []
 
     def turn_at(self, rate):
         (self.folder / 'plan.yaml').write_text(PLAN.replace('RATE', str(rate)))
@@ -200,13 +207,29 @@ class Session:
         self.executor = ros.SingleThreadedExecutor()
         self.table = FakeTable(self.parameters['table'])
         self.watcher = Watcher()
-        nodes = [self.table, self.watcher]
-        if with_node:
-            self.node = TurntableNode()
-            nodes.append(self.node)
-        for node in nodes:
+        for node in (self.table, self.watcher):
             self.executor.add_node(node)
+        if with_node:
+            self.join()
         return self
+
+    def join(self):
+        """Let the node join those who are there already."""
+        self.node = TurntableNode()
+        self.executor.add_node(self.node)
+
+    def start(self, code=MAIN, **changes):
+        """Start the node as a process, which ends with the test at the latest."""
+        process = start(code, *self.arguments(**changes))
+        self.processes.append(process)
+        return process
+
+    def stop_file(self):
+        return (
+            Path(os.environ['XDG_STATE_HOME'])
+            / 'imu_calib'
+            / (f'stop_domain_{os.environ["ROS_DOMAIN_ID"]}_turntable_node')
+        )
 
     def until(self, condition, seconds=10.0):
         return until(condition, seconds, lambda: self.executor.spin_once(timeout_sec=0.05))
@@ -230,7 +253,7 @@ class Session:
     def process(self, code=MAIN, **changes):
         """Start the node as a process; return it when it drives the table through a turn."""
         self.open(with_node=False)
-        process = start(code, *self.arguments(autostart=True, **changes))
+        process = self.start(code, autostart=True, **changes)
         assert self.until(lambda: self.watcher.phase is Phase.TURNING), process.poll()
         return process
 
@@ -241,6 +264,9 @@ def session(tmp_path, monkeypatch):
         monkeypatch.setenv(name, value)
     session = Session(tmp_path)
     yield session
+    for process in session.processes:
+        process.kill()
+        process.communicate()
     ros.try_shutdown()
 
 
@@ -284,10 +310,116 @@ def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(sessi
     session.watcher.estop.publish(ros.messages.Bool(data=True))
     session.reaches(Phase.ABORTED)
     assert session.ends_stopped()
-    assert session.press('start') == (False, 'The emergency stop is on.')
+    started, why = session.press('start')
+    assert not started
+    assert 'The emergency stop is on.' in why
+    assert 'call /turntable_node/release' in why
+    released, why = session.press('release')
+    assert not released
+    assert why == 'A publisher on /estop still says stop: release it there first.'
     session.watcher.estop.publish(ros.messages.Bool(data=False))
-    assert session.until(lambda: session.press('start')[0])
+    assert session.until(lambda: session.press('release')[0])
+    # Neither what was said on the topic nor the release starts anything, autostart or not.
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
+    assert not session.node._autostart
+    assert session.press('release') == (False, 'The emergency stop is not pressed.')
+    assert session.press('start') == (True, 'Runs tiny.')
     session.reaches(Phase.TURNING)
+
+
+def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
+    session.turn_at(90).open(autostart=True)
+    session.reaches(Phase.TURNING)
+    session.watcher.estop.publish(ros.messages.Bool(data=True))
+    session.reaches(Phase.ABORTED)
+    session.watcher.estop.publish(ros.messages.Bool(data=False))
+    assert session.until(lambda: not session.node._estop._topic.says_stop)
+    assert not session.press('start')[0]
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
+    assert session.ends_stopped()
+    assert session.watcher.says('stop', 2, 'The emergency stop is on.')
+
+
+@pytest.mark.parametrize('said', [True, None])
+def test_a_pressed_stop_outlives_the_node_that_was_killed(session, said):
+    """Whether who pressed it is still there, latched, or has left."""
+    process = session.turn_at(60).process()
+    estop = session.watcher.create_publisher(ros.messages.Bool, 'estop', qos.latched())
+    session.watcher.destroy_publisher(session.watcher.estop)
+    assert session.until(lambda: estop.get_subscription_count() > 0)
+    estop.publish(ros.messages.Bool(data=True))
+    session.reaches(Phase.ABORTED)
+    # The table has stopped before the disk has it: what a kill leaves is the next start's.
+    assert session.until(session.stop_file().exists)
+    process.kill()
+    process.communicate()
+    assert session.ends_stopped()
+    if said is None:
+        session.watcher.destroy_publisher(estop)
+    session.watcher.states.clear()
+    before = len(session.table.setpoints)
+    session.start(autostart=True)
+    assert session.until(lambda: session.watcher.phase is Phase.ABORTED), 'it remembers'
+    assert session.until(lambda: len(session.table.setpoints) > before + 10)
+    assert {s.mode for s in session.table.setpoints[before:]} == {Mode.HOLD}
+    assert not session.press('start')[0]
+    if said:
+        assert 'still says stop' in session.press('release')[1]
+        estop.publish(ros.messages.Bool(data=False))
+    assert session.until(lambda: session.press('release')[0])
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+
+
+@pytest.mark.parametrize(
+    'offered',
+    [qos.sensor_data(), qos.command(), qos.latched()],
+    ids=['best effort', 'reliable', 'latched'],
+)
+def test_a_stop_is_heard_whatever_its_publisher_offers(session, offered):
+    session.turn_at(90).open(autostart=True)
+    session.watcher.destroy_publisher(session.watcher.estop)
+    session.reaches(Phase.TURNING)
+    estop = session.watcher.create_publisher(ros.messages.Bool, 'estop', offered)
+    assert session.until(lambda: estop.get_subscription_count() > 0)
+
+    def pressed():
+        # What is published best effort may be lost: it is said over and over, as a button does.
+        estop.publish(ros.messages.Bool(data=True))
+        return session.watcher.phase is Phase.ABORTED
+
+    assert session.until(pressed)
+    assert session.ends_stopped()
+
+
+def test_a_latched_stop_that_was_pressed_before_the_node_came_is_heard(session):
+    session.open(with_node=False, autostart=True)
+    session.watcher.destroy_publisher(session.watcher.estop)
+    estop = session.watcher.create_publisher(ros.messages.Bool, 'estop', qos.latched())
+    estop.publish(ros.messages.Bool(data=True))
+    # Joint states come only when it has been heard: nothing can start before.
+    session.table.silent = True
+    session.join()
+    session.reaches(Phase.ABORTED)
+    session.table.silent = False
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
+    assert {s.mode for s in session.table.setpoints} == {Mode.HOLD}
+
+
+def test_where_a_stop_could_not_be_kept_the_table_stays_stopped(session):
+    (session.folder / 'state').write_text('a file where a folder is to be')
+    session.open(autostart=True, state_folder=str(session.folder / 'state'))
+    session.reaches(Phase.ABORTED)
+    started, why = session.press('start')
+    assert not started
+    assert f'cannot be kept in {session.folder / "state"}' in why
+    assert not session.press('release')[0]
+    assert session.until(lambda: session.watcher.says('stop', 2, 'cannot be kept'))
+    (session.folder / 'state').unlink()
+    assert session.press('release')[0]
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.3)
+    assert session.until(lambda: session.press('start')[0])
 
 
 def test_joint_states_that_cease_stop_the_table(session):

@@ -10,7 +10,7 @@ import numpy as np
 from ..calibration import Calibration
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
-from ..middleware import messages
+from ..middleware import Time, messages
 from ..model import (
     G_SENSITIVITIES,
     PARAMETER_NAMES,
@@ -19,8 +19,11 @@ from ..model import (
     Triad,
     extended_parameters,
 )
+from ..sequencing import State
+from ..sequencing.trajectory import Piece
 from ..stream import Units
 
+_NS = 1_000_000_000
 _UNITS = {
     Units.PULSES: messages.ImuCalibration.UNIT_PULSES,
     Units.COUNTS: messages.ImuCalibration.UNIT_COUNTS,
@@ -174,4 +177,38 @@ def _empty(imu: ImuSpec, status: int, text: str, frame_id: str, stamp: Any) -> A
     for name in ('reference', 'lowest', 'highest'):
         setattr(message, f'{name}_temperature', math.nan)
     message.highest_rate = math.nan
+    return message
+
+
+def state_message(state: State, joints: tuple[str, ...], stamp: int) -> Any:
+    """Return imu_calib_msgs/TurntableState; the stamp is in ns."""
+    message = messages.TurntableState(
+        plan=state.plan,
+        step=state.step,
+        steps=state.steps,
+        position_id=state.position,
+        phase=int(state.phase),
+        reason=state.reason,
+        joint_names=list(joints),
+        positions=list(state.angles),
+        rates=list(state.rates),
+        turns_done=float(state.turns_done),
+        seconds_left=float(state.seconds_left),
+    )
+    message.header.stamp = Time(nanoseconds=stamp).to_msg()
+    return message
+
+
+def trajectory_message(piece: Piece, names: tuple[str, ...]) -> Any:
+    """Return a piece as trajectory_msgs/JointTrajectory."""
+    message = messages.JointTrajectory(joint_names=list(names))
+    message.header.stamp = Time(nanoseconds=piece.stamp).to_msg()
+    course = piece.course
+    for time, angles, rates in zip(course.time, course.angles, course.rates, strict=True):
+        point = messages.JointTrajectoryPoint(
+            positions=[float(a) for a in angles], velocities=[float(r) for r in rates]
+        )
+        sec, nanosec = divmod(round(float(time) * _NS), _NS)
+        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
+        message.points.append(point)
     return message

@@ -39,3 +39,17 @@ def command() -> QoSProfile:
 def latched() -> QoSProfile:
     """Return the profile of states and results: late subscribers get the last one."""
     return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def any_publisher() -> tuple[QoSProfile, ...]:
+    """Return profiles that together hear every publisher, latched and best-effort ones too."""
+    return (
+        QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT),
+        QoSProfile(depth=10),
+        QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    )
+
+
+def own_topic() -> QoSProfile:
+    """Return the profile by which a node hears who else publishes what it alone should."""
+    return QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
