@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from loopback import environment, start, until
 
-from imu_calib.cdr import Messages, decode_setpoints, encode_joints
+from imu_calib.cdr import Messages, decode_setpoints, encode_joints, encode_setpoints
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.nodes import qos
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stream import JointBlock, Mode
+from imu_calib.stream import JointBlock, Mode, Setpoint, SetpointBlock
 from imu_calib.turntable import load_table
+from imu_calib.units import DEG
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
@@ -27,6 +28,7 @@ try:
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
+NAMES = ('outer', 'middle', 'inner')
 STEADY = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
 TABLE = """
 name: nimble
@@ -56,7 +58,7 @@ class FakeTable(ros.Node):
         super().__init__('table')
         self.epoch = time.time_ns()
         self.table = SimulatedTable(load_table(table), TableOptions(), epoch=self.epoch)
-        self.silent = False
+        self.silent = self.deaf = False
         self.simulated = None
         self.refusals, self.setpoints = [], []
         self.create_subscription(
@@ -83,10 +85,18 @@ class FakeTable(ros.Node):
     def take(self, payload):
         (block,) = decode_setpoints(Messages.join([bytes(payload)]))
         self.setpoints += block.setpoints
+        if self.deaf:
+            return
         try:
             self.table.command(block.setpoints[0], self.now())
         except InputError as error:
             self.refusals.append(str(error))
+
+    def force(self, angles):
+        """Set the table in motion as its own panel does: no setpoint is published."""
+        still = (0.0,) * len(angles)
+        order = Setpoint(self.stamp(), '', 0, '', Mode.POSITION, NAMES, angles, still, 0.0, 0.0)
+        self.table.command(order, self.now())
 
     def tick(self):
         if self.silent:
@@ -530,4 +540,255 @@ def test_simulated_time_may_run_ahead_of_the_wall_clock(session):
     assert session.table.simulated > 3.0
     assert time.monotonic() - begin < session.table.simulated / 2
     assert session.table.refusals == []
+    assert session.ends_stopped()
+
+
+class Stranger(ros.Node):
+    """Somebody else on the topics of the stand."""
+
+    KINDS = {
+        'turntable/setpoint': (ros.messages.TurntableSetpoint, qos.command()),
+        'turntable/joint_states': (ros.messages.JointState, qos.stream()),
+        'turntable/state': (ros.messages.TurntableState, qos.latched()),
+        'calibration/progress': (ros.messages.CalibrationProgress, qos.latched()),
+        'estop': (ros.messages.Bool, 10),
+    }
+
+    def __init__(self, topic):
+        super().__init__('stranger')
+        kind, profile = self.KINDS[topic]
+        self.output = self.create_publisher(kind, topic, profile)
+
+    def turn(self, stamp, rate=720 * DEG, step=0):
+        """Send the table round ten times."""
+        still = (0.0, 0.0)
+        turn = Setpoint(
+            stamp, 'mine', step, '', Mode.RATE, NAMES, (0.0, *still), (rate, *still), 10.0, 0.0
+        )
+        (payload,) = encode_setpoints(SetpointBlock((turn,))).payloads()
+        self.output.publish(payload)
+
+
+@pytest.mark.parametrize('topic', list(Stranger.KINDS))
+def test_two_publishers_hold_the_table_are_named_and_nothing_starts(session, topic):
+    session.turn_at(60).open(autostart=True)
+    session.reaches(Phase.TURNING)
+    stranger = Stranger(topic)
+    owner = {'turntable/joint_states': '/table'}.get(topic, '/watcher')
+    owner = '/turntable_node' if topic in {'turntable/setpoint', 'turntable/state'} else owner
+    session.reaches(Phase.PAUSED)
+    names = ', '.join(sorted([owner, '/stranger']))
+    words = f'2 publishers are on /{topic}: {names}.'
+    assert words in session.watcher.states[-1].reason
+    assert session.until(lambda: session.watcher.says('publishers', 2, words))
+    assert session.watcher.says('plan', 2, words)
+    assert session.ends_stopped()
+    assert session.table.setpoints[-1].mode is Mode.HOLD
+    started, why = session.press('start')
+    assert not started
+    assert words in why
+    stranger.destroy_node()
+    assert session.until(lambda: session.watcher.says('publishers', 0, 'one publisher'))
+    assert not session.until(lambda: session.watcher.phase is not Phase.PAUSED, 0.5)
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+
+
+@pytest.mark.parametrize('topic', ['turntable/setpoint', 'estop'])
+def test_two_publishers_forbid_a_start_by_itself_even_when_one_has_left(session, topic):
+    stranger = None
+    session.open(with_node=False, autostart=True)
+    stranger = Stranger(topic)
+    session.table.silent = True
+    session.join()
+    assert session.until(lambda: session.watcher.says('publishers', 2, '/stranger'))
+    session.table.silent = False
+    stranger.destroy_node()
+    assert session.until(lambda: session.watcher.says('publishers', 0, 'one publisher'))
+    assert not session.until(lambda: session.watcher.phase is not Phase.IDLE, 0.5)
+    assert session.press('start')[0]
+
+
+def test_two_leaders_of_one_name_hear_each_other_and_hold(session):
+    """A stand that is launched twice: the names say nothing, the states do."""
+    session.turn_at(60).open(autostart=True)
+    session.reaches(Phase.TURNING)
+    session.start()
+    session.reaches(Phase.PAUSED)
+    words = '/turntable_node, /turntable_node'
+    assert words in session.watcher.states[-1].reason or session.until(
+        lambda: session.watcher.says('publishers', 2, words)
+    )
+    assert session.ends_stopped()
+    session.processes[0].kill()
+    session.processes[0].communicate()
+    # The one that was killed is listed until its lease is over, and is not heard any more.
+    assert session.until(lambda: session.node._sequencer.obstacle == '', 40.0)
+    assert session.until(lambda: session.press('start')[0])
+
+
+def test_a_leader_that_was_killed_and_started_anew_is_not_locked_out(session):
+    process = session.turn_at(60).process()
+    process.kill()
+    process.communicate()
+    assert session.ends_stopped()
+    session.watcher.states.clear()
+    began = time.monotonic()
+    session.start(autostart=True)
+    session.reaches(Phase.TURNING, 30.0)
+    # Its predecessor is still listed: a lease is ten seconds at least.
+    listed = session.watcher.get_publishers_info_by_topic('/turntable/setpoint')
+    assert len(listed) == 2 or time.monotonic() - began > 10.0
+
+
+IDLE_STATES = {
+    Phase.IDLE: lambda session: None,
+    Phase.PAUSED: lambda session: (session.press('start'), session.press('pause')),
+    Phase.ABORTED: lambda session: (session.press('start'), session.press('abort')),
+    Phase.DONE: lambda session: (session.press('start'), session.reaches(Phase.DONE)),
+}
+
+
+@pytest.mark.parametrize('phase', list(IDLE_STATES))
+def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fast(session, phase):
+    """The stranger has left before anybody looks for publishers: the encoders tell."""
+    session.open()
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    IDLE_STATES[phase](session)
+    session.reaches(phase)
+    assert session.ends_stopped()
+    # By a hand, or by the controller's own panel: no setpoint is heard.
+    at = session.table.table.angles(np.array([session.table.now()]))[0]
+    session.table.force(tuple(at + np.array([360 * DEG, 0.0, 0.0])))
+    assert session.until(lambda: session.watcher.says('plan', 2, 'while nobody led the table'))
+    assert session.watcher.phase is phase
+    held = session.table.setpoints[-1]
+    assert session.until(lambda: session.table.setpoints and held is not None)
+    assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD)
+    assert session.ends_stopped()
+    assert session.until(lambda: session.watcher.says('plan', 2, 'it stands again'))
+    told = session.watcher.states[-1].reason
+    assert 'Joint outer moves while it is to stand at' in told
+    went, fast = (float(told.split(word)[1].split()[0]) for word in (' went ', ' up to '))
+    went_truly = session.table.table.angles(np.array([session.table.now()]))[0] - at
+    # Two decimals, and the encoder's own steps.
+    assert went == pytest.approx(went_truly[0] / DEG, abs=0.02)
+    assert 0.05 < went < 360
+    assert 0 < fast <= 2000
+    assert session.press('start')[0]
+    session.reaches(Phase.MOVING)
+
+
+def test_nothing_starts_while_the_table_moves_by_itself(session):
+    session.open()
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    assert session.until(lambda: session.node._sequencer.feedback.still)
+    session.table.deaf = True
+    session.table.force((1e4 * DEG, 0.0, 0.0))
+    assert session.until(lambda: session.watcher.says('plan', 2, 'it still moves'))
+    started, why = session.press('start')
+    assert not started
+    assert 'it still moves' in why
+
+
+def test_a_setpoint_of_a_stranger_is_answered_by_hold_at_once(session):
+    """An idle table is not turned by one whole round, though the stranger goes on for ten."""
+    session.open()
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    stranger = Stranger('turntable/setpoint')
+    assert session.until(lambda: stranger.output.get_subscription_count() >= 2)
+    began = session.table.table.angles(np.array([session.table.now()]))[0]
+    for _ in range(30):
+        stranger.turn(session.table.stamp())
+        session.until(lambda: False, 0.03)
+    assert session.until(lambda: session.watcher.says('plan', 2, '/stranger'))
+    ended = session.table.table.angles(np.array([session.table.now()]))[0]
+    assert abs(ended - began).max() < 2 * np.pi
+    assert not session.press('start')[0]
+    stranger.destroy_node()
+    assert session.ends_stopped()
+
+
+@pytest.mark.parametrize(
+    'spoof',
+    [
+        {'plan': ''},
+        {'plan': 'another'},
+        {'ahead': 60.0},
+    ],
+    ids=['no plan', 'another plan', 'of the future'],
+)
+def test_progress_that_cannot_be_the_calibrators_completes_nothing(session, spoof):
+    session.open(supervised=True, autostart=True, use_sim_time=True, watchdog_timeout=5.0)
+    session.table.run_ahead(10)
+    session.watcher.calibrate(session.table.stamp())
+    assert session.until(lambda: session.node._sequencer.reviewing)
+    stamp = session.table.stamp() + round(spoof.get('ahead', 0.0) * 1e9)
+    for _ in range(5):
+        session.watcher.calibrate(stamp, plan=spoof.get('plan', 'tiny'))
+        session.until(lambda: False, 0.05)
+    assert session.node._sequencer.reviewing
+    session.watcher.calibrate(session.table.stamp())
+    session.reaches(Phase.DONE)
+
+
+def test_progress_of_another_plan_keeps_no_calibrator_alive(session):
+    session.turn_at(90).open(supervised=True, autostart=True)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    for _ in range(5):
+        session.watcher.calibrate(session.table.stamp(), plan='another')
+        session.until(lambda: False, 0.05)
+    assert session.watcher.phase is Phase.IDLE
+    assert session.watcher.says('calibrator', 2, 'The calibrator expects plan another')
+
+
+class FakeSteady:
+    """A steady clock that a test sets."""
+
+    def __init__(self, now):
+        self.seconds = now
+
+    def now(self):
+        return ros.Time(nanoseconds=round(self.seconds * 1e9), clock_type=ros.ClockType.STEADY_TIME)
+
+
+@pytest.mark.parametrize('timeout', [0.5, 3.0])
+def test_the_watchdog_bites_when_its_time_is_over_and_not_before(session, timeout):
+    session.turn_at(90).open(autostart=True, watchdog_timeout=timeout)
+    session.reaches(Phase.TURNING)
+    node = session.node
+    session.table.silent = True
+    ros.drain(node._joints)
+    steady = node._steady = FakeSteady(node._fed_at + timeout - 1e-3)
+    node._work()
+    assert node._sequencer.running
+    session.table.setpoints.clear()
+    steady.seconds += 2e-3
+    node._work()
+    assert not node._sequencer.running
+    assert node._sequencer.state().reason == f'No joint state from the table for {timeout:g} s.'
+    assert session.until(lambda: session.table.setpoints)
+    assert session.table.setpoints[0].mode is Mode.HOLD
+    assert session.ends_stopped()
+
+
+@pytest.mark.parametrize('timeout', [1.0, 5.0])
+def test_a_calibrator_is_given_its_time_and_no_more(session, timeout):
+    session.turn_at(60).open(supervised=True, autostart=True, calibrator_timeout=timeout)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    node = session.node
+
+    def turning():
+        session.watcher.calibrate(session.table.stamp())
+        return session.watcher.phase is Phase.TURNING
+
+    assert session.until(turning)
+    steady = node._steady = FakeSteady(node._heard_at + timeout - 1e-3)
+    node._fed_at = steady.seconds
+    node._work()
+    assert node._sequencer.running
+    steady.seconds += 2e-3
+    node._fed_at = steady.seconds
+    node._work()
+    assert node._sequencer.state().reason == f'The calibrator is silent for {timeout:g} s.'
     assert session.ends_stopped()
