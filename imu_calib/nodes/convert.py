@@ -36,12 +36,16 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
 
     Args:
         calibration: The result.
-        status: VALID or PROVISIONAL.
+        status: VALID, INCOMPLETE or PROVISIONAL.
         frame_id: The IMU's frame.
         stamp: builtin_interfaces/Time of now.
 
     """
-    text = ' '.join(calibration.findings)
+    findings = list(calibration.findings)
+    if status == messages.ImuCalibration.INCOMPLETE:
+        missing = ', '.join(_missing(calibration))
+        findings.insert(0, f'Positions of the plan are missing: {missing}.')
+    text = ' '.join(findings)
     message = _empty(calibration.imu, status, text, frame_id, stamp)
     where = calibration.provenance
     message.plan = str(where['plan'])
@@ -85,7 +89,7 @@ def calibration_of(message: Any) -> Calibration:
     """Return what imu_calib_msgs/ImuCalibration holds, as far as compensation needs it.
 
     Raises:
-        InputError: The message is not VALID or PROVISIONAL, or contradicts itself.
+        InputError: The message is REFUSED, or contradicts itself.
 
     """
     if message.status == messages.ImuCalibration.REFUSED:
@@ -124,6 +128,16 @@ def calibration_of(message: Any) -> Calibration:
         covariance.reshape(size, size),
         provenance=_provenance(message),
     )
+
+
+def final_status(calibration: Calibration) -> int:
+    """Return the status of a session's last word: INCOMPLETE where positions are missing."""
+    kinds = messages.ImuCalibration
+    return int(kinds.INCOMPLETE if _missing(calibration) else kinds.VALID)
+
+
+def _missing(calibration: Calibration) -> list[str]:
+    return [str(name) for name in calibration.provenance.get('missing_positions', ())]
 
 
 def _provenance(message: Any) -> dict[str, Any]:

@@ -41,13 +41,9 @@ def latched() -> QoSProfile:
     return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def any_publisher() -> tuple[QoSProfile, ...]:
-    """Return profiles that together hear every publisher, latched and best-effort ones too."""
-    return (
-        QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT),
-        QoSProfile(depth=10),
-        QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-    )
+def as_offered(offered: QoSProfile) -> QoSProfile:
+    """Return the profile that hears all that a publisher offers, its latched words too."""
+    return QoSProfile(depth=10, reliability=offered.reliability, durability=offered.durability)
 
 
 def own_topic() -> QoSProfile:

@@ -132,7 +132,8 @@ class StopTopic:
     """Hears a std_msgs/Bool topic whatever its publishers offer.
 
     A reliable subscription does not match best-effort publishers, and a volatile one does not get
-    what a latched publisher said before. So there are three; hearing a message twice does no harm.
+    what a latched publisher said before. So beside the one that matches all there is one for every
+    kind of publisher that comes; hearing a message twice does no harm.
 
     Attributes:
         topic: Full name.
@@ -143,13 +144,25 @@ class StopTopic:
         self._node = node
         self._callback = callback
         self._says_stop = False
-        self.topic = node.resolve_topic_name(topic)
-        # That one of the three does not match a publisher is what the others are for.
+        self.topic: str = node.resolve_topic_name(topic)
+        self._offered: set[tuple[Any, Any]] = set()
+        self._listen(qos.sensor_data())
+
+    def look(self) -> None:
+        """Subscribe to what publishers offer that is not subscribed to yet."""
+        for publisher in self._node.get_publishers_info_by_topic(self.topic):
+            self._listen(qos.as_offered(publisher.qos_profile))
+
+    def _listen(self, profile: Any) -> None:
+        kind = profile.reliability, profile.durability
+        if kind in self._offered:
+            return
+        self._offered.add(kind)
+        # A subscription that does not match a publisher is not the one that is meant for it.
         events = ros.SubscriptionEventCallbacks(incompatible_qos=lambda _: None)
-        for profile in qos.any_publisher():
-            node.create_subscription(
-                messages.Bool, topic, self._hear, profile, event_callbacks=events
-            )
+        self._node.create_subscription(
+            messages.Bool, self.topic, self._hear, profile, event_callbacks=events
+        )
 
     @property
     def says_stop(self) -> bool:
@@ -200,6 +213,10 @@ class EmergencyStop:
     def kept_in(self) -> str:
         """The file that keeps it."""
         return str(self._record.path)
+
+    def look(self) -> None:
+        """See who may say stop."""
+        self._topic.look()
 
     def release(self) -> str:
         """Take the stop back; return what that means, in words.

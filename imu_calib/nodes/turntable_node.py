@@ -298,7 +298,8 @@ class TurntableNode(Node):
         return {name: OnePublisher(self, self.resolve_topic_name(name)) for name in names}
 
     def _look_around(self) -> None:
-        """Hold the table while a topic that is one node's alone has two publishers."""
+        """Hear who says stop; hold the table while what is one node's has two publishers."""
+        self._estop.look()
         now = self._steady.now().nanoseconds * 1e-9
         found = {name: watched.look(now) for name, watched in self._alone.items()}
         for name, words in found.items():

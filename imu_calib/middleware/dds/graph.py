@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from .codec import deserialize_message, serialize_message
 from .messages import message_class
-from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, from_dds
 from .wire import Reader, Writer, delete
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ class TopicEndpointInfo:
         node_namespace: Of its node.
         topic_type: For instance std_msgs/msg/Bool.
         endpoint_gid: 16 bytes; the first twelve are those of its participant.
+        qos_profile: What it offers or requests: reliability and durability.
 
     """
 
@@ -39,6 +40,7 @@ class TopicEndpointInfo:
     node_namespace: str
     topic_type: str
     endpoint_gid: list[int]
+    qos_profile: QoSProfile
 
 
 class Graph:
@@ -108,7 +110,10 @@ class Graph:
         unknown = UNKNOWN_NAME, UNKNOWN_NAMESPACE
         return [
             TopicEndpointInfo(
-                *owners.get(e.key.bytes, unknown), _ros_type(e.type_name), list(e.key.bytes)
+                *owners.get(e.key.bytes, unknown),
+                _ros_type(e.type_name),
+                list(e.key.bytes),
+                from_dds(e.qos),
             )
             for e in found
         ]
