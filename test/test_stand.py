@@ -343,7 +343,11 @@ def test_done_without_its_leader_ends_no_session(tmp_path):
 
 def test_a_session_that_is_ended_early_says_which_positions_are_missing(tmp_path):
     with Stand(tmp_path, '--speed', '10') as stand:
-        assert stand.reaches(State.DWELLING, step=11)
+        assert stand.wait(
+            lambda: (
+                stand.state.phase == State.DWELLING and stand.state.step == stand.state.steps - 3
+            )
+        )
         assert stand.call('turntable_node/pause')[0]
         assert stand.reaches(State.PAUSED)
         assert stand.call('calibrator_node/solve')[0]

@@ -17,8 +17,8 @@ class Unled:
 
     The table may take the time that its limits allow to come to rest. From then on a joint that
     strays further than `Standing` allows (five times the arrival tolerance, at most the overshoot
-    tolerance) moves without having been told to. It stands again when a joint state shows neither
-    a way nor a rate: what `Encoders` calls still, over its window.
+    tolerance) moves without having been told to. It stands again with a joint state that shows no
+    way since the one before, nor a rate: less than the arrival tolerance within `encoders.WINDOW`.
 
     Args:
         table: Which.
