@@ -585,7 +585,7 @@ def test_two_publishers_hold_the_table_are_named_and_nothing_starts(session, top
     words = f'2 publishers are on /{topic}: {names}.'
     assert words in session.watcher.states[-1].reason
     assert session.until(lambda: session.watcher.says('publishers', 2, words))
-    assert session.watcher.says('plan', 2, words)
+    assert session.until(lambda: session.watcher.says('plan', 2, words))
     assert session.ends_stopped()
     assert session.table.setpoints[-1].mode is Mode.HOLD
     started, why = session.press('start')
@@ -663,9 +663,9 @@ def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fa
     session.table.force(tuple(at + np.array([360 * DEG, 0.0, 0.0])))
     assert session.until(lambda: session.watcher.says('plan', 2, 'while nobody led the table'))
     assert session.watcher.phase is phase
-    held = session.table.setpoints[-1]
-    assert session.until(lambda: session.table.setpoints and held is not None)
-    assert session.until(lambda: session.table.setpoints[-1].mode is Mode.HOLD)
+    assert session.until(
+        lambda: session.table.setpoints and session.table.setpoints[-1].mode is Mode.HOLD
+    )
     assert session.ends_stopped()
     assert session.until(lambda: session.watcher.says('plan', 2, 'it stands again'))
     told = session.watcher.states[-1].reason
@@ -740,7 +740,9 @@ def test_progress_of_another_plan_keeps_no_calibrator_alive(session):
         session.watcher.calibrate(session.table.stamp(), plan='another')
         session.until(lambda: False, 0.05)
     assert session.watcher.phase is Phase.IDLE
-    assert session.watcher.says('calibrator', 2, 'The calibrator expects plan another')
+    assert session.until(
+        lambda: session.watcher.says('calibrator', 2, 'The calibrator expects plan another')
+    )
 
 
 class FakeSteady:
