@@ -80,7 +80,6 @@ def run(arguments: argparse.Namespace) -> None:
     truth = options.load_truth(arguments.truth, imu)
     plan = load_plan(arguments.plan)
     check_plan(plan.method, plan, site)
-    blocks: Iterator[tuple[str, Block]]
     table = None if plan.by_hand else arguments.table or _TABLE
     blocks: Iterator[tuple[str, Block]]
     if table is None:
