@@ -18,8 +18,9 @@ from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.plan import Plan
 from imu_calib.segmentation.cleaning import find_step, sound_part
 from imu_calib.segmentation.clock import ClockSample, fit_clock, seen_by_gyros
-from imu_calib.segmentation.motion import JointTracker, Motion, Rest, find_turns
+from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.order import StampOrder
+from imu_calib.segmentation.plateau import find_turns
 from imu_calib.segmentation.segment import Statistics
 from imu_calib.segmentation.statistics import (
     Samples,

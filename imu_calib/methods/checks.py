@@ -15,6 +15,7 @@ from ..model import AXES, SensorModel
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM
 from .evidence import SMALLEST_VARIANCE, Evidence
+from .level import Accelerometers, Tilt, widened_for_tilt
 from .rate_test import RateTest
 from .solution import Residual, Solution
 
@@ -60,6 +61,7 @@ def conclude(
     *,
     findings: Sequence[str],
     north_known: bool,
+    accelerometers: Accelerometers | None = None,
 ) -> Solution:
     """Check a solution against its data and widen what the data does not bear out.
 
@@ -71,6 +73,7 @@ def conclude(
         condition: Condition number of its system.
         findings: What the method has to say already.
         north_known: Whether the attitudes are against north.
+        accelerometers: How the method makes accelerometers of a session; None where it does not.
 
     Raises:
         InputError: The outputs are not in the units that the IMU's description states.
@@ -104,14 +107,19 @@ def conclude(
         factors = np.where(indices < 9, np.sqrt(scatter), 1.0)
         widened *= np.outer(factors, factors)
         notes.append(turns_scatter(scatter))
+    rate, earth = gyro.vector, gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
+    if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
+        tilt = _tilt(accel)
+        rate, earth = tilt.levelled(rate, earth)
+        widened, said = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
+        notes += said
     residuals = _residuals(evidence, gyro, accel)
     notes += _outstanding(residuals)
     notes += _off_positions(evidence)
-    earth = gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
     if not evidence.plan.by_hand:
-        check_latitude(evidence, gyro.vector, earth)
-    azimuth = float(np.arctan2(gyro.vector[0], gyro.vector[1]))
-    azimuth_std = _azimuth_std(gyro.vector, earth)
+        check_latitude(evidence, rate, earth)
+    azimuth = float(np.arctan2(rate[0], rate[1]))
+    azimuth_std = _azimuth_std(rate, earth)
     if north_known and abs(azimuth) > max(_CONTRADICTION * azimuth_std, _LEAST_AZIMUTH):
         notes.append(
             f'The gyros see north {azimuth / DEG:.1f} +- {azimuth_std / DEG:.1f} deg off the '
@@ -124,11 +132,18 @@ def conclude(
         residuals,
         azimuth + (evidence.azimuth or 0.0),
         azimuth_std,
-        float(gyro.vector[2]),
+        float(rate[2]),
         float(np.sqrt(earth[2, 2])),
         condition,
         tuple(notes),
     )
+
+
+def _tilt(accel: _Fit) -> Tilt:
+    """Return the tilt of the table that the specific force at rest shows."""
+    size = float(np.linalg.norm(accel.vector))
+    square = float(np.diag(accel.covariance)[:2].max()) * accel.scatter
+    return Tilt(accel.vector / size, float(np.sqrt(square)) / size)
 
 
 def turns_scatter(scatter: float) -> str:
@@ -367,7 +382,7 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
 
     Args:
         evidence: The session, with the site that was given.
-        earth: (3,) Earth rate that the gyros see, in the frame of the attitudes, rad/s.
+        earth: (3,) Earth rate that the gyros see, against the plumb line, rad/s.
         covariance: (3, 3) its covariance.
 
     Raises:

@@ -80,6 +80,7 @@ class Surroundings:
         force: (3,) m/s^2.
         rate_slopes: (3, 3) d rate, one column for each of azimuth and tilts.
         force_slopes: (3, 3) d force.
+        level: (3, 3) takes vectors of that frame to level, as far as the heading of its own.
 
     """
 
@@ -87,6 +88,7 @@ class Surroundings:
     force: Floats
     rate_slopes: Floats
     force_slopes: Floats
+    level: Floats
 
     @classmethod
     def at(cls, site: Site, azimuth: float, tilt_x: float, tilt_y: float) -> Surroundings:
@@ -102,7 +104,7 @@ class Surroundings:
             by_azimuth = both @ (-gz @ headed)
             by_x = about_y @ (-gx @ (about_x @ headed))
             slopes.append(np.column_stack([by_azimuth, by_x, -gy @ level]))
-        return cls(vectors[0], vectors[1], slopes[0], slopes[1])
+        return cls(vectors[0], vectors[1], slopes[0], slopes[1], both.T)
 
 
 @dataclass(frozen=True, eq=False)

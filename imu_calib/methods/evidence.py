@@ -59,7 +59,7 @@ class Evidence:
 
     def variances(self) -> Floats:
         """Return the variances of the mean outputs at rest, (s, 6)."""
-        rows = [s.statistics.variance(self.walk) for s in self.segments]
+        rows = [s.variance(self.walk, self.site.gravity) for s in self.segments]
         return np.array(rows).reshape(-1, 6)
 
     def attitudes(self) -> Floats:

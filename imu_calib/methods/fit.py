@@ -22,6 +22,7 @@ from ..errors import NotObservable
 from ..model import PARAMETERS
 from ..stream import Floats
 from ..units import DEG
+from .converge import least_squares
 from .equations import LEVELLED, Equations, Nuisance
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess import Excess, excess
@@ -29,7 +30,6 @@ from .information import ALONG, Information, before, told, unobserved
 
 _STARTS = 8
 _ITERATIONS = 30
-_CONVERGED = 1e-9
 _OUTLYING = 1e-6
 _SUSPECT = 1e-5
 _UNLIKE = 1e-4
@@ -213,13 +213,13 @@ def _start(equations: Equations) -> Floats:
 
 
 def _fit(equations: Equations, state: Floats) -> Floats:
-    """Iterate (Gauss-Newton) to the least squares, each output by its covariance."""
-    for _ in range(_ITERATIONS):
-        jacobian, left = equations.whitened(state)
-        step = _least_squares(jacobian, left)
-        state = state + step
-        if np.linalg.norm(jacobian @ step) < _CONVERGED * np.sqrt(len(left)):
-            break
+    """Iterate to the least squares, each output by its covariance.
+
+    Raises:
+        NotObservable: The iteration does not converge.
+
+    """
+    state = least_squares(state, equations.whitened, np.add, _ITERATIONS)
     azimuth = equations.parameters + Nuisance.AZIMUTH
     state[azimuth] = (state[azimuth] + np.pi) % (2 * np.pi) - np.pi
     return state

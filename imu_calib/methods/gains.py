@@ -106,6 +106,7 @@ class Gains:
             self.condition,
             findings=findings,
             north_known=north_known,
+            accelerometers=lambda other: self.model(other).accel,
         )
 
 

@@ -86,11 +86,12 @@ def _residuals(found: Estimate) -> tuple[Residual, ...]:
 def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     """Return the Earth rate that the gyros see, free in size and direction, and its covariance.
 
-    The noise alone is the measure, or what it leaves of the session if that is more: scatter that
-    a wrong latitude makes must not excuse it.
+    It is taken out of the tilts that the session shows, whose uncertainty is in its own. The noise
+    alone is the measure, or what it leaves of the session if that is more: scatter that a wrong
+    latitude makes must not excuse it.
 
     Returns:
-        (3,) rad/s in the frame of the attitudes, and (3, 3).
+        (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
 
     """
     evidence = found.equations.evidence
@@ -116,7 +117,9 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     over = left - columns @ step
     freedom = max(1, len(plain.outputs) + len(Nuisance) - columns.shape[1])
     covariance = covariance[-3:, -3:] * max(1.0, float(over @ over) / freedom)
-    return plain.surroundings(state).rate + step[-3:], covariance
+    around = plain.surroundings(state)
+    # The tilts' own columns turn the rate along with gravity: what is free comes on top of that.
+    return around.level @ (around.rate + step[-3:]), around.level @ covariance @ around.level.T
 
 
 def _findings(found: Estimate) -> list[str]:

@@ -99,6 +99,11 @@ def solve_accelerometers(evidence: Evidence) -> tuple[Triad, Floats, float]:
     return triad, covariance, condition
 
 
+def accelerometers(evidence: Evidence) -> Triad:
+    """Return the accelerometers of `solve_accelerometers` alone."""
+    return solve_accelerometers(evidence)[0]
+
+
 def _accelerometers(evidence: Evidence, outputs: Floats) -> tuple[Triad, Floats, float]:
     """Solve for (s, 3) outputs as if the vertical axis stood exactly so."""
     up_weights, down_weights = _up_and_down(evidence)

@@ -8,7 +8,7 @@ from ..errors import NotObservable
 from ..stream import Floats
 from .checks import conclude
 from .evidence import UP, Evidence
-from .positions import BiasEquation, assemble, solve_accelerometers, solve_gyros
+from .positions import BiasEquation, accelerometers, assemble, solve_accelerometers, solve_gyros
 from .solution import Solution
 
 
@@ -30,7 +30,9 @@ def solve(evidence: Evidence) -> Solution:
     gyros = solve_gyros(evidence, _bias_equation(evidence))
     solved = assemble(evidence, gyros, solve_accelerometers(evidence))
     north = evidence.azimuth is not None
-    return conclude(evidence, *solved, findings=[], north_known=north)
+    return conclude(
+        evidence, *solved, findings=[], north_known=north, accelerometers=accelerometers
+    )
 
 
 def _bias_equation(evidence: Evidence) -> BiasEquation:

@@ -1,4 +1,4 @@
-"""Joint states -> when the table stood still, when it moved, and its whole turns at rate."""
+"""Joint states -> when the table stood still and when it moved."""
 
 from __future__ import annotations
 
@@ -11,24 +11,21 @@ from ..units import DEG
 
 _WINDOW_NS = 250_000_000
 _STILL_RATE = 0.05 * DEG
-_SLOWEST_TURN = 0.5 * DEG
-_STEADY = 0.03
-_STEADY_AT_MOST = 0.2
-_UNUSUAL = 8.0
 _TURN = 2 * np.pi
 _SAMPLES_FOR_ANGLES = 256
-_SAMPLES_FOR_TURN = 5
-_SURE = 0.8
-_CLOCKS_APART = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """The table stood still from `start` to `end` (ns) at `angles` ((k,) rad; None: unknown)."""
+    """The table stood still from `start` to `end` (ns) at `angles` ((k,) rad; None: unknown).
+
+    `angle_error` is the standard deviation of such an angle by the noise of its encoder, rad.
+    """
 
     start: int
     end: int
     angles: Floats | None = None
+    angle_error: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,7 @@ class JointTracker:
         self._judged = 0
         self._start: int | None = None
         self._moving = False
-        self._angles: Floats | None = None
+        self._angles: tuple[Floats, float] | None = None
 
     @property
     def known_until(self) -> int | None:
@@ -114,7 +111,7 @@ class JointTracker:
         if self._moving or self._start is None:
             return None
         rest = self._rest(self._start, end)
-        self._start, self._angles = end, rest.angles
+        self._start = end
         return rest
 
     def _judge(self) -> list[Rest | Motion]:
@@ -147,10 +144,10 @@ class JointTracker:
 
     def _rest(self, start: int, end: int) -> Rest:
         """Close a rest; its angles are those of its first samples, however it is split."""
-        if self._angles is not None:
-            return Rest(start, end, self._angles)
-        inside = (self._stamp >= start) & (self._stamp <= end)
-        return Rest(start, end, self._position[inside][:_SAMPLES_FOR_ANGLES].mean(axis=0))
+        if self._angles is None:
+            inside = (self._stamp >= start) & (self._stamp <= end)
+            self._angles = averaged(self._position[inside][:_SAMPLES_FOR_ANGLES])
+        return Rest(start, end, *self._angles)
 
     def _motion(self, end: int) -> Motion:
         first = int(np.searchsorted(self._stamp, self._start or 0, side='left'))
@@ -174,101 +171,11 @@ class JointTracker:
         self._judged = len(self._stamp)
 
 
-@dataclass(frozen=True, eq=False)
-class WholeTurns:
-    """Whole turns at constant rate of one joint, by a line through its encoder angles.
+def averaged(readings: Floats) -> tuple[Floats, float]:
+    """Return the mean of (n, k) angles of joints that stand, and its standard deviation by noise.
 
-    Attributes:
-        joint: Index of the joint.
-        start: Instant at which the turns begin on the line, ns (float: between samples).
-        seconds: Time that they take on the line, s, by the table's clock.
-        angle: Angle turned, rad: a whole number of turns, signed.
-        rate_error: Standard deviation of the line's slope, relative.
-        spare: How long before and after the turns the rate is surely the same, s: less than the
-            line shows, for the onset of ramps and for clocks that are yet to be compared.
-
+    The latter is that of one joint, the mean over all: a level axis leans with one of them.
     """
-
-    joint: int
-    start: float
-    seconds: float
-    angle: float
-    rate_error: float
-    spare: float
-
-
-def find_turns(motion: Motion) -> list[WholeTurns]:
-    """Find the stretches at constant rate that hold at least one whole turn.
-
-    A line through all encoder angles of the stretch places the cuts: with 0.5 ms of stamp jitter
-    single crossings would cost 52 ppm, the line 8 (methods.md, section 2).
-    """
-    if motion.position.shape[0] < _SAMPLES_FOR_TURN:
-        return []
-    joint = int(np.argmax(np.ptp(motion.position, axis=0)))
-    time = (motion.stamp - motion.stamp[0]) * 1e-9
-    angle = motion.position[:, joint]
-    turns = []
-    for first, last in _steady_runs(time, angle):
-        fitted = _line(time[first:last], angle[first:last])
-        if fitted is None:
-            continue
-        start, end, rate, rate_std = fitted
-        whole = np.floor(abs(rate) * (end - start) / _TURN)
-        if whole < 1:
-            continue
-        seconds = whole * _TURN / abs(rate)
-        begin = start + (end - start - seconds) / 2
-        turns.append(
-            WholeTurns(
-                joint,
-                float(motion.stamp[0]) + begin * 1e9,
-                seconds,
-                float(np.copysign(whole * _TURN, rate)),
-                rate_std / abs(rate),
-                max(0.0, _SURE * (end - start - seconds) / 2 - _CLOCKS_APART),
-            )
-        )
-    return turns
-
-
-def _steady_runs(time: Floats, angle: Floats) -> list[tuple[int, int]]:
-    """List index ranges over which the rate neither grows nor falls."""
-    back = np.maximum(np.searchsorted(time, time - _WINDOW_NS * 1e-9, side='right') - 1, 0)
-    back = np.minimum(back, np.maximum(np.arange(len(time)) - 1, 0))
-    elapsed = np.maximum(time - time[back], 1e-9)
-    rate = (angle - angle[back]) / elapsed
-    turning = np.abs(rate) > _SLOWEST_TURN
-    change = np.abs(rate - rate[back]) / np.maximum(np.abs(rate), _SLOWEST_TURN)
-    # Jitter of the stamps makes a constant rate look unsteady throughout, a ramp does so briefly.
-    usual = float(np.median(change[turning])) if turning.any() else 0.0
-    steady = turning & (change <= np.clip(_UNUSUAL * usual, _STEADY, _STEADY_AT_MOST))
-    edges = np.flatnonzero(np.diff(steady.astype(np.int8), prepend=0, append=0))
-    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return [(a, b) for a, b in runs if b - a >= _SAMPLES_FOR_TURN - 2]
-
-
-def _line(time: Floats, angle: Floats) -> tuple[float, float, float, float] | None:
-    """Fit a line by the middle half, drop the ends that leave it, fit again.
-
-    Returns:
-        Start, end, slope and its standard deviation; None where too little is left.
-
-    """
-    inside = slice(len(time) // 4, max(len(time) // 4 + 2, len(time) - len(time) // 4))
-    slope, offset = np.polyfit(time[inside], angle[inside], 1)
-    left = angle - (slope * time + offset)
-    noise = float(np.sqrt(np.mean(left[inside] ** 2)))
-    # Far from the middle half the line itself is less sure: allow for its own error.
-    near = np.abs(left) <= 6 * noise + 1e-3 * DEG
-    bad = np.flatnonzero(~near)
-    centre = len(time) // 2
-    first = int(bad[bad < centre].max()) + 1 if np.any(bad < centre) else 0
-    last = int(bad[bad >= centre].min()) if np.any(bad >= centre) else len(time)
-    if last - first < _SAMPLES_FOR_TURN - 2:
-        return None
-    time, angle = time[first:last], angle[first:last]
-    slope, offset = np.polyfit(time, angle, 1)
-    square = float(np.mean((angle - slope * time - offset) ** 2))
-    slope_std = float(np.sqrt(square / ((time - time.mean()) ** 2).sum()))
-    return float(time[0]), float(time[-1]), float(slope), slope_std
+    n = len(readings)
+    noise = readings.var(axis=0, ddof=1) / n if n > 1 else np.zeros(1)
+    return readings.mean(axis=0), float(np.sqrt(noise.mean()))

@@ -17,7 +17,12 @@ _MOSTLY = 0.5
 
 
 def read_rest(
-    sensor: Sensor, stamp: Stamps, values: Floats, angles: Floats | None, attitude: Floats | None
+    sensor: Sensor,
+    stamp: Stamps,
+    values: Floats,
+    angles: Floats | None,
+    attitude: Floats | None,
+    attitude_error: float = 0.0,
 ) -> list[Segment | Rejected | Slip]:
     """Turn samples at rest into segments, or say why not.
 
@@ -30,6 +35,7 @@ def read_rest(
         values: (n, 6) as delivered.
         angles: Joint angles during the stretch, rad; None without a table.
         attitude: (3, 3) R_nb by them; None without a table.
+        attitude_error: Standard deviation of the attitude by the encoders' noise, rad.
 
     Returns:
         In order of time; nothing where it was too short to tell.
@@ -45,15 +51,25 @@ def read_rest(
     if sound.knock is not None and angles is not None:
         start, stop = sound.knock.start, sound.knock.stop
         return [
-            *read_rest(sensor, stamp[:start], values[:start], angles, attitude),
+            *read_rest(sensor, stamp[:start], values[:start], angles, attitude, attitude_error),
             Slip(int(stamp[start]), sound.knock.angle),
-            *read_rest(sensor, stamp[stop:], values[stop:], angles, attitude),
+            *read_rest(sensor, stamp[stop:], values[stop:], angles, attitude, attitude_error),
         ]
     found = _sound_statistics(samples, sound, saturated, sensor.walk)
     if isinstance(found, str):
         return [Rejected(int(stamp[0]), int(stamp[-1]), found)]
     statistics, used, notes = found
-    return [Segment(int(used[0]), int(used[-1]), statistics, attitude, angles=angles, notes=notes)]
+    return [
+        Segment(
+            int(used[0]),
+            int(used[-1]),
+            statistics,
+            attitude,
+            angles=angles,
+            notes=notes,
+            attitude_error=attitude_error,
+        )
+    ]
 
 
 def _sound_statistics(

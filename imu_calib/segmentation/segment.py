@@ -68,6 +68,8 @@ class Segment:
         position: Id of the plan's position; None where unknown.
         angles: (k,) mean joint angles, rad; None without joint states.
         notes: What was cut away and why, for a person.
+        attitude_error: Standard deviation of the attitude about any axis by the encoders' noise,
+            rad.
 
     """
 
@@ -78,6 +80,21 @@ class Segment:
     position: str | None = None
     angles: Floats | None = None
     notes: tuple[str, ...] = ()
+    attitude_error: float = 0.0
+
+    def variance(self, walk: Floats, gravity: float) -> Floats:
+        """Return the variances of the mean outputs, (6,), SI: noise, and gravity where it leans.
+
+        Args:
+            walk: (6,) random-walk coefficients.
+            gravity: m/s^2; what the gyros see lean of the Earth rate is below all noise.
+
+        """
+        variance = self.statistics.variance(walk)
+        if self.attitude is None or not self.attitude_error:
+            return variance
+        across = (gravity * self.attitude_error) ** 2 * (1 - self.attitude[2] ** 2)
+        return np.asarray(variance + np.append(np.zeros(3), across))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +110,7 @@ class Turn:
         up: (3,) up in body axes.
         position: Id of the plan's position at which it was made; None where unknown.
         rate_error: Standard deviation of the encoder's rate, relative; 0 without an encoder.
+        up_error: Standard deviation of `up` about either level axis by the encoders' noise, rad.
         skewed: What a skewed gyro says, its first channel that gyro; None where there is none.
         each: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
         level: What share of a level rate does not average out: whole turns at a constant rate
@@ -108,20 +126,21 @@ class Turn:
     up: Floats
     position: str | None = None
     rate_error: float = 0.0
+    up_error: float = 0.0
     skewed: Statistics | None = None
     each: Floats | None = None
     level: float = 0.0
 
     def variance(self, walk: Floats, north_rate: float) -> Floats:
-        """Return the variances of the gyros' means, (3,), the level Earth rate among them.
+        """Return the variances of the gyros' means, (3,): noise, level Earth rate, error of `up`.
 
         Args:
             walk: (6,) random-walk coefficients.
             north_rate: Level Earth rate, rad/s; its direction is not used.
 
         """
-        seen = (self.level * north_rate) ** 2 / 2 * (1 - self.up**2)
-        return np.asarray(self.statistics.variance(walk)[:3] + seen)
+        across = (self.level * north_rate) ** 2 / 2 + (self.up_error * self.rate()) ** 2
+        return np.asarray(self.statistics.variance(walk)[:3] + across * (1 - self.up**2))
 
     def rate(self, clock_rate: float = 0.0) -> float:
         """Return the rate about up, rad/s, per second of the IMU's clock.

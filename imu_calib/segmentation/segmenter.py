@@ -208,7 +208,8 @@ class Segmenter:
             attitude = self._table.attitude(rest.angles)
         for first in range(0, len(stamp), _LONGEST_REST):
             piece = slice(first, first + _LONGEST_REST)
-            self._take(read_rest(self._sensor, stamp[piece], values[piece], rest.angles, attitude))
+            part = stamp[piece], values[piece]
+            self._take(read_rest(self._sensor, *part, rest.angles, attitude, rest.angle_error))
 
     def _motion(self, motion: Motion) -> None:
         start = motion.start + self._offset_ns - MARGIN_NS

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
-from .motion import Motion, WholeTurns, find_turns
+from .motion import Motion, averaged
+from .plateau import WholeTurns, find_turns, why_none
 from .segment import Statistics, Turn
 from .sensor import Sensor
 from .session import FreeMotion, Rejected
@@ -55,9 +56,8 @@ def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> li
     """
     found = find_turns(motion)
     if not found and np.ptp(motion.position, axis=0).max() > _TURN_AND_RUN_UP:
-        reason = 'the joint states show no constant rate'
         start, end = motion.start + offset_ns, motion.end + offset_ns
-        return [Rejected(start, end, reason, turn=True)]
+        return [Rejected(start, end, why_none(motion), turn=True)]
     read = (_read_turn(seen, turns, motion, table, offset_ns) for turns in found)
     return [turn for turn in read if turn is not None]
 
@@ -91,8 +91,7 @@ def _mean_phase(samples: Samples, turned: Floats) -> complex:
 def _read_turn(
     seen: Around, turns: WholeTurns, motion: Motion, table: Table, offset_ns: int
 ) -> Turn | Rejected | None:
-    middle = turns.start + turns.seconds * 5e8
-    angles = motion.position[np.searchsorted(motion.stamp, middle) - 1]
+    angles, up_error = _held(motion, turns)
     up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
     sense = float(table.joint_axis(turns.joint, angles) @ up)
     if abs(sense) < 1 - _VERTICAL:
@@ -122,9 +121,21 @@ def _read_turn(
         turns.seconds,
         up,
         rate_error=turns.rate_error,
+        up_error=up_error,
         skewed=None if skewed is None else skewed[0],
         each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
     )
+
+
+def _held(motion: Motion, turns: WholeTurns) -> tuple[Floats, float]:
+    """Return the mean angles (k,) during whole turns, rad, and what noise is left in the axis.
+
+    One reading of the joints that are held would lean the axis by all of their noise.
+    """
+    turning = [turns.start, turns.start + turns.seconds * 1e9]
+    readings = motion.position[slice(*np.searchsorted(motion.stamp, turning).tolist())]
+    held = np.delete(readings, turns.joint, axis=1)
+    return readings.mean(axis=0), averaged(held)[1] if held.shape[1] else 0.0
 
 
 def _unusable(seen: Around, inside: slice, start: float, end: float) -> str:

@@ -154,7 +154,7 @@ def observe(
             segment.position or str(k + 1),
             (segment.start - start) * 1e-9,
             segment.statistics.mean,
-            segment.statistics.variance(walk),
+            segment.variance(walk, site.gravity),
             segment.attitude if known else None,
         )
         for k, segment in enumerate(labelled.segments)

@@ -24,6 +24,7 @@ from ...earth import Site
 from ...errors import NotObservable
 from ...model import PARAMETERS, SensorModel, Triad
 from ...stream import Floats
+from ..converge import least_squares
 from ..evidence import Evidence
 from ..information import Information
 from ..solution import Solution
@@ -34,7 +35,6 @@ FEWEST = 9
 """Holds below which gravity cannot tell nine parameters of the accelerometers."""
 
 _ITERATIONS = 40
-_CONVERGED = 1e-9
 _ROUNDS = 4
 _SIGNIFICANT = 1e-3
 _OUTLYING = 6.0
@@ -183,26 +183,37 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
 
 
 def _iterate(system: System, model: SensorModel, ups: Floats) -> tuple[System, SensorModel, Floats]:
-    """Gauss-Newton to the least squares."""
+    """Iterate to the least squares.
+
+    Raises:
+        NotObservable: The iteration does not converge.
+
+    """
     found = int(FREE.sum())
     last = found + system.size[0] - len(PARAMETERS)
     if not len(system.north):
         system = replace(system, north=np.zeros(last - found))
-    for _ in range(_ITERATIONS):
+
+    def rows(state: tuple[System, SensorModel, Floats]) -> tuple[Floats, Floats]:
+        system, model, ups = state
         jacobian, left, _ = system.rows(model, ups)
-        columns = free_columns(jacobian)
-        norms = np.linalg.norm(columns, axis=0)
-        step = np.linalg.lstsq(columns / norms, left, rcond=None)[0] / norms
+        return free_columns(jacobian), left
+
+    def moved(
+        state: tuple[System, SensorModel, Floats], step: Floats
+    ) -> tuple[System, SensorModel, Floats]:
+        system, model, ups = state
         vector = model.vector()
         vector[FREE] += step[:found]
-        model = SensorModel.from_vector(vector)
-        system = replace(system, north=system.north + step[found:last])
         tilts = step[last:].reshape(-1, 2)
         ups = ups + np.array([t @ level_axes(u) for t, u in zip(tilts, ups, strict=True)])
-        ups = ups / np.linalg.norm(ups, axis=1)[:, None]
-        if np.linalg.norm(columns @ step) < _CONVERGED * np.sqrt(len(left)):
-            break
-    return system, model, ups
+        return (
+            replace(system, north=system.north + step[found:last]),
+            SensorModel.from_vector(vector),
+            ups / np.linalg.norm(ups, axis=1)[:, None],
+        )
+
+    return least_squares((system, model, ups), rows, moved, _ITERATIONS)
 
 
 def _scatter(system: System, model: SensorModel, ups: Floats) -> Floats:

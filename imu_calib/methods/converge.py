@@ -1,0 +1,90 @@
+"""Gauss-Newton to the least squares, with Marquardt's damping where a step leads uphill.
+
+Source: Marquardt 1963, J. SIAM 11, 431; More 1978, Lecture Notes in Mathematics 630, 105, for the
+scaling by the columns' norms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from ..errors import NotObservable
+from ..stream import Floats
+
+_CONVERGED = 1e-9
+_UPHILL = 1e-3
+_ROUNDING = 4 * float(np.finfo(float).eps)
+_DAMPING = 1e-3
+_STRONGER, _WEAKER = 10.0, 0.1
+_STRONGEST = 1e12
+
+State = TypeVar('State')
+
+
+def least_squares(
+    state: State,
+    system: Callable[[State], tuple[Floats, Floats]],
+    moved: Callable[[State, Floats], State],
+    rounds: int,
+) -> State:
+    """Minimise the sum of squares of residuals in standard deviations.
+
+    Each round is a full Gauss-Newton step unless it leads uphill: chi-square, weighed anew at its
+    end, would grow by more than one and a thousandth, which weights that follow the state do not
+    make of it. Then it is damped until it does not. It ends where a step would move the prediction
+    by less than a billionth of its standard deviation, or than its rounding.
+
+    Args:
+        state: Where to start.
+        system: (m, n) derivatives of the prediction at a state and (m,) outputs less it, both in
+            standard deviations.
+        moved: The state moved by an (n,) step.
+        rounds: Most steps.
+
+    Raises:
+        NotObservable: The steps do not come to an end.
+
+    """
+    jacobian, left = system(state)
+    damping = 0.0
+    for _ in range(rounds):
+        step = _step(jacobian, left, damping)
+        change = float(np.linalg.norm(jacobian @ step))
+        tried = moved(state, step)
+        rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
+        if change < max(_CONVERGED * np.sqrt(len(left)), rounding) and not damping:
+            return tried
+        ahead = system(tried)
+        if _square(ahead[1]) <= _square(left) * (1 + _UPHILL) + 1:
+            state, (jacobian, left) = tried, ahead
+            damping = damping * _WEAKER if damping * _WEAKER >= _DAMPING else 0.0
+        else:
+            damping = max(_DAMPING, damping * _STRONGER)
+            if damping > _STRONGEST:
+                break
+    raise NotObservable(
+        f'The least squares did not converge in {rounds} steps (the last would still move the '
+        f'outputs by {change / np.sqrt(len(left)):.2g} of their standard deviations): no '
+        'parameter can be stated. The data contradicts the model, or starts too far from it: '
+        'check scale factors and units of '
+        "the IMU's description, the attitudes of the plan and the axes, and look at the residuals "
+        "of a calibration by the plan's own method."
+    )
+
+
+def _step(jacobian: Floats, left: Floats, damping: float) -> Floats:
+    norms = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    columns = jacobian / scale
+    if damping:
+        n = len(scale)
+        columns = np.vstack([columns, np.sqrt(damping) * np.eye(n)])
+        left = np.concatenate([left, np.zeros(n)])
+    return np.asarray(np.linalg.lstsq(columns, left, rcond=None)[0] / scale)
+
+
+def _square(left: Floats) -> float:
+    return float(left @ left) if np.isfinite(left).all() else np.inf

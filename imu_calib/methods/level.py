@@ -1,0 +1,115 @@
+"""What a tilted table does to a closed form, which takes the table to be level.
+
+The accelerometers at rest show the tilt. What it does to a solver is what the solver makes of the
+outputs that its own solution predicts on the table so tilted, less what it makes of those on a
+level one: to twelve positions 1 - cos tilt in K_a, to others more (docs/mathematics.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..model import PARAMETERS, Triad
+from ..stream import Floats
+from ..units import ARCSEC
+from .evidence import UP, Evidence
+
+Accelerometers = Callable[[Evidence], Triad]
+"""How a closed form makes accelerometers of a session."""
+
+_SURE = 5.0
+_TELLING = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Tilt:
+    """The plumb line as the accelerometers at rest see it.
+
+    Attributes:
+        up: (3,) unit vector in the frame of the attitudes.
+        std: Standard deviation of its direction about either level axis, rad.
+
+    """
+
+    up: Floats
+    std: float
+
+    @property
+    def size(self) -> float:
+        """Angle to the vertical of the attitudes, rad."""
+        return float(np.hypot(self.up[0], self.up[1]))
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is more than the noise explains."""
+        return self.size > _SURE * self.std
+
+    def levelled(self, vector: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """Return a (3,) vector of the frame of the attitudes against the plumb line.
+
+        Args:
+            vector: (3,).
+            covariance: (3, 3) its covariance; that of the tilt comes on top.
+
+        """
+        axis = np.cross(self.up, UP)
+        cross = np.cross(np.eye(3), axis)
+        turned = np.eye(3) + cross + cross @ cross / (1 + float(self.up[2]))
+        leaning = np.cross(np.eye(3)[:2], vector) * self.std
+        return turned @ vector, turned @ covariance @ turned.T + leaning.T @ leaning
+
+
+def tilt_bias(evidence: Evidence, accel: Triad, solver: Accelerometers, tilt: Tilt) -> Floats:
+    """Return by how much a closed form errs for a tilt, (12,) in the order of the parameters."""
+
+    def solved(up: Floats) -> Floats:
+        forces = evidence.site.gravity * np.einsum('skj,k->sj', evidence.attitudes(), up)
+        outputs = forces @ accel.response.T + accel.bias
+        segments = tuple(
+            replace(s, statistics=replace(s.statistics, mean=np.append(s.statistics.mean[:3], y)))
+            for s, y in zip(evidence.segments, outputs, strict=True)
+        )
+        return solver(replace(evidence, segments=segments)).vector()
+
+    return solved(tilt.up) - solved(UP)
+
+
+def widened_for_tilt(
+    evidence: Evidence, accel: Triad, covariance: Floats, solver: Accelerometers, tilt: Tilt
+) -> tuple[Floats, list[str]]:
+    """Add what a tilt that shows does to the accelerometers' parameters, and name it.
+
+    It is not corrected for: of six positions the tilt about one axis shows and that about the
+    other does not, and a result half corrected would not be that of the published formula.
+
+    Args:
+        evidence: The session.
+        accel: What the closed form found.
+        covariance: (n, n) of all parameters.
+        solver: The closed form.
+        tilt: Of the table.
+
+    Returns:
+        The covariance, and a sentence or none.
+
+    """
+    if not tilt.sure:
+        return covariance, []
+    own = slice(12, 24)
+    bias = tilt_bias(evidence, accel, solver, tilt)
+    std = np.sqrt(np.diag(covariance)[own])
+    ratio = np.divide(np.abs(bias), std, out=np.zeros(12), where=std > 0)
+    worst = int(np.argmax(ratio))
+    if ratio[worst] < _TELLING:
+        return covariance, []
+    widened = covariance.copy()
+    widened[own, own] += np.outer(bias, bias)
+    return widened, [
+        f'The table is tilted by {tilt.size / ARCSEC:.0f} arcsec, which this closed form takes to '
+        f'be level: {PARAMETERS[12 + worst].name} errs by {ratio[worst]:.1f} of its standard '
+        'deviations, and those of the accelerometers are widened by what the tilt does. Level '
+        'the table, or take the joint estimate, which knows the tilt.'
+    ]

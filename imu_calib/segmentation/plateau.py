@@ -1,0 +1,337 @@
+"""Encoder angles of a motion -> where the table turned at one rate, and the whole turns there.
+
+A trapezoid may spend more time on its ramps than at its rate, and a ramp may be as slow as it
+likes: no threshold on the change of the rate tells the two apart. What does is the shape. Over
+half a turn the angle of a ramp is a parabola, that of a plateau a line, and how far the one is
+from the other is measured against the scatter about a cubic, to which a ramp adds nothing.
+
+The straightest half turn is the seed. Its line grows to both ends as long as the angles stay on
+it, so that it rests on all of them in the end (docs/mathematics.md, rate test).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.special import chdtrc
+
+from ..stream import Floats
+from ..units import DEG
+from .motion import Motion
+
+_TURN = 2 * np.pi
+_SEED = np.pi
+_SEEDS = 150
+_CELLS = 64
+_FEWEST = 6
+_DEGREE = 3
+_BENT = 5.0
+_BENT_AT_MOST = 1e-4
+_LEAVES = 6.0
+_ENCODER = 1e-3 * DEG
+_COARSEST = 0.02 * DEG
+_IN_TIME = 0.2
+_BLOCKS = 16
+_SIGNIFICANT = 1e-3
+_SAME_READING = 1e-9
+_NEAR = 20.0
+_SHARES = (1, 2, 3)
+_WHOLE = 0.1
+_SMOOTHED_SECONDS = 0.1
+_WELL_OFF = 8.0
+_ROUNDS = 60
+_SURE = 0.8
+_CLOCKS_APART = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Plateau:
+    """A part of a motion at constant rate, by a line through its encoder angles.
+
+    Attributes:
+        start: From which instant on all angles surely lie on the line, s.
+        end: Until which, s.
+        rate: Slope of the line, rad/s, signed.
+        rate_std: Its standard deviation, rad/s.
+        before: How long before `start` the angles still show no departure, s.
+        after: How long after `end`, s.
+        unseen: Departure that they would not show there, rad.
+
+    """
+
+    start: float
+    end: float
+    rate: float
+    rate_std: float
+    before: float
+    after: float
+    unseen: float
+
+    @property
+    def turned(self) -> float:
+        """Angle turned while no departure from the line shows, rad, without sign."""
+        return abs(self.rate) * (self.end - self.start + self.before + self.after)
+
+
+@dataclass(frozen=True, eq=False)
+class WholeTurns:
+    """Whole turns at constant rate of one joint.
+
+    Attributes:
+        joint: Index of the joint.
+        start: Instant at which the turns begin on the line, ns (float: between samples).
+        seconds: Time that they take on the line, s, by the table's clock.
+        angle: Angle turned, rad: a whole number of turns, signed.
+        rate_error: Standard deviation of the mean rate over them, relative.
+        spare: How long before and after the turns the rate is surely the same, s: less than the
+            line shows, for the onset of ramps and for clocks that are yet to be compared.
+
+    """
+
+    joint: int
+    start: float
+    seconds: float
+    angle: float
+    rate_error: float
+    spare: float
+
+
+def find_turns(motion: Motion) -> list[WholeTurns]:
+    """Find the whole turns at constant rate in a motion, in order.
+
+    A line through all encoder angles at that rate places the cuts: with 0.5 ms of stamp jitter
+    single crossings would cost 52 ppm, the line 8 (methods.md, section 2).
+    """
+    if not len(motion.stamp):
+        return []
+    joint = _turning(motion)
+    found = [_whole_turns(p, joint, float(motion.stamp[0])) for p in find_plateaus(motion)]
+    return [turns for turns in found if turns is not None]
+
+
+def why_none(motion: Motion) -> str:
+    """Say why a motion holds no whole turn at constant rate."""
+    plateaus = find_plateaus(motion)
+    if not plateaus:
+        return 'the joint states show no constant rate'
+    longest = max(plateaus, key=lambda p: p.turned)
+    return (
+        f'the joint states show {abs(longest.rate) / DEG:.4g} deg/s for '
+        f'{longest.turned / DEG:.0f} deg, less than a whole turn: ramps take the rest (more '
+        'turns, a slower rate or faster ramps leave one)'
+    )
+
+
+def find_plateaus(motion: Motion) -> list[Plateau]:
+    """Find where the joint that turns most did so at constant rate, half a turn or more each."""
+    time = (motion.stamp - motion.stamp[0]) * 1e-9
+    angle = motion.position[:, _turning(motion)]
+    found: list[tuple[int, Plateau]] = []
+    taken = np.zeros(len(time), dtype=bool)
+    for seed in _seeds(time, angle):
+        if not taken[slice(*seed)].any():
+            first, last, plateau = _grown(time, angle, *seed)
+            taken[first:last] = True
+            found.append((first, plateau))
+    return [plateau for _, plateau in sorted(found, key=lambda f: f[0])]
+
+
+def _turning(motion: Motion) -> int:
+    return int(np.argmax(np.ptp(motion.position, axis=0)))
+
+
+def _seeds(time: Floats, angle: Floats) -> list[tuple[int, int]]:
+    """List half turns that are straight, as index ranges, the straightest first.
+
+    Where the joint states come so slowly that half a turn has too few of them, it is more.
+    """
+    found: list[tuple[float, int, int]] = []
+    for first in np.unique(np.linspace(0, len(time) - 1, _SEEDS).astype(int)).tolist():
+        far = np.abs(angle[first:] - angle[first]) >= _SEED
+        half_turn = int(np.argmax(far))
+        last = first + max(half_turn, _FEWEST)
+        if not far[half_turn] or last > len(time):
+            break
+        bend, limit = _bend(time[first:last], angle[first:last])
+        if bend < limit:
+            found.append((bend, first, last))
+    return [(first, last) for _, first, last in sorted(found)]
+
+
+def _bend(time: Floats, angle: Floats) -> tuple[float, float]:
+    """Return how far angles are from a line, rad, and how far those of a plateau may seem to be.
+
+    The square and the cubic part of a fit by Legendre's polynomials, against what the scatter
+    about that fit makes of them. No ramp bends half a turn by less than a ten-thousandth: at
+    90 deg/s that is 0.05 deg/s^2.
+    """
+    edges = np.unique(np.linspace(0, len(time), min(len(time), _CELLS) + 1).astype(int))
+    count = np.diff(edges)
+    x, y = (np.add.reduceat(v, edges[:-1]) / count for v in (time, angle))
+    x = (2 * x - x[0] - x[-1]) / (x[-1] - x[0])
+    design = legendre.legvander(x, _DEGREE)
+    basis, triangle = np.linalg.qr(design)
+    inverse = np.linalg.inv(triangle) @ basis.T
+    parts = inverse @ y
+    left = y - design @ parts
+    scatter = float(np.sqrt(left @ left / max(1, len(x) - _DEGREE - 1)))
+    bend = float(np.hypot(*parts[2:]))
+    return bend, _BENT * scatter * float(np.linalg.norm(inverse[2:])) + _BENT_AT_MOST * _SEED
+
+
+def _grown(time: Floats, angle: Floats, first: int, last: int) -> tuple[int, int, Plateau]:
+    """Let the line of a seed grow to where the angles leave it; return its range and the whole."""
+    step = _step(angle)
+    for _ in range(_ROUNDS):
+        line = _Line.through(time[first:last], angle[first:last], step)
+        reach = (last - first) // 2
+        a, b = max(0, first - reach), min(len(time), last + reach)
+        off = a + np.flatnonzero(line.departure(time[a:b], angle[a:b]) > 1)
+        middle = (first + last) // 2
+        grown = (
+            int(off[off < middle].max(initial=a - 1)) + 1,
+            int(off[off >= middle].min(initial=b)),
+        )
+        if grown == (first, last) or grown[1] - grown[0] < _FEWEST:
+            break
+        first, last = grown
+    return first, last, _trimmed(line, time, angle, first, last)
+
+
+def _step(angle: Floats) -> float:
+    """Return the step of the encoder, rad, of which close readings differ by multiples; else 0."""
+    apart = np.diff(np.sort(angle))
+    apart = apart[apart > _SAME_READING]
+    least = float(apart.min(initial=_COARSEST))
+    near = apart[apart < _NEAR * least]
+    if least >= _COARSEST or len(near) < _FEWEST:
+        return 0.0
+    for share in _SHARES:
+        steps = near * share / least
+        if np.all(np.abs(steps - np.rint(steps)) < _WHOLE):
+            return least / share
+    return 0.0
+
+
+def _trimmed(line: _Line, time: Floats, angle: Floats, first: int, last: int) -> Plateau:
+    """Take from both ends what may belong to a ramp already, and fit the line to the rest.
+
+    The departure of a ramp grows with the square of time: from where it is `_WELL_OFF` times as
+    large as where it shows, it is at least as far back to there as from there to its beginning.
+    The same holds of ramps whose acceleration sets in by and by, where it grows with the cube.
+    """
+    well_off = np.flatnonzero(line.departure(time, angle) > _WELL_OFF)
+    begin, end = float(time[first]), float(time[last - 1])
+    outside = well_off[well_off < first], well_off[well_off >= last]
+    before = begin - float(time[outside[0][-1] if len(outside[0]) else 0])
+    after = float(time[outside[1][0] if len(outside[1]) else len(time) - 1]) - end
+    before, after = min(before, (end - begin) / 4), min(after, (end - begin) / 4)
+    sure = (time >= begin + before) & (time <= end - after)
+    fitted = _Line.through(time[sure], angle[sure], line.step)
+    unseen = float(line.limit(np.array([begin, end])).max())
+    return Plateau(
+        begin + before, end - after, fitted.slope, fitted.slope_std, before, after, unseen
+    )
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line by least squares.
+
+    Attributes:
+        count: Of the angles that it rests on.
+        time: Their mean, s.
+        spread: Sum of the squares of their distances from it, s^2.
+        angle: At that time, rad.
+        slope: rad/s.
+        slope_std: Its standard deviation, rad/s.
+        step: Of the encoder, rad, as far as it is known.
+        noise: Scatter of the angles about it, rad.
+        smoothed: Over how many angles a departure is averaged: no more than make the noise small.
+
+    """
+
+    count: int
+    time: float
+    spread: float
+    angle: float
+    slope: float
+    slope_std: float
+    step: float
+    noise: float
+    smoothed: int
+
+    @classmethod
+    def through(cls, time: Floats, angle: Floats, step: float) -> _Line:
+        """Fit (n,) angles, rad, at (n,) times, s.
+
+        What scatters in common for a while (an encoder's error that repeats with the turn) does
+        not average like noise: the means of blocks scatter by more, and the slope is then as
+        uncertain as they are. Where samples come in time with the steps of the encoder, its
+        error hardly scatters at all: a step over the whole line is then what the slope may err by.
+        """
+        n, middle, mean = len(time), float(time.mean()), float(angle.mean())
+        centred = time - middle
+        spread = float(centred @ centred)
+        slope = float(centred @ (angle - mean)) / spread
+        left = angle - mean - slope * centred
+        noise = float(np.sqrt(left @ left / max(1, n - 2)))
+        within = _SMOOTHED_SECONDS * (n - 1) / float(time[-1] - time[0])
+        departure = max(step, _ENCODER)
+        smoothed = int(np.clip((_LEAVES * noise / departure) ** 2, 1, max(1.0, within)))
+        slope_std = float(np.sqrt(_variance(left, noise**2) / spread))
+        if noise < _IN_TIME * step:
+            slope_std = max(slope_std, step / float(np.ptp(time)))
+        return cls(n, middle, spread, mean, slope, slope_std, step, noise, smoothed)
+
+    def limit(self, time: Floats) -> Floats:
+        """Return how far off the line the mean of some angles may lie by chance, (n,) rad."""
+        own = 1 / self.smoothed + 1 / self.count + (time - self.time) ** 2 / self.spread
+        return np.asarray(_LEAVES * self.noise * np.sqrt(own) + max(self.step, _ENCODER))
+
+    def departure(self, time: Floats, angle: Floats) -> Floats:
+        """Return how far off the line (n,) angles lie, in units of `limit`."""
+        left = angle - self.angle - self.slope * (time - self.time)
+        if self.smoothed > 1:
+            window = np.ones(self.smoothed)
+            around = np.convolve(np.ones(len(left)), window, mode='same')
+            left = np.convolve(left, window, mode='same') / around
+        return np.asarray(np.abs(left) / self.limit(time))
+
+
+def _variance(left: Floats, white: float) -> float:
+    """Return the variance by which angles count: that of noise, unless their blocks show more."""
+    length = len(left) // _BLOCKS
+    if length < 2 or not white:
+        return white
+    means = left[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
+    freedom = _BLOCKS - 2
+    ratio = length * float(means @ means) / freedom / white
+    return white * ratio if chdtrc(freedom, freedom * ratio) < _SIGNIFICANT else white
+
+
+def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | None:
+    """Cut whole turns out of the middle of a plateau; None where it holds none.
+
+    A turn that fits only where a departure would not show counts by what may be hidden there.
+    """
+    sure = plateau.end - plateau.start
+    rate = abs(plateau.rate)
+    count = np.floor(rate * sure / _TURN) or np.floor(plateau.turned / _TURN)
+    if count < 1:
+        return None
+    seconds = float(count * _TURN / rate)
+    begin, hidden = plateau.start + (sure - seconds) / 2, 0.0
+    if seconds > sure:
+        share = (seconds - sure) / (plateau.before + plateau.after)
+        begin, hidden = plateau.start - share * plateau.before, 2 * plateau.unseen * share**2
+    return WholeTurns(
+        joint,
+        origin + begin * 1e9,
+        seconds,
+        float(np.copysign(count * _TURN, plateau.rate)),
+        float(np.hypot(plateau.rate_std / rate, hidden / (count * _TURN))),
+        max(0.0, _SURE * (sure - seconds) / 2 - _CLOCKS_APART),
+    )

@@ -1,0 +1,55 @@
+"""The iteration behind joint and free estimates: it converges, or it says that it does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_information import evidence_of
+
+from imu_calib.errors import NotObservable
+from imu_calib.methods import fit, joint
+from imu_calib.methods.converge import least_squares
+from imu_calib.stream import Floats
+
+
+def solved(system: object, start: float, rounds: int = 30) -> float:
+    found = least_squares(np.array([start]), system, np.add, rounds)  # type: ignore[arg-type]
+    return float(found[0])
+
+
+def arctangent(state: Floats) -> tuple[Floats, Floats]:
+    """Outputs of zero, predicted 100 arctan(x): beyond |x| = 1.39 plain steps fly apart."""
+    return np.array([[100 / (1 + state[0] ** 2)]]), -100 * np.arctan(state)
+
+
+def without_an_answer(state: Floats) -> tuple[Floats, Floats]:
+    """Outputs of -1000, predicted 1000 x^2: each step overshoots, for ever."""
+    return np.array([[2000 * state[0]]]), -1000 * (1 + state**2)
+
+
+def slow(state: Floats) -> tuple[Floats, Floats]:
+    """Predicted x^2 for outputs of zero: each step halves what is left, 26 of them are needed."""
+    return np.array([[2 * state[0]]]), -(state**2)
+
+
+def test_a_step_that_leads_uphill_is_damped() -> None:
+    assert solved(arctangent, 3.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_converges_slowly_is_an_answer() -> None:
+    assert solved(slow, 1000.0) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_what_does_not_converge_is_no_answer() -> None:
+    with pytest.raises(NotObservable, match=r'did not converge in 30 steps.*check scale factors'):
+        solved(without_an_answer, 3.0)
+
+
+def test_the_joint_estimate_refuses_what_it_has_not_finished(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    evidence = evidence_of(azimuth=1.0, noise=np.random.default_rng(1))
+    joint.solve(evidence)
+    monkeypatch.setattr(fit, '_ITERATIONS', 1)
+    with pytest.raises(NotObservable, match='did not converge in 1 steps'):
+        joint.solve(evidence)
