@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from .earth import Site
+from collections.abc import Mapping
+from dataclasses import replace
+
+from .earth import MEASURED, NORMAL_GRAVITY, Site
+from .errors import InputError
 from .share import named_file
 from .units import DEG
 
@@ -23,9 +27,42 @@ def describe(plan: str, imu: str, table: str | None, site: Site) -> dict[str, st
     files = {'plan': named_file('plans', plan), 'imu': named_file('imus', imu)}
     if table is not None:
         files['table'] = named_file('tables', table)
-    return {
+    described = {
         **{f'imu_calib.{what}': path.read_text(encoding='utf-8') for what, path in files.items()},
         'imu_calib.latitude_deg': repr(site.latitude / DEG),
         'imu_calib.gravity': repr(site.gravity),
         'imu_calib.gravity_source': site.gravity_source,
+        'imu_calib.gravity_std': repr(site.gravity_std),
     }
+    if site.height is not None:
+        described['imu_calib.height'] = repr(site.height)
+    return described
+
+
+def described_site(data: Mapping[str, str], where: str) -> Site:
+    """Return the site that a recording tells of.
+
+    Args:
+        data: The recording's entries, as `describe` makes them.
+        where: The recording, for messages.
+
+    Raises:
+        InputError: It tells of none, or of a broken one.
+
+    """
+    if 'imu_calib.latitude_deg' not in data:
+        raise InputError(f'{where} does not say where it was taken: give --latitude.')
+    try:
+        latitude = float(data['imu_calib.latitude_deg']) * DEG
+        gravity = float(data['imu_calib.gravity'])
+        stated = data.get('imu_calib.gravity_std')
+        std = None if stated is None else float(stated)
+        height = float(data['imu_calib.height']) if 'imu_calib.height' in data else None
+    except (KeyError, ValueError):
+        raise InputError(f'{where}: what it says of its site is broken; give --latitude.') from None
+    source = data.get('imu_calib.gravity_source', MEASURED)
+    if std is None and source == NORMAL_GRAVITY:
+        # Recorded before heights were: what normal gravity means where nobody states one.
+        std = Site.at(latitude, height).gravity_std
+    site = Site.at(latitude, height, gravity, gravity_std=std)
+    return replace(site, gravity_source=source)

@@ -13,7 +13,6 @@ from rich.table import Table as Rows
 
 from ..calibration import Calibration
 from ..calibrator import Setup
-from ..earth import Site
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import METHODS, method
@@ -102,8 +101,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _study(arguments: argparse.Namespace) -> Study:
-    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
-    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    site = options.site_at(arguments, LUOYANG)
     table = load_table(arguments.table)
     azimuth = table.azimuth if arguments.azimuth is None else arguments.azimuth * DEG
     table = replace(table, azimuth=azimuth)

@@ -10,7 +10,6 @@ from rich.table import Table as Rows
 
 from ..calibration import Calibration
 from ..calibrator import Setup
-from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
 from ..methods import METHODS, check_plan, closed_form_beside, free
@@ -103,15 +102,14 @@ def run(arguments: argparse.Namespace) -> None:
 def _predict(arguments: argparse.Namespace, table: Table) -> None:
     if arguments.azimuth is not None:
         table = replace(table, azimuth=arguments.azimuth * DEG)
-    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
-    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    site = options.site_at(arguments, LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     truth = Calibration.load(named_file('truths', arguments.truth)).model
     setup = Setup(imu, plan, None if plan.by_hand else table, site, arguments.method)
     check_plan(setup.method_name, plan, site)
     OUTPUT.print(f'{plan.title} ({plan.source})')
     where = 'by hand' if plan.by_hand else f'on table {table.name}'
-    OUTPUT.print(f'{where} with IMU {imu.id}, latitude {latitude:.3f} deg\n')
+    OUTPUT.print(f'{where} with IMU {imu.id}, latitude {site.latitude / DEG:.3f} deg\n')
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
-from ..earth import Site
 from ..imu import load_imu
 from ..methods import check_plan
 from ..plan import load_plan
@@ -65,8 +64,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> None:
     """Simulate and write."""
-    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
-    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    site = options.site_at(arguments, LUOYANG)
     table = load_table(arguments.table)
     imu = load_imu(arguments.imu)
     truth = options.load_truth(arguments.truth, imu)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..calibrator import Setup
 from ..errors import NotObservable
+from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free, method, skewed
 from ..methods.equations import G_SENSITIVITIES, SENSORS, Equations
 from ..methods.evidence import Evidence
@@ -79,7 +80,7 @@ def forecast(
     """
     evidence = expected(setup, truth, azimuth)
     if setup.method_name == free.NAME:
-        return _in_the_hand(setup, truth, evidence)
+        return _with_gravity(_in_the_hand(setup, truth, evidence), truth)
     extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
     name = setup.method_name
     solver = method(name)
@@ -97,7 +98,19 @@ def forecast(
     if name in JOINT or not setup.plan.by_hand:
         best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
-    return Forecast(evidence, name, parameters, std, best, refusal)
+    return _with_gravity(Forecast(evidence, name, parameters, std, best, refusal), truth)
+
+
+def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:
+    """Return what the doubt of gravity has added to the variances of a forecast, (n,)."""
+    doubt = found.evidence.site.gravity_doubt
+    return np.asarray(np.diag(gravity_covariance(truth, found.parameters, doubt)))
+
+
+def _with_gravity(found: Forecast, truth: SensorModel) -> Forecast:
+    """Allow for the doubt of gravity, as every calibration does."""
+    share = gravity_variances(found, truth)
+    return replace(found, std=np.sqrt(found.std**2 + share), best=np.sqrt(found.best**2 + share))
 
 
 def check_session(setup: Setup) -> None:
