@@ -21,6 +21,7 @@ from .model import (
     Triad,
     extended_parameters,
 )
+from .plausibility import check_plausible
 from .stream import Floats, Units
 
 _FORMAT = 1
@@ -52,6 +53,7 @@ class Calibration:
         residuals: One per stretch at rest.
         findings: What a person should know, in sentences.
         provenance: Where it comes from: recording, hash, plan, method, site, versions.
+        serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
 
     """
 
@@ -61,6 +63,7 @@ class Calibration:
     residuals: tuple[ResidualRow, ...] = ()
     findings: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
+    serial_number: str = ''
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -105,6 +108,7 @@ class Calibration:
         document = {
             'format': _FORMAT,
             'imu': self.imu.id,
+            'serial_number': self.serial_number,
             'units': self.imu.units.value,
             'gyro': self._gyro_document(std.gyro),
             'accelerometer': (
@@ -202,7 +206,7 @@ class Calibration:
         """Read a calibration from its YAML mapping.
 
         Raises:
-            InputError: No calibration.
+            InputError: No calibration, or one that no strapdown IMU has.
 
         """
         version = section.number('format')
@@ -229,7 +233,12 @@ class Calibration:
         provenance = section.raw('provenance') if section.has('provenance') else {}
         if not isinstance(findings, list) or not isinstance(provenance, dict):
             raise InputError(f'{section.where}: findings must be a list, provenance a mapping.')
-        return cls(spec, model, covariance, residuals, tuple(findings), provenance)
+        serial_number = section.text('serial_number', '')
+        calibration = cls(
+            spec, model, covariance, residuals, tuple(findings), provenance, serial_number
+        )
+        check_plausible(calibration, section.where)
+        return calibration
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -45,6 +45,7 @@ class Setup:
         site: Gravity and Earth rate.
         method: Name of the solver; None takes the joint estimate where it applies, else the plan's
             own method.
+        serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
 
     """
 
@@ -53,6 +54,7 @@ class Setup:
     table: Table | None
     site: Site
     method: str | None = None
+    serial_number: str = ''
 
     @property
     def method_name(self) -> str:
@@ -121,12 +123,7 @@ class Calibrator:
         self._segmenter = Segmenter(setup.imu, setup.table)
 
     def feed(self, block: Block) -> None:
-        """Take a block of any topic in.
-
-        Raises:
-            InputError: Joint states of another table.
-
-        """
+        """Take a block of any topic in."""
         self._segmenter.feed(block)
 
     def finish(self) -> Result:
@@ -137,7 +134,10 @@ class Calibrator:
             NotObservable: The data cannot give all parameters; says which and why.
 
         """
-        return self._solve(self._segmenter.finish())
+        session = self._segmenter.finish()
+        if session.strangers:
+            raise InputError(session.strangers)
+        return self._solve(session)
 
     def snapshot(self) -> Calibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself.
@@ -257,6 +257,7 @@ class Calibrator:
             ),
             findings,
             _provenance(setup, evidence, session, solution, comparison),
+            setup.serial_number,
         )
         calibration = with_gravity(calibration, setup.site)
         return Result(calibration, solution, session, labelled, comparison)

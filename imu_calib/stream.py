@@ -77,6 +77,18 @@ class JointBlock:
     def __len__(self) -> int:
         return len(self.stamp)
 
+    def of(self, names: tuple[str, ...]) -> JointBlock | None:
+        """Return the joints of a table in its order, whatever else the messages name.
+
+        None where a joint is missing or named twice: the attitude of the table is then unknown.
+        """
+        if names == self.names:
+            return self
+        if any(self.names.count(name) != 1 for name in names):
+            return None
+        columns = [self.names.index(name) for name in names]
+        return JointBlock(self.stamp, names, self.position[:, columns], self.velocity[:, columns])
+
 
 @dataclass(frozen=True)
 class Setpoint:

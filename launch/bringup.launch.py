@@ -20,8 +20,8 @@ SHARE = Path(get_package_share_directory('imu_calib'))
 _AGAIN = 1.0
 ARGUMENTS = {
     'calibrations': ('', 'Folder of calibration files, one per unit: SERIAL.yaml.'),
-    'serial': ('', 'Serial number of the unit: which file of that folder.'),
-    'calibration': ('', 'File instead of these two; neither: the topic calibration alone.'),
+    'serial': ('', 'Serial number of the unit; calibrations of other units are refused.'),
+    'calibration': ('', 'File instead of that folder; neither: the topic calibration.'),
     'port': ('', 'Of the IMU; empty: another driver publishes imu_topic.'),
     'device': ('', "Name or file of the frames' format; needed with a port."),
     'imu': ('', 'Name or file: what its numbers mean; needed with a port.'),
@@ -59,7 +59,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(context: LaunchContext) -> list:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    compensator = {'calibration': str(_calibration(given))}
+    compensator = {'calibration': str(_calibration(given)), 'serial_number': given['serial']}
     nodes = []
     if given['port']:
         missing = [name for name in ('device', 'imu') if not given[name]]
@@ -77,17 +77,17 @@ def _nodes(context: LaunchContext) -> list:
 
 def _calibration(given: dict[str, str]) -> Path | str:
     """Return the file of the unit, which must be there; nothing where none is named."""
-    if given['calibration'] and (given['calibrations'] or given['serial']):
+    if given['calibration'] and given['calibrations']:
         raise BringupError('Give either calibration, or calibrations and serial.')
     if given['calibration']:
         file = Path(given['calibration']).expanduser()
         if not file.is_file():
             raise BringupError(f'calibration: there is no file {file}.')
         return file
-    if not (given['calibrations'] or given['serial']):
+    if not given['calibrations']:
         return ''
-    if not (given['calibrations'] and given['serial']):
-        raise BringupError('calibrations (a folder) and serial (of the unit) go together.')
+    if not given['serial']:
+        raise BringupError('calibrations (a folder) needs serial (which unit of it).')
     folder = Path(given['calibrations']).expanduser()
     file = folder / f'{given["serial"]}.yaml'
     if not file.is_file():

@@ -163,7 +163,8 @@ def middle_of_7() -> int:
 def write(path: Path, columns: Columns, data: Mapping[str, str] = DATA) -> Path:
     """Record columns, all topics in step, in chunks of two seconds or so."""
     with RecordingWriter(path, data, chunk_bytes=1 << 16) as writer:
-        rows = [(topic, *serialised(block)) for topic, block in columns.items()]
+        # A plus behind a topic: a second publisher on it.
+        rows = [(topic.rstrip('+'), *serialised(block)) for topic, block in columns.items()]
         # Received when they were made, whatever their stamps have become.
         made = {t: serialised(b)[2] for t, b in good().columns.items()}
         rows = [
@@ -646,8 +647,42 @@ def test_a_broken_plan(
 
 @pytest.mark.parametrize('table', ['one_axis', 'two_axis'])
 def test_another_table(cli: CommandLine, recorded: Path, table: str) -> None:
-    sentence = f'joint states name outer, middle, inner; table {table} has outer'
-    cli.refuses(2, sentence, recorded, '--table', table)
+    # Its joints are among those of the recording; the motions of the others contradict it.
+    sentence = rf'further joints \(.*middle\), which are not of table {table}: they are ignored'
+    cli.refuses(1, sentence, recorded, '--table', table)
+
+
+def others(columns: Columns, names: tuple[str, ...], every: int = 50) -> Columns:
+    """Put joint states of something else between those of the table."""
+    joints = columns[JOINTS]
+    assert isinstance(joints, JointBlock)
+    stamp = joints.stamp[::every] + 1_000_000
+    nonsense = np.full((len(stamp), len(names)), 7.0)
+    return {**columns, f'{JOINTS}+': JointBlock(stamp, names, nonsense, nonsense)}
+
+
+@pytest.mark.parametrize('names', [('outer', 'middle'), ('wheel', 'gripper'), ('outer',) * 3])
+def test_joint_states_of_others_on_the_tables_topic(
+    cli: CommandLine, recorded: Path, names: tuple[str, ...]
+) -> None:
+    sentence = rf'\d+ joint states left out: they name {", ".join(names)}, not all joints of table'
+    found = cli.uses_the_rest(sentence, others(good().columns, names))
+    assert cli.calibrate(recorded)[0] == 0
+    assert found.values.tobytes() == Calibration.load(cli.output).values.tobytes()
+
+
+def test_further_joints_in_another_order(cli: CommandLine, recorded: Path) -> None:
+    joints = good().columns[JOINTS]
+    assert isinstance(joints, JointBlock)
+    names = ('gripper', *reversed(joints.names))
+    columns = [
+        np.column_stack([np.full(len(joints), 3.0), part[:, ::-1]])
+        for part in (joints.position, joints.velocity)
+    ]
+    mixed = {**good().columns, JOINTS: JointBlock(joints.stamp, names, *columns)}
+    found = cli.uses_the_rest(r'name further joints \(gripper\)', mixed)
+    assert cli.calibrate(recorded)[0] == 0
+    assert found.values.tobytes() == Calibration.load(cli.output).values.tobytes()
 
 
 def test_a_table_with_other_names(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:

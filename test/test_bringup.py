@@ -58,7 +58,7 @@ def test_a_port_brings_the_imu_node(folder):
     ('arguments', 'sentence'),
     [
         ({'serial': 'C3'}, 'serial number C3: expected the file .*C3.yaml.* there are: A1, B2'),
-        ({'serial': ''}, 'go together'),
+        ({'serial': ''}, 'needs serial'),
         ({'serial': 'A1', 'calibration': 'x.yaml'}, 'either calibration'),
         ({'serial': 'A1', 'port': '/dev/null'}, 'give device and imu too'),
     ],

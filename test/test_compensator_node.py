@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -66,7 +67,7 @@ class Bench:
         assert self.until(
             lambda: (
                 self.temperatures.get_subscription_count()
-                and self.calibrations.get_subscription_count()
+                and self.calibrations.get_subscription_count() == self.node._follows
                 and self.peer.count_subscribers('imu/pulses')
                 and self.peer.count_publishers('imu/data_raw')
             )
@@ -189,6 +190,72 @@ def test_a_calibration_comes_by_topic_if_it_is_good_and_of_this_unit(monkeypatch
         assert bench.said('calibration', '/calibration is applied')
 
 
+def test_a_file_is_not_replaced_by_a_message_unless_asked_for(monkeypatch, file):
+    for follow in (False, True):
+        with Bench(monkeypatch, calibration=file, follow_topic=str(follow).lower()) as bench:
+            now = bench.peer.get_clock().now().to_msg()
+            bench.calibrations.publish(valid(now))
+            # Samples that went through after it: by then it was heard, if ever.
+            bench.send(encode_imu(block(200)).payloads())
+            assert bench.until(lambda: len(bench.payloads) == 200)
+            source = '/calibration' if follow else 'unit.yaml'
+            assert bench.until(lambda: bench.said('calibration', f'{source} is applied'))  # noqa: B023
+            assert bench.peer.count_subscribers('calibration') == follow
+
+
+def valid(now, **fields):
+    message = calibration_message(result(), M.ImuCalibration.VALID, 'imu_link', now)
+    for name, value in fields.items():
+        setattr(message, name, value)
+    return message
+
+
+@pytest.mark.parametrize(
+    ('fields', 'words'),
+    [
+        ({'k_az': 3.0}, 'accelerometer Z answers 4 times its nominal'),
+        ({'k_gx': -0.6}, 'gyro X answers 0.4'),
+        ({'e_gxy': 0.7}, 'input axis of gyro X lies 35 deg off'),
+        ({'d_gy': 2.0}, 'gyro bias: found 2 rad/s'),
+        ({'d_ax': 20.0}, 'accelerometer bias: found 20 m/s^2'),
+        ({'gyro_scale_factor': 0.0}, 'gyro scale_factor: found 0.0'),
+        ({'serial_number': ''}, 'serial_number: found none, expected A1'),
+        ({'serial_number': 'B2'}, 'serial_number: found B2, expected A1'),
+    ],
+)
+def test_a_strangers_calibration_is_refused_however_valid_it_calls_itself(
+    monkeypatch, fields, words
+):
+    with Bench(monkeypatch, serial_number='A1') as bench:
+        now = bench.peer.get_clock().now().to_msg()
+        bench.calibrations.publish(valid(now, **{'serial_number': 'A1', **fields}))
+        assert bench.until(lambda: bench.said('calibration offered', words))
+        assert bench.said('calibration', 'No calibration')
+        bench.calibrations.publish(valid(now, serial_number='A1'))
+        assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
+
+
+def test_the_unit_in_use_keeps_its_serial_number(monkeypatch):
+    with Bench(monkeypatch) as bench:
+        now = bench.peer.get_clock().now().to_msg()
+        bench.calibrations.publish(valid(now, serial_number='0042'))
+        assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
+        figures = {v.key: v.value for v in bench.words['calibration'].values}
+        assert figures['serial_number'] == '0042'
+        for other in ('', '0043'):
+            bench.calibrations.publish(valid(now, serial_number=other))
+            words = f'serial_number: found {other or "none"}, expected 0042'
+            assert bench.until(lambda: bench.said('calibration offered', words))  # noqa: B023
+
+
+def test_a_file_of_another_unit_is_refused(monkeypatch, tmp_path):
+    file = tmp_path / 'unit.yaml'
+    replace(truth(), serial_number='B2').save(file)
+    with Bench(monkeypatch, calibration=file, serial_number='A1') as bench:
+        assert bench.until(lambda: bench.said('calibration offered', 'found B2, expected A1'))
+        assert bench.said('calibration', 'No calibration')
+
+
 def test_a_message_holds_what_the_file_holds():
     calibration = result()
     message = calibration_message(
@@ -199,6 +266,7 @@ def test_a_message_holds_what_the_file_holds():
     assert np.array_equal(again.covariance, calibration.covariance)
     assert again.imu.gyro.scale_factor == calibration.imu.gyro.scale_factor
     assert again.imu.accel.range == calibration.imu.accel.range
+    assert again.serial_number == calibration.serial_number == ''
     for key in ('random_walk', 'highest_rate', 'temperature'):
         assert again.provenance[key] == calibration.provenance[key]
     message.parameter_names = list(message.parameter_names)[1:]

@@ -363,19 +363,43 @@ def test_without_joint_states_the_table_is_held_and_a_start_is_refused():
     recovers(stand)
 
 
-@pytest.mark.parametrize(
-    ('wrong', 'words'),
-    [('name', 'The joint states name outer, middle, tilt'), ('nan', 'nan as the angle of joint')],
-)
-def test_joint_states_that_say_nothing_of_the_table_stop_it(wrong, words):
+def test_joint_states_that_are_no_numbers_stop_the_table():
     stand = moving(Stand())
-    if wrong == 'name':
-        stand.names = ('outer', 'middle', 'tilt')
-    else:
-        stand.plant = lambda time, angles, rates: (angles * np.nan, rates)
-    pauses(stand, words)
-    stand.names = TABLE.names
+    stand.plant = lambda time, angles, rates: (angles * np.nan, rates)
+    pauses(stand, 'nan as the angle of joint')
     recovers(stand)
+
+
+@pytest.mark.parametrize('names', [('outer', 'middle'), ('wheel',), (), ('outer', 'outer', 'x')])
+def test_joint_states_of_others_change_nothing_and_are_counted(names):
+    stand = Stand().started()
+    stranger = JointBlock(
+        np.array([EPOCH + 10**12]),
+        names,
+        np.full((1, len(names)), 99.0),
+        np.zeros((1, len(names))),
+    )
+    stand.run(lambda state: stand.sequencer.take(stranger) or state.phase is Phase.DONE)
+    count, latest = stand.sequencer.ignored
+    assert count > 100
+    assert latest == names
+
+
+def test_no_plan_starts_while_the_calibrator_cannot_go_on():
+    stand = supervised()
+    stand.tick()
+    stand.sequencer.hear('The calibrator cannot go on: the disk is full.', fatal=True)
+    with pytest.raises(InputError, match='the disk is full'):
+        stand.sequencer.start()
+    # One that has finished stops nothing, and takes no new plan either.
+    stand.sequencer.hear('', fatal=False)
+    stand.started()
+    stand.phase(Phase.MOVING)
+    stand.sequencer.hear('It has finished.', fatal=False)
+    assert stand.tick().phase is Phase.MOVING
+    stand.sequencer.hear('It has failed.', fatal=True)
+    assert stand.tick().reason == 'It has failed.'
+    assert stand.stands()
 
 
 def test_stamps_that_jump_back_stop_the_table():

@@ -45,6 +45,7 @@ class Journal:
         self.losses: list[str] = []
         self._topics = dict(topics)
         self._last: dict[str, int] = {}
+        self._newest = 0
         resumed = path.is_dir() and any(path.iterdir())
         # Opened before the writer adds its file, so that only what was left is read.
         self._former = _unfinished(path, description) if resumed else None
@@ -78,16 +79,18 @@ class Journal:
             topic: Full name.
             type_name: Message type.
             messages: Serialised messages, at least one.
-            now: When they came in, ns; no message is logged before its predecessor.
+            now: When they came in, ns; no message is logged before one that was written earlier,
+                even where the clock jumps back.
 
         Raises:
             InputError: The disk takes no more. The messages are held in memory, and the next
                 `flush` tries again.
 
         """
-        first = max(now, self._last.get(topic, 0) + 1)
+        first = max(now, self._newest, self._last.get(topic, 0) + 1)
         log_time = first + np.arange(len(messages), dtype=np.int64)
         self._last[topic] = int(log_time[-1])
+        self._newest = max(self._newest, first)
         self._writer.write(topic, type_name, messages, log_time)
 
     def add_latched_topic(self, topic: str, type_name: str) -> None:

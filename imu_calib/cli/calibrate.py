@@ -71,6 +71,7 @@ def open_offline(arguments: argparse.Namespace) -> Offline:
         table if streams.joints is not None else None,
         options.find_site(arguments, data, where),
         arguments.method,
+        options.find_serial(arguments, data, where),
     )
     return Offline(recording, setup, streams)
 

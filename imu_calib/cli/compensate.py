@@ -50,6 +50,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         '-o', '--output', required=True, metavar='DIR', help='recording to write (mcap)'
     )
     parser.add_argument('--imu', metavar='NAME|FILE', help="what the IMU's numbers mean")
+    options.add_serial_option(parser)
     parser.add_argument('--imu-topic', metavar='TOPIC', help='raw sensor_msgs/Imu topic')
     parser.add_argument(
         '--output-topic', metavar='TOPIC', help='default: imu/data_raw for imu/pulses'
@@ -160,12 +161,18 @@ def _check_unit(
     calibration: AnyCalibration, arguments: argparse.Namespace, recording: Recording
 ) -> None:
     """Hold the calibration against what is said of the IMU, if anything is."""
-    said = recording.custom_data.get('imu_calib.imu')
+    data, where = recording.custom_data, str(recording.path)
+    said = data.get('imu_calib.imu')
+    serial = options.find_serial(arguments, data, where)
     if arguments.imu is not None:
-        check_unit(calibration, arguments.calibration, load_imu(arguments.imu), arguments.imu)
+        imu, where = load_imu(arguments.imu), arguments.imu
     elif said is not None:
         where = f'{recording.path}: its IMU'
-        check_unit(calibration, arguments.calibration, read_imu(Section.parse(said, where)), where)
+        imu = read_imu(Section.parse(said, where))
+    else:
+        # Nobody says anything of the unit's type.
+        imu = first_of(calibration).imu
+    check_unit(calibration, arguments.calibration, imu, where, serial)
 
 
 def _topic(arguments: argparse.Namespace, recording: Recording) -> Topic:

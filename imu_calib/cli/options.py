@@ -16,7 +16,7 @@ from ..earth import HEIGHT_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
 from ..plan import Plan, load_plan, read_plan
-from ..session import described_site
+from ..session import SERIAL_NUMBER, described_site
 from ..share import named_file
 from ..turntable import Table, load_table, read_table
 from ..units import DEG
@@ -57,10 +57,20 @@ def add_site_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_serial_option(parser: argparse.ArgumentParser) -> None:
+    """Add --serial."""
+    parser.add_argument(
+        '--serial',
+        metavar='NUMBER',
+        help="serial number of the unit (default: the recording's, where it says)",
+    )
+
+
 def add_session_options(parser: argparse.ArgumentParser) -> None:
     """Add what says how a recording is to be read and solved."""
     add_recording_options(parser)
     add_method_option(parser)
+    add_serial_option(parser)
 
 
 def add_method_option(parser: argparse.ArgumentParser) -> None:
@@ -132,6 +142,22 @@ def find_imu(arguments: argparse.Namespace, data: Mapping[str, str], where: str)
         f"{where} does not say what the IMU's numbers mean: "
         f'give --imu ({_shipped("imus")}, or a file).'
     )
+
+
+def find_serial(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> str:
+    """Return the serial number of the command line or of the recording; empty without one.
+
+    Raises:
+        InputError: The two differ.
+
+    """
+    said = data.get(SERIAL_NUMBER, '')
+    given: str | None = arguments.serial
+    if given is not None and said and given != said:
+        raise InputError(
+            f'--serial: found {given}, but {where} is of the unit with serial number {said}.'
+        )
+    return given or said
 
 
 def find_table(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> Table:

@@ -58,6 +58,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         '--compression', choices=('', 'lz4', 'zstd'), default='', help='of the recording'
     )
+    options.add_serial_option(parser)
     options.add_site_options(parser)
     parser.set_defaults(run=run)
 
@@ -84,7 +85,7 @@ def run(arguments: argparse.Namespace) -> None:
         ),
         arguments.seed,
     )
-    data = describe(arguments.plan, arguments.imu, arguments.table, site)
+    data = describe(arguments.plan, arguments.imu, arguments.table, site, arguments.serial or '')
     target = Path(arguments.output)
     with (
         RecordingWriter(target, data, arguments.compression) as writer,

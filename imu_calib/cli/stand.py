@@ -46,6 +46,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
     )
     options.add_method_option(parser)
+    options.add_serial_option(parser)
     options.add_site_options(parser)
     real = parser.add_argument_group(
         'real hardware', 'The table is then led by setpoints in the ROS domain of the environment.'
@@ -185,6 +186,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             **doubts,
             'plan': arguments.plan,
             'method': arguments.method or '',
+            'serial_number': arguments.serial or '',
             'journal': str(folder / _JOURNAL),
             'output': str(folder / _RESULT),
         },

@@ -108,7 +108,12 @@ class ThermalCalibration:
     def to_yaml(self) -> str:
         """Return the file's text: the calibrations one below the other, each as in its own file."""
         documents = [yaml.safe_load(c.to_yaml()) for c in self.calibrations]
-        head: dict[str, Any] = {'format': _FORMAT, 'imu': self.calibrations[0].imu.id}
+        first = self.calibrations[0]
+        head: dict[str, Any] = {
+            'format': _FORMAT,
+            'imu': first.imu.id,
+            'serial_number': first.serial_number,
+        }
         head['order'] = 'lines' if self.order is None else self.order
         text = (
             '# Calibrations of one IMU at several temperatures, coldest first, SI units.\n'
@@ -200,6 +205,7 @@ def load_calibration(path: Path) -> AnyCalibration:
     if version != _FORMAT:
         raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
     section.text('imu')
+    section.text('serial_number', '')
     text = section.text('order', 'lines')
     if text != 'lines' and not text.isdigit():
         raise InputError(f"{section.key('order')}: found {text!r}, expected 'lines' or a number.")
@@ -237,29 +243,38 @@ def check_same_unit(
         InputError: Names the key, what was found and what was expected.
 
     """
-    check_unit(first_of(calibration), name, first_of(other).imu, other_name)
+    unit = first_of(other)
+    check_unit(calibration, name, unit.imu, other_name, unit.serial_number)
 
 
-def check_unit(calibration: AnyCalibration, name: str, imu: ImuSpec, where: str) -> None:
+def check_unit(
+    calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial_number: str = ''
+) -> None:
     """Refuse a calibration of another unit than an IMU's description.
+
+    Serial numbers are compared where both are stated.
 
     Args:
         calibration: Single or combined.
         name: Its file, for the message.
         imu: What is to be compensated.
         where: Who says so.
+        serial_number: Of the unit that is to be compensated; empty where it is not stated.
 
     Raises:
         InputError: Names the key, what was found and what was expected.
 
     """
-    own = first_of(calibration).imu
+    first = first_of(calibration)
+    own = first.imu
     compared: dict[str, tuple[str | float, str | float]] = {
         'imu': (own.id, imu.id),
         'units': (own.units.value, imu.units.value),
         'gyro: scale_factor': (own.gyro.scale_factor, imu.gyro.scale_factor),
         'accelerometer: scale_factor': (own.accel.scale_factor, imu.accel.scale_factor),
     }
+    if first.serial_number and serial_number:
+        compared['serial_number'] = (first.serial_number, serial_number)
     for key, (found, expected) in compared.items():
         if not _same(found, expected):
             raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')

@@ -75,6 +75,8 @@ class CalibratorNode(ros.Node):
         self._drains = {kind: self._open_drain(kind, reliable=True) for kind in self._kinds()}
         self._unreliable: set[Kind] = set()
         self._state_topic = self.resolve_topic_name('turntable/state')
+        self._early_states: list[bytes] = []
+        self._latest = 0
         self._seconds_left = math.nan
         if self._setup.table is not None:
             self.create_subscription(
@@ -115,6 +117,7 @@ class CalibratorNode(ros.Node):
             self, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
         )
         method = declare(self, 'method', '', 'the estimator; empty: joint where it applies')
+        serial = declare(self, 'serial_number', '', 'of the unit; empty: not stated')
         if math.isnan(latitude):
             raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
         site = Site.at(
@@ -126,13 +129,13 @@ class CalibratorNode(ros.Node):
         )
         laid_out = load_plan(plan)
         if laid_out.by_hand:
-            self._description = describe(plan, imu, None, site)
-            return Setup(load_imu(imu), laid_out, None, site, method or None)
+            self._description = describe(plan, imu, None, site, serial)
+            return Setup(load_imu(imu), laid_out, None, site, method or None, serial)
         described = load_table(table)
         if not math.isnan(azimuth):
             described = replace(described, azimuth=azimuth * DEG)
-        self._description = describe(plan, imu, table, site)
-        return Setup(load_imu(imu), laid_out, described, site, method or None)
+        self._description = describe(plan, imu, table, site, serial)
+        return Setup(load_imu(imu), laid_out, described, site, method or None, serial)
 
     def _kinds(self) -> list[Kind]:
         """List what there is to listen to: no table, no joint states; no skewed gyro, no topic."""
@@ -186,8 +189,33 @@ class CalibratorNode(ros.Node):
         if self._session.poll():
             self._publish()
 
+    def _read_clock(self) -> int:
+        """Return the time of the recording, ns; 0 before the first /clock of a simulated time."""
+        now = int(self.get_clock().now().nanoseconds)
+        if now < self._latest:
+            back = (self._latest - now) * 1e-9
+            self._diagnostics.report(
+                'time',
+                Level.WARN,
+                f'The clock jumped back by {back:.3g} s: the recording goes on with its last time.',
+            )
+        elif now == 0:
+            self._diagnostics.report(
+                'time', Level.WARN, 'Nothing has come on /clock yet: nothing is taken in.'
+            )
+        else:
+            self._diagnostics.report('time', Level.OK, 'The clock runs.')
+        self._latest = max(now, self._latest)
+        return self._latest
+
     def _take_all(self) -> None:
-        now = self.get_clock().now().nanoseconds
+        now = self._read_clock()
+        if now == 0:
+            # A log time before the clock began would make a recording of decades.
+            return
+        for payload in self._early_states:
+            self._session.record(self._state_topic, _STATE_TYPE, payload, now)
+        self._early_states.clear()
         for kind, subscription in self._drains.items():
             payloads = ros.drain(subscription, _MOST)
             if not payloads or self._session.over:
@@ -244,9 +272,8 @@ class CalibratorNode(ros.Node):
 
     def _on_state(self, payload: bytes) -> None:
         state = ros.deserialize_message(payload, messages.TurntableState)
-        self._session.record(
-            self._state_topic, _STATE_TYPE, payload, self.get_clock().now().nanoseconds
-        )
+        self._early_states.append(payload)
+        self._take_all()
         if state.plan and state.plan != self._setup.plan.name:
             self._session.fail(
                 f'The table runs plan {state.plan}, this calibrator expects '
@@ -386,7 +413,14 @@ class CalibratorNode(ros.Node):
             level, text = Level.WARN, f'Nothing has come in on {joints.topic} yet.'
         if joints.malformed.count:
             level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
-        figures = {'samples': str(joints.count), 'malformed': str(joints.malformed.count)}
+        figures = {
+            'samples': str(joints.count),
+            'of other joints': str(joints.ignored),
+            'malformed': str(joints.malformed.count),
+        }
+        if joints.ignored and not joints.count and self._setup.table is not None:
+            names = ', '.join(self._setup.table.names)
+            text = f'{joints.topic} names no message with all joints of the table ({names}) yet.'
         self._diagnostics.report('joint states', level, text, **figures)
 
     def _report_skew(self) -> None:

@@ -20,7 +20,7 @@ from ..compensation.thermal import (
     first_of,
     load_calibration,
 )
-from ..errors import ImuCalibError
+from ..errors import ImuCalibError, InputError
 from ..middleware import messages
 from ..stream import ImuBlock
 from . import qos
@@ -60,12 +60,20 @@ class CompensatorNode(ros.Node):
     def __init__(self) -> None:
         super().__init__('compensator_node')
         file = declare(
-            self, 'calibration', '', 'file; read again when it changes; empty: the topic alone'
+            self, 'calibration', '', 'file; read again when it changes; empty: the topic instead'
+        )
+        follow = declare(
+            self, 'follow_topic', False, 'take what comes on the topic calibration beside the file'
+        )
+        self._serial = declare(
+            self, 'serial_number', '', 'of the unit; calibrations of others are refused'
         )
         self._frame_id = declare(
             self, 'frame_id', '', "frame of the output; empty: the input's own"
         )
         self._file = Path(file).expanduser() if file else None
+        # Whoever names a file has chosen: a stranger's message must not replace it.
+        self._follows = follow or self._file is None
         self._version: tuple[int, int] | None = None
         self._compensator: Compensator | None = None
         self._source = ''
@@ -88,9 +96,10 @@ class CompensatorNode(ros.Node):
         self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
         self._read_file()
         self._report_calibration()
-        self.create_subscription(
-            messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
-        )
+        if self._follows:
+            self.create_subscription(
+                messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
+            )
         ros.open_stream(
             self,
             messages.Temperature,
@@ -187,12 +196,27 @@ class CompensatorNode(ros.Node):
     def _check(self, calibration: AnyCalibration, name: str) -> None:
         """Refuse the calibration of another unit than the one that is being compensated.
 
+        A message must state the serial number that this node, or what it applies, states.
+
         Raises:
             InputError: Says in what they differ.
 
         """
+        self._check_serial(calibration, name, stated=True)
         if self._compensator is not None:
             check_same_unit(calibration, name, self._compensator.calibration, self._source)
+
+    def _check_serial(self, calibration: AnyCalibration, name: str, *, stated: bool) -> None:
+        expected, who = self._serial, 'the parameter serial_number says'
+        if not expected and self._compensator is not None:
+            expected = first_of(self._compensator.calibration).serial_number
+            who = f'{self._source} says'
+        found = first_of(calibration).serial_number
+        if expected and found != expected and (found or stated):
+            raise InputError(
+                f'{name}: serial_number: found {found or "none"}, expected {expected} as {who}: '
+                'it is not applied. Give the calibration of this unit.'
+            )
 
     def _use(self, calibration: AnyCalibration, source: str, made_at: float) -> None:
         if self._compensator is None:
@@ -200,7 +224,8 @@ class CompensatorNode(ros.Node):
         else:
             self._compensator.replace(calibration)
         self._source, self._made_at = source, made_at
-        self._diagnostics.hardware_id = first_of(calibration).imu.id
+        unit = first_of(calibration)
+        self._diagnostics.hardware_id = f'{unit.imu.id} {unit.serial_number}'.strip()
         self._diagnostics.report('calibration offered', Level.OK, f'{source} is used.')
         self._report_calibration()
 
@@ -219,7 +244,10 @@ class CompensatorNode(ros.Node):
             return
         self._version = version
         try:
-            self._use(load_calibration(self._file), str(self._file), found.st_mtime)
+            calibration = load_calibration(self._file)
+            if self._serial:
+                self._check_serial(calibration, str(self._file), stated=False)
+            self._use(calibration, str(self._file), found.st_mtime)
         except ImuCalibError as error:
             self._diagnostics.report('calibration offered', Level.ERROR, str(error))
 
@@ -258,7 +286,8 @@ class CompensatorNode(ros.Node):
     def _report_calibration(self) -> None:
         if self._compensator is None:
             topic = self.resolve_topic_name('calibration')
-            where = topic if self._file is None else f'{self._file} or {topic}'
+            sources = [str(self._file)] if self._file is not None else []
+            where = ' or '.join([*sources, topic] if self._follows else sources)
             self._diagnostics.report(
                 'calibration',
                 Level.WARN,
@@ -273,6 +302,7 @@ class CompensatorNode(ros.Node):
             Level.OK,
             f'{self._source} is applied.',
             imu=single.imu.id,
+            serial_number=single.serial_number or 'not stated',
             source=self._source,
             age=f'{age / 3600:.1f} h',
             temperatures=_degrees(calibration),

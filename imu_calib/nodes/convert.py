@@ -19,6 +19,7 @@ from ..model import (
     Triad,
     extended_parameters,
 )
+from ..plausibility import check_plausible
 from ..stream import Units
 
 _UNITS = {
@@ -40,6 +41,7 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
     """
     text = ' '.join(calibration.findings)
     message = _empty(calibration.imu, status, text, frame_id, stamp)
+    message.serial_number = calibration.serial_number
     where = calibration.provenance
     message.plan = str(where['plan'])
     message.method = str(where['method'])
@@ -82,7 +84,8 @@ def calibration_of(message: Any) -> Calibration:
     """Return what imu_calib_msgs/ImuCalibration holds, as far as compensation needs it.
 
     Raises:
-        InputError: The message is not VALID or PROVISIONAL, or contradicts itself.
+        InputError: The message is not VALID or PROVISIONAL, contradicts itself, or holds what no
+            strapdown IMU has.
 
     """
     if message.status == messages.ImuCalibration.REFUSED:
@@ -115,12 +118,15 @@ def calibration_of(message: Any) -> Calibration:
         TriadSpec(float(message.gyro_scale_factor), range=_limit(message.gyro_range)),
         TriadSpec(float(message.accel_scale_factor), range=_limit(message.accel_range)),
     )
-    return Calibration(
+    calibration = Calibration(
         spec,
         SensorModel(Triad.from_vector(vector[:12]), accel, sensitivity, skewed),
         covariance.reshape(size, size),
         provenance=_provenance(message),
+        serial_number=message.serial_number,
     )
+    check_plausible(calibration, f'The calibration of {message.imu_id or "no name"}')
+    return calibration
 
 
 def _provenance(message: Any) -> dict[str, Any]:

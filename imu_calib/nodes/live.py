@@ -17,7 +17,7 @@ from ..methods import estimates
 from ..methods.free.guidance import Guidance, Stage
 from ..methods.free.session import FreeCalibrator, FreeReview, calibrator_of
 from ..model import Parameter, skewed_parameters
-from ..stream import Block, ImuBlock, SetpointBlock
+from ..stream import Block, ImuBlock, JointBlock, SetpointBlock
 
 _LATE = 500_000_000
 _PATIENCE = 2.0
@@ -44,6 +44,7 @@ class Intake:
         topic: Full name.
         malformed: Messages that were left out.
         count: Samples taken in, those of the journal included.
+        ignored: Joint states that lack a joint of the table.
         oldest: Stamp of the first, ns; None before it.
         newest: Stamp of the newest, ns; None before the first.
         heard: When it came, s of the steady clock.
@@ -55,6 +56,7 @@ class Intake:
     malformed: Malformed
     heard: float
     count: int = 0
+    ignored: int = 0
     oldest: int | None = None
     newest: int | None = None
 
@@ -339,6 +341,9 @@ class LiveSession:
             steps = [s.step for s in block.setpoints if s.plan == self.setup.plan.name]
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
             intake.newest = block.setpoints[-1].stamp if block.setpoints else intake.newest
+        elif isinstance(block, JointBlock) and not self._of_the_table(block):
+            intake.ignored += len(block)
+            intake.count -= len(block)
         elif len(block):
             intake.oldest = int(block.stamp[0]) if intake.oldest is None else intake.oldest
             intake.newest = int(block.stamp[-1])
@@ -348,12 +353,14 @@ class LiveSession:
         else:
             self._pass_on(block)
 
+    def _of_the_table(self, block: JointBlock) -> bool:
+        """Say whether joint states are the table's: other joints may share its topic."""
+        table = self.setup.table
+        return table is None or block.of(table.names) is not None
+
     def _pass_on(self, block: Block) -> None:
         assert self._calibrator is not None
-        try:
-            self._calibrator.feed(block)
-        except InputError as error:
-            self.fail(str(error))
+        self._calibrator.feed(block)
 
     def _await_skew(self) -> None:
         """Decide whether there is a skewed gyro, as reprocessing will: by what has come of it."""

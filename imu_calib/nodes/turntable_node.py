@@ -217,12 +217,22 @@ class TurntableNode(Node):
         silence = now - self._fed_at
         if silence > self._watchdog and self._sequencer.feedback is not None:
             self._sequencer.lose_feedback(
-                f'No joint state from the table for {self._watchdog:g} s.'
+                f'No joint state from the table for {self._watchdog:g} s.{self._of_others()}'
             )
         silence = now - self._heard_at
         self._sequencer.attend(
             silence <= self._calibrator_timeout,
             f'The calibrator is silent for {self._calibrator_timeout:g} s.',
+        )
+
+    def _of_others(self) -> str:
+        """Say which joint states do come, where none of them are the table's."""
+        count, names = self._sequencer.ignored
+        if not count:
+            return ''
+        return (
+            f' {count} that name {", ".join(names) or "no joint"} are ignored; the table has '
+            f'{", ".join(self._sequencer.table.names)}.'
         )
 
     def _start_by_itself(self) -> None:
@@ -325,15 +335,24 @@ class TurntableNode(Node):
             **{
                 'last heard': f'{self._published_at - self._fed_at:.3f} s ago',
                 'malformed': f'{self._malformed.count} messages',
+                'of other joints': f'{self._sequencer.ignored[0]} messages',
             },
         )
 
     def _on_progress(self, message: Any) -> None:
         self._heard_at = self._steady.now().nanoseconds * 1e-9
-        stamp = Time.from_msg(message.header.stamp).nanoseconds
+        # rclpy's Time refuses what lies before 1970, where simulated time may begin.
+        stamp = message.header.stamp.sec * _NS + message.header.stamp.nanosec
         self._sequencer.review(stamp, [int(step) for step in message.repeat_steps])
-        if message.state == message.FAILED and self._sequencer.running:
-            self._sequencer.fail(f'The calibrator cannot go on: {message.text}')
+        failed = message.state == message.FAILED
+        fault = ''
+        if failed:
+            fault = f'The calibrator cannot go on: {message.text}'
+        elif message.state == message.FINISHED:
+            fault = (
+                'The calibrator has finished its session: call ~/reset of calibrator_node first.'
+            )
+        self._sequencer.hear(fault, fatal=failed)
 
     def _on_estop(self, message: Any) -> None:
         self._sequencer.emergency(bool(message.data))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
 from ..stream import Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, SkewBlock, Stamps
 from ..turntable import Table
 from .buffer import RowBuffer
@@ -40,6 +39,9 @@ class Intake:
         self._imu_order, self._skew_order = StampOrder(6), StampOrder(6)
         self._joint_order = StampOrder(len(table.names) if table else 0)
         self._dropped: dict[str, tuple[int, int]] = {}
+        self._of_the_table = 0
+        self._strange: dict[str, int] = {}
+        self._beside: set[str] = set()
 
     @property
     def duration(self) -> float:
@@ -67,21 +69,30 @@ class Intake:
     def take_joints(self, block: JointBlock) -> Ordered:
         """Take joint states in; return those whose order is known, columns as the table's.
 
-        Raises:
-            InputError: They are another table's.
-
+        Messages that lack a joint of the table are left out and counted.
         """
         if self._table is None:
             return self._joint_order.finish()
-        if set(block.names) != set(self._table.names):
-            raise InputError(
-                f'The joint states name {", ".join(block.names) or "no joint"}; table '
-                f'{self._table.name} has {", ".join(self._table.names)}.'
-            )
-        columns = [block.names.index(name) for name in self._table.names]
+        joints = block.of(self._table.names)
+        if joints is None:
+            named = ', '.join(block.names) or 'no joint'
+            self._strange[named] = self._strange.get(named, 0) + len(block)
+            return self._joint_order.take(block.stamp[:0], np.empty((0, len(self._table.names))))
+        self._of_the_table += len(joints)
+        self._beside.update(set(block.names) - set(joints.names))
         what = 'joint positions that are no numbers'
-        rows = self._finite(what, block.stamp, block.position[:, columns])
+        rows = self._finite(what, joints.stamp, joints.position)
         return self._counted(self._joint_order.take(*rows))
+
+    @property
+    def strangers(self) -> str:
+        """Whose joint states came where the table's were expected; empty where some were its."""
+        if self._table is None or self._of_the_table or not self._strange:
+            return ''
+        return (
+            f'The joint states name {"; ".join(self._strange)}; table {self._table.name} has '
+            f'{", ".join(self._table.names)}.'
+        )
 
     def take_setpoints(self, block: SetpointBlock) -> None:
         """Take setpoints in."""
@@ -110,10 +121,24 @@ class Intake:
 
     def losses(self) -> list[str]:
         """Say what was lost, in sentences."""
-        return [
+        lost = [
             f'{count} samples left out for {what}, the first at {first * 1e-9:.3f} s'
             for what, (count, first) in self._dropped.items()
         ]
+        if self._table is None:
+            return lost
+        expected = f'not all joints of table {self._table.name} ({", ".join(self._table.names)})'
+        lost += [
+            f'{count} joint states left out: they name {named}, {expected}'
+            for named, count in self._strange.items()
+        ]
+        if self._beside:
+            further = ', '.join(sorted(self._beside))
+            lost.append(
+                f'The joint states name further joints ({further}), which are not of table '
+                f'{self._table.name}: they are ignored'
+            )
+        return lost
 
     def _add_imu(self, ordered: Ordered) -> None:
         self._note('stamps that jump or stand still', ordered.lost)

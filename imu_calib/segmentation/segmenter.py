@@ -82,12 +82,7 @@ class Segmenter:
         return tracker.rest_since, tracker.known_until
 
     def feed(self, block: Block) -> None:
-        """Take a block in.
-
-        Raises:
-            InputError: Joint states of another table.
-
-        """
+        """Take a block in."""
         if isinstance(block, ImuBlock):
             self._intake.take_imu(block)
         elif isinstance(block, JointBlock):
@@ -124,6 +119,7 @@ class Segmenter:
             self._intake.duration,
             self._intake.first_stamp,
             self._thermometer.temperature,
+            self._intake.strangers,
         )
 
     @property

@@ -66,6 +66,7 @@ class Segmented:
         duration: From the first to the last IMU stamp, s.
         start: First IMU stamp, ns; None without samples.
         temperature: What the unit's thermometer showed; None where it has none.
+        strangers: Whose joint states came, in a sentence, where none were the table's; else empty.
 
     """
 
@@ -81,3 +82,4 @@ class Segmented:
     duration: float
     start: int | None = None
     temperature: Temperature | None = None
+    strangers: str = ''

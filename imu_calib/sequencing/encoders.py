@@ -51,6 +51,10 @@ class Encoders:
         quiet: What counts as no motion, rad.
         patience: A stamp that lies further back than this starts the stream anew, s.
 
+    Attributes:
+        ignored: Messages that lack a joint of the table.
+        ignored_names: What the latest of them names.
+
     """
 
     def __init__(self, table: Table, quiet: float, patience: float) -> None:
@@ -58,38 +62,33 @@ class Encoders:
         self._quiet = quiet
         self._patience = round(patience * 1e9)
         self._fastest = [joint.max_rate for joint in table.joints]
-        self._columns: dict[tuple[str, ...], list[int]] = {}
+        self.ignored = 0
+        self.ignored_names: tuple[str, ...] = ()
         self._past: deque[tuple[int, tuple[float, ...]]] = deque()
         self._turns = [0.0] * len(table.joints)
 
     def take(self, block: JointBlock) -> Iterator[Feedback]:
         """Yield the joint states of a block whose stamps advance.
 
+        Messages that lack a joint of the table are left out and counted: other joints may share
+        the topic.
+
         Raises:
-            FeedbackError: A joint is missing, an angle is no number, or the stamps jump back.
+            FeedbackError: An angle is no number, or the stamps jump back.
 
         """
-        columns = self._columns_of(block.names)
-        stamps = block.stamp.tolist()
-        positions = block.position[:, columns].tolist()
-        velocities = block.velocity[:, columns].tolist()
+        joints = block.of(self._table.names)
+        if joints is None:
+            self.ignored += len(block)
+            self.ignored_names = block.names
+            return
+        stamps = joints.stamp.tolist()
+        positions, velocities = joints.position.tolist(), joints.velocity.tolist()
         for stamp, angles, rates in zip(stamps, positions, velocities, strict=True):
             if self._past and stamp <= self._past[-1][0]:
                 self._check_order(stamp)
                 continue
             yield self._follow(stamp, angles, rates)
-
-    def _columns_of(self, names: tuple[str, ...]) -> list[int]:
-        known = self._columns.get(names)
-        if known is None:
-            missing = [name for name in self._table.names if name not in names]
-            if missing:
-                raise FeedbackError(
-                    f'The joint states name {", ".join(names) or "no joints"}; '
-                    f'table {self._table.name} has {", ".join(self._table.names)}.'
-                )
-            known = self._columns[names] = [names.index(name) for name in self._table.names]
-        return known
 
     def _check_order(self, stamp: int) -> None:
         back = self._past[-1][0] - stamp

@@ -90,6 +90,7 @@ class Sequencer:
         self._encoders = Encoders(table, self.rules.arrival, self.rules.feedback_timeout)
         self._feedback: Feedback | None = None
         self._feedback_fault = _NO_FEEDBACK
+        self._calibrator_fault = ''
         self._stage = self._waits_from = _Stage.IDLE
         self._reason, self._fault = '', False
         self._emergency = False
@@ -132,7 +133,7 @@ class Sequencer:
             return 'The emergency stop is on.'
         if self.running:
             return f'The plan is running, at step {self._index()}.'
-        return self._feedback_fault
+        return self._feedback_fault or self._calibrator_fault
 
     def start(self) -> str:
         """Start, resume after a pause, or start anew; return what is done, in words.
@@ -193,6 +194,25 @@ class Sequencer:
         self._feedback_fault = reason
         self.fail(reason)
 
+    def hear(self, fault: str, *, fatal: bool) -> None:
+        """Take what keeps the calibrator from taking a session in; empty where nothing does.
+
+        Args:
+            fault: In a sentence; no plan is started while there is one.
+            fatal: Whether a plan that runs is to stop for it.
+
+        """
+        if not self.rules.supervised:
+            return
+        self._calibrator_fault = fault
+        if fault and fatal and self.running:
+            self.fail(fault)
+
+    @property
+    def ignored(self) -> tuple[int, tuple[str, ...]]:
+        """How many joint states lacked a joint of the table, and what the latest named."""
+        return self._encoders.ignored, self._encoders.ignored_names
+
     def attend(self, heard: bool, reason: str = '') -> None:
         """Take whether the calibrator is there; while it is silent the table is not led."""
         if not self.rules.supervised:
@@ -200,7 +220,7 @@ class Sequencer:
         self._heard = heard
         if not heard:
             self.fail(reason or 'The calibrator is silent.')
-        elif self._stage is _Stage.WAITING:
+        elif self._stage is _Stage.WAITING and not self._calibrator_fault:
             if not self._feedback_fault:
                 self._go()
             elif self._waits_from is _Stage.PAUSED:

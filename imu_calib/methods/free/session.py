@@ -212,7 +212,13 @@ class FreeCalibrator:
         provenance['turns'] = swings
         provenance['frame'] = 'accelerometers'
         calibration = Calibration(
-            setup.imu, fit.model, fit.covariance, rows, tuple(findings), provenance
+            setup.imu,
+            fit.model,
+            fit.covariance,
+            rows,
+            tuple(findings),
+            provenance,
+            setup.serial_number,
         )
         calibration = with_gravity(calibration, setup.site)
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))

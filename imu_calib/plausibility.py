@@ -1,0 +1,132 @@
+"""Whether the parameters of a calibration can be those of a strapdown IMU."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .errors import InputError
+from .stream import Floats, Units
+from .units import DEG, STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
+_SCALE = (0.5, 2.0)
+"""Response along the input axis. A nominal scale factor that is wrong by a factor of two is that
+of another unit, another range or another unit of measure; the worst of the shipped truths, Cao
+2022's Table 1 read literally, is off by 25 %."""
+
+_TILT = 30 * DEG
+"""Angle between an input axis and its body axis. Beyond it a channel belongs to another axis;
+data sheets of MEMS units state up to 2 deg of misalignment."""
+
+_GYRO_BIAS = 100 * DEG
+_ACCEL_BIAS = STANDARD_GRAVITY
+_G_SENSITIVITY = 10 * DEG / STANDARD_GRAVITY
+"""Five times and more what data sheets of the cheapest units state (MPU-9150: zero-rate output
+20 deg/s, zero-g output 0.15 g; gyros react to acceleration by some 0.1 deg/s per g)."""
+
+_ROUNDING = 1e-9
+"""How far below zero an eigenvalue of a correlation matrix may come by rounding; double precision
+leaves some 1e-14 for 40 parameters, a file with nine digits 1e-9."""
+
+
+def check_plausible(calibration: Calibration, name: str) -> None:
+    """Refuse parameters that no strapdown IMU has, before they are applied.
+
+    Biases of ADC codes are not limited: a converter may count from any offset.
+
+    Args:
+        calibration: What is to be applied.
+        name: Its file or topic, for the message.
+
+    Raises:
+        InputError: Names the parameter, what was found and what was expected.
+
+    """
+    _check_scale_factors(calibration, name)
+    for parameter, value in zip(calibration.parameters, calibration.values.tolist(), strict=True):
+        if not np.isfinite(value):
+            raise InputError(f'{name}: {parameter.name}: found {value}, expected a number.')
+    model = calibration.model
+    _check_response(model.gyro.response, 'gyro', name)
+    _check_response(model.accel.response, 'accelerometer', name)
+    if model.skewed is not None:
+        _check_lengths(model.skewed.response, 'skewed gyro', name)
+    _check_biases(calibration, name)
+    _check_covariance(calibration, name)
+
+
+def _check_scale_factors(calibration: Calibration, name: str) -> None:
+    for what, spec in (('gyro', calibration.imu.gyro), ('accelerometer', calibration.imu.accel)):
+        if not 0 < spec.scale_factor < np.inf:
+            raise InputError(
+                f'{name}: {what} scale_factor: found {spec.scale_factor}, expected above 0.'
+            )
+
+
+def _check_response(response: Floats, triad: str, name: str) -> None:
+    _check_lengths(response, triad, name)
+    along = np.diag(response) / np.linalg.norm(response, axis=1)
+    for axis, cosine in zip('XYZ', along, strict=True):
+        if cosine < np.cos(_TILT):
+            angle = np.arccos(np.clip(cosine, -1, 1)) / DEG
+            raise InputError(
+                f'{name}: the input axis of {triad} {axis} lies {angle:.0f} deg off its body axis; '
+                f'expected less than {_TILT / DEG:.0f} deg. Are channels swapped or mirrored?'
+            )
+
+
+def _check_lengths(response: Floats, what: str, name: str) -> None:
+    low, high = _SCALE
+    for k, length in enumerate(np.linalg.norm(response, axis=1)):
+        if not low < length < high:
+            raise InputError(
+                f'{name}: {what} {"XYZ"[k]} answers {length:.4g} times its nominal scale factor; '
+                f'expected {low:g} to {high:g} times. Is it a calibration of another unit?'
+            )
+
+
+def _check_biases(calibration: Calibration, name: str) -> None:
+    model, imu = calibration.model, calibration.imu
+    limits = [(np.abs(model.g_sensitivity).max(), _G_SENSITIVITY, 'g-sensitivity', 'rad/s/(m/s^2)')]
+    if imu.units is not Units.COUNTS:
+        limits += [
+            (np.abs(model.gyro.bias).max(), min(_GYRO_BIAS, imu.gyro.range), 'gyro bias', 'rad/s'),
+            (
+                np.abs(model.accel.bias).max(),
+                min(_ACCEL_BIAS, imu.accel.range),
+                'accelerometer bias',
+                'm/s^2',
+            ),
+        ]
+    for found, limit, what, unit in limits:
+        if found > limit:
+            raise InputError(
+                f'{name}: {what}: found {found:.4g} {unit}, expected at most {limit:.4g} {unit}.'
+            )
+
+
+def _check_covariance(calibration: Calibration, name: str) -> None:
+    """Refuse what no errors can have: no number, lopsided, or negative in some direction."""
+    if (np.diag(calibration.covariance) < 0).any():
+        raise InputError(f'{name}: covariance: found a negative variance.')
+    # A triad that was not estimated has no numbers there, and only the accelerometers may lack.
+    estimated = np.array(
+        [p.triad == 'g' or calibration.has_accelerometers for p in calibration.parameters]
+    )
+    covariance = calibration.covariance[np.ix_(estimated, estimated)]
+    if not np.isfinite(covariance).all():
+        raise InputError(f'{name}: covariance: found what is no number.')
+    std = np.sqrt(np.diag(covariance))
+    scale = np.where(std > 0, std, 1.0)
+    correlation = covariance / np.outer(scale, scale)
+    lopsided = np.abs(correlation - correlation.T).max(initial=0.0)
+    lowest = np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=0.0)
+    if lopsided > _ROUNDING or lowest < -_ROUNDING:
+        raise InputError(
+            f'{name}: covariance: not that of any errors (it must be symmetric and positive '
+            'semidefinite).'
+        )

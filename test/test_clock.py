@@ -1,0 +1,189 @@
+"""Simulated time that begins late, in 1970, or jumps back: no node ends, no recording lies."""
+
+import numpy as np
+import pytest
+from loopback import environment, start, until
+
+from imu_calib.bags import Journal, open_recording
+from imu_calib.cdr import Kind, encode_imu
+from imu_calib.errors import ImuCalibError
+from imu_calib.stream import ImuBlock
+
+try:
+    from imu_calib import middleware as ros
+    from imu_calib.nodes import qos
+    from imu_calib.nodes.calibrator_node import CalibratorNode
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+M = ros.messages
+NS = 1_000_000_000
+EPOCH = 1_700_000_000
+TOPIC = '/imu/pulses'
+
+
+def samples(first, count=10):
+    stamp = first * NS + np.arange(count) * 10_000_000
+    return encode_imu(ImuBlock(stamp, np.zeros((count, 3)), np.zeros((count, 3)), 'imu_link'))
+
+
+def log_times(path):
+    with open_recording(path) as recording:
+        found = [(t.name, times.log) for t, _, times in recording.messages()]
+    return {name: np.concatenate([log for n, log in found if n == name]) for name, _ in found}
+
+
+def test_no_message_is_logged_before_one_that_was_written_earlier(tmp_path):
+    other, names = '/imu/skew', {TOPIC: Kind.IMU, '/imu/skew': Kind.SKEW}
+    journal = Journal(tmp_path / 'journal', {}, names)
+    journal.write(TOPIC, Kind.IMU.type_name, samples(EPOCH), EPOCH * NS)
+    journal.write(other, Kind.SKEW.type_name, samples(0), 0)
+    journal.write(TOPIC, Kind.IMU.type_name, samples(1), 1 * NS)
+    journal.close(finished=True)
+    logged = log_times(tmp_path / 'journal')
+    assert logged[other].min() >= EPOCH * NS
+    assert (np.diff(logged[TOPIC]) > 0).all()
+    assert logged[TOPIC][-1] < (EPOCH + 1) * NS
+
+
+class Bench:
+    """A calibrator_node and whoever keeps the time, in one thread."""
+
+    def __init__(self, monkeypatch, folder):
+        for name, value in environment().items():
+            monkeypatch.setenv(name, value)
+        given = {
+            'use_sim_time': 'true',
+            'latitude': '34.65',
+            'journal': folder / 'journal',
+            'output': folder / 'calibration.yaml',
+        }
+        words = [w for k, v in given.items() for w in ('-p', f'{k}:={v}')]
+        ros.init(args=['--ros-args', *words])
+        self.node, self.peer = CalibratorNode(), ros.Node('peer')
+        self.words = {}
+        self.peer.create_subscription(M.DiagnosticArray, '/diagnostics', self._hear, 100)
+        self.pulses = self.peer.create_publisher(M.Imu, 'imu/pulses', qos.stream())
+        self.states = self.peer.create_publisher(M.TurntableState, 'turntable/state', qos.latched())
+        self.clock = self.peer.create_publisher(M.Clock, '/clock', 10)
+        assert self.until(
+            lambda: (
+                self.peer.count_subscribers('imu/pulses')
+                and self.peer.count_subscribers('/clock')
+                and self.states.get_subscription_count()
+            )
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.node.stop()
+        self.node.destroy_node()
+        self.peer.destroy_node()
+        ros.try_shutdown()
+
+    def _hear(self, message):
+        self.words |= {s.name.partition(': ')[2]: s.message for s in message.status}
+
+    def until(self, condition, seconds=30.0):
+        return until(condition, seconds, self._spin)
+
+    def _spin(self):
+        ros.spin_once(self.node, timeout_sec=0.002)
+        ros.spin_once(self.peer, timeout_sec=0.002)
+
+    def tell(self, seconds):
+        self.clock.publish(M.Clock(clock=M.TimeMsg(sec=seconds)))
+        assert self.until(
+            lambda: int(self.node.get_clock().now().nanoseconds) == seconds * NS, 15.0
+        )
+
+    def send(self, first):
+        before = self.count
+        ros.publish_all(self.pulses, samples(first).payloads())
+        return lambda: self.count == before + 10
+
+    @property
+    def count(self):
+        return self.node._session.intakes[Kind.IMU].count
+
+
+def test_nothing_is_recorded_before_the_clock_begins_and_nothing_is_lost(monkeypatch, tmp_path):
+    with Bench(monkeypatch, tmp_path) as bench:
+        bench.states.publish(M.TurntableState(plan='twelve_position'))
+        all_came = bench.send(EPOCH)
+        assert bench.until(lambda: 'Nothing has come on /clock yet' in bench.words.get('time', ''))
+        assert bench.until(lambda: bench.node._early_states)
+        assert bench.count == 0
+        bench.tell(EPOCH)
+        assert bench.until(all_came)
+        assert bench.until(lambda: bench.words['time'] == 'The clock runs.')
+        # Back in 1970, and on from there.
+        for seconds in (0, 1, 2):
+            bench.tell(seconds)
+            assert bench.until(bench.send(EPOCH + 1 + seconds))
+        assert bench.until(lambda: 'jumped back by 1.7e+09 s' in bench.words['time'])
+    logged = log_times(tmp_path / 'journal')
+    assert {len(times) for times in logged.values()} == {1, 40}
+    for times in logged.values():
+        assert EPOCH * NS <= times.min() <= times.max() < (EPOCH + 1) * NS
+
+
+NODES = {
+    'calibrator_node': ['latitude:=34.65', 'journal:={}/journal', 'output:={}/result.yaml'],
+    'turntable_node': [],
+    'compensator_node': [],
+    'imu_node': ['port:={}/frames'],
+}
+MAIN = 'import sys\nfrom imu_calib.nodes.{} import main\nsys.exit(main())'
+
+
+@pytest.mark.parametrize('name', NODES)
+def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
+    network = environment()
+    for key, value in network.items():
+        monkeypatch.setenv(key, value)
+    (tmp_path / 'frames').write_bytes(b'')
+    words = [w for p in NODES[name] for w in ('-p', p.format(tmp_path))]
+    process = start(MAIN.format(name), '--ros-args', '-p', 'use_sim_time:=true', *words, **network)
+    ros.init(args=[])
+    peer = ros.Node('peer')
+    heard = []
+    try:
+        peer.create_subscription(M.DiagnosticArray, '/diagnostics', heard.append, 100)
+        clock = peer.create_publisher(M.Clock, '/clock', 10)
+        joints = peer.create_publisher(M.JointState, 'turntable/joint_states', qos.stream())
+        pulses = peer.create_publisher(M.Imu, 'imu/pulses', qos.stream())
+        progress = peer.create_publisher(
+            M.CalibrationProgress, 'calibration/progress', qos.latched()
+        )
+
+        def tell(seconds):
+            stamp = M.TimeMsg(sec=seconds)
+            clock.publish(M.Clock(clock=stamp))
+            state = M.JointState(name=['outer', 'middle', 'inner'], position=[0.0] * 3)
+            state.header.stamp = stamp
+            joints.publish(state)
+            ros.publish_all(pulses, samples(seconds).payloads())
+            message = M.CalibrationProgress(plan='twelve_position')
+            message.header.stamp = stamp
+            progress.publish(message)
+            heard.clear()
+            # Two words of it: the second was said after the clock was heard.
+            assert until(
+                lambda: len(heard) > 1 or process.poll() is not None,
+                30.0,
+                lambda: ros.spin_once(peer, timeout_sec=0.01),
+            )
+            assert process.poll() is None, process.stderr.read()
+
+        for seconds in (0, 1, EPOCH, EPOCH + 1, 0, -5, -4, 3, 2**31 - 1, 7):
+            tell(seconds)
+        process.terminate()
+        assert process.wait(30) == 0
+    finally:
+        process.kill()
+        process.communicate()
+        peer.destroy_node()
+        ros.try_shutdown()
