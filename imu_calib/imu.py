@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from .config import Section
 from .errors import InputError
@@ -64,6 +67,46 @@ def load_imu(name: str | Path) -> ImuSpec:
 
     """
     return read_imu(Section.load(named_file('imus', name)))
+
+
+def compensated_imu(spec: ImuSpec) -> ImuSpec:
+    """Return what the numbers of an IMU mean after compensation: SI, with the noise that it has.
+
+    A skewed gyro has gone into the three others; limits of the specification are of the raw unit.
+    """
+    return replace(
+        spec,
+        units=Units.SI,
+        gyro=replace(spec.gyro, scale_factor=1.0),
+        accel=replace(spec.accel, scale_factor=1.0),
+        skewed=None,
+        specification=None,
+    )
+
+
+def imu_text(spec: ImuSpec) -> str:
+    """Return the YAML text of an IMU in SI units, as `read_imu` reads it.
+
+    Raises:
+        ValueError: Its numbers are not SI, or it has a skewed gyro.
+
+    """
+    if spec.units is not Units.SI or spec.skewed is not None:
+        raise ValueError(f'IMU {spec.id}: expected SI units and no skewed gyro.')
+    document: dict[str, Any] = {'id': spec.id, 'units': spec.units.value}
+    if spec.sample_rate is not None:
+        document['sample_rate'] = f'{spec.sample_rate!r} Hz'
+    for name, triad, walk_key, walk, unit in (
+        ('gyro', spec.gyro, 'angle_random_walk', 'rad/sqrt(s)', 'rad/s'),
+        ('accelerometer', spec.accel, 'velocity_random_walk', '(m/s)/sqrt(s)', 'm/s^2'),
+    ):
+        document[name] = {
+            walk_key: f'{triad.random_walk!r} {walk}',
+            'bias_instability': f'{triad.bias_instability!r} {unit}',
+        }
+        if math.isfinite(triad.range):
+            document[name]['range'] = f'{triad.range!r} {unit}'
+    return yaml.safe_dump(document, sort_keys=False, width=200)
 
 
 def read_imu(section: Section) -> ImuSpec:

@@ -7,11 +7,17 @@ from dataclasses import replace
 
 from .earth import MEASURED, NORMAL_GRAVITY, Site
 from .errors import InputError
+from .imu import ImuSpec, imu_text
 from .share import named_file
 from .units import DEG
 
 SERIAL_NUMBER = 'imu_calib.serial_number'
 """Key of a recording's own entries: the unit's serial number."""
+
+COMPENSATED = 'imu_calib.compensated'
+"""Key of the calibration's file that a recording was compensated by."""
+
+_IMU = 'imu_calib.imu'
 
 
 def describe(
@@ -45,6 +51,35 @@ def describe(
     if site.height is not None:
         described['imu_calib.height'] = repr(site.height)
     return described
+
+
+def described_imu(data: Mapping[str, str], topic: str) -> str | None:
+    """Return the YAML text of the IMU behind a topic; None where the recording has none.
+
+    A stream that was computed from another has a description of its own.
+    """
+    return data.get(imu_key(topic), data.get(_IMU))
+
+
+def imu_key(topic: str) -> str:
+    """Return the key of a recording's own entries that describes the numbers of one topic."""
+    return f'{_IMU}:{topic}'
+
+
+def described_anew(
+    data: Mapping[str, str], topic: str, imu: ImuSpec, *, raw_is_kept: bool
+) -> dict[str, str]:
+    """Return a recording's own entries with those of a computed Imu stream.
+
+    Args:
+        data: Entries of the recording that it was computed from.
+        topic: The new stream.
+        imu: What its numbers mean.
+        raw_is_kept: Whether the stream that `data` describes is in the recording too.
+
+    """
+    kept = {key: text for key, text in data.items() if raw_is_kept or not key.startswith(_IMU)}
+    return {**kept, imu_key(topic): imu_text(imu)}
 
 
 def described_site(data: Mapping[str, str], where: str) -> Site:

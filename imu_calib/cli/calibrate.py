@@ -61,7 +61,7 @@ def open_offline(arguments: argparse.Namespace) -> Offline:
     data, where = recording.custom_data, str(recording.path)
     streams = options.find_streams(arguments, recording)
     table = options.find_table(arguments, data, where)
-    imu = options.find_imu(arguments, data, where)
+    imu = options.find_imu(arguments, data, where, streams.imu)
     if streams.skew is None:
         # Nobody is to wait for a gyro that the recording does not hold.
         imu = replace(imu, skewed=None)

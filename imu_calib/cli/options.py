@@ -16,7 +16,7 @@ from ..earth import HEIGHT_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
 from ..plan import Plan, load_plan, read_plan
-from ..session import SERIAL_NUMBER, described_site
+from ..session import SERIAL_NUMBER, described_imu, described_site
 from ..share import named_file
 from ..turntable import Table, load_table, read_table
 from ..units import DEG
@@ -132,16 +132,39 @@ def find_plan(arguments: argparse.Namespace, data: Mapping[str, str], where: str
     raise InputError(f'{where} does not say which plan was run: give --plan ({_shipped("plans")}).')
 
 
-def find_imu(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> ImuSpec:
-    """Return the IMU of the command line, or the one that the recording carries."""
-    if arguments.imu is not None:
-        return load_imu(arguments.imu)
-    if 'imu_calib.imu' in data:
-        return read_imu(Section.parse(data['imu_calib.imu'], f'{where}: its IMU'))
+def find_imu(
+    arguments: argparse.Namespace, data: Mapping[str, str], where: str, topic: str
+) -> ImuSpec:
+    """Return the IMU of the command line, or the one that the recording carries for a topic.
+
+    Raises:
+        InputError: There is neither, or the file is broken.
+
+    """
+    if (stated := stated_imu(arguments, data, where, topic)) is not None:
+        return stated[0]
     raise InputError(
         f"{where} does not say what the IMU's numbers mean: "
         f'give --imu ({_shipped("imus")}, or a file).'
     )
+
+
+def stated_imu(
+    arguments: argparse.Namespace, data: Mapping[str, str], where: str, topic: str
+) -> tuple[ImuSpec, str] | None:
+    """Return what is said of the IMU behind a topic, and who says it; None where nobody does.
+
+    Raises:
+        InputError: The file is broken.
+
+    """
+    if arguments.imu is not None:
+        return load_imu(arguments.imu), arguments.imu
+    text = described_imu(data, topic)
+    if text is None:
+        return None
+    says = f'{where}: its IMU'
+    return read_imu(Section.parse(text, says)), says
 
 
 def find_serial(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> str:

@@ -265,18 +265,40 @@ def check_unit(
         InputError: Names the key, what was found and what was expected.
 
     """
-    first = first_of(calibration)
-    own = first.imu
+    check_identity(calibration, name, imu.id, where, serial_number)
+    own = first_of(calibration).imu
     compared: dict[str, tuple[str | float, str | float]] = {
-        'imu': (own.id, imu.id),
         'units': (own.units.value, imu.units.value),
         'gyro: scale_factor': (own.gyro.scale_factor, imu.gyro.scale_factor),
         'accelerometer: scale_factor': (own.accel.scale_factor, imu.accel.scale_factor),
     }
-    if first.serial_number and serial_number:
-        compared['serial_number'] = (first.serial_number, serial_number)
     for key, (found, expected) in compared.items():
         if not _same(found, expected):
+            raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
+
+
+def check_identity(
+    calibration: AnyCalibration, name: str, imu: str, where: str, serial_number: str = ''
+) -> None:
+    """Refuse a calibration that says it is of another unit.
+
+    Args:
+        calibration: Single or combined.
+        name: Its file, for the message.
+        imu: Id of the unit, or of its type.
+        where: Who says so.
+        serial_number: Of the unit; empty where it is not stated. Compared where both state one.
+
+    Raises:
+        InputError: Names the key, what was found and what was expected.
+
+    """
+    own = first_of(calibration)
+    pairs = {'imu': (own.imu.id, imu)}
+    if own.serial_number and serial_number:
+        pairs['serial_number'] = (own.serial_number, serial_number)
+    for key, (found, expected) in pairs.items():
+        if found != expected:
             raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
 
 
