@@ -28,6 +28,8 @@ NODES = (
 # The wheel has no build for other machines; there the nodes need ROS 2.
 DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
 
+PLOT = 'matplotlib>=3.6'
+
 setup(
     name=NAME,
     version='0.1.0',
@@ -59,8 +61,9 @@ setup(
     ],
     extras_require={
         'dds': [DDS],
-        'test': ['pytest>=7.4', 'pytest-xdist>=3', 'hypothesis>=6', 'rosbags>=0.10.7', DDS],
-        'dev': ['matplotlib>=3.6', 'mypy>=1.11', 'ruff>=0.9', 'types-PyYAML', 'types-pyserial'],
+        'plot': [PLOT],
+        'test': ['pytest>=7.4', 'pytest-xdist>=3', 'hypothesis>=6', 'rosbags>=0.10.7', DDS, PLOT],
+        'dev': [PLOT, 'mypy>=1.11', 'ruff>=0.9', 'types-PyYAML', 'types-pyserial'],
     },
     entry_points={
         'console_scripts': [

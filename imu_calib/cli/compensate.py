@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bags import Recording, RecordingWriter, Topic, open_recording
 from ..cdr import Kind, Malformed, Messages, decode_imu, encode_rates
-from ..compensation.apply import Mark
+from ..compensation.apply import Mark, noise_gains
 from ..compensation.compensator import Compensator, Reading
 from ..compensation.thermal import (
     AnyCalibration,
@@ -79,7 +79,10 @@ def run(arguments: argparse.Namespace) -> None:
         compensator = Compensator(calibration)
         aside = _take_aside(compensator, recording, topic)
         meant = described_anew(
-            recording.custom_data, target, compensated_imu(imu), raw_is_kept=arguments.keep
+            recording.custom_data,
+            target,
+            compensated_imu(imu, *noise_gains(first_of(calibration).model)),
+            raw_is_kept=arguments.keep,
         )
         data = {**meant, COMPENSATED: file.name}
         stream = _Stream(compensator, target, arguments.frame_id)

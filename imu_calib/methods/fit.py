@@ -99,7 +99,7 @@ def estimate(evidence: Evidence, *, with_g: bool = False) -> Estimate:
 
     """
     equations = Equations(evidence, with_g=with_g)
-    _check_observable(equations)
+    check_observable(equations)
     state = _fit(equations, _start(equations))
     equations = _headed(_levelled(equations, state), state)
     state = _fit(equations, state)
@@ -171,8 +171,13 @@ def _turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
     return any((fallen == axis).sum() > _MOST_OUTLIERS * (axes == axis).sum() for axis in fallen)
 
 
-def _check_observable(equations: Equations) -> None:
-    """Refuse a session that leaves parameters open, or misses a rate test of its plan."""
+def check_observable(equations: Equations) -> None:
+    """Refuse a session that leaves parameters open, or misses a rate test of its plan.
+
+    Raises:
+        NotObservable: Names the parameters and what is missing.
+
+    """
     evidence = equations.evidence
     information = before(equations)
     lost = ~told(information)

@@ -17,6 +17,7 @@ from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free, method, skewed
 from ..methods.equations import G_SENSITIVITIES, SENSORS, Equations
 from ..methods.evidence import Evidence
+from ..methods.fit import check_observable
 from ..methods.free.ahead import deviations
 from ..methods.information import Information, told
 from ..methods.skewed import RatePoints
@@ -46,7 +47,7 @@ class Forecast:
             asked.
         best: (n,) by the Fisher information; NaN for what the session does not observe, and for
             the plan's own method in the hand: it takes no tilts for unknown, and may lie below.
-        refusal: Why the method cannot be asked, else empty.
+        refusal: Why the method has no answer, else empty.
 
     """
 
@@ -92,6 +93,11 @@ def forecast(
             parameters, square = _by_closed_form(evidence, solver, extra)
             if name == skewed.NAME:
                 square = square + skewed.doubt(evidence)
+        except NotObservable as error:
+            refusal = str(error)
+    else:
+        try:
+            check_observable(Equations(evidence, with_g=JOINT[name]))
         except NotObservable as error:
             refusal = str(error)
     best = _nothing(parameters)

@@ -268,6 +268,6 @@ def swing(
     limit = _NEARLY * spec.gyro.range * period
     if len(gap_free(around, period)) > 1 or not (np.abs(increments) < limit).all():
         return None
-    pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else 0.0
+    pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else spec.gyro.pulse
     variance = float(np.mean(walk[:3] ** 2)) * len(increments) * period + pulse**2 / 6
     return Swing(first, increments, period, variance)
