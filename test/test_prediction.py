@@ -349,11 +349,11 @@ def test_a_prediction_says_what_it_takes_gravity_to_be_known_to(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ['plans', 'twelve_position', '--imu', 'fog_medium']
-    for options, expected in (
+    for options, sentence in (
         ([], 'Gravity is known to 160 ppm, which is in K_a'),
         (['--height', '0'], 'Gravity is known to 30.6 ppm, which is in K_a'),
     ):
         assert main([*words, *options]) == 0
-        assert expected in ' '.join(capsys.readouterr().out.split())
+        assert sentence in ' '.join(capsys.readouterr().out.split())
     assert main([*words, '--gravity', '9.8']) == 0
     assert 'Gravity is known' not in capsys.readouterr().out

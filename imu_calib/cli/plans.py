@@ -209,8 +209,8 @@ def _show_forecast(
     doubt = found.evidence.site.gravity_doubt
     if doubt:
         OUTPUT.print(
-            f'Gravity is known to {doubt / PPM:.3g} ppm, which is in K_a: --height, or --gravity as '
-            'measured, make it less.'
+            f'Gravity is known to {doubt / PPM:.3g} ppm, which is in K_a: --height, or --gravity '
+            'as measured, make it less.'
         )
 
 
