@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -109,20 +110,22 @@ def truths_of(imu_name: str) -> list[str]:
     return [t for t in own if (imu.skewed is None) == (truth_of(t).model.skewed is None)]
 
 
-@cache
 def stand_of(plan_name: str, imu_name: str) -> tuple[str, bool] | None:
-    """The first shipped table on which a session of the plan can be solved; whether by north."""
+    """The shipped table on which a session of the plan can be solved; None for another unit's."""
     plan, imu = load_plan(plan_name), load_imu(imu_name)
     if plan.method == 'skewed' and imu.skewed is None:
         return None
-    if plan.by_hand:
-        return 'three_axis', False
-    # What has no noise figures is asked as if it had some.
-    triads = {k: replace(getattr(imu, k), random_walk=1e-5) for k in ('gyro', 'accel')}
+    return ('three_axis', False) if plan.by_hand else solved_on(plan_name)
+
+
+@cache
+def solved_on(plan_name: str) -> tuple[str, bool] | None:
+    """The first table, and whether north must be known; by a unit that has all channels."""
+    plan, imu = load_plan(plan_name), load_imu('fog_skewed')
     for table in sorted(names('tables'), key=lambda n: -len(load_table(n).joints)):
         for north in (False, True):
             with_north = replace(load_table(table), azimuth=0.0 if north else None)
-            setup = Setup(replace(imu, **triads), plan, with_north, SITE)
+            setup = Setup(imu, plan, with_north, SITE)
             try:
                 check_session(setup)
             except ImuCalibError:
@@ -140,16 +143,17 @@ def every() -> Iterator[Case]:
 
 
 def covering(cases: list[Case]) -> list[Case]:
-    """Each plan with one unit, and each unit and truth with some plan, the units taking turns."""
-    units = list(dict.fromkeys((c.imu, c.truth) for c in cases))
+    """Each plan with one unit: that which has had the fewest plans so far."""
+    times: Counter[str] = Counter()
     chosen: list[Case] = []
-    for k, plan in enumerate(dict.fromkeys(c.plan for c in cases)):
-        mine = {(c.imu, c.truth): c for c in cases if c.plan == plan}
-        if load_plan(plan).by_hand:
-            # The unit that the command `stand` gives into the hand.
-            mine = {key: c for key, c in mine.items() if c.imu == HELD}
-        turn = [units[(k + n) % len(units)] for n in range(len(units))]
-        chosen.append(next(mine[key] for key in turn if key in mine))
+    # Plans that few units can run choose first.
+    number = Counter(c.plan for c in cases)
+    for plan in sorted(number, key=lambda p: (number[p], p)):
+        # In the hand the unit that the command `stand` gives into it.
+        held = load_plan(plan).by_hand
+        mine = [c for c in cases if c.plan == plan and (not held or c.imu == HELD)]
+        chosen.append(min(mine, key=lambda c: times[c.imu]))
+        times[chosen[-1].imu] += 1
     return chosen
 
 
@@ -309,7 +313,7 @@ def _readable(kind: str, text: str) -> None:
         assert json.loads(text)
     elif kind == 'c':
         assert '#ifndef' in text
-        assert len(re.findall(r'-?\d\.\d+e[-+]\d+', text)) >= 12
+        assert len(re.findall(r'-?\d+\.\d+', text)) >= 12
     else:
         assert yaml.safe_load(text)
 
