@@ -28,6 +28,8 @@ NODES = (
 # The wheel has no build for other machines; there the nodes need ROS 2.
 DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
 
+PLOT = 'matplotlib>=3.6'
+
 setup(
     name=NAME,
     version='0.1.0',
@@ -59,6 +61,7 @@ setup(
     ],
     extras_require={
         'dds': [DDS],
+        'plot': [PLOT],
         'test': [
             'pytest>=7.4',
             'pytest-timeout>=2.2',
@@ -66,8 +69,9 @@ setup(
             'hypothesis>=6',
             'rosbags>=0.10.7',
             DDS,
+            PLOT,
         ],
-        'dev': ['matplotlib>=3.6', 'mypy>=1.11', 'ruff>=0.9', 'types-PyYAML', 'types-pyserial'],
+        'dev': [PLOT, 'mypy>=1.11', 'ruff>=0.9', 'types-PyYAML', 'types-pyserial'],
     },
     entry_points={
         'console_scripts': [

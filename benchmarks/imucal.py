@@ -28,7 +28,7 @@ from imu_calib.bags import open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.cdr import Kind
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.model import AXES, PARAMETERS, SensorModel, Triad
@@ -40,7 +40,7 @@ from imu_calib.stream import Floats, ImuBlock, Mode, Units
 from imu_calib.turntable import load_table
 from imu_calib.units import ARCSEC, DEG
 
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 HEADING = 20 * DEG
 TURN_RATE = 60 * DEG
 HAND = Path(__file__).parent.parent / 'test' / 'data' / 'hand_session'

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.imu import load_imu
 from imu_calib.model import Parameter
@@ -35,7 +35,7 @@ from imu_calib.simulation import StandOptions
 from imu_calib.turntable import Table, load_table
 from imu_calib.units import DEG
 
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 TOLERANCE = 0.1
 UNLIKELY = 0.01
 HEADING = 30 * DEG

@@ -11,7 +11,7 @@ import numpy as np
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.plan import Plan, load_plan
 from imu_calib.share import named_file
@@ -21,7 +21,7 @@ from imu_calib.units import DEG, DEG_H
 
 AZIMUTHS = np.arange(0.0, 5.01, 0.5)
 TRUTH = Calibration.load(named_file('truths', 'cao2022_table1'))
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 DARK, LIGHT = '#1b3a5c', '#c8553d'
 
 

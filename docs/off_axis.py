@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.methods import method
 from imu_calib.methods.evidence import Evidence
 from imu_calib.model import SensorModel, Triad
@@ -21,7 +21,7 @@ from imu_calib.turntable import rotation
 from imu_calib.units import ARCSEC, DEG, DEG_H
 
 RUNS, LARGEST = 100, 3 * ARCSEC
-SITE = Site.at(34 * DEG)
+SITE = Site.at(34 * DEG, gravity=normal_gravity(34 * DEG))
 K, E = 1e-4, 2.145e-5
 D = np.array([2.04173693, 3.01844241, 2.09545751])
 TRUTH = SensorModel(Triad(np.full((3, 3), E) + (K - E) * np.eye(3), D * DEG_H))

@@ -13,7 +13,7 @@ import numpy as np
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETER_NAMES
 from imu_calib.plan import load_plan
@@ -31,7 +31,13 @@ def main() -> None:
     table = load_table('three_axis')
     plan = load_plan('twelve_position')
     truth = Calibration.load(named_file('truths', 'cao2022_table1')).model
-    setup = Setup(load_imu('fog_medium'), plan, table, Site.at(34.65 * DEG), 'joint')
+    setup = Setup(
+        load_imu('fog_medium'),
+        plan,
+        table,
+        Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG)),
+        'joint',
+    )
     seconds = duration(plan.steps(table), table)
     found = optimise(setup, truth, seconds, RATE)
     print(written(found))

@@ -18,7 +18,7 @@ from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main as imu_calib
 from imu_calib.cli.simulate import serialised
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.plan import load_plan
 from imu_calib.session import describe
@@ -29,7 +29,7 @@ from imu_calib.turntable import load_table
 from imu_calib.units import DEG
 
 HERE = Path(__file__).parent
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 LOOSE = (110.0, 111.0)
 """When the cable was loose, s from the start: in the middle of a turn."""
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from imu_calib.calibration import Calibration
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.methods.skewed import RatePoints
 from imu_calib.share import named_file
 from imu_calib.units import ARCSEC, DEG, DEG_H
 
 RUNS = 200
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 RATES = np.array([5.0, 20, 50, 100, 150]) * DEG
 GROWTHS = np.array([0.0, 0.2, 1.0, 5.0]) * 1e-6
 FLOOR = 0.05 * DEG_H

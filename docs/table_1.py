@@ -15,7 +15,7 @@ from rich.console import Console
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.plan import Plan, load_plan
 from imu_calib.report.parameters import comparison_table
@@ -24,7 +24,7 @@ from imu_calib.simulation import StandOptions, simulate
 from imu_calib.turntable import load_table
 from imu_calib.units import ARCMIN, DEG, DEG_H, MICRO_G
 
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 AZIMUTH = {'six_position': 0.0, 'twelve_position': 3.0 * DEG}
 FIRST_SEED, PAIRS = 10, 10
 LIMITS = {'E': 0.04 * ARCMIN, 'D_g': 0.40 * DEG_H, 'D_a': 10 * MICRO_G}

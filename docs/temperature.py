@@ -11,7 +11,7 @@ import numpy as np
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.compensation.thermal import combine
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETER_NAMES
 from imu_calib.plan import load_plan
@@ -30,7 +30,7 @@ DRIFT = ThermalDrift(
     accel_scale=(3e-6, 5e-6, -2e-6),
 )
 TRUTH = Calibration.load(named_file('truths', 'cao2022_table1')).model
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 DARK, LIGHT = '#1b3a5c', '#c8553d'
 
 

@@ -13,13 +13,14 @@ from . import __version__
 from .calibration import Calibration, ResidualRow
 from .earth import Site
 from .errors import Contradiction, InputError, NotObservable
+from .gravity import gravity_covariance, with_gravity
 from .imu import ImuSpec
 from .methods import check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
 from .methods.evidence import Evidence, noise
 from .methods.information import reached
 from .methods.solution import Solution
-from .model import PARAMETERS, Parameter
+from .model import PARAMETERS, Parameter, SensorModel
 from .noise import session_noise
 from .plan import Plan
 from .progress import unsupported_steps
@@ -67,7 +68,7 @@ class Result:
 
     Attributes:
         calibration: The result as a value.
-        solution: What the method returned.
+        solution: What the method returned; gravity is taken as exact in it.
         session: What the streams contain.
         labelled: Its segments by name.
         comparison: How the closed form of the plan compares; None where there is none beside.
@@ -160,7 +161,8 @@ class Calibrator:
         except NotObservable as error:
             std = dict(zip(PARAMETERS, self._reached(labelled, session), strict=True))
             return self._review(session, std, unsupported, None, str(error))
-        std = dict(zip(result.calibration.parameters, result.solution.std, strict=True))
+        calibration = result.calibration
+        std = dict(zip(calibration.parameters, calibration.std, strict=True))
         return self._review(session, std, unsupported, result, '')
 
     def _review(
@@ -178,9 +180,12 @@ class Calibrator:
     def _reached(self, labelled: Labelled, session: Segmented) -> Floats:
         """Return the standard deviations of what is determined already, NaN for the rest."""
         try:
-            return reached(self._evidence(labelled, session))
+            noise_alone = reached(self._evidence(labelled, session))
         except NotObservable:
             return np.full(len(PARAMETERS), np.nan)
+        doubt = self._setup.site.gravity_doubt
+        share = np.diag(gravity_covariance(SensorModel(), PARAMETERS, doubt))
+        return np.asarray(np.sqrt(noise_alone**2 + share))
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
         setup = self._setup
@@ -254,6 +259,7 @@ class Calibrator:
             _provenance(setup, evidence, session, solution, comparison),
             setup.serial_number,
         )
+        calibration = with_gravity(calibration, setup.site)
         return Result(calibration, solution, session, labelled, comparison)
 
 
@@ -326,6 +332,9 @@ def _provenance(
         'latitude_deg': setup.site.latitude / DEG,
         'gravity': setup.site.gravity,
         'gravity_source': setup.site.gravity_source,
+        'gravity_std': setup.site.gravity_std,
+        'height': setup.site.height,
+        'height_assumed': setup.site.height_assumed,
         'azimuth_seen_deg': _or_none(solution.azimuth / DEG),
         'azimuth_seen_std_deg': _or_none(solution.azimuth_std / DEG),
         'segments': len(evidence.segments),

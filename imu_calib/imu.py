@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from .config import Section
 from .errors import InputError
@@ -23,6 +26,8 @@ class TriadSpec:
         random_walk: rad/sqrt(s) or (m/s)/sqrt(s); 0 when not stated.
         bias_instability: rad/s or m/s^2; 0 when not stated.
         range: Largest rate or specific force, rad/s or m/s^2; inf when not stated.
+        pulse: Of SI values that were computed from a counter: its pulse, rad or m/s, whose
+            remainder goes on into the next sample; 0 where there is none.
 
     """
 
@@ -30,6 +35,7 @@ class TriadSpec:
     random_walk: float = 0.0
     bias_instability: float = 0.0
     range: float = math.inf
+    pulse: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -66,6 +72,64 @@ def load_imu(name: str | Path) -> ImuSpec:
     return read_imu(Section.load(named_file('imus', name)))
 
 
+def compensated_imu(spec: ImuSpec, gyro_gain: float, accel_gain: float) -> ImuSpec:
+    """Return what the numbers of an IMU mean after compensation: SI, with the noise that it has.
+
+    A skewed gyro has gone into the three others; limits of the specification are of the raw unit.
+
+    Args:
+        spec: The raw numbers.
+        gyro_gain: By how much compensation enlarges the noise of a gyro.
+        accel_gain: The same of an accelerometer.
+
+    """
+    return replace(
+        spec,
+        units=Units.SI,
+        gyro=_compensated_triad(spec.gyro, spec.units, gyro_gain),
+        accel=_compensated_triad(spec.accel, spec.units, accel_gain),
+        skewed=None,
+        specification=None,
+    )
+
+
+def _compensated_triad(triad: TriadSpec, units: Units, gain: float) -> TriadSpec:
+    return replace(
+        triad,
+        scale_factor=1.0,
+        random_walk=triad.random_walk * gain,
+        bias_instability=triad.bias_instability * gain,
+        pulse=gain * (triad.scale_factor if units is Units.PULSES else triad.pulse),
+    )
+
+
+def imu_text(spec: ImuSpec) -> str:
+    """Return the YAML text of an IMU in SI units, as `read_imu` reads it.
+
+    Raises:
+        ValueError: Its numbers are not SI, or it has a skewed gyro.
+
+    """
+    if spec.units is not Units.SI or spec.skewed is not None:
+        raise ValueError(f'IMU {spec.id}: expected SI units and no skewed gyro.')
+    document: dict[str, Any] = {'id': spec.id, 'units': spec.units.value}
+    if spec.sample_rate is not None:
+        document['sample_rate'] = f'{spec.sample_rate!r} Hz'
+    for name, triad, walk_key, walk, unit, pulse in (
+        ('gyro', spec.gyro, 'angle_random_walk', 'rad/sqrt(s)', 'rad/s', 'rad'),
+        ('accelerometer', spec.accel, 'velocity_random_walk', '(m/s)/sqrt(s)', 'm/s^2', 'm/s'),
+    ):
+        document[name] = {
+            walk_key: f'{triad.random_walk!r} {walk}',
+            'bias_instability': f'{triad.bias_instability!r} {unit}',
+        }
+        if math.isfinite(triad.range):
+            document[name]['range'] = f'{triad.range!r} {unit}'
+        if triad.pulse:
+            document[name]['pulse'] = f'{triad.pulse!r} {pulse}/pulse'
+    return yaml.safe_dump(document, sort_keys=False, width=200)
+
+
 def read_imu(section: Section) -> ImuSpec:
     """Read an IMU from its YAML mapping.
 
@@ -98,6 +162,7 @@ def read_imu(section: Section) -> ImuSpec:
         'angle_random_walk',
         Dimension.ANGLE_RANDOM_WALK,
         Dimension.RATE,
+        Dimension.ANGLE_PER_PULSE,
     )
     accel = _read_triad(
         section,
@@ -106,6 +171,7 @@ def read_imu(section: Section) -> ImuSpec:
         'velocity_random_walk',
         Dimension.VELOCITY_RANDOM_WALK,
         Dimension.ACCELERATION,
+        Dimension.VELOCITY_PER_PULSE,
     )
     skewed = None
     if section.has('skewed_gyro'):
@@ -116,6 +182,7 @@ def read_imu(section: Section) -> ImuSpec:
             'angle_random_walk',
             Dimension.ANGLE_RANDOM_WALK,
             Dimension.RATE,
+            Dimension.ANGLE_PER_PULSE,
         )
     limits = None
     if section.has('specification'):
@@ -132,6 +199,7 @@ def _read_triad(
     walk_key: str,
     walk: Dimension,
     value: Dimension,
+    pulse: Dimension,
 ) -> TriadSpec:
     if scale is None and not parent.has(name):
         return TriadSpec()
@@ -144,8 +212,9 @@ def _read_triad(
         section.quantity(walk_key, walk, 0.0),
         section.quantity('bias_instability', value, 0.0),
         section.quantity('range', value, math.inf),
+        section.quantity('pulse', pulse, 0.0) if scale is None else 0.0,
     )
-    if spec.random_walk < 0 or spec.bias_instability < 0 or spec.range <= 0:
+    if min(spec.random_walk, spec.bias_instability, spec.pulse) < 0 or spec.range <= 0:
         raise InputError(f'{section.where}: noise figures cannot be negative, the range not zero.')
     section.finish()
     return spec

@@ -129,8 +129,11 @@ def run_once(study: Study, seed: int) -> Run:
     if table is None:
         raise NotObservable(f'Plan {setup.plan.name}: a simulated session needs a table.')
     options = replace(study.options, azimuth=azimuth)
+    # What is known of gravity is how it may truly be: as the calibration states, so it errs.
+    off = float(np.random.default_rng([seed, 2]).standard_normal()) * setup.site.gravity_std
+    site = replace(setup.site, gravity=setup.site.gravity + off)
     calibrator = Calibrator(setup)
-    for _, block in simulate(setup.plan, table, setup.imu, study.truth, setup.site, options, seed):
+    for _, block in simulate(setup.plan, table, setup.imu, study.truth, site, options, seed):
         calibrator.feed(block)
     try:
         calibration = calibrator.finish().calibration

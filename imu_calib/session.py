@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from .earth import Site
+from collections.abc import Mapping
+from dataclasses import replace
+
+from .earth import MEASURED, NORMAL_GRAVITY, Site
+from .errors import InputError
+from .imu import ImuSpec, imu_text
 from .share import named_file
 from .units import DEG
 
 SERIAL_NUMBER = 'imu_calib.serial_number'
 """Key of a recording's own entries: the unit's serial number."""
+
+COMPENSATED = 'imu_calib.compensated'
+"""Key of the calibration's file that a recording was compensated by."""
+
+_IMU = 'imu_calib.imu'
 
 
 def describe(
@@ -30,10 +40,72 @@ def describe(
     if table is not None:
         files['table'] = named_file('tables', table)
     unit = {SERIAL_NUMBER: serial_number} if serial_number else {}
-    return {
+    described = {
         **unit,
         **{f'imu_calib.{what}': path.read_text(encoding='utf-8') for what, path in files.items()},
         'imu_calib.latitude_deg': repr(site.latitude / DEG),
         'imu_calib.gravity': repr(site.gravity),
         'imu_calib.gravity_source': site.gravity_source,
+        'imu_calib.gravity_std': repr(site.gravity_std),
     }
+    if site.height is not None:
+        described['imu_calib.height'] = repr(site.height)
+    return described
+
+
+def described_imu(data: Mapping[str, str], topic: str) -> str | None:
+    """Return the YAML text of the IMU behind a topic; None where the recording has none.
+
+    A stream that was computed from another has a description of its own.
+    """
+    return data.get(imu_key(topic), data.get(_IMU))
+
+
+def imu_key(topic: str) -> str:
+    """Return the key of a recording's own entries that describes the numbers of one topic."""
+    return f'{_IMU}:{topic}'
+
+
+def described_anew(
+    data: Mapping[str, str], topic: str, imu: ImuSpec, *, raw_is_kept: bool
+) -> dict[str, str]:
+    """Return a recording's own entries with those of a computed Imu stream.
+
+    Args:
+        data: Entries of the recording that it was computed from.
+        topic: The new stream.
+        imu: What its numbers mean.
+        raw_is_kept: Whether the stream that `data` describes is in the recording too.
+
+    """
+    kept = {key: text for key, text in data.items() if raw_is_kept or not key.startswith(_IMU)}
+    return {**kept, imu_key(topic): imu_text(imu)}
+
+
+def described_site(data: Mapping[str, str], where: str) -> Site:
+    """Return the site that a recording tells of.
+
+    Args:
+        data: The recording's entries, as `describe` makes them.
+        where: The recording, for messages.
+
+    Raises:
+        InputError: It tells of none, or of a broken one.
+
+    """
+    if 'imu_calib.latitude_deg' not in data:
+        raise InputError(f'{where} does not say where it was taken: give --latitude.')
+    try:
+        latitude = float(data['imu_calib.latitude_deg']) * DEG
+        gravity = float(data['imu_calib.gravity'])
+        stated = data.get('imu_calib.gravity_std')
+        std = None if stated is None else float(stated)
+        height = float(data['imu_calib.height']) if 'imu_calib.height' in data else None
+    except (KeyError, ValueError):
+        raise InputError(f'{where}: what it says of its site is broken; give --latitude.') from None
+    source = data.get('imu_calib.gravity_source', MEASURED)
+    if std is None and source == NORMAL_GRAVITY:
+        # Recorded before heights were: what normal gravity means where nobody states one.
+        std = Site.at(latitude, height).gravity_std
+    site = Site.at(latitude, height, gravity, gravity_std=std)
+    return replace(site, gravity_source=source)

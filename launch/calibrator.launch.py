@@ -22,9 +22,17 @@ ARGUMENTS = [
         'table', default_value='three_axis', description='Name or file of the turntable.'
     ),
     DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
-    DeclareLaunchArgument('height', default_value='0.0', description='Above the ellipsoid, m.'),
+    DeclareLaunchArgument(
+        'height', default_value='nan', description='Above the ellipsoid, m; nan: not known.'
+    ),
+    DeclareLaunchArgument(
+        'height_std', default_value='nan', description='Of the height, m; nan: 0 if it is stated.'
+    ),
     DeclareLaunchArgument(
         'gravity', default_value='nan', description='As measured, m/s^2; nan: normal gravity.'
+    ),
+    DeclareLaunchArgument(
+        'gravity_std', default_value='nan', description='m/s^2; nan: 0 if measured, 30e-5 if not.'
     ),
     DeclareLaunchArgument(
         'azimuth', default_value='nan', description="Heading of the table's zero, deg, if known."
@@ -67,7 +75,7 @@ def generate_launch_description() -> LaunchDescription:
     """Describe the calibrator."""
     typed = {
         bool: ('use_sim_time',),
-        float: ('latitude', 'height', 'gravity', 'azimuth'),
+        float: ('latitude', 'height', 'height_std', 'gravity', 'gravity_std', 'azimuth'),
         str: ('plan', 'imu', 'table', 'method', 'journal', 'output'),
     }
     parameters = {

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from imu_calib.calibration import Calibration
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions, SimulatedImu
@@ -20,7 +20,7 @@ from imu_calib.simulation.motion import Motion
 from imu_calib.simulation.profile import Track, side_by_side, trapezoid
 from imu_calib.units import DEG
 
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 TILT, TURN = 12 * DEG, 90 * DEG
 STILL, END = 2.0, 7.0
 MARGIN = 0.5

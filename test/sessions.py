@@ -15,7 +15,7 @@ from loopback import until
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.methods.evidence import Evidence
 from imu_calib.montecarlo import single_threaded
@@ -28,7 +28,7 @@ from imu_calib.turntable import Table, load_table
 from imu_calib.units import DEG
 
 LATITUDE = 34.65 * DEG
-SITE = Site.at(LATITUDE)
+SITE = Site.at(LATITUDE, gravity=normal_gravity(LATITUDE))
 
 Named = tuple[str, Block]
 Change = Callable[[Iterable[Named]], Iterable[Named]]

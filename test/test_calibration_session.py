@@ -27,7 +27,7 @@ from sessions import (
 
 from imu_calib.calibrator import Result, Setup
 from imu_calib.config import Section
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.methods import twelve_position
 from imu_calib.methods.evidence import noise
 from imu_calib.montecarlo import economical
@@ -184,7 +184,7 @@ def test_another_table_needs_no_special_case() -> None:
 
 
 def test_the_south_needs_no_special_case() -> None:
-    site = Site.at(-LATITUDE)
+    site = Site.at(-LATITUDE, gravity=normal_gravity(-LATITUDE))
     result = calibrate(session(site=site, seed=7), site=site)
     assert np.abs(normalised(result)).max() < 4.5
     assert result.solution.earth_up < 0

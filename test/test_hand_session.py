@@ -22,7 +22,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.cdr import Kind, encode_imu
 from imu_calib.cli.main import main
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
@@ -95,7 +95,7 @@ def quiet_unit() -> ImuSpec:
 def test_an_earth_rate_from_anywhere_is_in_the_deviations() -> None:
     runs, spec, plan = 16, quiet_unit(), load_plan('six_position_by_hand')
     truth = Calibration.load(named_file('truths', 'mems_counts')).model
-    setup = Setup(spec, plan, None, Site.at(34.65 * DEG))
+    setup = Setup(spec, plan, None, Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG)))
     square = np.zeros(24)
     for seed in range(runs):
         calibrator = Calibrator(setup)

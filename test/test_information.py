@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.methods.evidence import Evidence
 from imu_calib.methods.information import reached, unobserved
 from imu_calib.model import PARAMETER_NAMES, SensorModel
@@ -21,7 +21,7 @@ from imu_calib.stream import Floats
 from imu_calib.turntable import TURN
 from imu_calib.units import ARCSEC, DEG
 
-SITE = Site.at(34.65 * DEG)
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 CLOCK = ClockFit(0.0, 0.0, 1e-6, 0.0, 0.0, 30)
 GYRO_WALK = 0.05 * DEG / 60
 ACCEL_WALK = 0.012 / 60

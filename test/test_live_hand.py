@@ -17,7 +17,7 @@ from imu_calib.cdr import Kind, encode_imu
 from imu_calib.cli.by_hand import reached, view
 from imu_calib.cli.main import main
 from imu_calib.devices import Decoder, load_format
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.methods.free import FREE
 from imu_calib.methods.free.guidance import Stage, direction
@@ -195,7 +195,12 @@ def test_the_words_for_an_attitude_name_one(words):
 
 def test_six_holds_and_three_turns_by_hand_live_are_those_of_the_recording(tmp_path):
     recording = Path(__file__).parent / 'data' / 'hand_session'
-    setup = Setup(SPEC, load_plan('six_position_by_hand'), None, Site.at(49.6 * DEG))
+    setup = Setup(
+        SPEC,
+        load_plan('six_position_by_hand'),
+        None,
+        Site.at(49.6 * DEG, gravity=normal_gravity(49.6 * DEG)),
+    )
     topics = {Kind.IMU: '/imu/pulses'}
     names = {topic: kind for kind, topic in topics.items()}
     session = LiveSession(setup, Journal(tmp_path / 'journal', {}, names), topics)

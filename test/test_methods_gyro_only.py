@@ -11,7 +11,7 @@ from ideal import evidence
 from sessions import calibrate, paper_imu, stand
 
 from imu_calib.calibration import Calibration
-from imu_calib.earth import EARTH_RATE, Site
+from imu_calib.earth import EARTH_RATE, Site, normal_gravity
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.methods import check_plan, method
 from imu_calib.methods.solution import Solution
@@ -23,7 +23,7 @@ from imu_calib.stream import Floats
 from imu_calib.turntable import load_table, rotation
 from imu_calib.units import ARCSEC, DEG, DEG_H
 
-SITE = Site.at(34 * DEG)
+SITE = Site.at(34 * DEG, gravity=normal_gravity(34 * DEG))
 W_N, W_U = EARTH_RATE * np.cos(34 * DEG), EARTH_RATE * np.sin(34 * DEG)
 # off-axis 2019, section 4.
 K, E = 1e-4, 2.145e-5

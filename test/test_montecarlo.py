@@ -1,5 +1,7 @@
 """Repeated sessions: seeds decide, and the table says what they came to."""
 
+import sys
+from importlib.metadata import requires
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,7 @@ from sessions import SITE, paper_imu, stand, truth
 from test_prediction import brisk
 
 from imu_calib.calibrator import Setup
+from imu_calib.cli import montecarlo
 from imu_calib.cli.main import main
 from imu_calib.model import PARAMETERS
 from imu_calib.montecarlo import Outcome, Run, Study, economical, repeat
@@ -56,7 +59,37 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     shown = capsys.readouterr().out
     assert 'spread/stated' in shown
     assert '2 runs of plan twelve_position' in shown
-    assert target.exists() or 'matplotlib is not installed' in shown
+    assert target.read_bytes().startswith(b'\x89PNG')
     assert main(['montecarlo', 'six_position', '--method', 'six_position', '--runs', '1']) == 1
     assert main(['montecarlo', 'six_position_by_hand', '--runs', '1']) == 2
     assert main(['montecarlo', 'twelve_position', '--runs', '0']) == 2
+
+
+@pytest.mark.parametrize(
+    ('installed', 'name', 'words'),
+    [
+        (False, 'study.png', [f"{sys.executable} -m pip install 'matplotlib>=3.6'", '--output']),
+        (True, 'study.xyz', ["found the ending '.xyz'", 'png', 'svg']),
+    ],
+)
+def test_a_plot_that_cannot_be_drawn_is_refused_before_the_first_run(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    installed: bool,
+    name: str,
+    words: list[str],
+) -> None:
+    if not installed:
+        monkeypatch.setitem(sys.modules, 'matplotlib', None)
+    monkeypatch.setattr(montecarlo, 'repeat', lambda *_: pytest.fail('it runs'))
+    arguments = ['montecarlo', 'twelve_position', '--runs', '1', '-o', str(tmp_path / name)]
+    assert main(arguments) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert all(word in said for word in words), said
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_draws_is_an_extra_of_its_own() -> None:
+    extras = [r for r in requires('imu_calib') or [] if r.startswith('matplotlib')]
+    assert {r.split('extra ==')[1].strip(' "\'') for r in extras} == {'plot', 'test', 'dev'}

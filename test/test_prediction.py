@@ -12,6 +12,7 @@ from sessions import LATITUDE, SITE, paper_imu, quick_plan, session, stand, trut
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.cli.main import main
+from imu_calib.earth import Site
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.imu import load_imu
 from imu_calib.methods import skewed
@@ -297,3 +298,62 @@ def test_a_table_of_two_axes_gives_fewer_candidates() -> None:
     assert len(three) > len(two) > 0
     for choice in two:
         load_table('two_axis').angles(choice.matrix)
+
+
+@pytest.mark.parametrize(
+    ('plan', 'method', 'closed', 'with_g'),
+    [
+        ('twelve_position', 'joint_33', 'twelve_position', 'joint_33'),
+        ('twelve_position_33', 'joint', 'n_positions', 'n_positions'),
+    ],
+)
+def test_a_joint_estimate_of_24_stands_beside_a_closed_form_of_33_and_the_reverse(
+    capsys: pytest.CaptureFixture[str], plan: str, method: str, closed: str, with_g: str
+) -> None:
+    words = ['--imu', 'fog_medium', '--method', method, '--azimuth', '0', '--gravity', '9.8']
+    assert main(['plans', plan, *words]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    heading = next(row for row in rows if row[:1] == ['parameter'])
+    assert heading[1:3] == [closed, method]
+    place = load_table('three_axis')
+    case = Setup(
+        load_imu('fog_medium'),
+        load_plan(plan),
+        replace(place, azimuth=0.0),
+        Site.at(34.65 * DEG, gravity=9.8),
+    )
+    found = {m: forecast(replace(case, method=m), truth().model) for m in (closed, method)}
+    shown = {row[0]: row[1:3] for row in rows if row and row[0][:2] in {'K_', 'E_', 'D_', 'G_'}}
+    assert len(shown) == 33
+    for m, k in ((closed, 0), (method, 1)):
+        std = dict(zip([p.name for p in found[m].parameters], found[m].std, strict=True))
+        assert float(shown['D_gx'][k]) == pytest.approx(std['D_gx'] / DEG_H, rel=0.05)
+        assert (shown['G_gzz'][k] == '-') == (m != with_g)
+
+
+def test_what_a_plan_leaves_open_is_a_sentence_and_an_exit_code(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(['plans', 'static_six', '--method', 'joint', '--imu', 'fog_medium']) == 1
+    told = capsys.readouterr()
+    assert ' '.join(told.err.split()) == (
+        'imu-calib plans: Plan static_six, method joint: No position has X vertical: K_ax, E_ayx, '
+        'E_azx not observable.'
+    )
+    assert 'D_gz' in told.out
+    assert main(['plans', 'six_position', '--method', 'six_position', '--imu', 'fog_medium']) == 1
+    assert 'need north' in capsys.readouterr().err
+
+
+def test_a_prediction_says_what_it_takes_gravity_to_be_known_to(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ['plans', 'twelve_position', '--imu', 'fog_medium']
+    for options, sentence in (
+        ([], 'Gravity is known to 160 ppm, which is in K_a'),
+        (['--height', '0'], 'Gravity is known to 30.6 ppm, which is in K_a'),
+    ):
+        assert main([*words, *options]) == 0
+        assert sentence in ' '.join(capsys.readouterr().out.split())
+    assert main([*words, '--gravity', '9.8']) == 0
+    assert 'Gravity is known' not in capsys.readouterr().out

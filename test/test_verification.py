@@ -16,7 +16,7 @@ from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.cli.simulate import serialised
-from imu_calib.earth import Site
+from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
 from imu_calib.model import Triad
 from imu_calib.segmentation.segmenter import Segmenter
@@ -263,7 +263,7 @@ def test_a_unit_turned_in_its_mount_is_told_by_how_much() -> None:
 
 def test_another_gravity_is_told_from_accelerometers_that_have_changed() -> None:
     # Five degrees of latitude further north, as somebody believes: 440 ppm.
-    site = Site.at(LATITUDE + 5 * DEG)
+    site = Site.at(LATITUDE + 5 * DEG, gravity=normal_gravity(LATITUDE + 5 * DEG))
     verification = verify(calibration(), replace(observed(), site=site))
     words = symptom(verification, gyros=False)
     assert 'when gravity is 9.79' in words

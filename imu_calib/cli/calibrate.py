@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ..bags import Recording, open_recording
 from ..calibration import Calibration
@@ -15,7 +16,7 @@ from ..methods.free.session import calibrator_of
 from ..report.noise import noise_lines
 from ..report.parameters import parameter_table
 from ..stream import Block
-from ..units import DEG, DEG_H, MICRO_G
+from ..units import DEG, DEG_H, MICRO_G, PPM
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
@@ -60,7 +61,7 @@ def open_offline(arguments: argparse.Namespace) -> Offline:
     data, where = recording.custom_data, str(recording.path)
     streams = options.find_streams(arguments, recording)
     table = options.find_table(arguments, data, where)
-    imu = options.find_imu(arguments, data, where)
+    imu = options.find_imu(arguments, data, where, streams.imu)
     if streams.skew is None:
         # Nobody is to wait for a gyro that the recording does not hold.
         imu = replace(imu, skewed=None)
@@ -132,7 +133,7 @@ def show(result: Result, truth: Calibration | None = None) -> None:
             'ug over 1000 s or so (data sheet, and what the session shows)'
         )
     OUTPUT.print(
-        f'gravity {setup["gravity"]:.6f} m/s^2 ({setup["gravity_source"]}), '
+        f'gravity {setup["gravity"]:.6f} m/s^2 ({setup["gravity_source"]}), {_doubt(setup)}; '
         f'latitude {setup["latitude_deg"]:.3f} deg'
     )
     if session.temperature is not None:
@@ -154,3 +155,11 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     for line in noise_lines(result.calibration):
         OUTPUT.print(line, markup=False)
     sentence_list('Worth knowing', result.calibration.findings)
+
+
+def _doubt(provenance: Mapping[str, Any]) -> str:
+    """Say how well gravity is known, which is how well any K_a can be known."""
+    doubt = provenance['gravity_std'] / provenance['gravity']
+    if not doubt:
+        return 'taken as exact'
+    return f'known to {doubt / PPM:.3g} ppm, which is in the deviations of K_a'

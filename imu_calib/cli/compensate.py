@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bags import Recording, RecordingWriter, Topic, open_recording
 from ..cdr import Kind, Malformed, Messages, decode_imu, encode_rates
-from ..compensation.apply import Mark
+from ..compensation.apply import Mark, noise_gains
 from ..compensation.compensator import Compensator, Reading
 from ..compensation.thermal import (
     AnyCalibration,
@@ -19,9 +19,9 @@ from ..compensation.thermal import (
     first_of,
     load_calibration,
 )
-from ..config import Section
 from ..errors import InputError
-from ..imu import load_imu, read_imu
+from ..imu import ImuSpec, compensated_imu
+from ..session import COMPENSATED, described_anew
 from ..stream import ImuBlock, Stamps
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -73,12 +73,18 @@ def run(arguments: argparse.Namespace) -> None:
     file = Path(arguments.calibration).expanduser()
     calibration = load_calibration(file)
     with open_recording(arguments.bag) as recording:
-        _check_unit(calibration, arguments, recording)
         topic = _topic(arguments, recording)
+        imu = _check_unit(calibration, arguments, recording, topic)
         target = _target(arguments, recording, topic)
         compensator = Compensator(calibration)
         aside = _take_aside(compensator, recording, topic)
-        data = {**recording.custom_data, 'imu_calib.compensated': file.name}
+        meant = described_anew(
+            recording.custom_data,
+            target,
+            compensated_imu(imu, *noise_gains(first_of(calibration).model)),
+            raw_is_kept=arguments.keep,
+        )
+        data = {**meant, COMPENSATED: file.name}
         stream = _Stream(compensator, target, arguments.frame_id)
         with (
             RecordingWriter(arguments.output, data, arguments.compression) as writer,
@@ -158,21 +164,16 @@ def _sound(messages: Messages) -> list[bool]:
 
 
 def _check_unit(
-    calibration: AnyCalibration, arguments: argparse.Namespace, recording: Recording
-) -> None:
-    """Hold the calibration against what is said of the IMU, if anything is."""
+    calibration: AnyCalibration, arguments: argparse.Namespace, recording: Recording, topic: Topic
+) -> ImuSpec:
+    """Hold the calibration against what is said of the IMU, if anything is; return what is."""
     data, where = recording.custom_data, str(recording.path)
-    said = data.get('imu_calib.imu')
     serial = options.find_serial(arguments, data, where)
-    if arguments.imu is not None:
-        imu, where = load_imu(arguments.imu), arguments.imu
-    elif said is not None:
-        where = f'{recording.path}: its IMU'
-        imu = read_imu(Section.parse(said, where))
-    else:
-        # Nobody says anything of the unit's type.
-        imu = first_of(calibration).imu
+    stated = options.stated_imu(arguments, data, where, topic.name)
+    # Where nobody says anything of the unit's type, the calibration does.
+    imu, where = (first_of(calibration).imu, where) if stated is None else stated
     check_unit(calibration, arguments.calibration, imu, where, serial)
+    return imu
 
 
 def _topic(arguments: argparse.Namespace, recording: Recording) -> Topic:

@@ -13,6 +13,7 @@ from ..errors import ImuCalibError
 from ..segmentation.labelling import label
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.session import Segmented
+from ..session import COMPENSATED
 from ..units import DEG, DEG_H, STANDARD_GRAVITY
 from . import options
 from .calibrate import Offline, open_offline
@@ -45,6 +46,8 @@ def run(arguments: argparse.Namespace) -> None:
             )
         OUTPUT.print(rows)
         OUTPUT.print(f'\n{seconds:.1f} s, {len(recording.files)} file(s)')
+        if (by := recording.custom_data.get(COMPENSATED)) is not None:
+            OUTPUT.print(f'compensated by {by}: the compensated stream is in SI', markup=False)
     try:
         offline = open_offline(arguments)
     except ImuCalibError as error:

@@ -6,14 +6,12 @@ import argparse
 import math
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from rich.table import Table as Rows
 
 from ..calibration import Calibration
 from ..calibrator import Setup
-from ..earth import Site
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import METHODS, method
@@ -26,6 +24,7 @@ from ..turntable import load_table
 from ..units import DEG
 from . import options
 from .plans import LUOYANG
+from .plot import draw_normalised, plot_path
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 _HEADINGS = (
@@ -70,7 +69,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
     )
     parser.add_argument(
-        '-o', '--output', metavar='FILE.png', help='plot of the normalised errors (matplotlib)'
+        '-o',
+        '--output',
+        metavar='FILE.png',
+        help='plot of the normalised errors (needs matplotlib, the extra plot)',
     )
     options.add_site_options(parser)
     parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
@@ -81,7 +83,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Simulate, calibrate, and print what came out."""
     if arguments.runs < 1 or (arguments.jobs is not None and arguments.jobs < 1):
         raise InputError('--runs and --jobs: expected a whole number above 0.')
-    target = options.output_path(arguments.output) if arguments.output else None
+    target = plot_path('--output', arguments.output) if arguments.output else None
     study = _study(arguments)
     jobs = min(arguments.jobs or os.cpu_count() or 1, arguments.runs)
     with progress_bar('simulating and calibrating') as show:
@@ -98,12 +100,15 @@ def run(arguments: argparse.Namespace) -> None:
     )
     sentence_list(f'Refused: {len(outcome.refused)} runs', refusals[:5])
     if target is not None:
-        _plot(outcome, target, f'{setup.plan.name}, {setup.method_name}')
+        known = np.isfinite(outcome.mean_stated)
+        names = [p.name for p, k in zip(outcome.parameters, known, strict=True) if k]
+        title = f'{setup.plan.name}, {setup.method_name}: {len(outcome.errors)} runs'
+        draw_normalised(target, title, names, outcome.normalised[:, known])
+        OUTPUT.print(f'\ndrawn to {target}', markup=False)
 
 
 def _study(arguments: argparse.Namespace) -> Study:
-    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
-    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    site = options.site_at(arguments, LUOYANG)
     table = load_table(arguments.table)
     azimuth = table.azimuth if arguments.azimuth is None else arguments.azimuth * DEG
     table = replace(table, azimuth=azimuth)
@@ -151,31 +156,3 @@ def _table(outcome: Outcome) -> Rows:
             shown.unit,
         )
     return rows
-
-
-def _plot(outcome: Outcome, target: Path, title: str) -> None:
-    """Draw the normalised errors of every parameter beside what a normal law allows."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        OUTPUT.print(f'\n{target} is not drawn: matplotlib is not installed.')
-        return
-    known = np.isfinite(outcome.mean_stated)
-    names = [p.name for p, k in zip(outcome.parameters, known, strict=True) if k]
-    figure = Figure(figsize=(0.4 * len(names) + 2, 4.5), layout='constrained')
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    axes.axhspan(-1, 1, color='0.85', label='one standard deviation')
-    # A box from quartile to quartile of a normal law reaches to 0.67, its whiskers to 1.96.
-    axes.boxplot(outcome.normalised[:, known], whis=(2.5, 97.5), sym='.', tick_labels=names)
-    for level in (-1.96, 1.96):
-        axes.axhline(level, color='0.6', linewidth=0.8, linestyle='--')
-    axes.tick_params(axis='x', rotation=90)
-    axes.set_ylabel('error / standard deviation stated')
-    axes.set_title(f'{title}: {len(outcome.errors)} runs')
-    try:
-        figure.savefig(target)
-    except (OSError, ValueError) as error:
-        raise InputError(f'{target}: {error}') from None
-    OUTPUT.print(f'\ndrawn to {target}')

@@ -12,11 +12,11 @@ from ..bags import Recording, Topic
 from ..calibration import Calibration
 from ..cdr import Kind
 from ..config import Section
-from ..earth import Site
+from ..earth import HEIGHT_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
 from ..plan import Plan, load_plan, read_plan
-from ..session import SERIAL_NUMBER
+from ..session import SERIAL_NUMBER, described_imu, described_site
 from ..share import named_file
 from ..turntable import Table, load_table, read_table
 from ..units import DEG
@@ -26,13 +26,34 @@ _TEMPERATURE = 'imu/temperature'
 
 
 def add_site_options(parser: argparse.ArgumentParser) -> None:
-    """Add --latitude, --height and --gravity."""
+    """Add --latitude, --height and --gravity, with their standard deviations."""
     parser.add_argument(
         '--latitude', type=float, metavar='DEG', help='degrees, negative in the south'
     )
-    parser.add_argument('--height', type=float, metavar='M', help='metres above the ellipsoid')
     parser.add_argument(
-        '--gravity', type=float, metavar='M/S2', help='local gravity as measured, m/s^2'
+        '--height',
+        type=float,
+        metavar='M',
+        help=f'metres above the ellipsoid (default: 0, in doubt by {HEIGHT_STD:g} m)',
+    )
+    parser.add_argument(
+        '--height-std',
+        type=float,
+        metavar='M',
+        help='standard deviation of --height (default: 0)',
+    )
+    parser.add_argument(
+        '--gravity',
+        type=float,
+        metavar='M/S2',
+        help='local gravity as measured, m/s^2 (default: normal gravity)',
+    )
+    parser.add_argument(
+        '--gravity-std',
+        type=float,
+        metavar='M/S2',
+        help='standard deviation of gravity (default: 0 for a measured one, '
+        f'{NORMAL_GRAVITY_STD:g} for normal gravity at a known height)',
     )
 
 
@@ -111,16 +132,39 @@ def find_plan(arguments: argparse.Namespace, data: Mapping[str, str], where: str
     raise InputError(f'{where} does not say which plan was run: give --plan ({shipped("plans")}).')
 
 
-def find_imu(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> ImuSpec:
-    """Return the IMU of the command line, or the one that the recording carries."""
-    if arguments.imu is not None:
-        return load_imu(arguments.imu)
-    if 'imu_calib.imu' in data:
-        return read_imu(Section.parse(data['imu_calib.imu'], f'{where}: its IMU'))
+def find_imu(
+    arguments: argparse.Namespace, data: Mapping[str, str], where: str, topic: str
+) -> ImuSpec:
+    """Return the IMU of the command line, or the one that the recording carries for a topic.
+
+    Raises:
+        InputError: There is neither, or the file is broken.
+
+    """
+    if (stated := stated_imu(arguments, data, where, topic)) is not None:
+        return stated[0]
     raise InputError(
         f"{where} does not say what the IMU's numbers mean: "
         f'give --imu ({shipped("imus")}, or a file).'
     )
+
+
+def stated_imu(
+    arguments: argparse.Namespace, data: Mapping[str, str], where: str, topic: str
+) -> tuple[ImuSpec, str] | None:
+    """Return what is said of the IMU behind a topic, and who says it; None where nobody does.
+
+    Raises:
+        InputError: The file is broken.
+
+    """
+    if arguments.imu is not None:
+        return load_imu(arguments.imu), arguments.imu
+    text = described_imu(data, topic)
+    if text is None:
+        return None
+    says = f'{where}: its IMU'
+    return read_imu(Section.parse(text, says)), says
 
 
 def find_serial(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> str:
@@ -155,23 +199,48 @@ def find_table(arguments: argparse.Namespace, data: Mapping[str, str], where: st
 
 
 def find_site(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> Site:
-    """Return the site of the command line, or the one that the recording carries."""
-    height = 0.0 if arguments.height is None else arguments.height
+    """Return the site of the command line, or the one that the recording carries.
+
+    What the command line says of height and gravity counts at the recording's latitude too.
+
+    Raises:
+        InputError: Nobody says where it was taken, or no place on Earth is there.
+
+    """
     if arguments.latitude is not None:
-        return Site.at(arguments.latitude * DEG, height, arguments.gravity)
-    if arguments.height is not None:
-        raise InputError('--height needs --latitude.')
-    if 'imu_calib.latitude_deg' not in data:
-        raise InputError(f'{where} does not say where it was taken: give --latitude.')
-    try:
-        latitude = float(data['imu_calib.latitude_deg']) * DEG
-        gravity = float(data['imu_calib.gravity'])
-    except (KeyError, ValueError):
-        raise InputError(f'{where}: what it says of its site is broken; give --latitude.') from None
-    if arguments.gravity is not None:
-        return Site.at(latitude, 0.0, arguments.gravity)
-    site = Site.at(latitude, 0.0, gravity)
-    return replace(site, gravity_source=data.get('imu_calib.gravity_source', 'measured'))
+        return site_at(arguments, arguments.latitude)
+    own = described_site(data, where)
+    height, gravity = arguments.height, arguments.gravity
+    if all(v is None for v in (height, gravity, arguments.height_std, arguments.gravity_std)):
+        return own
+    if height is None:
+        height = own.height
+        if gravity is None and own.gravity_source == MEASURED:
+            gravity = own.gravity
+    return Site.at(
+        own.latitude,
+        height,
+        gravity,
+        height_std=arguments.height_std,
+        gravity_std=arguments.gravity_std,
+    )
+
+
+def site_at(arguments: argparse.Namespace, default_latitude: float) -> Site:
+    """Return the site of the command line alone; its latitude in degrees has a default.
+
+    Raises:
+        InputError: No place on Earth is there.
+
+    """
+    latitude = default_latitude if arguments.latitude is None else arguments.latitude
+    return Site.at(
+        latitude * DEG,
+        arguments.height,
+        arguments.gravity,
+        height_std=arguments.height_std,
+        gravity_std=arguments.gravity_std,
+    )
 
 
 def load_truth(name: str, imu: ImuSpec) -> Calibration:

@@ -10,8 +10,7 @@ from rich.table import Table as Rows
 
 from ..calibration import Calibration
 from ..calibrator import Setup
-from ..earth import Site
-from ..errors import InputError
+from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import METHODS, check_plan, closed_form_beside, free
 from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
@@ -21,7 +20,7 @@ from ..report.parameters import decimals, engineering
 from ..share import named_file, share_folder
 from ..stream import Mode
 from ..turntable import Table, load_table
-from ..units import DEG, Dimension, parse
+from ..units import DEG, PPM, Dimension, parse
 from . import options
 from .terminal import OUTPUT
 
@@ -103,15 +102,14 @@ def run(arguments: argparse.Namespace) -> None:
 def _predict(arguments: argparse.Namespace, table: Table) -> None:
     if arguments.azimuth is not None:
         table = replace(table, azimuth=arguments.azimuth * DEG)
-    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
-    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    site = options.site_at(arguments, LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     truth = Calibration.load(named_file('truths', arguments.truth)).model
     setup = Setup(imu, plan, None if plan.by_hand else table, site, arguments.method)
     check_plan(setup.method_name, plan, site)
     OUTPUT.print(f'{plan.title} ({plan.source})')
     where = 'by hand' if plan.by_hand else f'on table {table.name}'
-    OUTPUT.print(f'{where} with IMU {imu.id}, latitude {latitude:.3f} deg\n')
+    OUTPUT.print(f'{where} with IMU {imu.id}, latitude {site.latitude / DEG:.3f} deg\n')
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return
@@ -121,16 +119,30 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
         _show_forecast(found)
     else:
         own = forecast(replace(setup, method=beside), truth, wander=arguments.bias_instability)
-        shown = found if own.refusal else replace(own, best=found.std)
-        _show_forecast(shown, best=found.method)
         if own.refusal:
+            _show_forecast(found)
             OUTPUT.print(f'closed form {beside}: {own.refusal}', markup=False)
+        else:
+            _show_forecast(_side_by_side(own, found), best=found.method)
     if not arguments.bias_instability and imu.gyro.bias_instability + imu.accel.bias_instability:
         OUTPUT.print(
             'Biases stand still here; with --bias-instability they wander by the data sheet'
             f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
         )
     _show_time(plan, table)
+    if found.refusal:
+        raise NotObservable(f'Plan {plan.name}, method {found.method}: {found.refusal}')
+
+
+def _side_by_side(own: Forecast, joint: Forecast) -> Forecast:
+    """Put a joint estimate's deviations beside those of a closed form, by parameter.
+
+    One of the two may estimate the g-sensitivities and the other not.
+    """
+    parameters = max(own.parameters, joint.parameters, key=len)
+    columns = [dict(zip(f.parameters, f.std.tolist(), strict=True)) for f in (own, joint)]
+    std, best = (np.array([c.get(p, np.nan) for p in parameters]) for c in columns)
+    return replace(own, parameters=parameters, std=std, best=best)
 
 
 def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
@@ -194,8 +206,12 @@ def _show_forecast(
     OUTPUT.print(f'\n{_ON_A_TABLE if on_a_table else _IN_THE_HAND}')
     if not on_a_table and found.method != free.NAME:
         OUTPUT.print(_LEANING)
-    if found.refusal:
-        OUTPUT.print(f'{found.method}: {found.refusal}', markup=False)
+    doubt = found.evidence.site.gravity_doubt
+    if doubt:
+        OUTPUT.print(
+            f'Gravity is known to {doubt / PPM:.3g} ppm, which is in K_a: --height, or --gravity '
+            'as measured, make it less.'
+        )
 
 
 def _cell(value: float, empty: str = '-') -> str:

@@ -74,8 +74,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(arguments: argparse.Namespace) -> None:
     """Simulate and write."""
-    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
-    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    site = options.site_at(arguments, LUOYANG)
     imu = load_imu(arguments.imu)
     truth = options.load_truth(arguments.truth, imu)
     plan = load_plan(arguments.plan)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import shutil
 import signal
 import time
@@ -16,7 +15,6 @@ from typing import Any
 from ..calibration import Calibration
 from ..calibrator import Setup
 from ..devices import check_port, choose_baud, is_serial, load_format, too_slow
-from ..earth import Site
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import free
@@ -24,7 +22,6 @@ from ..plan import load_plan
 from ..prediction import check_session
 from ..report.parameters import parameter_table
 from ..turntable import load_table
-from ..units import DEG
 from . import by_hand, options, resume
 from .processes import Outcome, Processes, free_port, private_network
 from .simulate import LUOYANG
@@ -202,8 +199,7 @@ def _check(arguments: argparse.Namespace) -> Calibration | None:
     """Refuse what cannot work before anything moves; return the truth of a simulation."""
     if arguments.port:
         _check_device(arguments)
-    latitude = LUOYANG if arguments.latitude is None else arguments.latitude
-    site = Site.at(latitude * DEG, arguments.height or 0.0, arguments.gravity)
+    site = options.site_at(arguments, LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     table = None if plan.by_hand else load_table(arguments.table)
     setup = Setup(imu, plan, table, site, arguments.method)
@@ -282,11 +278,10 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
     """Return the parameters of every node that is to run."""
     _complete(arguments)
     simulated = not arguments.port
-    site = {
-        'latitude': LUOYANG if arguments.latitude is None else arguments.latitude,
-        'height': arguments.height or 0.0,
-        'gravity': math.nan if arguments.gravity is None else arguments.gravity,
-    }
+    stated = ('height', 'gravity', 'height_std', 'gravity_std')
+    doubts = {name: v for name in stated if (v := getattr(arguments, name)) is not None}
+    doubts['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
+    site = {name: value for name, value in doubts.items() if not name.endswith('_std')}
     clock = {'use_sim_time': simulated}
     port = free_port() if simulated else 0
     described = {'imu': arguments.imu, 'table': arguments.table}
@@ -302,7 +297,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
         'calibrator_node': {
             **clock,
             **described,
-            **site,
+            **doubts,
             'plan': arguments.plan,
             'method': arguments.method or '',
             'serial_number': arguments.serial or '',

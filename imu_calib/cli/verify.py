@@ -10,7 +10,13 @@ import numpy as np
 
 from ..bags import Recording, open_recording
 from ..calibration import Calibration
-from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of, load_calibration
+from ..compensation.thermal import (
+    AnyCalibration,
+    ThermalCalibration,
+    check_identity,
+    first_of,
+    load_calibration,
+)
 from ..errors import InputError, NotObservable
 from ..imu import ImuSpec
 from ..report.verification import (
@@ -43,6 +49,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
     )
     options.add_recording_options(parser)
+    options.add_serial_option(parser)
+    parser.add_argument(
+        '--another-unit',
+        action='store_true',
+        help='compare all the same where calibration and recording name different units',
+    )
     parser.set_defaults(run=run)
 
 
@@ -70,9 +82,11 @@ def _verify(
     plan = None
     if arguments.plan is not None or 'imu_calib.plan' in data:
         plan = options.find_plan(arguments, data, where)
-    imu = _described(first_of(loaded))
-    if arguments.imu is not None or 'imu_calib.imu' in data:
-        imu = options.find_imu(arguments, data, where)
+    stated = options.stated_imu(arguments, data, where, streams.imu)
+    imu, says = (_described(first_of(loaded)), where) if stated is None else stated
+    if not arguments.another_unit:
+        serial = options.find_serial(arguments, data, where)
+        _check_identity(loaded, arguments.calibration, imu, says, serial)
     # A skewed gyro is not verified: nobody is to wait for it.
     imu = replace(imu, skewed=None)
     site = options.find_site(arguments, data, where)
@@ -88,6 +102,23 @@ def _verify(
     observed = replace(observed, notes=(*notes, *observed.notes))
     same = calibration.provenance.get('sha256') == recording.sha256()
     return verify(calibration, observed), same
+
+
+def _check_identity(
+    calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial: str
+) -> None:
+    """Refuse the calibration of another unit than the recording's, where both say whose they are.
+
+    Raises:
+        InputError: Names the key, what was found and what was expected, and what to do.
+
+    """
+    try:
+        check_identity(calibration, name, imu.id, where, serial)
+    except InputError as error:
+        raise InputError(
+            f'{error} Give the calibration of that unit; --another-unit compares them all the same.'
+        ) from None
 
 
 def _described(calibration: Calibration) -> ImuSpec:

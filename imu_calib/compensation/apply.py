@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..calibration import Calibration
 from ..errors import NotObservable
 from ..imu import TriadSpec
-from ..model import Parameter, ParameterKind
+from ..model import Parameter, ParameterKind, SensorModel
 from ..stream import Floats, Units
 
 Marks = NDArray[np.uint8]
@@ -297,6 +297,15 @@ def joined(parts: list[Compensated]) -> Compensated:
         np.concatenate([p.marks for p in parts]),
         np.concatenate(parities) if len(parities) == len(parts) else None,
     )
+
+
+def noise_gains(model: SensorModel) -> tuple[float, float]:
+    """Return by how much compensation enlarges noise at most: of gyros, and of accelerometers."""
+    gyro, accel = (
+        float(np.linalg.norm(np.linalg.inv(triad.response), axis=1).max())
+        for triad in (model.gyro, model.accel)
+    )
+    return gyro, accel
 
 
 def _mix(columns: Floats, matrix: Floats) -> Floats:

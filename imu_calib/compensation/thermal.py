@@ -14,6 +14,7 @@ import yaml
 from ..calibration import Calibration, write_whole
 from ..config import Section
 from ..errors import InputError
+from ..gravity import gravity_deviation, without_gravity
 from ..imu import ImuSpec
 from ..model import SensorModel, Skewed
 from ..stream import Floats
@@ -31,7 +32,8 @@ class ThermalCalibration:
 
     Every parameter is interpolated by itself: p(T) = sum of c_i(T) p_i, with c the weights of
     straight lines between neighbours, or of the polynomial that fits best. The sessions are
-    independent, so the covariance is the sum of c_i(T)^2 P_i. Straight lines cut corners: where a
+    independent, so the covariance is the sum of c_i(T)^2 P_i; the error of gravity alone is the
+    same in all of them and does not average down. Straight lines cut corners: where a
     neighbour shows how much the parameters bend there, p'' (T - a) (b - T) / 2 is added as doubt
     (the remainder of linear interpolation, e.g. Abramowitz and Stegun, 25.2.1).
     Beyond the ends nothing is known: the nearest calibration holds.
@@ -66,8 +68,10 @@ class ThermalCalibration:
         """Return the calibration at a temperature; beyond the ends that of the end."""
         weights = self.weights(celsius)
         values = np.array([c.values for c in self.calibrations])
-        square = np.array([c.covariance for c in self.calibrations])
+        square = np.array([without_gravity(c) for c in self.calibrations])
         covariance = np.einsum('k,kij->ij', weights**2, square)
+        common = weights @ np.array([gravity_deviation(c) for c in self.calibrations])
+        covariance = covariance + np.outer(common, common)
         bend = self._bend(celsius, values)
         covariance = covariance + np.outer(bend, bend)
         walks = np.array([c.provenance.get('random_walk', [0.0] * 6) for c in self.calibrations])
@@ -261,18 +265,40 @@ def check_unit(
         InputError: Names the key, what was found and what was expected.
 
     """
-    first = first_of(calibration)
-    own = first.imu
+    check_identity(calibration, name, imu.id, where, serial_number)
+    own = first_of(calibration).imu
     compared: dict[str, tuple[str | float, str | float]] = {
-        'imu': (own.id, imu.id),
         'units': (own.units.value, imu.units.value),
         'gyro: scale_factor': (own.gyro.scale_factor, imu.gyro.scale_factor),
         'accelerometer: scale_factor': (own.accel.scale_factor, imu.accel.scale_factor),
     }
-    if first.serial_number and serial_number:
-        compared['serial_number'] = (first.serial_number, serial_number)
     for key, (found, expected) in compared.items():
         if not _same(found, expected):
+            raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
+
+
+def check_identity(
+    calibration: AnyCalibration, name: str, imu: str, where: str, serial_number: str = ''
+) -> None:
+    """Refuse a calibration that says it is of another unit.
+
+    Args:
+        calibration: Single or combined.
+        name: Its file, for the message.
+        imu: Id of the unit, or of its type.
+        where: Who says so.
+        serial_number: Of the unit; empty where it is not stated. Compared where both state one.
+
+    Raises:
+        InputError: Names the key, what was found and what was expected.
+
+    """
+    own = first_of(calibration)
+    pairs = {'imu': (own.imu.id, imu)}
+    if own.serial_number and serial_number:
+        pairs['serial_number'] = (own.serial_number, serial_number)
+    for key, (found, expected) in pairs.items():
+        if found != expected:
             raise InputError(f'{name}: {key}: found {found}, expected {expected} as in {where}.')
 
 

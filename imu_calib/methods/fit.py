@@ -99,7 +99,7 @@ def estimate(evidence: Evidence, *, with_g: bool = False) -> Estimate:
 
     """
     equations = Equations(evidence, with_g=with_g)
-    _check_observable(equations)
+    check_observable(equations)
     state = _fit(equations, _start(equations))
     equations = _headed(_levelled(equations, state), state)
     state = _fit(equations, state)
@@ -171,8 +171,13 @@ def _turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
     return any((fallen == axis).sum() > _MOST_OUTLIERS * (axes == axis).sum() for axis in fallen)
 
 
-def _check_observable(equations: Equations) -> None:
-    """Refuse a session that leaves parameters open, or misses a rate test of its plan."""
+def check_observable(equations: Equations) -> None:
+    """Refuse a session that leaves parameters open, or misses a rate test of its plan.
+
+    Raises:
+        NotObservable: Names the parameters and what is missing.
+
+    """
     evidence = equations.evidence
     information = before(equations)
     lost = ~told(information)
@@ -333,14 +338,18 @@ def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
     factor = cho_factor(equations.covariance(state), lower=True)
     jacobian, left = equations.jacobian(state), equations.outputs - equations.predict(state)
     inverse = cho_solve(factor, np.eye(len(left)))
-    taken = Information.of(equations.whitened(state)[0]).covariance
+    # Next to outputs without noise the others may seem to observe nothing: they take up nothing.
+    taken = np.nan_to_num(Information.of(equations.whitened(state)[0]).covariance)
     weighed = inverse @ jacobian
     return inverse @ left, inverse - weighed @ taken @ weighed.T
 
 
 def _drop(prepared: tuple[Floats, Floats], rows: NDArray[np.intp]) -> tuple[float, int]:
     pull, information = prepared[0][rows], prepared[1][np.ix_(rows, rows)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    # Without noise the state takes up all of an output but for rounding, and nothing is left.
+    own = np.diag(information)
+    least = np.finfo(float).eps * np.abs(information).max(initial=np.finfo(float).tiny)
+    scale = np.where(own > least, 1 / np.sqrt(np.maximum(own, least)), 0.0)
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     sound = values > _RANK
     parts = (vectors.T @ (pull * scale))[sound]

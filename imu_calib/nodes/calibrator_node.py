@@ -109,9 +109,13 @@ class CalibratorNode(ros.Node):
         imu = declare(self, 'imu', 'fog_medium', "name or file: what the IMU's numbers mean")
         table = declare(self, 'table', 'three_axis', 'name or file of the turntable')
         latitude = declare(self, 'latitude', math.nan, 'deg, negative in the south; required')
-        height = declare(self, 'height', 0.0, 'm above the ellipsoid')
+        height = declare(self, 'height', math.nan, 'm above the ellipsoid; nan: not known')
+        height_std = declare(self, 'height_std', math.nan, 'm; nan: 0 where a height is stated')
         gravity = declare(
             self, 'gravity', math.nan, 'local gravity as measured, m/s^2; nan: normal gravity'
+        )
+        gravity_std = declare(
+            self, 'gravity_std', math.nan, 'm/s^2; nan: 0 if measured, 30e-5 if normal'
         )
         azimuth = declare(
             self, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
@@ -120,7 +124,13 @@ class CalibratorNode(ros.Node):
         serial = declare(self, 'serial_number', '', 'of the unit; empty: not stated')
         if math.isnan(latitude):
             raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
-        site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
+        site = Site.at(
+            latitude * DEG,
+            _stated(height),
+            _stated(gravity),
+            height_std=_stated(height_std),
+            gravity_std=_stated(gravity_std),
+        )
         laid_out = load_plan(plan)
         if laid_out.by_hand:
             self._description = describe(plan, imu, None, site, serial)
@@ -502,6 +512,11 @@ class CalibratorNode(ros.Node):
         problem = self._save()
         response.success, response.message = not problem, problem or f'{self._output} is written.'
         return response
+
+
+def _stated(value: float) -> float | None:
+    """Return a parameter, or None where nobody has stated it."""
+    return None if math.isnan(value) else value
 
 
 def _written(path: Path) -> str:

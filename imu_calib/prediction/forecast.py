@@ -13,9 +13,11 @@ import numpy as np
 
 from ..calibrator import Setup
 from ..errors import NotObservable
+from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free, method, skewed
 from ..methods.equations import G_SENSITIVITIES, SENSORS, Equations
 from ..methods.evidence import Evidence
+from ..methods.fit import check_observable
 from ..methods.free.ahead import deviations
 from ..methods.information import Information, told
 from ..methods.skewed import RatePoints
@@ -45,7 +47,7 @@ class Forecast:
             asked.
         best: (n,) by the Fisher information; NaN for what the session does not observe, and for
             the plan's own method in the hand: it takes no tilts for unknown, and may lie below.
-        refusal: Why the method cannot be asked, else empty.
+        refusal: Why the method has no answer, else empty.
 
     """
 
@@ -79,7 +81,7 @@ def forecast(
     """
     evidence = expected(setup, truth, azimuth)
     if setup.method_name == free.NAME:
-        return _in_the_hand(setup, truth, evidence)
+        return _with_gravity(_in_the_hand(setup, truth, evidence), truth)
     extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
     name = setup.method_name
     solver = method(name)
@@ -93,11 +95,28 @@ def forecast(
                 square = square + skewed.doubt(evidence)
         except NotObservable as error:
             refusal = str(error)
+    else:
+        try:
+            check_observable(Equations(evidence, with_g=JOINT[name]))
+        except NotObservable as error:
+            refusal = str(error)
     best = _nothing(parameters)
     if name in JOINT or not setup.plan.by_hand:
         best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
-    return Forecast(evidence, name, parameters, std, best, refusal)
+    return _with_gravity(Forecast(evidence, name, parameters, std, best, refusal), truth)
+
+
+def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:
+    """Return what the doubt of gravity has added to the variances of a forecast, (n,)."""
+    doubt = found.evidence.site.gravity_doubt
+    return np.asarray(np.diag(gravity_covariance(truth, found.parameters, doubt)))
+
+
+def _with_gravity(found: Forecast, truth: SensorModel) -> Forecast:
+    """Allow for the doubt of gravity, as every calibration does."""
+    share = gravity_variances(found, truth)
+    return replace(found, std=np.sqrt(found.std**2 + share), best=np.sqrt(found.best**2 + share))
 
 
 def check_session(setup: Setup) -> None:

@@ -24,7 +24,8 @@ from ..methods.evidence import Evidence
 from ..model import PARAMETER_NAMES, SensorModel
 from ..plan import Plan
 from ..stream import Floats
-from .forecast import Forecast, forecast, gains, information, state_at
+from ..units import PPM
+from .forecast import Forecast, forecast, gains, gravity_variances, information, state_at
 
 SHORTEST = 5.0
 """Shortest dwell proposed, s."""
@@ -86,7 +87,8 @@ def reach(
         _check_observed(found, rows)
         if weights is None or setup.method_name in JOINT:
             weights = _weights(now, truth, found.evidence)[rows] ** 2
-        before, plan = plan, _shorter(plan, found, weights, rows, targets / _SLACK)
+        gravities = gravity_variances(found, truth)[rows]
+        before, plan = plan, _shorter(plan, found, weights, rows, targets / _SLACK, gravities)
         pairs = zip(plan.positions, before.positions, strict=True)
         if max(abs(p.dwell - q.dwell) - _CLOSE * q.dwell for p, q in pairs) <= 0:
             break
@@ -94,7 +96,12 @@ def reach(
 
 
 def _shorter(
-    plan: Plan, found: Forecast, weights: Floats, rows: NDArray[np.intp], targets: Floats
+    plan: Plan,
+    found: Forecast,
+    weights: Floats,
+    rows: NDArray[np.intp],
+    targets: Floats,
+    gravities: Floats,
 ) -> Plan:
     """Choose dwells by what one look at a session says of its variances.
 
@@ -104,6 +111,7 @@ def _shorter(
         weights: (k, outputs) squares of the weights of the outputs in the k parameters wanted.
         rows: (k,) which parameters.
         targets: (k,) their standard deviations.
+        gravities: (k,) variances that the doubt of gravity adds to theirs.
 
     """
     evidence = found.evidence
@@ -120,7 +128,7 @@ def _shorter(
     walk_part = np.einsum('ksc,sc->ks', by_segment, walked)
     count_part = np.einsum('ksc,sc->ks', by_segment, counted)
     fixed = square - (walk_part + count_part).sum(axis=1)
-    _check_reachable(rows, targets, fixed)
+    _check_reachable(rows, targets, fixed, gravities)
     seconds = dwells[share] + beyond
 
     def left(logs: Floats) -> Floats:
@@ -184,8 +192,18 @@ def _check_observed(found: Forecast, rows: NDArray[np.intp]) -> None:
         )
 
 
-def _check_reachable(rows: NDArray[np.intp], targets: Floats, fixed: Floats) -> None:
+def _check_reachable(
+    rows: NDArray[np.intp], targets: Floats, fixed: Floats, gravities: Floats
+) -> None:
     """Refuse what no dwell can give."""
+    scaled = gravities >= targets**2
+    if scaled.any():
+        names = ', '.join(PARAMETER_NAMES[int(row)] for row in rows[scaled])
+        least = float(np.sqrt(gravities[scaled].max())) / PPM
+        raise NotObservable(
+            f'No dwell reaches it for {names}: gravity is known to {least:.0f} ppm. Give --gravity '
+            'as measured, or --height.'
+        )
     short = [
         PARAMETER_NAMES[int(row)]
         for row, target, rest in zip(rows, targets, fixed, strict=True)

@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 
 from ..calibration import Calibration
 from ..errors import InputError
+from ..gravity import same_place, without_gravity
 from ..model import Parameter
 from ..stream import Floats
 from .html import paragraph, table
@@ -130,6 +131,12 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
     days = None
     if len(known) == len(dates):
         days = np.array([(d - min(known)).total_seconds() / _DAY for d in known])
+    # Calibrations of one place share the error of its gravity: it makes none of them differ.
+    where = first.provenance
+    shared = all(
+        same_place(c, where.get('gravity'), where.get('latitude_deg')) for c in calibrations
+    )
+    squares = [np.diag(without_gravity(c) if shared else c.covariance) for c in calibrations]
     found = []
     for parameter in first.parameters:
         rows = [
@@ -138,7 +145,7 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
         if min(rows) < 0:
             continue
         value = np.array([c.values[k] for c, k in zip(calibrations, rows, strict=True)])
-        std = np.array([c.std[k] for c, k in zip(calibrations, rows, strict=True)])
+        std = np.sqrt([square[k] for square, k in zip(squares, rows, strict=True)])
         if np.isfinite(std).all():
             found.append(Repeated(parameter, value, std, days))
     if not found:

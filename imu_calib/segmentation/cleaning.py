@@ -68,8 +68,9 @@ def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None 
     used = samples.increments[: count * length].reshape(count, length, 6)
     means = _Means.of(used.sum(axis=1), walk * np.sqrt(length * samples.period))
     # A channel of little noise may wander from one step of its ADC to the next within a stretch.
-    bad = means.outlying(_PULSES * samples.quantum + samples.grid * length)
-    bad |= _outlying_spreads(used, samples.quantum + samples.grid)
+    pulses = samples.quantum + samples.carried
+    bad = means.outlying(_PULSES * pulses + samples.grid * length)
+    bad |= _outlying_spreads(used, pulses + samples.grid)
     bad |= ~everything[: count * length].reshape(count, length).all(axis=1)
     if not bad.any():
         return Sound(everything, ())
@@ -83,7 +84,7 @@ def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None 
     inner = int(bad[first:last].sum())
     if not inner:
         return Sound(mask, ())
-    floor = samples.quantum + samples.grid * length
+    floor = pulses + samples.grid * length
     at = float(np.flatnonzero(bad[first:last])[0] + first) * _WINDOW_SECONDS
     note = f'disturbed {at:.1f} s after it came to rest; {inner * _WINDOW_SECONDS:.1f} s left out'
     return Sound(mask, (note,), means.knock(bad, first, last, floor, length))

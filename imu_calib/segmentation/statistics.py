@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..allan import allan_sums
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
-from .counter import MeanRate, block_edges, block_rates, mean_rate, rate_between
+from .counter import END_POINT_VARIANCE, MeanRate, block_edges, block_rates, mean_rate, rate_between
 from .segment import Statistics
 
 BLOCK_SECONDS = 10.0
@@ -37,6 +37,8 @@ class Samples:
         period: Sample interval, s.
         grid: (6,) step to which each increment is rounded on its own, rad and m/s: that of an ADC.
             A counter carries its remainder on and has none.
+        carried: (6,) pulse of the counter that SI values were computed from, rad and m/s: they are
+            no whole pulses any more, but what one lacks the next has.
 
     """
 
@@ -45,6 +47,7 @@ class Samples:
     quantum: Floats
     period: float
     grid: Floats
+    carried: Floats = field(default_factory=lambda: np.zeros(6))
 
     def part(self, start: int, stop: int) -> Samples:
         """Return samples start to stop."""
@@ -70,7 +73,9 @@ def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> S
         increments = values * (scale * period)
         codes = spec.units is Units.COUNTS and bool(np.all(values == np.rint(values)))
         grid = scale * period if codes else _grid(increments)
-        return Samples(stamp, increments, np.zeros(6), period, grid)
+        carried = np.repeat([spec.gyro.pulse, spec.accel.pulse], 3)
+        grid = np.where(carried > 0, 0.0, grid)
+        return Samples(stamp, increments, np.zeros(6), period, grid, carried)
     whole = np.all(values == np.rint(values), axis=0)
     return Samples(stamp, values * scale, np.where(whole, scale, 0.0), period, np.zeros(6))
 
@@ -187,7 +192,7 @@ def _between(samples: Samples, channel: int, first: float, last: float, walk: fl
         total = np.concatenate([[0.0], np.cumsum(increments)])
         ends = np.interp([first, last], np.arange(len(total)), total)
         duration = (last - first) * samples.period
-        rounding = _rounding(increments, float(samples.grid[channel])) / samples.period**2
+        rounding = _left_by_rounding(samples, channel, increments, duration)
         return MeanRate(float(ends[1] - ends[0]) / duration, 1 / duration, rounding)
     pulses = np.rint(increments / quantum)
     mean = rate_between(pulses, samples.period, first, last, walk / quantum)
@@ -198,11 +203,18 @@ def _channel_mean(samples: Samples, channel: int, walk: float) -> MeanRate:
     increments, quantum = samples.increments[:, channel], float(samples.quantum[channel])
     if quantum == 0.0:
         duration = len(increments) * samples.period
-        rounding = _rounding(increments, float(samples.grid[channel])) / samples.period**2
+        rounding = _left_by_rounding(samples, channel, increments, duration)
         return MeanRate(float(increments.sum()) / duration, 1 / duration, rounding)
     pulses = np.rint(increments / quantum)
     mean = mean_rate(pulses, samples.period, walk / quantum)
     return MeanRate(mean.rate * quantum, mean.walk_gain, mean.quantum * quantum**2)
+
+
+def _left_by_rounding(samples: Samples, channel: int, increments: Floats, duration: float) -> float:
+    """Return the variance of a mean rate that rounding leaves, by an ADC or by a counter."""
+    of_ends = END_POINT_VARIANCE * float(samples.carried[channel]) ** 2 / duration**2
+    rounding = _rounding(increments, float(samples.grid[channel])) / samples.period**2
+    return of_ends + rounding
 
 
 def _rounding(increments: Floats, grid: float) -> float:
@@ -264,10 +276,12 @@ def _channel_blocks(
     period = samples.period
     if quantum == 0.0:
         edges = block_edges(len(increments), period, seconds)
-        rounding = _rounding(increments, float(samples.grid[channel])) / period**2
         sums = [float(increments[a:b].sum()) for a, b in edges]
         return [
-            ((a + b) / 2 * period, MeanRate(s / t, 1 / t, rounding))
+            (
+                (a + b) / 2 * period,
+                MeanRate(s / t, 1 / t, _left_by_rounding(samples, channel, increments, t)),
+            )
             for s, (a, b) in zip(sums, edges, strict=True)
             for t in [(b - a) * period]
         ]

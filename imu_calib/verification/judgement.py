@@ -15,7 +15,10 @@ import numpy as np
 from scipy.special import ndtri
 
 from ..calibration import Calibration
+from ..earth import Site
+from ..gravity import gravity_covariance, same_place, without_gravity
 from ..stream import Floats
+from ..units import DEG
 from .comparison import Compared, compare
 from .diagnosis import Diagnosis, diagnose, with_true_noise
 from .equations import Fit, Sensors, System
@@ -200,9 +203,9 @@ def _forces(calibration: Calibration, observed: Observed, reading: float) -> Flo
 
 
 def _factor(calibration: Calibration, system: System) -> Floats:
-    """Return a factor of the parameters' covariance, the wandering of the biases included."""
+    """Return a factor of the parameters' covariance, bias instability and gravity included."""
     mine = np.r_[0:12, 24:33][: system.size] if system.gyros else np.arange(12, 24)
-    covariance = calibration.covariance[np.ix_(mine, mine)].copy()
+    covariance = _with_both_gravities(calibration, system.observed.site)[np.ix_(mine, mine)]
     spec = system.observed.imu.gyro if system.gyros else system.observed.imu.accel
     bias = np.arange(9, 12)
     covariance[bias, bias] += spec.bias_instability**2
@@ -210,3 +213,15 @@ def _factor(calibration: Calibration, system: System) -> Floats:
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _with_both_gravities(calibration: Calibration, site: Site) -> Floats:
+    """Return the covariance with the doubt of gravity at the recording's site too, (n, n).
+
+    Where both were made with the same gravity at the same latitude, they share its error: there is
+    none between them, and what the calibration states of it is taken off.
+    """
+    if same_place(calibration, site.gravity, site.latitude / DEG):
+        return without_gravity(calibration)
+    there = gravity_covariance(calibration.model, calibration.parameters, site.gravity_doubt)
+    return np.asarray(calibration.covariance + there)

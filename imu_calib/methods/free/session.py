@@ -12,8 +12,9 @@ from ... import calibrator as table_session
 from ...calibration import Calibration, ResidualRow
 from ...calibrator import Calibrator, Result, Review, Setup
 from ...errors import NotObservable
+from ...gravity import gravity_covariance, with_gravity
 from ...imu import ImuSpec
-from ...model import PARAMETERS
+from ...model import PARAMETERS, SensorModel
 from ...segmentation.labelling import Labelled
 from ...segmentation.segment import Segment
 from ...segmentation.segmenter import Segmenter
@@ -125,9 +126,14 @@ class FreeCalibrator:
             result = self._solve(session)
         except NotObservable as error:
             refusal = str(error)
+        # Further holds gain nothing on the doubt of gravity: guidance counts noise alone.
         reached = None if result is None else result.solution.std[: len(PARAMETERS)][FREE]
         guidance = self._guidance(session.segments, still, reached)
-        std = guidance.std[FREE] if reached is None else reached
+        doubt = self._setup.site.gravity_doubt
+        share = np.diag(gravity_covariance(SensorModel(), PARAMETERS, doubt))
+        std = np.sqrt(guidance.std**2 + share)[FREE]
+        if result is not None:
+            std = result.calibration.std[: len(PARAMETERS)][FREE]
         return FreeReview(session, estimates(NAME), std, (), result, refusal, guidance)
 
     def _guidance(
@@ -219,6 +225,7 @@ class FreeCalibrator:
             provenance,
             setup.serial_number,
         )
+        calibration = with_gravity(calibration, setup.site)
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
 
 
@@ -266,7 +273,7 @@ def swing(
     limit = _NEARLY * spec.gyro.range * period
     if len(gap_free(around, period)) > 1 or not (np.abs(increments) < limit).all():
         return None
-    pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else 0.0
+    pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else spec.gyro.pulse
     variance = float(np.mean(walk[:3] ** 2)) * len(increments) * period + pulse**2 / 6
     variance += _LEAST_ANGLE**2
     return Swing(first, increments, period, variance)

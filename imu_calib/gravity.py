@@ -1,0 +1,106 @@
+"""What the doubt of the gravity that was assumed does to the parameters of a calibration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .calibration import Calibration
+from .earth import Site
+from .model import Parameter, ParameterKind, SensorModel
+from .stream import Floats
+from .units import PPM
+
+
+def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:
+    """Return by how much parameters change with the relative error of gravity, (n,).
+
+    The outputs know gravity only as a factor of the accelerometers' responses and of the
+    g-sensitivities: a session solved with g (1 + e) for g gives 1 / (1 + e) times both.
+
+    Source: docs/mathematics.md, 'Gravity'.
+    """
+    one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
+    scaled = np.array([_is_scaled(p) for p in parameters])
+    return np.asarray(np.where(scaled, -(one + model.values(tuple(parameters))), 0.0))
+
+
+def gravity_covariance(model: SensorModel, parameters: Sequence[Parameter], doubt: float) -> Floats:
+    """Return what the doubt of gravity adds to a covariance, (n, n), of rank one.
+
+    Args:
+        model: The values of the parameters.
+        parameters: What the rows stand for.
+        doubt: Standard deviation of gravity over gravity.
+
+    """
+    deviation = gravity_slope(model, parameters) * doubt
+    return np.asarray(np.outer(deviation, deviation))
+
+
+def with_gravity(calibration: Calibration, site: Site) -> Calibration:
+    """Return a calibration that allows for the doubt of the gravity it was made with."""
+    share = gravity_covariance(calibration.model, calibration.parameters, site.gravity_doubt)
+    return replace(
+        calibration,
+        covariance=calibration.covariance + share,
+        findings=(*calibration.findings, *_findings(calibration, site)),
+    )
+
+
+def gravity_deviation(calibration: Calibration) -> Floats:
+    """Return what one standard deviation of gravity does to the parameters of a calibration, (n,).
+
+    Its outer product is part of the covariance. The error is the same in all calibrations that
+    were made with the same gravity at one place. Zero where no such deviation is stated.
+    """
+    gravity = calibration.provenance.get('gravity')
+    std = calibration.provenance.get('gravity_std')
+    doubt = 0.0
+    if isinstance(gravity, float) and isinstance(std, float) and gravity > 0:
+        doubt = std / gravity
+    return gravity_slope(calibration.model, calibration.parameters) * doubt
+
+
+def without_gravity(calibration: Calibration) -> Floats:
+    """Return the covariance of a calibration if its gravity were exact, (n, n).
+
+    No more is taken off than leaves a covariance: parameters that somebody has changed since have
+    another deviation than the one that was added.
+    """
+    deviation, std = gravity_deviation(calibration), calibration.std
+    known = np.isfinite(std) & (std > 0)
+    scaled = deviation[known] / std[known]
+    correlation = calibration.covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
+    # P - t v v' has no negative eigenvalue up to t = 1 / (v' P^-1 v).
+    most = float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled)
+    share = np.outer(deviation, deviation) / max(1.0, most)
+    return np.asarray(calibration.covariance - share)
+
+
+def same_place(calibration: Calibration, gravity: object, latitude_deg: object) -> bool:
+    """Say whether a calibration was made with this gravity (m/s^2) at this latitude."""
+    where = calibration.provenance
+    pairs = ((where.get('gravity'), gravity), (where.get('latitude_deg'), latitude_deg))
+    return all(
+        isinstance(own, float) and isinstance(other, float) and math.isclose(own, other)
+        for own, other in pairs
+    )
+
+
+def _findings(calibration: Calibration, site: Site) -> list[str]:
+    if not (site.height_assumed and calibration.has_accelerometers):
+        return []
+    return [
+        'The height of the site was not stated and is taken as 0 m: gravity is known to '
+        f'{site.gravity_doubt / PPM:.0f} ppm (1 sigma), and so are all K_a alike. State --height, '
+        'or --gravity as measured.'
+    ]
+
+
+def _is_scaled(parameter: Parameter) -> bool:
+    of_accels = parameter.triad == 'a' and parameter.kind is not ParameterKind.BIAS
+    return of_accels or parameter.kind is ParameterKind.G_SENSITIVITY

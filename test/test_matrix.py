@@ -1,0 +1,321 @@
+"""Every shipped plan with every shipped IMU and truth that fits it, through all commands.
+
+What fits is told by the files: channels, units, scale factors, and which table can run a plan, so
+that a new file joins by itself. Sessions are the plans' own but for time: dwells are cut to
+`DWELL`, or to `ALONE` where the Earth alone turns the unit; rate tests keep their turns and senses
+at `RATES`; units sample at no more than `HIGHEST` Hz. None of this is what a plan or a unit is
+about: deviations follow the noise, and errors are held against them.
+
+By default each plan meets each class of units once, and each unit some plan: `covering` takes the
+combinations, some 90 s. IMU_CALIB_MATRIX=all runs them all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from imu_calib.bags import open_recording
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Setup
+from imu_calib.cdr import Kind
+from imu_calib.cli.main import main
+from imu_calib.cli.stand import _HELD as HELD
+from imu_calib.earth import Site
+from imu_calib.errors import ImuCalibError
+from imu_calib.exports import EXPORTS
+from imu_calib.imu import ImuSpec, load_imu, read_imu
+from imu_calib.methods import free
+from imu_calib.plan import Plan, load_plan
+from imu_calib.prediction import check_session
+from imu_calib.share import share_folder
+from imu_calib.stream import Floats, Units
+from imu_calib.turntable import load_table
+from imu_calib.units import DEG
+
+CONFIG = share_folder() / 'config'
+DWELL, ALONE = 12.0, 60.0
+RATES = '[30 deg/s, -30 deg/s, 60 deg/s, -60 deg/s, 90 deg/s, -90 deg/s]'
+HIGHEST = 100.0
+GRAVITY = 9.797
+SITE = Site.at(34.65 * DEG, gravity=GRAVITY)
+PLACE = ['--latitude', '34.65', '--gravity', repr(GRAVITY)]
+DEFAULT_TRUTH = 'cao2022_table1'
+TOO_FAR = 4.5
+
+
+def names(kind: str) -> list[str]:
+    return sorted(path.stem for path in (CONFIG / kind).glob('*.yaml'))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plan on a table, a unit and its truth, by the names of their files."""
+
+    plan: str
+    imu: str
+    truth: str
+    table: str
+    north: bool
+
+    def __str__(self) -> str:
+        return f'{self.plan}-{self.imu}-{self.truth}'
+
+
+def truth_of(name: str) -> Calibration:
+    return Calibration.load(CONFIG / 'truths' / f'{name}.yaml')
+
+
+def short_plan(name: str) -> str:
+    text = (CONFIG / 'plans' / f'{name}.yaml').read_text()
+    if load_plan(name).by_hand:
+        return text
+    turned = any(p.rate_test is not None for p in load_plan(name).positions)
+    dwell = DWELL if turned else ALONE
+    text = re.sub(r'(?m)^dwell: *[\d.]+ s', f'dwell: {dwell:g} s', text)
+    return re.sub(r'(?m)^  rates: \[.*\]', f'  rates: {RATES}', text)
+
+
+def slow_imu(name: str) -> str:
+    text = (CONFIG / 'imus' / f'{name}.yaml').read_text()
+    rate = load_imu(name).sample_rate
+    if rate is None or rate <= HIGHEST:
+        return text
+    return re.sub(r'(?m)^sample_rate: .*$', f'sample_rate: {HIGHEST:g} Hz', text)
+
+
+def same_numbers(truth: Calibration, imu: ImuSpec) -> bool:
+    """Whether a truth is of a unit whose stream means the same numbers."""
+    pairs = ((truth.imu.gyro, imu.gyro), (truth.imu.accel, imu.accel))
+    return truth.imu.units is imu.units and all(
+        np.isclose(a.scale_factor, b.scale_factor, rtol=1e-9) for a, b in pairs
+    )
+
+
+def truths_of(imu_name: str) -> list[str]:
+    """The truths of a unit's own numbers; a unit without any is one of the paper's parameters."""
+    imu = load_imu(imu_name)
+    own = [t for t in names('truths') if same_numbers(truth_of(t), imu)]
+    own = own or [DEFAULT_TRUTH]
+    return [t for t in own if (imu.skewed is None) == (truth_of(t).model.skewed is None)]
+
+
+def stand_of(plan_name: str, imu_name: str) -> tuple[str, bool] | None:
+    """The shipped table on which a session of the plan can be solved; None for another unit's."""
+    plan, imu = load_plan(plan_name), load_imu(imu_name)
+    if plan.method == 'skewed' and imu.skewed is None:
+        return None
+    return ('three_axis', False) if plan.by_hand else solved_on(plan_name)
+
+
+@cache
+def solved_on(plan_name: str) -> tuple[str, bool] | None:
+    """The first table, and whether north must be known; by a unit that has all channels."""
+    plan, imu = load_plan(plan_name), load_imu('fog_skewed')
+    for table in sorted(names('tables'), key=lambda n: -len(load_table(n).joints)):
+        for north in (False, True):
+            with_north = replace(load_table(table), azimuth=0.0 if north else None)
+            setup = Setup(imu, plan, with_north, SITE)
+            try:
+                check_session(setup)
+            except ImuCalibError:
+                continue
+            return table, north
+    return None
+
+
+def every() -> Iterator[Case]:
+    for plan in names('plans'):
+        for imu in names('imus'):
+            stand = stand_of(plan, imu)
+            for truth in truths_of(imu) if stand is not None else ():
+                yield Case(plan, imu, truth, *stand)
+
+
+def covering(cases: list[Case]) -> list[Case]:
+    """Each plan with one unit: that which has had the fewest plans so far."""
+    times: Counter[str] = Counter()
+    chosen: list[Case] = []
+    # Plans that few units can run choose first.
+    number = Counter(c.plan for c in cases)
+    for plan in sorted(number, key=lambda p: (number[p], p)):
+        # In the hand the unit that the command `stand` gives into it.
+        held = load_plan(plan).by_hand
+        mine = [c for c in cases if c.plan == plan and (not held or c.imu == HELD)]
+        chosen.append(min(mine, key=lambda c: times[c.imu]))
+        times[chosen[-1].imu] += 1
+    return chosen
+
+
+CASES = list(every())
+RUN = CASES if os.environ.get('IMU_CALIB_MATRIX') == 'all' else covering(CASES)
+
+
+@pytest.fixture(scope='module')
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('matrix')
+    for plan in names('plans'):
+        (folder / f'{plan}.plan.yaml').write_text(short_plan(plan))
+    for imu in names('imus'):
+        (folder / f'{imu}.imu.yaml').write_text(slow_imu(imu))
+    return folder
+
+
+@pytest.fixture
+def shell(
+    workshop: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Shell:
+    monkeypatch.chdir(workshop)
+    return Shell(capsys)
+
+
+class Shell:
+    """Commands as a person types them."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *words: str, code: int = 0) -> str:
+        """Run a command to the exit code that is expected; return what it printed."""
+        found = main(list(words))
+        printed = self._capsys.readouterr()
+        told = ' '.join((printed.out + printed.err).split())
+        assert found == code, f'imu-calib {" ".join(words)}: {found}: {told[-2000:]}'
+        return told
+
+    def simulated(self, case: Case, seed: int) -> str:
+        """A session, made once."""
+        bag = f'{case}-{seed}'
+        if not Path(bag).exists():
+            words = ['--imu', f'./{case.imu}.imu.yaml', '--truth', case.truth, *PLACE]
+            words += ['--table', case.table, '--seed', str(seed)]
+            self('simulate', f'./{case.plan}.plan.yaml', '-o', bag, *words)
+        return bag
+
+
+def north(case: Case) -> list[str]:
+    return ['--azimuth', '0'] if case.north else []
+
+
+@pytest.mark.parametrize('case', RUN, ids=str)
+def test_a_shipped_plan_with_a_shipped_unit_goes_all_the_way(case: Case, shell: Shell) -> None:
+    plan = load_plan(case.plan)
+    bag = shell.simulated(case, 1)
+    assert f'plan {plan.name}: complete' in shell('info', bag, *north(case))
+    file = f'{case}.calibration.yaml'
+    told = shell('calibrate', bag, '-o', file, *north(case))
+    assert 'taken as exact' in told
+    found = Calibration.load(Path(file))
+    _near_the_truth(case, plan, found)
+    report = f'{case}.html'
+    shell('report', file, bag, '-o', report, *north(case))
+    text = Path(report).read_text(encoding='utf-8')
+    assert all(p.name in text for p, k in zip(found.parameters, found.std, strict=True) if k > 0)
+    _verified(case, plan, file, shell)
+    _compensated(case, found, bag, file, shell)
+    _exported(case, found, file, shell)
+
+
+def _near_the_truth(case: Case, plan: Plan, found: Calibration) -> None:
+    model = truth_of(case.truth).model
+    if found.provenance.get('frame') == 'accelerometers':
+        model = free.in_frame_of_accelerometers(model)
+    error = found.values - model.values(found.parameters)
+    known = np.isfinite(found.std) & (found.std > 0)
+    assert known.sum() >= 12
+    far = {
+        p.name: (e, s)
+        for p, e, s in zip(found.parameters, error, found.std, strict=True)
+        if s > 0 and abs(e) > TOO_FAR * s
+    }
+    assert not far
+
+
+def _verified(case: Case, plan: Plan, file: str, shell: Shell) -> None:
+    """Another session accepts the calibration, and one of another unit does not come to it."""
+    other = shell.simulated(case, 2)
+    assert 'ACCEPTED' in shell('verify', other, '--calibration', file, *north(case))
+    stranger = next(imu for imu in names('imus') if load_imu(imu).id != load_imu(case.imu).id)
+    words = ['--imu', stranger, *north(case)]
+    assert load_imu(stranger).id in shell('verify', other, '--calibration', file, *words, code=2)
+
+
+def _compensated(case: Case, found: Calibration, bag: str, file: str, shell: Shell) -> None:
+    out = f'{case}-compensated'
+    shell('compensate', bag, '--calibration', file, '-o', out)
+    rest = _last_rest(out)
+    imu = load_imu(case.imu)
+    with open_recording(Path(out)) as recording:
+        text = recording.custom_data['imu_calib.imu:/imu/data_raw']
+        assert 'imu_calib.imu' not in recording.custom_data
+    described = read_imu(_section(text))
+    assert (described.id, described.units) == (imu.id, Units.SI)
+    if found.has_accelerometers:
+        # The noise of the mean of so many seconds, its pulse, and the calibration's own doubt.
+        seconds = 0.5
+        noise = imu.accel.random_walk / np.sqrt(seconds)
+        step = imu.accel.scale_factor / seconds if imu.units is Units.PULSES else 0.0
+        step += imu.accel.scale_factor if imu.units is Units.COUNTS else 0.0
+        doubt = float(found.std[12:15].max()) * GRAVITY + float(found.std[21:24].max())
+        drift = 3 * imu.accel.bias_instability
+        length = float(np.linalg.norm(rest[3:]))
+        assert abs(length - GRAVITY) < 5 * np.hypot(noise, doubt) + step * np.sqrt(3) + drift + 1e-6
+    told = shell('info', out, *north(case))
+    assert f'compensated by {file}' in told
+    assert f'plan {load_plan(case.plan).name}: complete' in told
+
+
+def _section(text: str):
+    from imu_calib.config import Section
+
+    return Section.parse(text, 'recording')
+
+
+def _last_rest(bag: str) -> Floats:
+    """The mean of the last half second, when the unit stands: (6,) rad/s and m/s^2."""
+    rows = []
+    with open_recording(Path(bag)) as recording:
+        for _, block in recording.read({'/imu/data_raw': Kind.IMU}):
+            rows.append(np.column_stack([block.stamp, block.gyro, block.accel]))
+    values = np.vstack(rows)
+    last = values[:, 0] > values[-1, 0] - 0.5e9
+    return np.asarray(values[last, 1:].mean(axis=0))
+
+
+def _exported(case: Case, found: Calibration, file: str, shell: Shell) -> None:
+    imu = load_imu(case.imu)
+    silent = min(imu.gyro.random_walk, imu.accel.random_walk) == 0
+    for kind in EXPORTS:
+        target = f'{case}.{kind}'
+        words = ['export', file, '--format', kind, '-o', target, '--sample-rate', '100']
+        words += ['--imu', f'./{case.imu}.imu.yaml'] if kind == 'kalibr' else []
+        if kind == 'kalibr' and silent:
+            continue
+        shell(*words)
+        _readable(kind, Path(target).read_text())
+
+
+def _readable(kind: str, text: str) -> None:
+    if kind == 'imucal':
+        assert json.loads(text)
+    elif kind == 'c':
+        assert '#ifndef' in text
+        assert len(re.findall(r'-?\d+\.\d+', text)) >= 12
+    else:
+        assert yaml.safe_load(text)
+
+
+def test_every_file_that_ships_is_in_some_combination() -> None:
+    assert {c.plan for c in CASES} == {c.plan for c in RUN} == set(names('plans'))
+    assert {c.imu for c in CASES} == {c.imu for c in RUN} == set(names('imus'))
+    assert {c.truth for c in CASES} == {c.truth for c in RUN} == set(names('truths'))
