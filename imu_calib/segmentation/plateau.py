@@ -270,7 +270,7 @@ class _Line:
         What scatters in common for a while (an encoder's error that repeats with the turn) does
         not average like noise: the means of blocks scatter by more, and the slope is then as
         uncertain as they are. Where samples come in time with the steps of the encoder, its
-        error hardly scatters at all: a step over the whole line is then what the slope may err by.
+        error hardly scatters at all: its ends are then off by two errors even within a step.
         """
         n, middle, mean = len(time), float(time.mean()), float(angle.mean())
         centred = time - middle
@@ -283,7 +283,7 @@ class _Line:
         smoothed = int(np.clip((_LEAVES * noise / departure) ** 2, 1, max(1.0, within)))
         slope_std = float(np.sqrt(_variance(left, noise**2) / spread))
         if noise < _IN_TIME * step:
-            slope_std = max(slope_std, step / float(np.ptp(time)))
+            slope_std = max(slope_std, step / float(np.sqrt(6) * np.ptp(time)))
         return cls(n, middle, spread, mean, slope, slope_std, step, noise, smoothed)
 
     def limit(self, time: Floats) -> Floats:
