@@ -12,12 +12,14 @@ from test_thermal import point
 
 from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.bags.metadata import dump, offered_profiles, qos_profile
+from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind, Messages, encode_imu, encode_rates
 from imu_calib.cli.main import main
 from imu_calib.compensation.compensator import Compensator
 from imu_calib.compensation.thermal import combine
 from imu_calib.session import SERIAL_NUMBER
-from imu_calib.stream import ImuBlock
+from imu_calib.share import named_file
+from imu_calib.stream import ImuBlock, Units
 
 SESSION = session(seconds=12, rate=200)
 ROWS = timeline(SESSION)
@@ -204,3 +206,22 @@ def test_the_calibration_of_another_serial_number_is_refused(tmp_path, capsys):
     assert 'is of the unit with serial number A1' in capsys.readouterr().err
     replace(truth(), serial_number='A1').save(file)
     assert main(words) == 0
+
+
+def test_a_compensated_recording_is_read_as_what_it_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = named_file('plans', 'twelve_position').read_text()
+    (tmp_path / 'short.yaml').write_text(text.replace('dwell: 120 s', 'dwell: 20 s'))
+    site = ['--latitude', '34.65', '--gravity', '9.797']
+    assert main(['simulate', './short.yaml', '-o', 'bag', '--seed', '3', *site]) == 0
+    assert main(['compensate', 'bag', '--calibration', 'bag/truth.yaml', '-o', 'out']) == 0
+    assert main(['calibrate', 'out', '-o', 'left.yaml']) == 0
+    left = Calibration.load(tmp_path / 'left.yaml')
+    assert (left.imu.id, left.imu.units) == ('fog_medium', Units.SI)
+    # The truth took out all there was.
+    assert (np.abs(left.values) < 4.5 * left.std).all()
+    words = ['compensate', 'bag', '--calibration', 'bag/truth.yaml', '-o', 'both', '--keep']
+    assert main(words) == 0
+    assert main(['calibrate', 'both', '-o', 'raw.yaml', '--imu-topic', 'imu/pulses']) == 0
+    raw = Calibration.load(tmp_path / 'raw.yaml')
+    assert (np.abs(raw.values - truth().values) < 4.5 * raw.std).all()

@@ -335,3 +335,34 @@ def test_the_command_accepts_rejects_and_refuses_by_its_exit_code(
     assert 'REJECTED' in told
     assert 'vanish when the gyro error matrix is transposed' in told
     assert main(['verify', str(bag), '--calibration', str(tmp_path / 'none.yaml')]) == 2
+
+
+def test_the_calibration_of_another_unit_is_refused_by_its_name_and_by_its_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / 'bag'
+    data = describe('six_position', 'fog_medium', 'three_axis', SITE, 'A1234')
+    with RecordingWriter(bag, data) as writer:
+        for topic, block in session(PLAN, stand(azimuth=HEADING), seed=1):
+            kind, messages, stamp = serialised(block)
+            writer.write(f'/{topic}', kind.type_name, messages, stamp)
+    good = replace(calibration(), serial_number='A1234')
+    other_type = replace(good, imu=replace(good.imu, id='fog_other'))
+    other_unit = replace(good, serial_number='B9')
+    file = tmp_path / 'a.yaml'
+    words = ['verify', str(bag), '--calibration', str(file)]
+    for stranger, found, expected in (
+        (other_type, 'imu: found fog_other', 'expected fog_medium'),
+        (other_unit, 'serial_number: found B9', 'expected A1234'),
+    ):
+        stranger.save(file)
+        assert main(words) == 2
+        said = ' '.join(capsys.readouterr().err.split())
+        assert found in said
+        assert expected in said
+        assert '--another-unit' in said
+        assert main([*words, '--another-unit']) == 0
+    # One of the same type that states no serial number: ten deviations of the data sheet off.
+    far = gyro(bias=g().bias + np.array([1.0, -1.0, 1.0]) * 10 * 0.1 * DEG_H * np.sqrt(3))
+    far.save(file)
+    assert main(words) == 1
