@@ -330,6 +330,33 @@ def test_the_graph_names_nodes_and_counts_publishers(node):
     assert spun(node, lambda: 'second' not in node.get_node_names())
 
 
+def test_publishers_are_listed_with_their_nodes_and_with_what_they_offer(node):
+    def listed():
+        return sorted(
+            (p.node_namespace, p.node_name, p.topic_type, p.qos_profile.durability)
+            for p in node.get_publishers_info_by_topic('state')
+        )
+
+    assert listed() == []
+    kind = 'std_msgs/msg/String'
+    own = node.create_publisher(ros.messages.String, 'state', LATCHED)
+    other = ros.Node('other', namespace='/lab')
+    second = other.create_publisher(ros.messages.String, '/state', 1)
+    other.create_publisher(ros.messages.String, '/another', 1)
+    volatile, latched = ros.DurabilityPolicy.VOLATILE, ros.DurabilityPolicy.TRANSIENT_LOCAL
+    here = (node.get_namespace(), node.get_name(), kind, latched)
+    there = ('/lab', 'other', kind, volatile)
+    assert spun(node, lambda: listed() == sorted([here, there]))
+    gids = {bytes(p.endpoint_gid) for p in node.get_publishers_info_by_topic('state')}
+    assert len(gids) == 2
+    assert len({gid[:12] for gid in gids}) == 1, 'one participant, as both are in this process'
+    other.destroy_publisher(second)
+    assert spun(node, lambda: listed() == [here])
+    other.destroy_node()
+    node.destroy_publisher(own)
+    assert spun(node, lambda: listed() == [])
+
+
 def test_the_log_is_written_as_ros_writes_it(domain):
     code = (
         'from imu_calib.middleware import *\n'

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .codec import deserialize_message, serialize_message
 from .messages import message_class
-from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, from_dds
 from .wire import Reader, Writer, delete
 
 if TYPE_CHECKING:
@@ -14,6 +15,32 @@ if TYPE_CHECKING:
 
 _TOPIC = 'ros_discovery_info'
 _TYPE = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
+_MOST = 10_000
+_ALIVE = 16
+"""DDS_ALIVE_INSTANCE_STATE."""
+
+UNKNOWN_NAME, UNKNOWN_NAMESPACE = '_NODE_NAME_UNKNOWN_', '_NODE_NAMESPACE_UNKNOWN_'
+"""What ROS calls a node that an endpoint is seen of, and that has not been told yet."""
+
+
+@dataclass(frozen=True)
+class TopicEndpointInfo:
+    """One publisher or subscription of a topic, as rclpy's class of that name has it.
+
+    Attributes:
+        node_name: Of its node.
+        node_namespace: Of its node.
+        topic_type: For instance std_msgs/msg/Bool.
+        endpoint_gid: 16 bytes; the first twelve are those of its participant.
+        qos_profile: What it offers or requests: reliability and durability.
+
+    """
+
+    node_name: str
+    node_namespace: str
+    topic_type: str
+    endpoint_gid: list[int]
+    qos_profile: QoSProfile
 
 
 class Graph:
@@ -34,9 +61,11 @@ class Graph:
         self._writer = Writer(context, _TOPIC, _TYPE, latched)
         self._reader = Reader(context, _TOPIC, _TYPE, everything)
         participant = context.participant
-        self._publications = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
-        self._subscriptions = BuiltinDataReader(participant, BuiltinTopicDcpsSubscription)
-        self._participants: dict[bytes, list[tuple[str, str]]] = {}
+        self._publications = _Endpoints(BuiltinDataReader(participant, BuiltinTopicDcpsPublication))
+        self._subscriptions = _Endpoints(
+            BuiltinDataReader(participant, BuiltinTopicDcpsSubscription)
+        )
+        self._participants: dict[bytes, list[Any]] = {}
 
     def announce(self) -> None:
         """Tell the other participants which nodes and endpoints are in this one."""
@@ -57,34 +86,86 @@ class Graph:
 
     def nodes(self) -> list[tuple[str, str]]:
         """Return (name, namespace) of every node that is there, those of this process too."""
-        for payload in self._reader.drain():
-            info = deserialize_message(payload, message_class(_TYPE))
-            listed = [(n.node_name, n.node_namespace) for n in info.node_entities_info_seq]
-            self._participants[bytes(info.gid.data)] = listed
-        alive = {e.participant_key.bytes for e in self._endpoints(self._publications)}
-        return [n for gid, nodes in self._participants.items() if gid in alive for n in nodes]
+        self._hear()
+        alive = {e.participant_key.bytes for e in self._publications.alive()}
+        return [
+            (node.node_name, node.node_namespace)
+            for gid, nodes in self._participants.items()
+            if gid in alive
+            for node in nodes
+        ]
+
+    def writers(self, topic: str) -> list[TopicEndpointInfo]:
+        """Return the writers of a DDS topic, those of this process too."""
+        found = [e for e in self._publications.alive() if e.topic_name == topic]
+        if not found:
+            return []
+        self._hear()
+        owners = {
+            bytes(gid.data): (node.node_name, node.node_namespace)
+            for nodes in self._participants.values()
+            for node in nodes
+            for gid in node.writer_gid_seq
+        }
+        unknown = UNKNOWN_NAME, UNKNOWN_NAMESPACE
+        return [
+            TopicEndpointInfo(
+                *owners.get(e.key.bytes, unknown),
+                _ros_type(e.type_name),
+                list(e.key.bytes),
+                from_dds(e.qos),
+            )
+            for e in found
+        ]
 
     def count_writers(self, topic: str) -> int:
         """Return how many writers a DDS topic has."""
-        return sum(e.topic_name == topic for e in self._endpoints(self._publications))
+        return sum(e.topic_name == topic for e in self._publications.alive())
 
     def count_readers(self, topic: str) -> int:
         """Return how many readers a DDS topic has."""
-        return sum(e.topic_name == topic for e in self._endpoints(self._subscriptions))
+        return sum(e.topic_name == topic for e in self._subscriptions.alive())
 
     def close(self) -> None:
         """Leave the discovery topics."""
         self._writer.delete()
         self._reader.delete()
-        delete(self._publications)
-        delete(self._subscriptions)
+        self._publications.close()
+        self._subscriptions.close()
 
-    def _endpoints(self, reader: Any) -> list[Any]:
+    def _hear(self) -> None:
+        """Take in what the participants tell of their nodes."""
+        for payload in self._reader.drain():
+            info = deserialize_message(payload, message_class(_TYPE))
+            self._participants[bytes(info.gid.data)] = list(info.node_entities_info_seq)
+
+
+class _Endpoints:
+    """All writers, or all readers, of a domain: only what has changed is read anew."""
+
+    def __init__(self, reader: Any) -> None:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
 
-        mask = ViewState.Any | InstanceState.Alive | SampleState.Any
-        condition = ReadCondition(reader, mask)
-        try:
-            return list(reader.read(N=10_000, condition=condition))
-        finally:
-            delete(condition)
+        self._reader = reader
+        self._condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.Any)
+        self._known: dict[bytes, Any] = {}
+
+    def alive(self) -> list[Any]:
+        """Return those that are there."""
+        while changes := self._reader.take(N=_MOST, condition=self._condition):
+            for endpoint in changes:
+                if endpoint.sample_info.instance_state != _ALIVE:
+                    self._known.pop(endpoint.key.bytes, None)
+                elif endpoint.sample_info.valid_data:
+                    self._known[endpoint.key.bytes] = endpoint
+        return list(self._known.values())
+
+    def close(self) -> None:
+        """Do not look any more."""
+        delete(self._condition)
+        delete(self._reader)
+
+
+def _ros_type(name: str) -> str:
+    """Return a type as ROS writes it: std_msgs::msg::dds_::Bool_ is std_msgs/msg/Bool."""
+    return name.replace('::dds_::', '::').removesuffix('_').replace('::', '/')

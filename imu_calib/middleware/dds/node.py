@@ -21,6 +21,7 @@ from .timer import Timer
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from .graph import TopicEndpointInfo
     from .qos import (
         PublisherEventCallbacks,
         QoSOverridingOptions,
@@ -234,6 +235,11 @@ class Node:
     def count_subscribers(self, topic_name: str) -> int:
         """Return how many subscriptions a topic has, here and elsewhere."""
         return self.context.graph.count_readers(f'rt{self.resolve_topic_name(topic_name)}')
+
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
+        """Return the publishers of a topic, here and elsewhere; names are not remapped."""
+        name = self.resolve_topic_name(topic_name, only_expand=True)
+        return self.context.graph.writers(f'rt{name}')
 
     def get_node_names(self) -> list[str]:
         """Return the names of all nodes that are there."""

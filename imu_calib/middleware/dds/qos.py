@@ -194,3 +194,16 @@ def to_dds(qos: QoSProfile, user_data: str) -> Any:
     else:
         policies.append(Policy.Durability.Volatile)
     return Qos(*policies)
+
+
+def from_dds(qos: Any) -> QoSProfile:
+    """Return what discovery tells of an endpoint: reliability and durability."""
+    from cyclonedds.qos import Policy
+
+    best_effort = Policy.Reliability.BestEffort in qos
+    volatile = Policy.Durability.Volatile in qos
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL,
+        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE if volatile else DurabilityPolicy.TRANSIENT_LOCAL,
+    )
