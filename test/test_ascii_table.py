@@ -88,6 +88,26 @@ def test_without_setpoints_the_table_stops_once_and_then_only_a_position_is_resu
     assert 'not resumed' in follower.refusal
 
 
+@pytest.mark.parametrize('age', [9.53e7, -9.53e7, 2.0])
+def test_hold_is_obeyed_however_old_its_stamp_is(follower, age):
+    now = 10**18
+    assert follower.command(setpoint(stamp=now), now, 0.0, REST)
+    stale = setpoint(mode=Mode.HOLD, stamp=now - round(age * NS))
+    assert follower.command(stale, now, 0.1, REST) == (Stop(),)
+    assert follower.refusal == ''
+    assert follower.command(stale, now, 0.2, REST) == ()
+
+
+def test_a_table_that_moves_under_hold_and_a_stop_that_was_refused_are_stopped_again(follower):
+    hold = setpoint(mode=Mode.HOLD)
+    assert follower.command(hold, 0, 0.0, REST) == (Stop(),)
+    turning = Reading(np.zeros(3), np.array([0.0, 0.0, 5 * DEG]))
+    assert follower.command(hold, 0, 0.1, turning) == (Stop(),)
+    assert follower.command(hold, 0, 0.2, REST) == ()
+    follower.halt('The controller refuses: 3 busy.')
+    assert follower.command(hold, 0, 0.3, REST) == (Stop(),)
+
+
 def test_hold_stops_and_what_the_controller_refused_is_not_tried_again(follower):
     follower.command(setpoint(), 0, 0.0, REST)
     follower.halt('The controller refuses: 12 axis 2 is not referenced.')

@@ -762,3 +762,15 @@ def test_wrong_options_are_refused_in_words():
         stand(StandOptions(clock_rate_error=1.0))
     with pytest.raises(InputError, match='max_rate'):
         SimulatedTable(Table('t', (Joint('outer', (0.0, 0.0, 1.0)),)))
+
+
+@pytest.mark.parametrize('age', [0.6, 9.53e7, -9.53e7])
+def test_hold_is_obeyed_however_old_its_stamp_is(age):
+    """The clocks of leader and table may differ by years: use_sim_time on one side alone."""
+    table = SimulatedTable(THREE_AXIS, IDEAL_TABLE, rng())
+    table.command(setpoint(Mode.POSITION, 1.0, angles=(90, 0, 0)), 1.0)
+    braking = THREE_AXIS.joints[0].max_rate / THREE_AXIS.joints[0].max_acceleration
+    hold = replace(setpoint(Mode.HOLD, 1.2), stamp=round((1.2 - age) * 1e9))
+    table.command(hold, 1.2)
+    assert table.rest_time <= 1.2 + braking
+    assert table.advance(5.0).angles[0] < 90 * DEG

@@ -52,7 +52,7 @@ class Follower:
     def command(
         self, setpoint: Setpoint, now: int, steady: float, at: Reading
     ) -> tuple[Order, ...]:
-        """Take a setpoint; return what is to be ordered.
+        """Take a setpoint; return what is to be ordered. HOLD is obeyed however old its stamp is.
 
         Args:
             setpoint: As it came off the topic.
@@ -62,7 +62,7 @@ class Follower:
 
         """
         age = (now - setpoint.stamp) * 1e-9
-        if abs(age) > self._age:
+        if setpoint.mode is not Mode.HOLD and not abs(age) <= self._age:
             self.refusal = f'A setpoint is {age:.3g} s old, accepted is up to {self._age:g} s.'
             return ()
         self._deadline = steady + self._timeout
@@ -71,15 +71,14 @@ class Follower:
     def _fresh(self, setpoint: Setpoint, at: Reading) -> tuple[Order, ...]:
         content = replace(setpoint, stamp=0)
         known = content == self._content
+        if setpoint.mode is Mode.HOLD:
+            return self._hold(content, known, at)
         if known and self._rejected:
             return ()
         self.refusal = ''
-        if known and (not self._stopped or setpoint.mode is Mode.HOLD):
+        if known and not self._stopped:
             return ()
         self._content, self._rejected = content, False
-        if setpoint.mode is Mode.HOLD:
-            self._stopped = True
-            return (Stop(),)
         try:
             if known and setpoint.mode is Mode.RATE:
                 raise InputError(f'{_where(setpoint)}: a turn that was broken off is not resumed.')
@@ -89,6 +88,12 @@ class Follower:
             return ()
         self._stopped = False
         return orders
+
+    def _hold(self, content: Setpoint, known: bool, at: Reading) -> tuple[Order, ...]:
+        """Stop, and once more whenever the table moves though it is to stand."""
+        again = self._rejected or bool((np.abs(at.rates) > _STANDS).any())
+        self._content, self._rejected, self._stopped, self.refusal = content, False, True, ''
+        return () if known and not again else (Stop(),)
 
     def watch(self, steady: float) -> tuple[Order, ...]:
         """Return the stop where setpoints have failed to come."""
