@@ -310,11 +310,14 @@ def _provenance(
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
     rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
     seen = session_noise([s.statistics for s in evidence.segments], evidence.walk)
-    of_joint: dict[str, object] = {}
+    special: dict[str, object] = {}
+    missing = evidence.missing()
+    if missing:
+        special['missing_positions'] = missing
     if solution.wandering is not None:
-        of_joint['bias_wander'] = [float(v) for v in solution.wandering]
+        special['bias_wander'] = [float(v) for v in solution.wandering]
     if comparison is not None:
-        of_joint['closed_form'] = comparison.document()
+        special['closed_form'] = comparison.document()
     return {
         'recorded': _date(session.start),
         'method': setup.method_name,
@@ -335,7 +338,7 @@ def _provenance(
         'condition_number': solution.condition,
         'highest_rate': max((abs(float(t.rate())) for t in evidence.turns), default=None),
         'temperature': None if session.temperature is None else asdict(session.temperature),
-        **of_joint,
+        **special,
         'clock': {
             'offset_s': clock.offset,
             'offset_std_s': clock.offset_std,

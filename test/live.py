@@ -161,7 +161,8 @@ class Stand:
 
     def ended(self, seconds=90.0):
         """Wait for the final word of the calibrator; return its message."""
-        final = {messages.ImuCalibration.VALID, messages.ImuCalibration.REFUSED}
+        kinds = messages.ImuCalibration
+        final = {kinds.VALID, kinds.REFUSED, kinds.INCOMPLETE}
         assert self.wait(lambda: any(c.status in final for c in self.calibrations), seconds), (
             self.state,
             self.progress[-1:],

@@ -62,6 +62,8 @@ def environment(**more: str) -> dict[str, str]:
         'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp',
         'CYCLONEDDS_URI': _URI,
         'ROS_PYTHON_CHECK_FIELDS': '1',
+        # A stop that one test presses is not to stop the next one.
+        'XDG_STATE_HOME': tempfile.mkdtemp(prefix='imu_calib_test_state_'),
         **more,
     }
 

@@ -22,7 +22,12 @@ try:
     from imu_calib import middleware as ros
     from imu_calib.nodes import qos
     from imu_calib.nodes.compensator_node import CompensatorNode
-    from imu_calib.nodes.convert import calibration_message, calibration_of, refusal_message
+    from imu_calib.nodes.convert import (
+        calibration_message,
+        calibration_of,
+        final_status,
+        refusal_message,
+    )
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -178,7 +183,13 @@ def test_a_calibration_comes_by_topic_if_it_is_good_and_of_this_unit(monkeypatch
         send(provisional)
         bench.until(lambda: False, 1.5)
         assert bench.said('calibration', 'No calibration', '/calibration')
-        send(calibration_message(result(), M.ImuCalibration.VALID, 'imu_link', now))
+        lacking = {**result().provenance, 'missing_positions': ['11', '12']}
+        half = replace(result(), provenance=lacking)
+        send(calibration_message(half, final_status(half), 'imu_link', now))
+        words = 'is not used. Positions of the plan are missing: 11, 12.'
+        assert bench.until(lambda: bench.said('calibration offered', words))
+        assert bench.said('calibration', 'No calibration', '/calibration')
+        send(calibration_message(result(), final_status(result()), 'imu_link', now))
         assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
         bench.send(encode_imu(block(200)).payloads())
         assert bench.until(lambda: len(bench.payloads) == 200)

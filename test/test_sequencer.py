@@ -486,6 +486,99 @@ def test_the_emergency_stop_holds_and_its_release_moves_nothing():
     assert stand.stands()
 
 
+def test_an_idle_table_that_turns_is_held_and_it_is_said_how_far_and_how_fast():
+    """A stranger turns it by eleven rounds at 200 deg/s; nothing was ever started."""
+    stand = Stand()
+    stand.run(lambda state: stand.time > 1.0)
+    assert stand.sent == []
+    begin = stand.time
+    seconds = 3960 / 200
+
+    def turned(time, angles, rates):
+        turning = (time > begin) & (time < begin + seconds)
+        way = 200 * DEG * np.clip(time - begin, 0, seconds)
+        return angles + way[:, None] * [1, 0, 0], rates + 200 * DEG * turning[:, None] * [1, 0, 0]
+
+    stand.plant = turned
+    # Five times the arrival tolerance, 0.05 deg, is passed with the first joint state.
+    assert stand.run(lambda state: state.fault, 2 * stand.block * PERIOD).phase is Phase.IDLE
+    assert stand.sent[-1].mode is Mode.HOLD
+    told = set()
+    while stand.time < begin + seconds + 1.0:
+        told.add(stand.tick().reason)
+        assert stand.sent[-1].mode is Mode.HOLD
+        if stand.time < begin + seconds:
+            with pytest.raises(InputError, match='it still moves'):
+                stand.sequencer.start()
+    reason = stand.sequencer.state().reason
+    assert 'Joint outer moves while it is to stand at 0.000 deg' in reason
+    assert 'Joint outer went 3960.00 deg, at up to 200 deg/s, while nobody led' in reason
+    assert reason.endswith('it stands again.')
+    assert len(told) < 20, 'a long turn is no sentence for every joint state'
+    assert stand.sequencer.start() == 'Runs small.'
+    assert not stand.sequencer.fault
+
+
+@pytest.mark.parametrize('rate', [0.2, 20.0])
+def test_a_table_that_creeps_when_the_plan_is_done_is_said(rate):
+    stand = Stand().started()
+    stand.phase(Phase.DONE)
+    assert stand.stands()
+    begin = stand.time
+    stand.plant = lambda time, angles, rates: (
+        angles + rate * DEG * (time - begin)[:, None] * [0, 0, 1],
+        rates + rate * DEG * np.ones_like(time)[:, None] * [0, 0, 1],
+    )
+    state = stand.run(lambda state: state.fault, 0.05 / rate + 2 * stand.block * PERIOD)
+    assert state.phase is Phase.DONE
+    assert 'Joint inner moves' in state.reason
+
+
+def test_a_table_that_still_brakes_when_its_leader_comes_has_its_time():
+    stand = Stand()
+    braking = lambda time: np.maximum(0.5 - time, 0)[:, None] * [1.0, 0, 0]  # noqa: E731
+    stand.plant = lambda time, angles, rates: (angles - braking(time) ** 2, rates + braking(time))
+    stand.run(lambda state: stand.time > 3.0)
+    assert not stand.sequencer.fault
+    assert stand.sent == []
+
+
+def test_what_forbids_to_lead_the_table_holds_it_and_its_end_moves_nothing():
+    stand = turning(Stand())
+    stand.sequencer.forbid('estop', '2 publishers are on /estop.')
+    assert pauses(stand, '2 publishers are on /estop.') == '2 publishers are on /estop.'
+    with pytest.raises(InputError, match='2 publishers are on /estop'):
+        stand.sequencer.start()
+    stand.sequencer.forbid('estop', '')
+    assert stand.stands()
+    assert stand.sequencer.state().phase is Phase.PAUSED
+    recovers(stand)
+
+
+def test_a_start_that_waits_for_the_calibrator_is_called_off():
+    stand = Stand(rules=SUPERVISED)
+    stand.tick()
+    stand.sequencer.start()
+    stand.sequencer.forbid('estop', 'Two.')
+    stand.sequencer.forbid('estop', '')
+    stand.sequencer.attend(True)
+    for _ in range(20):
+        state = stand.tick()
+        assert state.phase is Phase.IDLE
+    assert (state.reason, state.fault) == ('Two.', True)
+    assert {s.mode for s in stand.sent} == {Mode.HOLD}
+
+
+def test_the_word_of_a_calibrator_that_is_ahead_of_the_table_does_not_count():
+    stand = supervised()
+    stand.run(lambda state: stand.sequencer.reviewing)
+    now = EPOCH + round(stand.time * 1e9)
+    stand.sequencer.review(now + 10**9, [])
+    assert stand.sequencer.reviewing
+    stand.sequencer.review(now, [])
+    stand.phase(Phase.DONE)
+
+
 def test_a_start_while_it_runs_or_without_joint_states_is_refused():
     stand = Stand()
     with pytest.raises(InputError, match='no joint states'):

@@ -10,13 +10,18 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
+import numpy as np
 import pytest
 
 from imu_calib.errors import ImuCalibError
 
 try:
     from live import HERE, Progress, Stand, State, short_plan
+
+    from imu_calib import middleware as ros
+    from imu_calib.nodes import qos
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -178,7 +183,189 @@ def test_emergency_stop(tmp_path):
         assert not success, message
         stand.estop(pressed=False)
         assert not stand.wait(lambda: stand.state.phase in MOVES, 1.0)
+        assert not stand.call('turntable_node/start')[0], 'not released by the topic alone'
+        success, message = stand.call('turntable_node/release')
+        assert success, message
+        assert not stand.wait(lambda: stand.state.phase in MOVES, 1.0)
         finishes(stand, resumed=True)
+
+
+def test_a_pressed_stop_outlives_a_killed_turntable_node(tmp_path):
+    waits = {'watchdog_timeout': LEASE + 10.0, 'feedback_timeout': LEASE + 10.0}
+    with Stand(tmp_path, turntable_node=waits) as stand:
+        assert stand.reaches(State.TURNING, step=1)
+        stand.estop(pressed=True)
+        stops(stand, 'mergency')
+        assert stand.wait(lambda: list((stand.folder / 'state').glob('stop_*')))
+        stand.kill('turntable_node')
+        stand.states.clear()
+        stand.start('turntable_node')
+        # It would start by itself: the parameter says so.
+        assert stand.reaches(State.ABORTED), stand.state
+        before = stand.joints
+        assert not stand.wait(lambda: stand.state.phase in MOVES, 2.0)
+        success, message = stand.call('turntable_node/start')
+        assert not success
+        assert 'call /turntable_node/release' in message
+        stand.estop(pressed=False)
+        assert stand.table_stands(LEASE + 10.0)
+        assert list(stand.joints.position) == list(before.position)
+        assert stand.wait(lambda: stand.call('turntable_node/release')[0], LEASE)
+        finishes(stand, resumed=True)
+
+
+KINDS = {
+    'turntable/setpoint': 'TurntableSetpoint',
+    'turntable/joint_states': 'JointState',
+    'turntable/state': 'TurntableState',
+    'calibration/progress': 'CalibrationProgress',
+    'estop': 'Bool',
+}
+OWNERS = {
+    'turntable/setpoint': '/turntable_node',
+    'turntable/joint_states': '/stand_node',
+    'turntable/state': '/turntable_node',
+    'calibration/progress': '/calibrator_node',
+    'estop': '/listener',
+}
+
+
+@contextmanager
+def stranger(topic):
+    """Let a node of another name publish on a topic of the stand."""
+    node = ros.Node('stranger')
+    try:
+        yield node.create_publisher(getattr(ros.messages, KINDS[topic]), topic, qos.latched())
+    finally:
+        node.destroy_node()
+
+
+@pytest.mark.parametrize('topic', list(KINDS))
+def test_two_publishers_hold_the_table(tmp_path, topic):
+    with Stand(tmp_path) as stand:
+        assert stand.reaches(State.TURNING, step=1)
+        with stranger(topic):
+            stops(stand, '2 publishers', f'/{topic}', OWNERS[topic], '/stranger')
+            success, message = stand.call('turntable_node/start')
+            assert not success
+            assert '/stranger' in message
+        assert stand.wait(lambda: stand.call('turntable_node/start')[0], 20)
+        finishes(stand)
+
+
+@pytest.mark.parametrize('phase', [State.IDLE, State.PAUSED])
+def test_a_stranger_that_turns_a_table_nobody_leads_is_stopped_and_said(tmp_path, phase):
+    with Stand(tmp_path, turntable_node={'autostart': phase == State.PAUSED}) as stand:
+        if phase == State.PAUSED:
+            assert stand.reaches(State.DWELLING, step=3)
+            assert stand.call('turntable_node/pause')[0]
+        assert stand.reaches(phase)
+        assert stand.table_stands(seconds=30)
+        began = np.array(stand.joints.position)
+        with stranger('turntable/setpoint') as output:
+            assert stand.wait(lambda: output.get_subscription_count() >= 2)
+            # Each keeps the table going until the next one comes: unheld it turns by 12 rad.
+            for _ in range(10):
+                output.publish(ten_turns(stand.joints))
+                stand.wait(lambda: False, 0.4)
+            assert stand.said('turntable_node: plan', '/stranger')
+            assert not stand.call('turntable_node/start')[0]
+        assert stand.table_stands()
+        # Until HOLD comes it speeds up at 3.5 rad/s^2, and brakes alike: 0.3 rad in 0.3 s.
+        assert np.abs(np.array(stand.joints.position) - began).max() < 10 * 0.3
+        assert stand.state.phase == phase
+        if phase == State.IDLE:
+            # The session holds nothing but the stranger's setpoints: it is begun anew.
+            assert stand.call('calibrator_node/reset')[0]
+        answers = []
+        assert stand.wait(
+            lambda: answers.append(stand.call('turntable_node/start')) or answers[-1][0], 20
+        ), answers[-1]
+        assert stand.reaches(*MOVES)
+
+
+def ten_turns(joints):
+    """Return a setpoint that sends the outer joint round ten times."""
+    turn = ros.messages.TurntableSetpoint(
+        plan='mine',
+        mode=1,
+        joint_names=list(joints.name),
+        positions=list(joints.position),
+        rates=[3.0, 0.0, 0.0],
+        turns=10.0,
+    )
+    turn.header.stamp = joints.header.stamp
+    return turn
+
+
+def spoofed_done(stand):
+    """Return DONE as the table's leader would say it, word for word."""
+    steps = stand.state.steps
+    done = State(plan='short', step=steps - 1, steps=steps, phase=State.DONE)
+    done.header.stamp = stand.joints.header.stamp
+    return done
+
+
+def spoofed_progress(stand):
+    progress = Progress(plan='short', steps=stand.state.steps, state=Progress.FINISHED)
+    progress.header.stamp = stand.joints.header.stamp
+    return progress
+
+
+@pytest.mark.parametrize(
+    ('topic', 'spoof'),
+    [('turntable/state', spoofed_done), ('calibration/progress', spoofed_progress)],
+)
+def test_a_spoofed_word_completes_nothing(tmp_path, topic, spoof):
+    with Stand(tmp_path) as stand:
+        assert stand.reaches(State.DWELLING, step=3)
+        with stranger(topic) as output:
+            assert stand.wait(lambda: output.get_subscription_count() >= 2)
+            for _ in range(20):
+                output.publish(spoof(stand))
+                stand.wait(lambda: False, 0.05)
+            stops(stand, '/stranger')
+        assert not [c for c in stand.calibrations if c.status != c.PROVISIONAL]
+        assert stand.wait(lambda: stand.call('turntable_node/start')[0], 20)
+        finishes(stand)
+
+
+def test_done_without_its_leader_ends_no_session(tmp_path):
+    """The leader is dead and forgotten, and somebody says DONE in its place, over and over."""
+    with Stand(tmp_path) as stand:
+        assert stand.reaches(State.DWELLING, step=3)
+        steps = stand.state.steps
+        stand.kill('turntable_node')
+        listed = stand.node.get_publishers_info_by_topic
+        assert stand.wait(lambda: not listed('/turntable/state'), LEASE + 10.0)
+        with stranger('turntable/state') as output:
+            assert stand.wait(lambda: output.get_subscription_count() >= 2)
+            for _ in range(20):
+                output.publish(spoofed_done(stand))
+                stand.wait(lambda: False, 0.2)
+        assert stand.said('turntable state', 'ends nothing', f'to {steps} of short')
+        assert not [c for c in stand.calibrations if c.status != c.PROVISIONAL]
+        assert stand.progress[-1].state != Progress.FINISHED
+
+
+def test_a_session_that_is_ended_early_says_which_positions_are_missing(tmp_path):
+    with Stand(tmp_path, '--speed', '10') as stand:
+        assert stand.wait(
+            lambda: (
+                stand.state.phase == State.DWELLING and stand.state.step == stand.state.steps - 3
+            )
+        )
+        assert stand.call('turntable_node/pause')[0]
+        assert stand.reaches(State.PAUSED)
+        assert stand.call('calibrator_node/solve')[0]
+        final = stand.ended()
+        assert final.status == final.INCOMPLETE, (final.status, final.status_text)
+        assert final.status_text.startswith('Positions of the plan are missing: ')
+        seen = {s.position_id for s in stand.states if s.phase == State.DWELLING}
+        missing = final.status_text.split(': ')[1].split('.')[0].split(', ')
+        assert not seen - {stand.state.position_id} & set(missing)
+        assert len(seen | set(missing)) == 12
+        stand.check_numbers()
 
 
 def test_two_imu_publishers(tmp_path):

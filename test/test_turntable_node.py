@@ -4,18 +4,20 @@ import math
 import os
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from loopback import environment, start, until
 
-from imu_calib.cdr import Messages, decode_setpoints, encode_joints
+from imu_calib.cdr import Messages, decode_setpoints, encode_joints, encode_setpoints
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.nodes import qos
 from imu_calib.simulation.options import TableOptions
 from imu_calib.simulation.table import SimulatedTable
-from imu_calib.stream import JointBlock, Mode
+from imu_calib.stream import JointBlock, Mode, Setpoint, SetpointBlock
 from imu_calib.turntable import load_table
+from imu_calib.units import DEG
 
 # ROS reads this when it loads its messages.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
@@ -26,6 +28,7 @@ try:
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
+NAMES = ('outer', 'middle', 'inner')
 STEADY = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
 TABLE = """
 name: nimble
@@ -55,7 +58,7 @@ class FakeTable(ros.Node):
         super().__init__('table')
         self.epoch = time.time_ns()
         self.table = SimulatedTable(load_table(table), TableOptions(), epoch=self.epoch)
-        self.silent = False
+        self.silent = self.deaf = False
         self.simulated = None
         self.refusals, self.setpoints = [], []
         self.create_subscription(
@@ -82,10 +85,18 @@ class FakeTable(ros.Node):
     def take(self, payload):
         (block,) = decode_setpoints(Messages.join([bytes(payload)]))
         self.setpoints += block.setpoints
+        if self.deaf:
+            return
         try:
             self.table.command(block.setpoints[0], self.now())
         except InputError as error:
             self.refusals.append(str(error))
+
+    def force(self, angles):
+        """Set the table in motion as its own panel does: no setpoint is published."""
+        still = (0.0,) * len(angles)
+        order = Setpoint(self.stamp(), '', 0, '', Mode.POSITION, NAMES, angles, still, 0.0, 0.0)
+        self.table.command(order, self.now())
 
     def tick(self):
         if self.silent:
@@ -139,20 +150,25 @@ class Watcher(ros.Node):
         )
         self.buttons = {
             name: self.create_client(ros.Trigger, f'/turntable_node/{name}')
-            for name in ('start', 'pause', 'abort')
+            for name in ('start', 'release', 'pause', 'abort')
         }
 
     @property
     def phase(self):
         return Phase(self.states[-1].phase) if self.states else None
 
+    def says(self, part, level, words):
+        """Whether the last word on a part of the node has a level and some words."""
+        told = [s for d in self.diagnostics for s in d.status if s.name.endswith(f'node: {part}')]
+        return bool(told) and told[-1].level[0] == level and words in told[-1].message
+
     def phases(self):
         """The phases, one after the other."""
         phases = [Phase(s.phase) for s in self.states]
         return [p for k, p in enumerate(phases) if k == 0 or p is not phases[k - 1]]
 
-    def calibrate(self, stamp, repeat_steps=()):
-        message = ros.messages.CalibrationProgress(repeat_steps=list(repeat_steps))
+    def calibrate(self, stamp, repeat_steps=(), plan='tiny'):
+        message = ros.messages.CalibrationProgress(plan=plan, repeat_steps=list(repeat_steps))
         message.header.stamp = ros.Time(nanoseconds=stamp).to_msg()
         self.progress.publish(message)
 
@@ -185,6 +201,7 @@ class Session:
             'supervised': False,
         }
         self.node = None
+        self.processes = []
 
     def turn_at(self, rate):
         (self.folder / 'plan.yaml').write_text(PLAN.replace('RATE', str(rate)))
@@ -200,13 +217,29 @@ class Session:
         self.executor = ros.SingleThreadedExecutor()
         self.table = FakeTable(self.parameters['table'])
         self.watcher = Watcher()
-        nodes = [self.table, self.watcher]
-        if with_node:
-            self.node = TurntableNode()
-            nodes.append(self.node)
-        for node in nodes:
+        for node in (self.table, self.watcher):
             self.executor.add_node(node)
+        if with_node:
+            self.join()
         return self
+
+    def join(self):
+        """Let the node join those who are there already."""
+        self.node = TurntableNode()
+        self.executor.add_node(self.node)
+
+    def start(self, code=MAIN, **changes):
+        """Start the node as a process, which ends with the test at the latest."""
+        process = start(code, *self.arguments(**changes))
+        self.processes.append(process)
+        return process
+
+    def stop_file(self):
+        return (
+            Path(os.environ['XDG_STATE_HOME'])
+            / 'imu_calib'
+            / (f'stop_domain_{os.environ["ROS_DOMAIN_ID"]}_turntable_node')
+        )
 
     def until(self, condition, seconds=10.0):
         return until(condition, seconds, lambda: self.executor.spin_once(timeout_sec=0.05))
@@ -219,7 +252,10 @@ class Session:
         return future.result().success, future.result().message
 
     def reaches(self, phase, seconds=10.0):
-        assert self.until(lambda: self.watcher.phase is phase, seconds), self.watcher.states[-1:]
+        assert self.until(lambda: self.watcher.phase is phase, seconds), (
+            self.watcher.phases(),
+            [state.reason for state in self.watcher.states[-1:]],
+        )
 
     def ends_stopped(self):
         """Whether the table itself comes to rest, and stays there."""
@@ -230,7 +266,7 @@ class Session:
     def process(self, code=MAIN, **changes):
         """Start the node as a process; return it when it drives the table through a turn."""
         self.open(with_node=False)
-        process = start(code, *self.arguments(autostart=True, **changes))
+        process = self.start(code, autostart=True, **changes)
         assert self.until(lambda: self.watcher.phase is Phase.TURNING), process.poll()
         return process
 
@@ -241,6 +277,9 @@ def session(tmp_path, monkeypatch):
         monkeypatch.setenv(name, value)
     session = Session(tmp_path)
     yield session
+    for process in session.processes:
+        process.kill()
+        process.communicate()
     ros.try_shutdown()
 
 
@@ -284,7 +323,7 @@ def test_no_start_while_the_calibrator_cannot_go_on(session):
     kind = ros.messages.CalibrationProgress
 
     def say(state, text=''):
-        session.watcher.progress.publish(kind(state=state, text=text))
+        session.watcher.progress.publish(kind(plan='tiny', state=state, text=text))
 
     say(kind.FAILED, 'the disk is full.')
     words = 'The calibrator cannot go on: the disk is full.'
@@ -302,10 +341,116 @@ def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(sessi
     session.watcher.estop.publish(ros.messages.Bool(data=True))
     session.reaches(Phase.ABORTED)
     assert session.ends_stopped()
-    assert session.press('start') == (False, 'The emergency stop is on.')
+    started, why = session.press('start')
+    assert not started
+    assert 'The emergency stop is on.' in why
+    assert 'call /turntable_node/release' in why
+    released, why = session.press('release')
+    assert not released
+    assert why == 'A publisher on /estop still says stop: release it there first.'
     session.watcher.estop.publish(ros.messages.Bool(data=False))
-    assert session.until(lambda: session.press('start')[0])
+    assert session.until(lambda: session.press('release')[0])
+    # Neither what was said on the topic nor the release starts anything, autostart or not.
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
+    assert not session.node._autostart
+    assert session.press('release') == (False, 'The emergency stop is not pressed.')
+    assert session.press('start') == (True, 'Runs tiny.')
     session.reaches(Phase.TURNING)
+
+
+def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
+    session.turn_at(90).open(autostart=True)
+    session.reaches(Phase.TURNING)
+    session.watcher.estop.publish(ros.messages.Bool(data=True))
+    session.reaches(Phase.ABORTED)
+    session.watcher.estop.publish(ros.messages.Bool(data=False))
+    assert session.until(lambda: not session.node._estop._topic.says_stop)
+    assert not session.press('start')[0]
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
+    assert session.ends_stopped()
+    assert session.watcher.says('stop', 2, 'The emergency stop is on.')
+
+
+@pytest.mark.parametrize('said', [True, None])
+def test_a_pressed_stop_outlives_the_node_that_was_killed(session, said):
+    """Whether who pressed it is still there, latched, or has left."""
+    process = session.turn_at(60).process()
+    estop = session.watcher.create_publisher(ros.messages.Bool, 'estop', qos.latched())
+    session.watcher.destroy_publisher(session.watcher.estop)
+    assert session.until(lambda: estop.get_subscription_count() > 0)
+    estop.publish(ros.messages.Bool(data=True))
+    session.reaches(Phase.ABORTED)
+    # The table has stopped before the disk has it: what a kill leaves is the next start's.
+    assert session.until(session.stop_file().exists)
+    process.kill()
+    process.communicate()
+    assert session.ends_stopped()
+    if said is None:
+        session.watcher.destroy_publisher(estop)
+    session.watcher.states.clear()
+    before = len(session.table.setpoints)
+    session.start(autostart=True)
+    assert session.until(lambda: session.watcher.phase is Phase.ABORTED), 'it remembers'
+    assert session.until(lambda: len(session.table.setpoints) > before + 10)
+    assert {s.mode for s in session.table.setpoints[before:]} == {Mode.HOLD}
+    assert not session.press('start')[0]
+    if said:
+        assert 'still says stop' in session.press('release')[1]
+        estop.publish(ros.messages.Bool(data=False))
+    assert session.until(lambda: session.press('release')[0])
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+
+
+@pytest.mark.parametrize(
+    'offered',
+    [qos.sensor_data(), qos.command(), qos.latched()],
+    ids=['best effort', 'reliable', 'latched'],
+)
+def test_a_stop_is_heard_whatever_its_publisher_offers(session, offered):
+    session.turn_at(90).open(autostart=True)
+    session.watcher.destroy_publisher(session.watcher.estop)
+    session.reaches(Phase.TURNING)
+    estop = session.watcher.create_publisher(ros.messages.Bool, 'estop', offered)
+    assert session.until(lambda: estop.get_subscription_count() > 0)
+
+    def pressed():
+        # What is published best effort may be lost: it is said over and over, as a button does.
+        estop.publish(ros.messages.Bool(data=True))
+        return session.watcher.phase is Phase.ABORTED
+
+    assert session.until(pressed)
+    assert session.ends_stopped()
+
+
+def test_a_latched_stop_that_was_pressed_before_the_node_came_is_heard(session):
+    session.open(with_node=False, autostart=True)
+    session.watcher.destroy_publisher(session.watcher.estop)
+    estop = session.watcher.create_publisher(ros.messages.Bool, 'estop', qos.latched())
+    estop.publish(ros.messages.Bool(data=True))
+    # Joint states come only when it has been heard: nothing can start before.
+    session.table.silent = True
+    session.join()
+    session.reaches(Phase.ABORTED)
+    session.table.silent = False
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.5)
+    assert {s.mode for s in session.table.setpoints} == {Mode.HOLD}
+
+
+def test_where_a_stop_could_not_be_kept_the_table_stays_stopped(session):
+    (session.folder / 'state').write_text('a file where a folder is to be')
+    session.open(autostart=True, state_folder=str(session.folder / 'state'))
+    session.reaches(Phase.ABORTED)
+    started, why = session.press('start')
+    assert not started
+    assert f'cannot be kept in {session.folder / "state"}' in why
+    assert not session.press('release')[0]
+    assert session.until(lambda: session.watcher.says('stop', 2, 'cannot be kept'))
+    (session.folder / 'state').unlink()
+    assert session.press('release')[0]
+    assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.3)
+    assert session.until(lambda: session.press('start')[0])
 
 
 def test_joint_states_that_cease_stop_the_table(session):
@@ -416,4 +561,255 @@ def test_simulated_time_may_run_ahead_of_the_wall_clock(session):
     assert session.table.simulated > 3.0
     assert time.monotonic() - begin < session.table.simulated / 2
     assert session.table.refusals == []
+    assert session.ends_stopped()
+
+
+KINDS = {
+    'turntable/setpoint': (ros.messages.TurntableSetpoint, qos.command()),
+    'turntable/joint_states': (ros.messages.JointState, qos.stream()),
+    'turntable/state': (ros.messages.TurntableState, qos.latched()),
+    'calibration/progress': (ros.messages.CalibrationProgress, qos.latched()),
+    'estop': (ros.messages.Bool, 10),
+}
+
+
+class Stranger(ros.Node):
+    """Somebody else on the topics of the stand."""
+
+    def __init__(self, topic):
+        super().__init__('stranger')
+        kind, profile = KINDS[topic]
+        self.output = self.create_publisher(kind, topic, profile)
+
+    def turn(self, stamp, rate=720 * DEG, step=0):
+        """Send the table round ten times."""
+        still = (0.0, 0.0)
+        turn = Setpoint(
+            stamp, 'mine', step, '', Mode.RATE, NAMES, (0.0, *still), (rate, *still), 10.0, 0.0
+        )
+        (payload,) = encode_setpoints(SetpointBlock((turn,))).payloads()
+        self.output.publish(payload)
+
+
+@pytest.mark.parametrize('topic', list(KINDS))
+def test_two_publishers_hold_the_table_are_named_and_nothing_starts(session, topic):
+    session.turn_at(60).open(autostart=True)
+    session.reaches(Phase.TURNING)
+    stranger = Stranger(topic)
+    owner = {'turntable/joint_states': '/table'}.get(topic, '/watcher')
+    owner = '/turntable_node' if topic in {'turntable/setpoint', 'turntable/state'} else owner
+    session.reaches(Phase.PAUSED)
+    names = ', '.join(sorted([owner, '/stranger']))
+    words = f'2 publishers are on /{topic}: {names}.'
+    assert words in session.watcher.states[-1].reason
+    assert session.until(lambda: session.watcher.says('publishers', 2, words))
+    assert session.until(lambda: session.watcher.says('plan', 2, words))
+    assert session.ends_stopped()
+    assert session.table.setpoints[-1].mode is Mode.HOLD
+    started, why = session.press('start')
+    assert not started
+    assert words in why
+    stranger.destroy_node()
+    assert session.until(lambda: session.watcher.says('publishers', 0, 'one publisher'))
+    assert not session.until(lambda: session.watcher.phase is not Phase.PAUSED, 0.5)
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+
+
+@pytest.mark.parametrize('topic', ['turntable/setpoint', 'estop'])
+def test_two_publishers_forbid_a_start_by_itself_even_when_one_has_left(session, topic):
+    stranger = None
+    session.open(with_node=False, autostart=True)
+    stranger = Stranger(topic)
+    session.table.silent = True
+    session.join()
+    assert session.until(lambda: session.watcher.says('publishers', 2, '/stranger'))
+    session.table.silent = False
+    stranger.destroy_node()
+    assert session.until(lambda: session.watcher.says('publishers', 0, 'one publisher'))
+    assert not session.until(lambda: session.watcher.phase is not Phase.IDLE, 0.5)
+    assert session.press('start')[0]
+
+
+def test_two_leaders_of_one_name_hear_each_other_and_hold(session):
+    """A stand that is launched twice: the names say nothing, the states do."""
+    session.turn_at(60).open(autostart=True)
+    session.reaches(Phase.TURNING)
+    session.start()
+    session.reaches(Phase.PAUSED)
+    words = '/turntable_node, /turntable_node'
+    assert words in session.watcher.states[-1].reason or session.until(
+        lambda: session.watcher.says('publishers', 2, words)
+    )
+    assert session.ends_stopped()
+    session.processes[0].kill()
+    session.processes[0].communicate()
+    # The one that was killed is listed until its lease is over, and is not heard any more.
+    assert session.until(lambda: session.node._sequencer.obstacle == '', 40.0)
+    assert session.until(lambda: session.press('start')[0])
+
+
+def test_a_leader_that_was_killed_and_started_anew_is_not_locked_out(session):
+    process = session.turn_at(60).process()
+    process.kill()
+    process.communicate()
+    assert session.ends_stopped()
+    session.watcher.states.clear()
+    # What publishes with keep-all waits for the subscription that was killed, as long as it lasts.
+    session.start(autostart=True, watchdog_timeout=30.0, feedback_timeout=30.0)
+    assert session.until(lambda: Phase.MOVING in session.watcher.phases(), 40.0)
+
+
+IDLE_STATES = {
+    Phase.IDLE: lambda session: None,
+    Phase.PAUSED: lambda session: (session.press('start'), session.press('pause')),
+    Phase.ABORTED: lambda session: (session.press('start'), session.press('abort')),
+    Phase.DONE: lambda session: (session.press('start'), session.reaches(Phase.DONE)),
+}
+
+
+@pytest.mark.parametrize('phase', list(IDLE_STATES))
+def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fast(session, phase):
+    """The stranger has left before anybody looks for publishers: the encoders tell."""
+    session.open()
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    IDLE_STATES[phase](session)
+    session.reaches(phase)
+    assert session.ends_stopped()
+    # By a hand, or by the controller's own panel: no setpoint is heard.
+    at = session.table.table.angles(np.array([session.table.now()]))[0]
+    session.table.force(tuple(at + np.array([360 * DEG, 0.0, 0.0])))
+    assert session.until(lambda: session.watcher.says('plan', 2, 'while nobody led the table'))
+    assert session.watcher.phase is phase
+    assert session.until(
+        lambda: session.table.setpoints and session.table.setpoints[-1].mode is Mode.HOLD
+    )
+    assert session.ends_stopped()
+    assert session.until(lambda: session.watcher.says('plan', 2, 'it stands again'))
+    told = session.watcher.states[-1].reason
+    assert 'Joint outer moves while it is to stand at' in told
+    went, fast = (float(told.split(word)[1].split()[0]) for word in (' went ', ' up to '))
+    went_truly = session.table.table.angles(np.array([session.table.now()]))[0] - at
+    # Two decimals, and the encoder's own steps.
+    assert went == pytest.approx(went_truly[0] / DEG, abs=0.02)
+    assert 0.05 < went < 360
+    assert 0 < fast <= 2000
+    assert session.press('start')[0]
+    session.reaches(Phase.MOVING)
+
+
+def test_nothing_starts_while_the_table_moves_by_itself(session):
+    session.open()
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    assert session.until(lambda: session.node._sequencer.feedback.still)
+    session.table.deaf = True
+    session.table.force((1e4 * DEG, 0.0, 0.0))
+    assert session.until(lambda: session.watcher.says('plan', 2, 'it still moves'))
+    started, why = session.press('start')
+    assert not started
+    assert 'it still moves' in why
+
+
+def test_a_setpoint_of_a_stranger_is_answered_by_hold_at_once(session):
+    """An idle table is not turned by one whole round, though the stranger goes on for ten."""
+    session.open()
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    stranger = Stranger('turntable/setpoint')
+    assert session.until(lambda: stranger.output.get_subscription_count() >= 2)
+    began = session.table.table.angles(np.array([session.table.now()]))[0]
+    for _ in range(30):
+        stranger.turn(session.table.stamp())
+        session.until(lambda: False, 0.03)
+    assert session.until(lambda: session.watcher.says('plan', 2, '/stranger'))
+    ended = session.table.table.angles(np.array([session.table.now()]))[0]
+    assert abs(ended - began).max() < 2 * np.pi
+    assert not session.press('start')[0]
+    stranger.destroy_node()
+    assert session.ends_stopped()
+
+
+@pytest.mark.parametrize(
+    'spoof',
+    [
+        {'plan': ''},
+        {'plan': 'another'},
+        {'ahead': 60.0},
+    ],
+    ids=['no plan', 'another plan', 'of the future'],
+)
+def test_progress_that_cannot_be_the_calibrators_completes_nothing(session, spoof):
+    session.open(supervised=True, autostart=True, use_sim_time=True, watchdog_timeout=5.0)
+    session.table.run_ahead(10)
+    session.watcher.calibrate(session.table.stamp())
+    assert session.until(lambda: session.node._sequencer.reviewing)
+    stamp = session.table.stamp() + round(spoof.get('ahead', 0.0) * 1e9)
+    for _ in range(5):
+        session.watcher.calibrate(stamp, plan=spoof.get('plan', 'tiny'))
+        session.until(lambda: False, 0.05)
+    assert session.node._sequencer.reviewing
+    session.watcher.calibrate(session.table.stamp())
+    session.reaches(Phase.DONE)
+
+
+def test_progress_of_another_plan_keeps_no_calibrator_alive(session):
+    session.turn_at(90).open(supervised=True, autostart=True)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    for _ in range(5):
+        session.watcher.calibrate(session.table.stamp(), plan='another')
+        session.until(lambda: False, 0.05)
+    assert session.watcher.phase is Phase.IDLE
+    assert session.until(
+        lambda: session.watcher.says('calibrator', 2, 'The calibrator expects plan another')
+    )
+
+
+class FakeSteady:
+    """A steady clock that a test sets."""
+
+    def __init__(self, now):
+        self.seconds = now
+
+    def now(self):
+        return ros.Time(nanoseconds=round(self.seconds * 1e9), clock_type=ros.ClockType.STEADY_TIME)
+
+
+@pytest.mark.parametrize('timeout', [0.5, 3.0])
+def test_the_watchdog_bites_when_its_time_is_over_and_not_before(session, timeout):
+    session.turn_at(90).open(autostart=True, watchdog_timeout=timeout)
+    session.reaches(Phase.TURNING)
+    node = session.node
+    session.table.silent = True
+    ros.drain(node._joints)
+    steady = node._steady = FakeSteady(node._fed_at + timeout - 1e-3)
+    node._work()
+    assert node._sequencer.running
+    session.table.setpoints.clear()
+    steady.seconds += 2e-3
+    node._work()
+    assert not node._sequencer.running
+    assert node._sequencer.state().reason == f'No joint state from the table for {timeout:g} s.'
+    assert session.until(lambda: session.table.setpoints)
+    assert session.table.setpoints[0].mode is Mode.HOLD
+    assert session.ends_stopped()
+
+
+@pytest.mark.parametrize('timeout', [1.0, 5.0])
+def test_a_calibrator_is_given_its_time_and_no_more(session, timeout):
+    session.turn_at(60).open(supervised=True, autostart=True, calibrator_timeout=timeout)
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    node = session.node
+
+    def turning():
+        session.watcher.calibrate(session.table.stamp())
+        return session.watcher.phase is Phase.TURNING
+
+    assert session.until(turning)
+    steady = node._steady = FakeSteady(node._heard_at + timeout - 1e-3)
+    node._fed_at = steady.seconds
+    node._work()
+    assert node._sequencer.running
+    steady.seconds += 2e-3
+    node._fed_at = steady.seconds
+    node._work()
+    assert node._sequencer.state().reason == f'The calibrator is silent for {timeout:g} s.'
     assert session.ends_stopped()

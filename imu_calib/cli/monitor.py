@@ -117,7 +117,7 @@ class Monitor:
             self._span = (self._span[0] or now, now)
 
     def _on_calibration(self, message: Any) -> None:
-        if message.status == message.VALID:
+        if message.status in {message.VALID, message.INCOMPLETE}:
             self.outcome = True, message.status_text
         elif message.status == message.REFUSED:
             self.outcome = False, message.status_text

@@ -218,6 +218,8 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
     if simulated:
         # Simulated time stands still while a busy machine catches up: that is no silence.
         nodes['turntable_node'] |= {'watchdog_timeout': 10.0, 'calibrator_timeout': 10.0}
+        # A stop that was pressed on this table is no word on the next one.
+        nodes['turntable_node']['state_folder'] = str(folder / 'state')
         nodes['stand_node'] = {
             **described,
             **site,

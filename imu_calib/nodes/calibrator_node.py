@@ -24,11 +24,13 @@ from ..session import describe
 from ..turntable import load_table
 from ..units import DEG
 from . import qos
-from .convert import calibration_message, refusal_message
+from .convert import calibration_message, final_status, refusal_message
 from .diagnostics import Diagnostics, Level
+from .done import DoneWord
 from .entry import entry_point
 from .live import LiveSession, Phase
 from .parameters import declare
+from .publishers import OnePublisher
 
 _TICK = 0.005
 _SECOND = 1.0
@@ -75,6 +77,8 @@ class CalibratorNode(ros.Node):
         self._drains = {kind: self._open_drain(kind, reliable=True) for kind in self._kinds()}
         self._unreliable: set[Kind] = set()
         self._state_topic = self.resolve_topic_name('turntable/state')
+        self._states = OnePublisher(self, self._state_topic)
+        self._done = DoneWord(plan.name, self._steps)
         self._early_states: list[bytes] = []
         self._latest = 0
         self._seconds_left = math.nan
@@ -221,6 +225,7 @@ class CalibratorNode(ros.Node):
     def _on_second(self) -> None:
         self._subscribe_anew()
         self._count_publishers()
+        self._states.look(time.monotonic())
         self._session.flush()
         if self._session.rested:
             self._session.solve()
@@ -272,11 +277,29 @@ class CalibratorNode(ros.Node):
             self._publish()
             return
         self._seconds_left = float(state.seconds_left)
-        if state.phase == messages.TurntableState.DONE:
+        if state.phase != messages.TurntableState.DONE:
+            self._done.deny()
+            self._session.table_running()
+            return
+        doubt = self._done.doubt(
+            state.plan,
+            state.steps,
+            self._session.steps_seen,
+            alone=self._states.is_alone(time.monotonic()),
+        )
+        if not doubt and self._done.is_repeated:
             stamp = state.header.stamp
             self._session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
-        else:
-            self._session.table_running()
+        self._report_done(doubt)
+
+    def _report_done(self, doubt: str) -> None:
+        """Say why DONE does not end the session, where it does not."""
+        text = f'{self._state_topic} says DONE, which ends nothing: {doubt}.'
+        self._diagnostics.report(
+            'turntable state',
+            Level.WARN if doubt else Level.OK,
+            text if doubt else f'{self._state_topic} says DONE.',
+        )
 
     def _publish(self) -> None:
         """Publish the calibration where there is news of it, and the progress."""
@@ -291,7 +314,9 @@ class CalibratorNode(ros.Node):
         elif session.calibration is not None and self._is_news(session.calibration):
             self._shown = session.calibration
             final = session.phase is Phase.FINISHED
-            status = messages.ImuCalibration.VALID if final else messages.ImuCalibration.PROVISIONAL
+            status = messages.ImuCalibration.PROVISIONAL
+            if final:
+                status = final_status(session.calibration)
             self._result_publisher.publish(
                 calibration_message(session.calibration, status, session.frame_id, now)
             )

@@ -182,9 +182,12 @@ class CompensatorNode(ros.Node):
 
     def _on_calibration(self, message: Any) -> None:
         """Take a calibration that is good over."""
+        topic = self.resolve_topic_name('calibration')
+        if message.status == messages.ImuCalibration.INCOMPLETE:
+            text = f'What {topic} offers is incomplete and is not used. {message.status_text}'
+            self._diagnostics.report('calibration offered', Level.WARN, text)
         if message.status != messages.ImuCalibration.VALID:
             return
-        topic = self.resolve_topic_name('calibration')
         stamp = message.header.stamp
         try:
             calibration = calibration_of(message)

@@ -10,7 +10,7 @@ import numpy as np
 from ..calibration import Calibration
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
-from ..middleware import messages
+from ..middleware import Time, messages
 from ..model import (
     G_SENSITIVITIES,
     PARAMETER_NAMES,
@@ -20,8 +20,11 @@ from ..model import (
     extended_parameters,
 )
 from ..plausibility import check_plausible
+from ..sequencing import State
+from ..sequencing.trajectory import Piece
 from ..stream import Units
 
+_NS = 1_000_000_000
 _UNITS = {
     Units.PULSES: messages.ImuCalibration.UNIT_PULSES,
     Units.COUNTS: messages.ImuCalibration.UNIT_COUNTS,
@@ -34,12 +37,16 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
 
     Args:
         calibration: The result.
-        status: VALID or PROVISIONAL.
+        status: VALID, INCOMPLETE or PROVISIONAL.
         frame_id: The IMU's frame.
         stamp: builtin_interfaces/Time of now.
 
     """
-    text = ' '.join(calibration.findings)
+    findings = list(calibration.findings)
+    if status == messages.ImuCalibration.INCOMPLETE:
+        missing = ', '.join(_missing(calibration))
+        findings.insert(0, f'Positions of the plan are missing: {missing}.')
+    text = ' '.join(findings)
     message = _empty(calibration.imu, status, text, frame_id, stamp)
     message.serial_number = calibration.serial_number
     where = calibration.provenance
@@ -129,6 +136,16 @@ def calibration_of(message: Any) -> Calibration:
     return calibration
 
 
+def final_status(calibration: Calibration) -> int:
+    """Return the status of a session's last word: INCOMPLETE where positions are missing."""
+    kinds = messages.ImuCalibration
+    return int(kinds.INCOMPLETE if _missing(calibration) else kinds.VALID)
+
+
+def _missing(calibration: Calibration) -> list[str]:
+    return [str(name) for name in calibration.provenance.get('missing_positions', ())]
+
+
 def _provenance(message: Any) -> dict[str, Any]:
     """Return the entries that compensation looks at, as the file has them."""
     temperature = {
@@ -180,4 +197,38 @@ def _empty(imu: ImuSpec, status: int, text: str, frame_id: str, stamp: Any) -> A
     for name in ('reference', 'lowest', 'highest'):
         setattr(message, f'{name}_temperature', math.nan)
     message.highest_rate = math.nan
+    return message
+
+
+def state_message(state: State, joints: tuple[str, ...], stamp: int) -> Any:
+    """Return imu_calib_msgs/TurntableState; the stamp is in ns."""
+    message = messages.TurntableState(
+        plan=state.plan,
+        step=state.step,
+        steps=state.steps,
+        position_id=state.position,
+        phase=int(state.phase),
+        reason=state.reason,
+        joint_names=list(joints),
+        positions=list(state.angles),
+        rates=list(state.rates),
+        turns_done=float(state.turns_done),
+        seconds_left=float(state.seconds_left),
+    )
+    message.header.stamp = Time(nanoseconds=stamp).to_msg()
+    return message
+
+
+def trajectory_message(piece: Piece, names: tuple[str, ...]) -> Any:
+    """Return a piece as trajectory_msgs/JointTrajectory."""
+    message = messages.JointTrajectory(joint_names=list(names))
+    message.header.stamp = Time(nanoseconds=piece.stamp).to_msg()
+    course = piece.course
+    for time, angles, rates in zip(course.time, course.angles, course.rates, strict=True):
+        point = messages.JointTrajectoryPoint(
+            positions=[float(a) for a in angles], velocities=[float(r) for r in rates]
+        )
+        sec, nanosec = divmod(round(float(time) * _NS), _NS)
+        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
+        message.points.append(point)
     return message

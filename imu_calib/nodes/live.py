@@ -17,7 +17,7 @@ from ..methods import estimates
 from ..methods.free.guidance import Guidance, Stage
 from ..methods.free.session import FreeCalibrator, FreeReview, calibrator_of
 from ..model import Parameter, skewed_parameters
-from ..stream import Block, ImuBlock, JointBlock, SetpointBlock
+from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 
 _LATE = 500_000_000
 _PATIENCE = 2.0
@@ -80,7 +80,7 @@ class LiveSession:
         worked_until: Stamp up to which the last review reaches, ns: of the joints, of the IMU
             where there is no table.
         frame_id: The IMU's frame.
-        steps_seen: Steps of the plan whose setpoints have come in.
+        steps_seen: Steps of the plan that have been commanded: up to the last one seen.
         without_skew: Whether the session goes on without a skewed gyro.
 
     Args:
@@ -338,7 +338,8 @@ class LiveSession:
         intake = self.intakes[kind]
         intake.count += len(block)
         if isinstance(block, SetpointBlock):
-            steps = [s.step for s in block.setpoints if s.plan == self.setup.plan.name]
+            name = self.setup.plan.name
+            steps = [s.step for s in block.setpoints if s.plan == name and s.mode is not Mode.HOLD]
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
             intake.newest = block.setpoints[-1].stamp if block.setpoints else intake.newest
         elif isinstance(block, JointBlock) and not self._of_the_table(block):

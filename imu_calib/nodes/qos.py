@@ -39,3 +39,13 @@ def command() -> QoSProfile:
 def latched() -> QoSProfile:
     """Return the profile of states and results: late subscribers get the last one."""
     return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def as_offered(offered: QoSProfile) -> QoSProfile:
+    """Return the profile that hears all that a publisher offers, its latched words too."""
+    return QoSProfile(depth=10, reliability=offered.reliability, durability=offered.durability)
+
+
+def own_topic() -> QoSProfile:
+    """Return the profile by which a node hears who else publishes what it alone should."""
+    return QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -4,35 +4,44 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-from ..cdr import Malformed, Messages, decode_joints, encode_setpoints
+from ..cdr import Malformed, Messages, decode_joints, decode_setpoints, encode_setpoints
 from ..errors import InputError
 from ..middleware import (
     Clock,
     ClockType,
     Node,
-    Time,
     Trigger,
     drain,
     messages,
     open_drain,
+    serialize_message,
 )
 from ..plan import load_plan
-from ..sequencing import Lead, Overtaken, Phase, Rules, Sequencer, State
-from ..sequencing.trajectory import Piece
-from ..stream import Setpoint, SetpointBlock
+from ..sequencing import Lead, Overtaken, Sequencer, State
+from ..stream import Mode, Setpoint, SetpointBlock
 from ..turntable import load_table
-from ..units import DEG
 from . import qos
+from .convert import state_message, trajectory_message
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 from .parameters import declare
+from .publishers import OnePublisher
+from .rules import declare_rules
+from .stop import EmergencyStop, state_folder
+from .words import figures, sentence
 
 _DRAIN_PERIOD = 0.002
 _STATE_PERIOD = 0.5
+_LOOK_PERIOD = 0.1
 _LAST_HOLDS = 3
+_REMEMBERED = 256
+"""So many messages may be on their way back to the node that sent them."""
+
 _NS = 1_000_000_000
 
 
@@ -66,8 +75,13 @@ class TurntableNode(Node):
             self, 'setpoint_rate', 10.0, 'How often setpoints are sent, Hz.', lower=10.0, upper=1e3
         )
         self._period = round(_NS / rate)
-        rules = self._declare_rules()
-        self._sequencer = Sequencer(plan, table, rules)
+        folder = declare(
+            self,
+            'state_folder',
+            '',
+            'Where a pressed stop is kept; empty: $XDG_STATE_HOME/imu_calib.',
+        )
+        self._sequencer = Sequencer(plan, table, declare_rules(partial(declare, self)))
         self._lead = self._declare_output()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._malformed = Malformed()
@@ -78,6 +92,7 @@ class TurntableNode(Node):
         self._heard_at = -math.inf
         self._published: tuple[Any, ...] = ()
         self._published_at = -math.inf
+        self._sent: deque[bytes] = deque(maxlen=_REMEMBERED)
 
         self._diagnostics = Diagnostics(self, table.name)
         self._setpoints = self.create_publisher(
@@ -99,11 +114,16 @@ class TurntableNode(Node):
             self._on_progress,
             qos.latched(),
         )
-        self.create_subscription(messages.Bool, 'estop', self._on_estop, 10)
+        self._alone = self._watch_publishers()
+        self._estop = EmergencyStop(self, state_folder(folder), self._on_estop)
+        if self._estop.words:
+            self._on_estop()
         self.create_service(Trigger, '~/start', self._on_start)
+        self.create_service(Trigger, '~/release', self._on_release)
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/abort', self._on_abort)
         self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
+        self.create_timer(_LOOK_PERIOD, self._look_around, clock=self._steady)
         self._tell()
 
     def stop(self) -> Sequence[Any]:
@@ -115,63 +135,6 @@ class TurntableNode(Node):
         self._publish_state(self._sequencer.state())
         outputs = [self._setpoints, self._states]
         return outputs if self._lead is None else [*outputs, self._trajectories]
-
-    def _declare_rules(self) -> Rules:
-        default = Rules()
-        return Rules(
-            settle=declare(
-                self,
-                'settle',
-                default.settle,
-                'From the arrival to the start of the dwell, s of the joint states.',
-                lower=0.0,
-            ),
-            arrival=DEG
-            * declare(
-                self,
-                'arrival_tolerance',
-                default.arrival / DEG,
-                'A joint has arrived that stands so close to its goal, deg.',
-                lower=1e-6,
-                upper=1.0,
-            ),
-            overshoot=DEG
-            * declare(
-                self,
-                'overshoot_tolerance',
-                default.overshoot / DEG,
-                'How far a joint may pass its goal or stray from its way, deg.',
-                lower=1e-5,
-                upper=10.0,
-            ),
-            feedback_timeout=declare(
-                self,
-                'feedback_timeout',
-                default.feedback_timeout,
-                'Longest gap between the stamps of joint states, s.',
-                lower=0.001,
-            ),
-            supervised=declare(
-                self,
-                'supervised',
-                default.supervised,
-                'Whether a calibrator must be heard; it says what is to be repeated.',
-            ),
-            repeats=declare(
-                self,
-                'repeats',
-                default.repeats,
-                'How often a step is repeated at most if the calibrator asks for it.',
-                lower=0,
-            ),
-            repeat_wait=declare(
-                self,
-                'repeat_wait',
-                default.repeat_wait,
-                'How long the end of the plan waits for the calibrator, s of the joint states.',
-                lower=0.0,
-            ),
-        )
 
     def _declare_output(self) -> Lead | None:
         output = declare(
@@ -202,6 +165,9 @@ class TurntableNode(Node):
         if payloads:
             self._take(payloads, now)
         self._watch(now)
+        if self._sequencer.fault:
+            # What went wrong is for a person to look at, before anything moves.
+            self._autostart = False
         if self._autostart:
             self._start_by_itself()
         self._send_what_is_due(now)
@@ -274,7 +240,7 @@ class TurntableNode(Node):
     def _send(self, setpoint: Setpoint) -> None:
         """Publish a setpoint; the calibrator reads it where a trajectory moves the table, too."""
         (payload,) = encode_setpoints(SetpointBlock((setpoint,))).payloads()
-        self._setpoints.publish(payload)
+        self._publish(self._setpoints, bytes(payload))
         feedback = self._sequencer.feedback
         if self._lead is None or feedback is None:
             return
@@ -284,7 +250,7 @@ class TurntableNode(Node):
             self._sequencer.fail(str(error))
             piece = self._lead.piece(self._sequencer.hold(setpoint.stamp), feedback)
         if piece is not None:
-            self._trajectories.publish(_trajectory(piece, setpoint.joints))
+            self._trajectories.publish(trajectory_message(piece, setpoint.joints))
 
     def _tell(self) -> None:
         """Publish the state when it changes, and now and then."""
@@ -298,29 +264,17 @@ class TurntableNode(Node):
     def _publish_state(self, state: State) -> None:
         self._published = self._sequencer.summary
         self._published_at = self._steady.now().nanoseconds * 1e-9
-        message = messages.TurntableState(
-            plan=state.plan,
-            step=state.step,
-            steps=state.steps,
-            position_id=state.position,
-            phase=int(state.phase),
-            reason=state.reason,
-            joint_names=list(self._sequencer.table.names),
-            positions=list(state.angles),
-            rates=list(state.rates),
-            turns_done=float(state.turns_done),
-            seconds_left=float(state.seconds_left),
-        )
-        message.header.stamp = Time(nanoseconds=self._stamp()).to_msg()
-        self._states.publish(message)
+        message = state_message(state, self._sequencer.table.names, self._stamp())
+        self._publish(self._states, bytes(serialize_message(message)))
         level = Level.WARN if state.reason else Level.OK
         self._diagnostics.report(
             'plan',
             Level.ERROR if state.fault else level,
-            _sentence(state),
-            **_figures(state, self._sequencer.table.names),
+            sentence(state),
+            **figures(state, self._sequencer.table.names),
         )
         self._report_joint_states()
+        self._report_stop()
 
     def _report_joint_states(self) -> None:
         fault = self._sequencer.feedback_fault
@@ -339,27 +293,111 @@ class TurntableNode(Node):
             },
         )
 
-    def _on_progress(self, message: Any) -> None:
-        self._heard_at = self._steady.now().nanoseconds * 1e-9
-        # rclpy's Time refuses what lies before 1970, where simulated time may begin.
-        stamp = message.header.stamp.sec * _NS + message.header.stamp.nanosec
-        self._sequencer.review(stamp, [int(step) for step in message.repeat_steps])
-        failed = message.state == message.FAILED
-        fault = ''
-        if failed:
-            fault = f'The calibrator cannot go on: {message.text}'
-        elif message.state == message.FINISHED:
-            fault = (
-                'The calibrator has finished its session: call ~/reset of calibrator_node first.'
-            )
-        self._sequencer.hear(fault, fatal=failed)
+    def _watch_publishers(self) -> dict[str, OnePublisher]:
+        """Watch who publishes what is one node's alone; hear who else leads this table."""
+        names = ['turntable/joint_states', 'calibration/progress', 'estop']
+        if self._lead is not None:
+            names.append(self._trajectories.topic_name)
+        for name, kind in (
+            ('turntable/setpoint', messages.TurntableSetpoint),
+            ('turntable/state', messages.TurntableState),
+        ):
+            hear = partial(self._on_own_topic, name)
+            self.create_subscription(kind, name, hear, qos.own_topic(), raw=True)
+            names.append(name)
+        return {name: OnePublisher(self, self.resolve_topic_name(name)) for name in names}
 
-    def _on_estop(self, message: Any) -> None:
-        self._sequencer.emergency(bool(message.data))
-        if message.data:
-            self._autostart = False
+    def _look_around(self) -> None:
+        """Hear who says stop; hold the table while what is one node's has two publishers."""
+        self._estop.look()
+        now = self._steady.now().nanoseconds * 1e-9
+        found = {name: watched.look(now) for name, watched in self._alone.items()}
+        for name, words in found.items():
+            self._sequencer.forbid(name, words)
+        words = ' '.join(filter(None, found.values()))
+        self._diagnostics.report(
+            'publishers',
+            Level.ERROR if words else Level.OK,
+            words or 'Every topic of the table has one publisher.',
+        )
+        self._send_what_is_due(now)
+
+    def _publish(self, publisher: Any, payload: bytes) -> None:
+        """Publish on a topic that is this node's alone, and know the message again."""
+        self._sent.append(_content(payload))
+        publisher.publish(payload)
+
+    def _on_own_topic(self, name: str, payload: bytes) -> None:
+        """Take a message of this node's own topics; whose it is not, has another sender."""
+        if _content(bytes(payload)) in self._sent:
+            return
+        self._alone[name].heard_two(self._steady.now().nanoseconds * 1e-9)
+        self._look_around()
+        if name == 'turntable/setpoint' and not _holds(payload):
+            # At once, whatever has been sent already: it may have set the table in motion.
+            self._send(self._sequencer.hold(self._stamp()))
+
+    def _on_progress(self, message: Any) -> None:
+        fault = self._fault_of(message)
+        if message.plan == self._sequencer.plan.name:
+            self._follow_progress(message)
+        elif not fault:
+            self._diagnostics.report(
+                'calibrator',
+                Level.ERROR,
+                f'The calibrator expects plan {message.plan or "(no name)"}, the table runs '
+                f'{self._sequencer.plan.name}: its progress does not count.',
+            )
+            return
+        failed = message.state == message.FAILED
+        # What keeps the table from moving is believed of everybody.
+        self._sequencer.hear(fault, fatal=failed)
+        self._diagnostics.report(
+            'calibrator',
+            Level.ERROR if failed else Level.OK,
+            fault or 'The calibrator expects this plan.',
+        )
+
+    def _fault_of(self, message: Any) -> str:
+        """Return what keeps the calibrator from taking a session in; empty where nothing does."""
+        if message.state == message.FAILED:
+            return f'The calibrator cannot go on: {message.text}'
+        if message.state == message.FINISHED:
+            return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
+        return ''
+
+    def _follow_progress(self, message: Any) -> None:
+        """Take progress of this plan: the calibrator is there, and may ask for steps again."""
+        now = self._steady.now().nanoseconds * 1e-9
+        self._heard_at = now
+        if self._sequencer.reviewing and self._alone['calibration/progress'].is_alone(now):
+            # rclpy's Time refuses what lies before 1970, where simulated time may begin.
+            stamp = message.header.stamp.sec * _NS + message.header.stamp.nanosec
+            self._sequencer.review(stamp, [int(step) for step in message.repeat_steps])
+
+    def _on_estop(self) -> None:
+        """Hold the table until `~/release`, and do not start by itself any more."""
+        self._autostart = False
+        self._sequencer.emergency(True, self._estop.obstacle)
         self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
-        self._tell()
+
+    def _report_stop(self) -> None:
+        words = self._estop.words
+        self._diagnostics.report(
+            'stop',
+            Level.ERROR if words else Level.OK,
+            words or 'The emergency stop is not pressed.',
+            kept_in=self._estop.kept_in,
+        )
+
+    def _release(self) -> str:
+        """Take the emergency stop back: the one way to do so."""
+        said = self._estop.release()
+        self._sequencer.emergency(False)
+        return said
+
+    def _on_release(self, request: Any, response: Any) -> Any:  # noqa: ARG002
+        return self._answer(response, self._release)
 
     def _on_start(self, request: Any, response: Any) -> Any:  # noqa: ARG002
         return self._answer(response, self._sequencer.start)
@@ -388,45 +426,15 @@ class TurntableNode(Node):
         return response
 
 
-def _sentence(state: State) -> str:
-    """Say in a sentence what goes on; it changes with step and phase alone."""
-    if state.waits_for:
-        return f'Waits for {state.waits_for}.'
-    if state.reason:
-        return state.reason
-    if state.phase in {Phase.IDLE, Phase.DONE}:
-        return {Phase.IDLE: 'Nothing is started.', Phase.DONE: 'The plan is done.'}[state.phase]
-    where = f'position {state.position}' if state.position else 'back to the start'
-    return f'{state.phase.name.capitalize()}: step {state.step + 1} of {state.steps}, {where}.'
+def _content(payload: bytes) -> bytes:
+    """Return a serialised message without what the middleware may add: padding, and its length."""
+    return payload[4:].rstrip(b'\0')
 
 
-def _figures(state: State, joints: tuple[str, ...]) -> dict[str, str]:
-    """Return what a person wants to see of a state, with units."""
-    figures = {
-        'plan': state.plan,
-        'phase': state.phase.name,
-        'step': f'{state.step + 1} of {state.steps}' if state.steps else 'none',
-        'position': state.position or 'none',
-        'time left': f'{state.seconds_left:.0f} s',
-    }
-    for name, angle, rate in zip(joints, state.angles, state.rates, strict=False):
-        figures[f'joint {name}'] = f'{angle / DEG:.4f} deg, {rate / DEG:.3f} deg/s'
-    return figures
-
-
-def _trajectory(piece: Piece, names: tuple[str, ...]) -> Any:
-    """Return a piece as trajectory_msgs/JointTrajectory."""
-    message = messages.JointTrajectory(joint_names=list(names))
-    message.header.stamp = Time(nanoseconds=piece.stamp).to_msg()
-    course = piece.course
-    for time, angles, rates in zip(course.time, course.angles, course.rates, strict=True):
-        point = messages.JointTrajectoryPoint(
-            positions=[float(a) for a in angles], velocities=[float(r) for r in rates]
-        )
-        sec, nanosec = divmod(round(float(time) * _NS), _NS)
-        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
-        message.points.append(point)
-    return message
+def _holds(payload: bytes) -> bool:
+    """Say whether a serialised setpoint is HOLD, which nobody needs to answer."""
+    blocks = decode_setpoints(Messages.join([bytes(payload)]), Malformed())
+    return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
 
 
 def main() -> int:

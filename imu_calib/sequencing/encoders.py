@@ -12,8 +12,10 @@ from ..stream import JointBlock
 from ..turntable import TURN, Table
 from ..units import DEG
 
-_WINDOW = 100_000_000
-"""Over which a table has to stand to be at rest, ns; rates that are derived are its mean."""
+WINDOW = 0.1
+"""Over which a table has to stand to be at rest, s; rates that are derived are its mean."""
+
+_WINDOW = round(WINDOW * 1e9)
 
 _JITTER = 5 * DEG
 """What the jitter of the stamps may add to the way between two joint states."""

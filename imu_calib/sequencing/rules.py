@@ -55,7 +55,8 @@ class State:
         steps: Number of steps, 0 before the first start.
         position: Id of the plan's position, empty on the way back to the start.
         phase: What it does.
-        reason: Why it is PAUSED or ABORTED, or DONE without the calibrator's word, else empty.
+        reason: Why it is PAUSED or ABORTED, DONE without the calibrator's word, or what happened
+            to a table that nobody leads; else empty.
         fault: Whether something went wrong, and nobody asked for the stop.
         waits_for: What a start that was accepted waits for, else empty.
         angles: (k,) measured, unwrapped, rad; empty before the first joint state.

@@ -17,6 +17,7 @@ from ..turntable import Table
 from .encoders import Encoders, Feedback, FeedbackError
 from .rules import Phase, Rules, State
 from .steps import check, end_of, laid_out, motion_time, setpoint_of, way_to
+from .unled import Unled
 from .watch import Standing, Watch
 
 _CALIBRATOR = 'the calibrator (calibration/progress)'
@@ -93,7 +94,9 @@ class Sequencer:
         self._calibrator_fault = ''
         self._stage = self._waits_from = _Stage.IDLE
         self._reason, self._fault = '', False
-        self._emergency = False
+        self._remarks: dict[str, str] = {}
+        self._forbidden: dict[str, str] = {}
+        self._emergency = ''
         self._heard = not self.rules.supervised
         self._steps: tuple[Step, ...] = ()
         self._home: Step | None = None
@@ -103,7 +106,7 @@ class Sequencer:
         self._motion: Step | None = None
         self._sent = False
         self._watch: Watch | Standing = Standing(table, self.rules, None)
-        self._defied = False
+        self._unled = Unled(table, self.rules, None)
         self._since = 0
         self._ended = 0
         self._place_is_known = False
@@ -130,10 +133,26 @@ class Sequencer:
     def obstacle(self) -> str:
         """Why a start would be refused now; empty if it would not."""
         if self._emergency:
-            return 'The emergency stop is on.'
+            return self._emergency
         if self.running:
             return f'The plan is running, at step {self._index()}.'
-        return self._feedback_fault or self._calibrator_fault
+        if self._forbidden:
+            return ' '.join(self._forbidden.values())
+        return (
+            (self._unled.text if self._unled.moves else '')
+            or self._feedback_fault
+            or self._calibrator_fault
+        )
+
+    @property
+    def unled(self) -> Unled:
+        """What the table did while no plan was run."""
+        return self._unled
+
+    @property
+    def fault(self) -> bool:
+        """Whether something went wrong since the last start, and nobody asked for the stop."""
+        return self._fault
 
     def start(self) -> str:
         """Start, resume after a pause, or start anew; return what is done, in words.
@@ -149,6 +168,7 @@ class Sequencer:
         if not resumes:
             self._lay_out()
         self._reason, self._fault = '', False
+        self._remarks.clear()
         if not self._heard:
             self._waits_from = _Stage.PAUSED if resumes else _Stage.IDLE
             self._enter(_Stage.WAITING)
@@ -178,11 +198,39 @@ class Sequencer:
             raise InputError('Nothing is running that could be aborted.')
         self._halt(_Stage.ABORTED, reason)
 
-    def emergency(self, on: bool) -> None:
-        """Take the emergency stop's state; its release alone moves nothing."""
-        if on and not self._emergency and self._stage is not _Stage.DONE:
-            self._halt(_Stage.ABORTED, 'Emergency stop.', fault=True)
-        self._emergency = on
+    def emergency(self, on: bool, obstacle: str = 'The emergency stop is on.') -> None:
+        """Take the emergency stop's state; its release alone moves nothing.
+
+        Args:
+            on: Whether it is on.
+            obstacle: What a start is answered while it is on.
+
+        """
+        if on and not self._emergency:
+            if self._stage is _Stage.DONE:
+                self._remark('emergency', 'Emergency stop.')
+            else:
+                self._halt(_Stage.ABORTED, 'Emergency stop.', fault=True)
+        self._emergency = obstacle if on else ''
+
+    def forbid(self, what: str, why: str) -> None:
+        """Take whether something forbids to lead the table.
+
+        Args:
+            what: Who says so, for instance a topic.
+            why: A sentence; empty where it forbids no longer, which alone moves nothing.
+
+        """
+        if why == self._forbidden.get(what, ''):
+            return
+        if not why:
+            del self._forbidden[what]
+            return
+        self._forbidden[what] = why
+        if self.running:
+            self.fail(why)
+        else:
+            self._remark(what, why)
 
     def fail(self, reason: str) -> None:
         """Stop and pause, if the table is led."""
@@ -234,7 +282,11 @@ class Sequencer:
             repeat_steps: Indices of steps that left too little.
 
         """
-        if self._stage is not _Stage.REVIEWING or stamp < self._ended:
+        at = self._feedback
+        if self._stage is not _Stage.REVIEWING or stamp < self._ended or at is None:
+            return
+        if stamp > at.stamp + self.rules.feedback_timeout * 1e9:
+            # Nobody has worked through joint states that are yet to come.
             return
         again = [
             step
@@ -290,7 +342,7 @@ class Sequencer:
             stage = self._waits_from if self._stage is _Stage.WAITING else self._stage
             phase = _PHASES[stage]
         waits = _CALIBRATOR if self._stage is _Stage.WAITING else ''
-        reason = self._reason
+        reason = self._words()
         if waits and phase is Phase.PAUSED:
             reason = f'Waits for {waits}.'
         return State(
@@ -317,7 +369,7 @@ class Sequencer:
     def summary(self) -> tuple[object, ...]:
         """What makes a state worth telling: it changes with everything but the measurements."""
         motion = None if self._motion is None else self._motion.mode
-        return self._stage, self._waits_from, motion, self._current, self._reason
+        return self._stage, self._waits_from, motion, self._current, self._words()
 
     def _lay_out(self) -> None:
         """Make the steps from where the table stands; refuse what it cannot do."""
@@ -367,16 +419,31 @@ class Sequencer:
             dwell=0.0,
         )
 
+    def _words(self) -> str:
+        """Return why it stands, and what happened to it since."""
+        remarks = [text for text in self._remarks.values() if text != self._reason]
+        return ' '.join([*filter(None, [self._reason]), *remarks])
+
+    def _remark(self, what: str, text: str) -> None:
+        """Hold a table that is not led, and say why; a start that waits is called off."""
+        if self._stage is _Stage.WAITING:
+            self._enter(self._waits_from)
+        self._fault = True
+        self._remarks[what] = text
+        if self._command is None or self._command.mode is not Mode.HOLD:
+            self._send(self._holding(), None)
+
     def _halt(self, stage: _Stage, reason: str, *, fault: bool = False) -> None:
         """Hold, and do not go on by itself."""
         if self._stage in _WITHIN_A_STEP and self._current is not None:
             self._queue.appendleft(self._current)
         self._reason, self._fault = reason, fault
+        self._remarks.clear()
         self._enter(stage)
         self._hold_table()
 
     def _hold_table(self) -> None:
-        self._defied = False
+        self._unled = Unled(self.table, self.rules, self._feedback)
         self._send(self._holding(), None)
         self._watch = Standing(self.table, self.rules, self._feedback)
 
@@ -462,13 +529,9 @@ class Sequencer:
             self._go_home()
 
     def _see_it_stand(self, now: Feedback) -> None:
-        """Say so if a table that was told to hold moves all the same."""
-        if self._stage not in {_Stage.PAUSED, _Stage.ABORTED} or self._defied:
-            return
-        _, fault = self._watch.look(now)
-        if fault:
-            self._reason, self._fault = f'{self._reason} {fault}'.strip(), True
-            self._defied = True
+        """Hold a table that moves though nobody leads it, and say how far and how fast."""
+        if self._unled.look(now):
+            self._remark('unled', self._unled.text)
 
     def _arrive(self) -> None:
         motion, current = self._motion, self._current

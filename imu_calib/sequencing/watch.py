@@ -209,6 +209,11 @@ class Standing:
         stop = max(joint.max_rate / joint.max_acceleration for joint in table.joints)
         self._allowed = _LAG + _SLACK * stop
 
+    @property
+    def rest(self) -> tuple[float, ...] | None:
+        """Where the table stands, (k,) rad; None before it has come to rest."""
+        return self._rest
+
     def keep(self, goal: tuple[float, ...]) -> None:
         """Take it that the table stands at (k,) angles by now, rad."""
         self._rest = goal

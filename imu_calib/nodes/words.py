@@ -1,0 +1,32 @@
+"""What turntable_node says of a sequencer's state on /diagnostics."""
+
+from __future__ import annotations
+
+from ..sequencing import Phase, State
+from ..units import DEG
+
+
+def sentence(state: State) -> str:
+    """Say in a sentence what goes on; it changes with step and phase alone."""
+    if state.waits_for:
+        return f'Waits for {state.waits_for}.'
+    if state.reason:
+        return state.reason
+    if state.phase in {Phase.IDLE, Phase.DONE}:
+        return {Phase.IDLE: 'Nothing is started.', Phase.DONE: 'The plan is done.'}[state.phase]
+    where = f'position {state.position}' if state.position else 'back to the start'
+    return f'{state.phase.name.capitalize()}: step {state.step + 1} of {state.steps}, {where}.'
+
+
+def figures(state: State, joints: tuple[str, ...]) -> dict[str, str]:
+    """Return what a person wants to see of a state, with units."""
+    told = {
+        'plan': state.plan,
+        'phase': state.phase.name,
+        'step': f'{state.step + 1} of {state.steps}' if state.steps else 'none',
+        'position': state.position or 'none',
+        'time left': f'{state.seconds_left:.0f} s',
+    }
+    for name, angle, rate in zip(joints, state.angles, state.rates, strict=False):
+        told[f'joint {name}'] = f'{angle / DEG:.4f} deg, {rate / DEG:.3f} deg/s'
+    return told

@@ -1,0 +1,100 @@
+"""Does a table that nobody leads stand still? One object from one stop to the next start."""
+
+from __future__ import annotations
+
+from ..turntable import Table
+from ..units import DEG
+from .encoders import WINDOW, Feedback
+from .rules import Rules
+from .watch import Standing
+
+_NEWS = 2.0
+"""A way is worth a new sentence when it has grown by this factor: a long turn is told in a few."""
+
+
+class Unled:
+    """Watches a table by its joint states while no plan is run.
+
+    The table may take the time that its limits allow to come to rest. From then on a joint that
+    strays further than `Standing` allows (five times the arrival tolerance, at most the overshoot
+    tolerance) moves without having been told to. It stands again with a joint state that shows no
+    way since the one before, nor a rate: less than the arrival tolerance within `encoders.WINDOW`.
+
+    Args:
+        table: Which.
+        rules: Tolerances.
+        at: The last joint state before the stop, None if there is none.
+
+    Attributes:
+        moves: Whether it moves at the moment.
+        text: What it did, in sentences; empty while it did nothing.
+        way: How far it went from where it stood, at most, rad.
+        rate: How fast at most, rad/s.
+
+    """
+
+    def __init__(self, table: Table, rules: Rules, at: Feedback | None) -> None:
+        self._table = table
+        self._rules = rules
+        self._standing = Standing(table, rules, at)
+        self._last = self._origin = None if at is None else at.angles
+        self._fault = ''
+        self._joint = ''
+        self._told = 0.0
+        self.moves = False
+        self.text = ''
+        self.way = 0.0
+        self.rate = 0.0
+
+    def look(self, now: Feedback) -> bool:
+        """Take a joint state; return whether there is something new to be told."""
+        last, self._last = self._last, now.angles
+        if self._standing.rest is None and not 0 < now.gap <= self._rules.feedback_timeout:
+            # What it did meanwhile nobody saw.
+            self._standing = Standing(self._table, self._rules, now)
+        if not self.moves:
+            stands, fault = self._standing.look(now)
+            if stands and not self.text:
+                self._origin = self._standing.rest
+            if not fault:
+                return False
+            self.moves = True
+            self._fault = self._fault or fault
+            self._origin = self._origin or now.angles
+        self._measure(now)
+        if now.still or self._rests(now, last):
+            self.moves = False
+            self._standing = Standing(self._table, self._rules, now)
+            self._standing.keep(now.angles)
+        elif self.text and self.way < _NEWS * self._told:
+            return False
+        self._told = self.way
+        self.text = self._words()
+        return True
+
+    def _rests(self, now: Feedback, last: tuple[float, ...] | None) -> bool:
+        """Say whether nothing turned from the last joint state to this one, by its rates too."""
+        quiet = self._rules.arrival
+        slow = all(abs(rate) <= quiet / WINDOW for rate in now.rates)
+        return (
+            slow
+            and last is not None
+            and all(
+                abs(angle - before) <= quiet for angle, before in zip(now.angles, last, strict=True)
+            )
+        )
+
+    def _measure(self, now: Feedback) -> None:
+        assert self._origin is not None  # set before it moves
+        ways = [abs(angle - rest) for angle, rest in zip(now.angles, self._origin, strict=True)]
+        way = max(ways)
+        if way >= self.way:
+            self.way, self._joint = way, self._table.names[ways.index(way)]
+        self.rate = max(self.rate, *map(abs, now.rates))
+
+    def _words(self) -> str:
+        end = 'it stands again' if not self.moves else 'it still moves'
+        return (
+            f'{self._fault} Joint {self._joint} went {self.way / DEG:.2f} deg, at up to '
+            f'{self.rate / DEG:.3g} deg/s, while nobody led the table; {end}.'
+        )

@@ -1,0 +1,80 @@
+"""One publisher per topic: when two are listed, do two live, or is one the ghost of a kill?"""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from imu_calib.nodes.publishers import GHOST, OnePublisher
+
+UNKNOWN = '_NODE_NAME_UNKNOWN_'
+
+
+def publisher(name, participant=1, entity=1, namespace='/'):
+    gid = [participant] * 12 + [entity] * 4
+    return SimpleNamespace(node_name=name, node_namespace=namespace, endpoint_gid=gid)
+
+
+def watched(*publishers):
+    graph = SimpleNamespace(listed=list(publishers))
+    graph.get_publishers_info_by_topic = lambda topic: graph.listed
+    return OnePublisher(graph, '/estop'), graph
+
+
+def test_one_publisher_is_alone():
+    topic, _ = watched(publisher('plc'))
+    assert topic.look(0.0) == ''
+    assert topic.is_alone(0.0)
+
+
+@pytest.mark.parametrize(
+    ('second', 'name'),
+    [
+        (publisher('stranger', 2), '/stranger'),
+        (publisher('plc', 2, namespace='/lab'), '/lab/plc'),
+        (publisher('plc', 1, 2), '/plc, /plc'),
+    ],
+    ids=['another name', 'another namespace', 'the same process'],
+)
+def test_two_that_live_are_named_at_once(second, name):
+    topic, graph = watched(publisher('plc'), second)
+    words = topic.look(0.0)
+    assert words.startswith('2 publishers are on /estop: ')
+    assert name in words
+    assert '/plc' in words
+    graph.listed.pop()
+    assert topic.look(0.1) == ''
+    # What the other one said may still be under way.
+    assert not topic.is_alone(0.1)
+    assert topic.is_alone(10.0)
+
+
+def test_a_node_that_was_killed_and_started_anew_is_let_be_until_the_lease_is_over():
+    topic, graph = watched(publisher('plc', 1), publisher('plc', 2))
+    assert topic.look(0.0) == ''
+    assert topic.look(GHOST) == ''
+    assert '/plc, /plc' in topic.look(math.nextafter(GHOST, math.inf))
+    graph.listed.pop()
+    assert topic.look(GHOST + 1) == ''
+    graph.listed.append(publisher('plc', 3))
+    assert topic.look(GHOST + 2) == '', 'the next one has a time of its own'
+
+
+def test_two_that_are_heard_live_whatever_they_are_called():
+    topic, _ = watched(publisher('plc', 1), publisher('plc', 2))
+    assert topic.look(0.0) == ''
+    topic.heard_two(0.1)
+    assert '2 publishers' in topic.look(0.1)
+
+
+def test_somebody_who_is_heard_and_gone_is_told_for_a_while():
+    topic, _ = watched(publisher('plc'))
+    topic.heard_two(1.0)
+    assert 'Somebody who has left again published on /estop' in topic.look(1.1)
+    assert topic.look(9.0) == ''
+
+
+def test_a_name_comes_later_than_its_publisher_but_not_much():
+    topic, _ = watched(publisher('plc', 1), publisher(UNKNOWN, 2))
+    assert topic.look(0.0) == ''
+    assert 'a node without a name' in topic.look(2.1)
