@@ -22,6 +22,7 @@ _URI = (
 _numbers = itertools.count(os.getpid() * 17)
 # What a test left behind may be heard for a while: the last few domains stay this process's own.
 _held: deque[IO[bytes]] = deque(maxlen=8)
+_state = tempfile.TemporaryDirectory(prefix='imu_calib_test_state_')
 
 
 def own_domain() -> int:
@@ -63,7 +64,7 @@ def environment(**more: str) -> dict[str, str]:
         'CYCLONEDDS_URI': _URI,
         'ROS_PYTHON_CHECK_FIELDS': '1',
         # A stop that one test presses is not to stop the next one.
-        'XDG_STATE_HOME': tempfile.mkdtemp(prefix='imu_calib_test_state_'),
+        'XDG_STATE_HOME': tempfile.mkdtemp(dir=_state.name),
         **more,
     }
 
