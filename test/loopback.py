@@ -24,6 +24,7 @@ _URI = (
 _numbers = itertools.count(os.getpid() * 17)
 # What a test left behind may be heard for a while: the last few domains stay this process's own.
 _held: deque[IO[bytes]] = deque(maxlen=8)
+_state = tempfile.TemporaryDirectory(prefix='imu_calib_test_state_')
 
 
 def own_domain() -> int:

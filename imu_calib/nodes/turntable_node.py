@@ -347,18 +347,14 @@ class TurntableNode(Node):
             self._send(self._sequencer.hold(self._stamp()))
 
     def _on_progress(self, message: Any) -> None:
+        fault = self._fault_of(message)
         failed = message.state == message.FAILED
-        fault = ''
-        if failed:
-            fault = f'The calibrator cannot go on: {message.text}'
-            # Whoever says so: to stop is safe.
-            if self._sequencer.running:
-                self._sequencer.fail(fault)
-        elif message.state == message.FINISHED:
-            fault = (
-                'The calibrator has finished its session: call ~/reset of calibrator_node first.'
-            )
-        if message.plan != self._sequencer.plan.name:
+        # What keeps the table from moving is believed of everybody.
+        if failed and self._sequencer.running:
+            self._sequencer.fail(fault)
+        if message.plan == self._sequencer.plan.name:
+            self._take_progress(message)
+        elif not fault:
             self._diagnostics.report(
                 'calibrator',
                 Level.ERROR,
@@ -366,15 +362,27 @@ class TurntableNode(Node):
                 f'{self._sequencer.plan.name}: its progress does not count.',
             )
             return
-        self._diagnostics.report('calibrator', Level.OK, 'The calibrator expects this plan.')
-        now = self._steady.now().nanoseconds * 1e-9
-        self._heard_at = now
         self._sequencer.hear(fault)
-        if self._alone['calibration/progress'].is_alone(now):
-            self._take_progress(message)
+        self._diagnostics.report(
+            'calibrator',
+            Level.ERROR if failed else Level.OK,
+            fault or 'The calibrator expects this plan.',
+        )
+
+    def _fault_of(self, message: Any) -> str:
+        """Return what keeps the calibrator from taking a session in; empty where nothing does."""
+        if message.state == message.FAILED:
+            return f'The calibrator cannot go on: {message.text}'
+        if message.state == message.FINISHED:
+            return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
+        return ''
 
     def _take_progress(self, message: Any) -> None:
-        """Take which steps have data enough, and which are to be repeated."""
+        """Take progress of this plan: the calibrator is there, and may ask for steps again."""
+        now = self._steady.now().nanoseconds * 1e-9
+        self._heard_at = now
+        if not self._alone['calibration/progress'].is_alone(now):
+            return
         # rclpy's Time refuses what lies before 1970, where simulated time may begin.
         stamp = message.header.stamp.sec * _NS + message.header.stamp.nanosec
         repeat_steps = [int(step) for step in message.repeat_steps]
