@@ -1,0 +1,344 @@
+"""A second simulation of a turntable session, made of plain loops.
+
+It shares no code with the package: joints, Earth, sensors, counters and clocks are written here
+once more, sample by sample, so that a mistake that the package makes twice shows. SI units, time in
+seconds from the start. East, north, up; R = Rz(azimuth + outer) Rx(middle) Rz(inner).
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+
+EARTH_RATE = 7.292115e-5
+DEG = math.pi / 180
+TWELVE = ['UEN', 'UWS', 'DWN', 'DES', 'NUE', 'SUW', 'NDW', 'SDE', 'ENU', 'WSU', 'WND', 'ESD']
+"""Where X, Y and Z point at positions 1 to 12 (Cao 2022, section 2), the table pointing north."""
+
+TURNED_AT = (0, 4, 8)
+COMPASS = {
+    'E': (1, 0, 0),
+    'W': (-1, 0, 0),
+    'N': (0, 1, 0),
+    'S': (0, -1, 0),
+    'U': (0, 0, 1),
+    'D': (0, 0, -1),
+}
+
+Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+NOTHING: Vector = (0.0, 0.0, 0.0)
+IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+ZERO: Matrix = (NOTHING, NOTHING, NOTHING)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unit:
+    """What the sensors truly are: out = (I + m) input + d, then noise, then whole pulses.
+
+    Attributes:
+        gyro_m, accel_m: Scale-factor errors and misalignments.
+        gyro_d, accel_d: Biases, rad/s and m/s^2.
+        gyro_walk, accel_walk: rad/sqrt(s) and (m/s)/sqrt(s).
+        gyro_pulse, accel_pulse: rad and m/s.
+        rate: Samples per second.
+        arm: Where the accelerometers are from the crossing of the joint axes, m.
+
+    """
+
+    gyro_m: Matrix = ZERO
+    accel_m: Matrix = ZERO
+    gyro_d: Vector = NOTHING
+    accel_d: Vector = NOTHING
+    gyro_walk: float = 0.05 * DEG / 60
+    accel_walk: float = 0.012 / 60
+    gyro_pulse: float = 7.8 / 3600 * DEG
+    accel_pulse: float = 0.01
+    rate: float = 100.0
+    arm: Vector = NOTHING
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """Where the session takes place, and what the table does and shows.
+
+    Attributes:
+        latitude: rad.
+        gravity: m/s^2.
+        azimuth: Heading of the table's zero, about up, rad.
+        tilt: Rotation of the base about east and about north, rad.
+        rates: Of the rate tests, rad/s, each in both senses.
+        turns: By how much each turn is longer than its ramps, whole turns.
+        acceleration: Of the joints, rad/s^2.
+        slew: Rate of motions between positions, rad/s.
+        dwell: At each position, s.
+        joint_rate: Joint states per second.
+        encoder_noise: Standard deviation of one reading, rad.
+        stamp_jitter: Standard deviation of a stamp of the IMU, s.
+        clock: By how much the IMU's clock is fast, a ratio.
+        offset: By how much it is ahead at the start, s.
+
+    """
+
+    latitude: float = 34.65 * DEG
+    gravity: float = 9.797
+    azimuth: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+    rates: tuple[float, ...] = (30 * DEG, 60 * DEG)
+    turns: float = 1.0
+    acceleration: float = 200 * DEG
+    slew: float = 60 * DEG
+    dwell: float = 30.0
+    joint_rate: float = 100.0
+    encoder_noise: float = 0.0
+    stamp_jitter: float = 0.0
+    clock: float = 0.0
+    offset: float = 0.0
+
+
+@dataclass
+class Recording:
+    """What a recorder would hold: lists of equal length, stamps in seconds."""
+
+    imu_stamps: list[float] = field(default_factory=list)
+    gyro: list[Vector] = field(default_factory=list)
+    accel: list[Vector] = field(default_factory=list)
+    joint_stamps: list[float] = field(default_factory=list)
+    angles: list[Vector] = field(default_factory=list)
+
+
+def times(a: Matrix, b: Matrix) -> Matrix:
+    return tuple(  # type: ignore[return-value]
+        tuple(sum(a[i][k] * b[k][j] for k in range(3)) for j in range(3)) for i in range(3)
+    )
+
+
+def applied(a: Matrix, v: Vector) -> Vector:
+    return tuple(a[i][0] * v[0] + a[i][1] * v[1] + a[i][2] * v[2] for i in range(3))  # type: ignore[return-value]
+
+
+def transposed(a: Matrix) -> Matrix:
+    return tuple(tuple(a[j][i] for j in range(3)) for i in range(3))  # type: ignore[return-value]
+
+
+def about(axis: int, angle: float) -> Matrix:
+    """The rotation by an angle about one of the axes."""
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    rows = [[0.0] * 3 for _ in range(3)]
+    rows[axis][axis] = 1.0
+    rows[i][i] = rows[j][j] = c
+    rows[i][j], rows[j][i] = -s, s
+    return tuple(tuple(row) for row in rows)  # type: ignore[return-value]
+
+
+def rotation_vector(r: Matrix) -> Vector:
+    """The axis times the angle of a small rotation."""
+    x, y, z = r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]
+    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
+    if sine == 0.0:
+        return NOTHING
+    scale = 0.5 * math.atan2(sine, 0.5 * (r[0][0] + r[1][1] + r[2][2] - 1)) / sine
+    return scale * x, scale * y, scale * z
+
+
+@dataclass
+class Motion:
+    """One joint from rest to rest with constant acceleration, rate and deceleration."""
+
+    start: float
+    joint: int
+    before: Vector
+    way: float
+    rate: float
+    acceleration: float
+
+    def __post_init__(self) -> None:
+        way = abs(self.way)
+        self.rate = min(self.rate, math.sqrt(way * self.acceleration))
+        self.ramp = self.rate / self.acceleration
+        self.end = self.start + (way / self.rate + self.ramp if way else 0.0)
+
+    def angles(self, time: float) -> Vector:
+        t = min(max(time - self.start, 0.0), self.end - self.start)
+        left = self.end - self.start - t
+        if t < self.ramp:
+            done = 0.5 * self.acceleration * t * t
+        elif left < self.ramp:
+            done = abs(self.way) - 0.5 * self.acceleration * left * left
+        else:
+            done = self.rate * (t - 0.5 * self.ramp)
+        moved = list(self.before)
+        moved[self.joint] += math.copysign(done, self.way)
+        return tuple(moved)  # type: ignore[return-value]
+
+
+def joints_of(axes: str) -> Vector:
+    """Find outer, middle and inner, multiples of 90 deg, that point the body as asked."""
+    for o, m, i in product(range(4), repeat=3):
+        r = attitude((o * math.pi / 2, m * math.pi / 2, i * math.pi / 2), World())
+        if all(
+            abs(r[row][k] - COMPASS[letter][row]) < 1e-9
+            for k, letter in enumerate(axes)
+            for row in range(3)
+        ):
+            return o * math.pi / 2, m * math.pi / 2, i * math.pi / 2
+    raise AssertionError(axes)
+
+
+def attitude(angles: Vector, world: World) -> Matrix:
+    """Body to east, north, up."""
+    base = times(about(0, world.tilt[0]), about(1, world.tilt[1]))
+    table = times(
+        times(about(2, world.azimuth + angles[0]), about(0, angles[1])), about(2, angles[2])
+    )
+    return times(base, table)
+
+
+def schedule(world: World) -> list[Motion]:
+    """All motions of the twelve positions, rate tests included, in order."""
+    motions: list[Motion] = []
+    now, at = 2.0, joints_of(TWELVE[0])
+
+    def move(joint: int, way: float, rate: float) -> None:
+        nonlocal now, at
+        motion = Motion(now, joint, at, way, rate, world.acceleration)
+        motions.append(motion)
+        now, at = motion.end + 1.5, motion.angles(motion.end)
+
+    for k, axes in enumerate(TWELVE):
+        goal = joints_of(axes)
+        for joint in range(3):
+            way = goal[joint] - at[joint]
+            way -= 2 * math.pi * round(way / (2 * math.pi))
+            if abs(way) > 1e-9:
+                move(joint, way, world.slew)
+        if k in TURNED_AT:
+            for rate in world.rates:
+                ramps = rate * rate / world.acceleration
+                turn = 2 * math.pi * math.ceil(world.turns + ramps / (2 * math.pi) - 1e-9)
+                move(0, turn, rate)
+                move(0, -turn, rate)
+        now += world.dwell
+    return motions
+
+
+def angles_at(
+    motions: list[Motion], sample_times: Iterator[float]
+) -> Iterator[tuple[Vector, bool]]:
+    """Yield the joint angles at times that rise, and whether a joint moves."""
+    queue = list(reversed(motions))
+    current = queue.pop()
+    for time in sample_times:
+        while queue and time >= queue[-1].start:
+            current = queue.pop()
+        yield current.angles(time), current.start < time < current.end
+
+
+def record(world: World, unit: Unit, seed: int) -> Recording:
+    """Run the session sample by sample."""
+    draw = random.Random(seed)
+    motions = schedule(world)
+    duration = motions[-1].end + 1.5 + world.dwell
+    recording = Recording()
+    _record_joints(recording, world, motions, duration, draw)
+    _record_imu(recording, world, unit, motions, duration, draw)
+    return recording
+
+
+def _record_joints(
+    recording: Recording, world: World, motions: list[Motion], duration: float, draw: random.Random
+) -> None:
+    count = int(duration * world.joint_rate)
+    instants = [k / world.joint_rate for k in range(count)]
+    for time, (angles, _) in zip(instants, angles_at(motions, iter(instants)), strict=True):
+        recording.joint_stamps.append(time)
+        noisy = tuple(a + world.encoder_noise * draw.gauss(0, 1) for a in angles)
+        recording.angles.append(noisy)  # type: ignore[arg-type]
+
+
+def _record_imu(
+    recording: Recording,
+    world: World,
+    unit: Unit,
+    motions: list[Motion],
+    duration: float,
+    draw: random.Random,
+) -> None:
+    dt = 1.0 / unit.rate
+    count = int(duration * unit.rate)
+    halves = angles_at(motions, (0.5 * dt * k for k in range(2 * count + 1)))
+    before, _ = next(halves)
+    r_before = attitude(before, world)
+    earth = (
+        0.0,
+        EARTH_RATE * math.cos(world.latitude),
+        EARTH_RATE * math.sin(world.latitude),
+    )
+    sums = [0.0] * 6
+    told = [0] * 6
+    still: tuple[Vector, Vector, Vector] | None = None
+    pulses = [unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3
+    walks = [unit.gyro_walk] * 3 + [unit.accel_walk] * 3
+    for k in range(count):
+        (middle, _), (after, _) = next(halves), next(halves)
+        if after == before and still is not None and still[0] == after:
+            turned, pushed = still[1], still[2]
+        else:
+            r_middle, r_after = attitude(middle, world), attitude(after, world)
+            turned, pushed = _felt(world, unit, (r_before, r_middle, r_after), earth, dt)
+            still = (after, turned, pushed) if after == before else None
+            r_before = r_after
+        before = after
+        outputs = (
+            *_answer(unit.gyro_m, unit.gyro_d, turned, dt),
+            *_answer(unit.accel_m, unit.accel_d, pushed, dt),
+        )
+        counted = []
+        for c in range(6):
+            sums[c] += outputs[c] + walks[c] * math.sqrt(dt) * draw.gauss(0, 1)
+            total = math.floor(sums[c] / pulses[c])
+            counted.append(float(total - told[c]))
+            told[c] = total
+        time = (k + 1) * dt
+        stamp = time * (1 + world.clock) + world.offset + world.stamp_jitter * draw.gauss(0, 1)
+        recording.imu_stamps.append(stamp)
+        recording.gyro.append(tuple(counted[:3]))  # type: ignore[arg-type]
+        recording.accel.append(tuple(counted[3:]))  # type: ignore[arg-type]
+
+
+def _felt(
+    world: World, unit: Unit, attitudes: tuple[Matrix, Matrix, Matrix], earth: Vector, dt: float
+) -> tuple[Vector, Vector]:
+    """Integrals of angular rate and specific force over a sample, body axes."""
+    first, middle, last = attitudes
+    table = rotation_vector(times(transposed(first), last))
+    # The Earth turns the east-north-up frame: Simpson's rule of its rate in body axes.
+    turned = [0.0] * 3
+    pushed = [0.0] * 3
+    for r, weight in ((first, 1 / 6), (middle, 4 / 6), (last, 1 / 6)):
+        body = transposed(r)
+        w, f = applied(body, earth), applied(body, (0.0, 0.0, world.gravity))
+        for c in range(3):
+            turned[c] += weight * w[c] * dt
+            pushed[c] += weight * f[c] * dt
+    w = tuple(v / dt for v in table)
+    # Centripetal part of the lever arm: w x (w x arm). The tangential one cancels by a stop.
+    inner = _cross(w, unit.arm)  # type: ignore[arg-type]
+    centripetal = _cross(w, inner)  # type: ignore[arg-type]
+    for c in range(3):
+        turned[c] += table[c]
+        pushed[c] += centripetal[c] * dt
+    return tuple(turned), tuple(pushed)  # type: ignore[return-value]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _answer(m: Matrix, d: Vector, given: Vector, dt: float) -> list[float]:
+    extra = applied(m, given)
+    return [given[c] + extra[c] + d[c] * dt for c in range(3)]

@@ -1,0 +1,121 @@
+"""Sessions of a second simulation that shares no code with the package, calibrated by it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from other_world import DEG, Matrix, Unit, Vector, World, record
+
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Calibrator, Setup
+from imu_calib.earth import Site
+from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.plan import load_plan
+from imu_calib.stream import Floats, ImuBlock, JointBlock, Units
+from imu_calib.turntable import load_table
+
+PPM, ARCMIN, DEG_H, MICRO_G = 1e-6, DEG / 60, DEG / 3600, 9.80665e-6
+EPOCH = 1_700_000_000
+
+
+def matrix(scale: Vector, off: tuple[float, ...]) -> Matrix:
+    a, b, c, d, e, f = off
+    return (scale[0], a, b), (c, scale[1], d), (e, f, scale[2])
+
+
+ERRORS = {
+    'gyro_m': matrix((800 * PPM, -500 * PPM, 300 * PPM), (1e-3, -5e-4, 7e-4, 2e-4, -9e-4, 4e-4)),
+    'accel_m': matrix((-900 * PPM, 400 * PPM, 250 * PPM), (-6e-4, 8e-4, 1e-4, -3e-4, 5e-4, -7e-4)),
+    'gyro_d': (1.2 * DEG_H, -0.7 * DEG_H, 0.4 * DEG_H),
+    'accel_d': (300 * MICRO_G, -450 * MICRO_G, 150 * MICRO_G),
+}
+MEDIUM = Unit(**ERRORS)
+NAVIGATION = Unit(
+    **ERRORS,
+    gyro_walk=0.002 * DEG / 60,
+    accel_walk=5 * MICRO_G,
+    gyro_pulse=0.1 / 3600 * DEG,
+    accel_pulse=1e-5,
+)
+
+
+def true_vector(unit: Unit) -> Floats:
+    """The 24 in the package's order: K, E row by row, D; gyros, then accelerometers."""
+    parts = []
+    for m, d in ((unit.gyro_m, unit.gyro_d), (unit.accel_m, unit.accel_d)):
+        parts += [m[0][0], m[1][1], m[2][2]]
+        parts += [m[i][j] for i in range(3) for j in range(3) if i != j]
+        parts += d
+    return np.array(parts)
+
+
+def by_its_clock(unit: Unit, world: World) -> Unit:
+    """What the accelerometers are to who divides by the time of a clock that is fast.
+
+    Pulses of angle need no clock, since the table says how far it turned (methods, docs).
+    """
+    slow = 1 / (1 + world.clock)
+    rows = [
+        tuple((unit.accel_m[i][j] + (i == j)) * slow - (i == j) for j in range(3)) for i in range(3)
+    ]
+    return replace(unit, accel_m=tuple(rows), accel_d=tuple(d * slow for d in unit.accel_d))
+
+
+def calibrated(world: World, unit: Unit, seed: int = 0) -> Calibration:
+    spec = ImuSpec(
+        'other',
+        Units.PULSES,
+        unit.rate,
+        TriadSpec(unit.gyro_pulse, unit.gyro_walk),
+        TriadSpec(unit.accel_pulse, unit.accel_walk),
+    )
+    site = Site.at(world.latitude, 0.0, world.gravity)
+    setup = Setup(spec, load_plan('twelve_position'), load_table('three_axis'), site)
+    recording = record(world, unit, seed)
+    calibrator = Calibrator(setup)
+    stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)
+    joints = EPOCH * 10**9 + np.rint(np.array(recording.joint_stamps) * 1e9).astype(np.int64)
+    angles = np.array(recording.angles)
+    nothing = np.full_like(angles, np.nan)
+    calibrator.feed(JointBlock(joints, ('outer', 'middle', 'inner'), angles, nothing))
+    calibrator.feed(ImuBlock(stamps, np.array(recording.gyro), np.array(recording.accel)))
+    return calibrator.finish().calibration
+
+
+def errors(calibration: Calibration, unit: Unit) -> Floats:
+    return np.asarray((calibration.values[:24] - true_vector(unit)) / calibration.std[:24])
+
+
+WORLDS = {
+    'as it should be': World(),
+    'azimuth 17 deg, south': World(azimuth=17 * DEG, latitude=-48 * DEG),
+    'clocks 50 ppm and 20 ms apart': World(clock=50e-6, offset=0.02),
+    'slow ramps at 90 and 100 deg/s': World(rates=(90 * DEG, 100 * DEG), acceleration=20 * DEG),
+    'slow ramps at 40, 80, 120 deg/s': World(
+        rates=(40 * DEG, 80 * DEG, 120 * DEG), acceleration=20 * DEG
+    ),
+    'tilted by 0.1 deg': World(tilt=(0.1 * DEG, -0.03 * DEG)),
+    'lever arm': World(),
+}
+
+
+CASES = [
+    *((name, 'medium') for name in WORLDS),
+    *((name, 'navigation') for name in WORLDS if 'slow ramps' in name or 'tilted' in name),
+]
+
+
+@pytest.mark.parametrize(('name', 'grade'), CASES)
+def test_no_parameter_is_further_off_than_stated(name: str, grade: str) -> None:
+    unit = {'medium': MEDIUM, 'navigation': NAVIGATION}[grade]
+    if name == 'lever arm':
+        unit = replace(unit, arm=(0.1, -0.05, 0.08))
+    world = WORLDS[name]
+    found = calibrated(world, unit)
+    off = errors(found, by_its_clock(unit, world))
+    # 24 parameters in each of ten sessions: chance passes 4.5 deviations once in 600 times.
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    # Nor are they wide: chi-square of 24 is below 4.3 with a probability of 1e-6.
+    assert (off**2).sum() > 4.3
