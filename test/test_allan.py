@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from imu_calib.allan import (
     unit_variances,
 )
 from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.methods.evidence import noise
 from imu_calib.noise import ChannelNoise, session_noise
 from imu_calib.report.noise import noise_lines
 from imu_calib.segmentation.segment import Statistics
@@ -214,3 +216,16 @@ def test_stretches_whose_blocks_differ_in_length_are_not_pooled() -> None:
     for channel in seen.values():
         assert channel.timed and channel.tau[0] == 16.0
         assert channel.deviation[0] == pytest.approx(0.1 / np.sqrt(16.0), rel=0.5)
+
+
+def test_noise_that_few_blocks_tell_is_stated_a_deviation_larger() -> None:
+    # Two dwells of four blocks: six degrees of freedom, and a variance known to sqrt(2 / 6).
+    rng = np.random.default_rng(41)
+    seen = []
+    for _ in range(40):
+        dwells = [rng.normal(size=(4000, 6)) * N / np.sqrt(PERIOD) for _ in range(2)]
+        evidence = tuple(SimpleNamespace(statistics=statistics_of(d, SI)) for d in dwells)
+        seen.append(noise(evidence, SI) ** 2 / N**2)
+    share = np.sqrt(2 / 6)
+    mean, deviation = 1 + share, share * (1 + share) / np.sqrt(np.size(seen))
+    assert abs(np.mean(seen) - mean) < 4.5 * deviation

@@ -170,6 +170,17 @@ def test_a_skewed_gyro_is_predicted_as_sessions_give_it() -> None:
     assert low < square.sum() < high
 
 
+def test_weights_that_are_estimates_widen_the_prediction_for_a_skewed_gyro(monkeypatch) -> None:
+    unit = Calibration.load(named_file('truths', 'fog_skewed')).model
+    case = Setup(load_imu('fog_skewed'), load_plan('skewed'), load_table('three_axis'), SITE)
+    real = skewed.doubt
+    monkeypatch.setattr(skewed, 'doubt', lambda evidence: 0 * real(evidence))
+    without = forecast(case, unit).std ** 2
+    monkeypatch.setattr(skewed, 'doubt', lambda evidence: 0 * real(evidence) + 4e-9)
+    added = forecast(case, unit).std ** 2 - without
+    assert added[np.isfinite(added)] == pytest.approx(np.full(16, 4e-9), rel=1e-6)
+
+
 def test_weights_that_are_estimates_cost_what_is_predicted() -> None:
     spec, unit = load_imu('fog_skewed'), Calibration.load(named_file('truths', 'fog_skewed')).model
     case = replace(setup('skewed'), imu=spec)
