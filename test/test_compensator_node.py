@@ -45,7 +45,7 @@ def block(count=COUNT, seed=0):
 class Bench:
     """A compensator_node between a source and a sink, in one thread."""
 
-    def __init__(self, monkeypatch, reliable=True, **parameters):
+    def __init__(self, monkeypatch, reliable=True, topic='imu/pulses', **parameters):
         for name, value in environment().items():
             monkeypatch.setenv(name, value)
         words = [w for k, v in parameters.items() for w in ('-p', f'{k}:={v}')]
@@ -57,12 +57,14 @@ class Bench:
             '-p',
             f'{overrides}.history:=keep_all',
         ]
+        if topic != 'imu/pulses':
+            words += ['-r', f'compensator_node:imu/pulses:={topic}']
         ros.init(args=['--ros-args', *words])
         self.node = CompensatorNode()
         self.peer = ros.Node('peer')
         self.words, self.payloads = {}, []
         stream = qos.stream(reliable=reliable)
-        self.pulses = self.peer.create_publisher(M.Imu, 'imu/pulses', stream)
+        self.pulses = self.peer.create_publisher(M.Imu, topic, stream)
         self.temperatures = self.peer.create_publisher(M.Temperature, 'imu/temperature', 10)
         self.calibrations = self.peer.create_publisher(
             M.ImuCalibration, 'calibration', qos.latched()
@@ -73,7 +75,7 @@ class Bench:
             lambda: (
                 self.temperatures.get_subscription_count()
                 and self.calibrations.get_subscription_count() == self.node._follows
-                and self.peer.count_subscribers('imu/pulses')
+                and self.peer.count_subscribers(topic)
                 and self.peer.count_publishers('imu/data_raw')
             )
         )
@@ -316,11 +318,12 @@ def test_a_combined_calibration_waits_for_the_temperature_and_says_where_it_ends
         assert figures['temperature'] == '35.00 degC'
 
 
-def test_two_devices_on_one_topic_are_an_error_and_give_nothing(monkeypatch, file):
+@pytest.mark.parametrize('topic', ['imu/pulses', 'driver/raw'])
+def test_two_devices_on_one_topic_are_an_error_and_give_nothing(monkeypatch, file, topic):
     monkeypatch.setattr('imu_calib.nodes.compensator_node._GHOST', 0.5)
-    with Bench(monkeypatch, calibration=file) as bench:
-        second = bench.peer.create_publisher(M.Imu, 'imu/pulses', qos.stream())
-        assert bench.until(lambda: bench.said('stream', 'Two publishers on /imu/pulses'))
+    with Bench(monkeypatch, topic=topic, calibration=file) as bench:
+        second = bench.peer.create_publisher(M.Imu, topic, qos.stream())
+        assert bench.until(lambda: bench.said('stream', f'Two publishers on /{topic}'))
         bench.send(encode_imu(block(200)).payloads())
         bench.until(lambda: False, 0.5)
         assert not bench.payloads

@@ -225,6 +225,10 @@ def test_names_follow_namespace_and_remaps(init):
     assert second.resolve_topic_name('here') == '/stand/here'
     assert second.create_publisher(ros.messages.String, '~/own', 1).topic_name == '/stand/mine'
     assert first.resolve_topic_name('/absolute') == '/absolute'
+    first.create_publisher(ros.messages.String, 'here', 1)
+    # Whoever asks for a topic by the name that a node was written with is told of that topic.
+    for count, asked in ((1, first.resolve_topic_name('here')), (0, 'here')):
+        assert spun(first, lambda c=count, a=asked: first.count_publishers(a) == c)
 
 
 def test_a_parameter_overrides_the_quality_of_service(init):

@@ -4,7 +4,9 @@ import math
 from types import SimpleNamespace
 
 import pytest
+from loopback import environment, until
 
+from imu_calib.errors import ImuCalibError
 from imu_calib.nodes.publishers import GHOST, OnePublisher
 
 UNKNOWN = '_NODE_NAME_UNKNOWN_'
@@ -78,3 +80,40 @@ def test_a_name_comes_later_than_its_publisher_but_not_much():
     topic, _ = watched(publisher('plc', 1), publisher(UNKNOWN, 2))
     assert topic.look(0.0) == ''
     assert 'a node without a name' in topic.look(2.1)
+
+
+@pytest.mark.parametrize('topic', ['imu/pulses', 'driver/raw'])
+def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, tmp_path, topic):
+    try:
+        from imu_calib import middleware as ros
+        from imu_calib.nodes import calibrator_node, qos
+    except ImuCalibError as error:
+        pytest.skip(str(error))
+    monkeypatch.setattr(calibrator_node, '_GHOST', 0.2)
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    given = {
+        'latitude': '34.65',
+        'journal': tmp_path / 'journal',
+        'output': tmp_path / 'calibration.yaml',
+    }
+    words = [w for k, v in given.items() for w in ('-p', f'{k}:={v}')]
+    ros.init(args=['--ros-args', *words, '-r', f'calibrator_node:imu/pulses:={topic}'])
+    node, peer, heard = calibrator_node.CalibratorNode(), ros.Node('peer'), []
+    try:
+        kind = ros.messages.ImuCalibration
+        peer.create_subscription(kind, 'calibration', heard.append, qos.latched())
+        for _ in range(2):
+            peer.create_publisher(ros.messages.Imu, topic, qos.stream())
+
+        def step():
+            ros.spin_once(node, timeout_sec=0.002)
+            ros.spin_once(peer, timeout_sec=0.002)
+
+        assert until(lambda: any(m.status == kind.REFUSED for m in heard), step=step)
+        assert f'Two publishers on /{topic}' in heard[-1].status_text
+    finally:
+        node.stop()
+        node.destroy_node()
+        peer.destroy_node()
+        ros.try_shutdown()

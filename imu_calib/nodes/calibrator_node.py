@@ -244,13 +244,13 @@ class CalibratorNode(ros.Node):
 
     def _mixed(self, payloads: list[bytes]) -> bool:
         """Say whether a second device publishes: its samples cannot be told from the first's."""
-        if self.count_publishers(_TOPICS[Kind.IMU][0]) < 2:
+        if self.count_publishers(self._session.intakes[Kind.IMU].topic) < 2:
             return False
         return self._session.backwards(Kind.IMU, payloads)
 
     def _count_publishers(self) -> None:
         """Refuse two publishers that stay; one that was killed is seen for ten seconds more."""
-        if self.count_publishers(_TOPICS[Kind.IMU][0]) < 2:
+        if self.count_publishers(self._session.intakes[Kind.IMU].topic) < 2:
             self._two_since = None
         elif self._two_since is None:
             self._two_since = time.monotonic()

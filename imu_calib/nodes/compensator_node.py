@@ -267,7 +267,7 @@ class CompensatorNode(ros.Node):
 
     def _count_publishers(self) -> None:
         """Give nothing while two devices publish; one that was killed is seen for a while more."""
-        if self.count_publishers('imu/pulses') < 2:
+        if self.count_publishers(self.resolve_topic_name('imu/pulses')) < 2:
             self._two_since, self._mixed = None, False
         elif self._two_since is None:
             self._two_since = time.monotonic()

@@ -229,12 +229,14 @@ class Node:
         self._parameters.callbacks.remove(callback)
 
     def count_publishers(self, topic_name: str) -> int:
-        """Return how many publishers a topic has, here and elsewhere."""
-        return self.context.graph.count_writers(f'rt{self.resolve_topic_name(topic_name)}')
+        """Return how many publishers a topic has, here and elsewhere; names are not remapped."""
+        name = self.resolve_topic_name(topic_name, only_expand=True)
+        return self.context.graph.count_writers(f'rt{name}')
 
     def count_subscribers(self, topic_name: str) -> int:
-        """Return how many subscriptions a topic has, here and elsewhere."""
-        return self.context.graph.count_readers(f'rt{self.resolve_topic_name(topic_name)}')
+        """Return how many subscriptions a topic has, here and elsewhere; names are not remapped."""
+        name = self.resolve_topic_name(topic_name, only_expand=True)
+        return self.context.graph.count_readers(f'rt{name}')
 
     def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
         """Return the publishers of a topic, here and elsewhere; names are not remapped."""
