@@ -64,7 +64,7 @@ def plain(message):
 
 
 def talk(node):
-    """Keep every message latched, count, and serve, until the process is told to end."""
+    """Keep every message latched, count, and serve, until the process is ended."""
     for topic, kind in KINDS.items():
         node.create_publisher(kind, topic, QOS).publish(filled(kind))
     counter = node.create_publisher(M.String, 'count', 10)
@@ -77,9 +77,7 @@ def talk(node):
     node.create_service(ros.Trigger, '~/start', answer)
     print('ready', flush=True)
     sys.stdin.close()
-    end = time.monotonic() + float(sys.argv[2])
-    while time.monotonic() < end:
-        ros.spin_once(node, timeout_sec=0.1)
+    ros.spin(node)
 
 
 def hear(node):
@@ -92,9 +90,9 @@ def hear(node):
         ros.spin_once(node, timeout_sec=0.1)
     if 'ask' in sys.argv:
         client = node.create_client(ros.Trigger, '/stand/talker/start')
-        if client.wait_for_service(timeout_sec=5.0):
+        if client.wait_for_service(timeout_sec=float(sys.argv[2])):
             future = client.call_async(ros.Trigger.Request())
-            ros.spin_until_future_complete(node, future, timeout_sec=5.0)
+            ros.spin_until_future_complete(node, future, timeout_sec=float(sys.argv[2]))
             got['answer'] = plain(future.result()) if future.done() else None
     expected = {topic: plain(filled(kind)) for topic, kind in KINDS.items()}
     nodes = node.get_node_names_and_namespaces()
@@ -120,7 +118,7 @@ def stream(node):
         ros.spin_once(node, timeout_sec=0.1)
     for publisher, payload in payloads:
         publisher.publish(payload)
-    print(all(ros.acknowledged(p, 30.0) for p in [state, *publishers]), flush=True)
+    print(all(ros.acknowledged(p, float(sys.argv[3])) for p in [state, *publishers]), flush=True)
     sys.stdin.read()
 
 

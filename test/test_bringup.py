@@ -3,13 +3,14 @@
 import importlib.util
 
 import pytest
+from installed import needs
 from loopback import CHECKOUT
 from sessions import truth
-from test_interop import ROS, has_wheel
+from test_interop import has_wheel
 from test_ros_stand import LAUNCHABLE, Network, nothing_left
 
 pytestmark = [
-    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
+    needs('rclpy', 'rmw_cyclonedds_cpp', verbs=['launch', 'topic']),
     pytest.mark.skipif(not LAUNCHABLE, reason='not built: colcon build, source install/setup.bash'),
 ]
 FILE = CHECKOUT / 'launch' / 'bringup.launch.py'

@@ -11,17 +11,15 @@ from types import SimpleNamespace
 import downstream_peer as robot
 import numpy as np
 import pytest
+from installed import ROS, needs
 from loopback import CHECKOUT, until
 from scipy.spatial.transform import Rotation
-from test_interop import ROS
 from test_ros_stand import LAUNCHABLE, Network, nothing_left
 
 PACKAGES = ('imu_filter_madgwick', 'robot_localization', 'diagnostic_aggregator')
-MISSING = [p for p in PACKAGES if not (ROS.parent / 'share' / p / 'package.xml').is_file()]
 pytestmark = [
-    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
+    needs(*PACKAGES, verbs=['launch']),
     pytest.mark.skipif(not LAUNCHABLE, reason='not built: colcon build, source install/setup.bash'),
-    pytest.mark.skipif(bool(MISSING), reason=f'not installed: {", ".join(MISSING)}'),
 ]
 PEER = CHECKOUT / 'test' / 'downstream_peer.py'
 MRAD = 1e-3

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import processes
 import pytest
+from installed import ROS, needs
 from loopback import CHECKOUT, environment, patience
 
 from imu_calib.bags import open_recording
 from imu_calib.cdr import Kind
 
-ROS = Path('/opt/ros/jazzy/setup.bash')
 PEER = CHECKOUT / 'test' / 'interop_peer.py'
-RMWS = ['rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp']
+RMWS = [pytest.param(rmw, marks=needs(rmw)) for rmw in ('rmw_cyclonedds_cpp', 'rmw_fastrtps_cpp')]
 
 
 def built_messages():
@@ -49,7 +49,7 @@ def has_wheel():
 
 SETUP = built_messages() if ROS.is_file() else None
 pytestmark = [
-    pytest.mark.skipif(not ROS.is_file(), reason='ROS 2 Jazzy is not here'),
+    needs('rclpy', 'rmw_cyclonedds_cpp'),
     pytest.mark.skipif(
         SETUP is None, reason='imu_calib_msgs is not built: colcon build, source install/setup.bash'
     ),
@@ -93,17 +93,17 @@ def started(runtime, domain, *words):
 
 
 @contextmanager
-def peer(runtime, domain, role, number):
+def peer(runtime, domain, role, *words):
     """Run a peer until the block ends, which begins when the peer is ready."""
     python = [] if runtime == 'dds' else ['python3']
-    with started(runtime, domain, *python, str(PEER), role, str(number)) as process:
+    with started(runtime, domain, *python, str(PEER), role, *words) as process:
         assert process.stdout.readline() == 'ready\n', process.stderr.read()
         yield process
 
 
 def talker(runtime, domain):
-    """Run a peer that sends every message."""
-    return peer(runtime, domain, 'talk', 40)
+    """Run a peer that sends every message, for as long as the block lasts."""
+    return peer(runtime, domain, 'talk')
 
 
 def interrupted(process):
@@ -112,7 +112,7 @@ def interrupted(process):
     return '\n'.join(process.communicate(timeout=patience()))
 
 
-def ask(runtime, domain, *words, seconds=30):
+def ask(runtime, domain, *words, seconds=60):
     """Run a command to its end; return its output, and what it complains of."""
     done = subprocess.run(
         command(runtime, *words),
@@ -128,7 +128,11 @@ def ask(runtime, domain, *words, seconds=30):
 
 def hear(runtime, domain, *words):
     python = [] if runtime == 'dds' else ['python3']
-    out, err = ask(runtime, domain, *python, str(PEER), 'hear', '15', *words)
+    # It ends before the tests lose their patience with it, and says what it has got.
+    most = patience(30)
+    out, err = ask(
+        runtime, domain, *python, str(PEER), 'hear', str(most), *words, seconds=60 + 2 * most
+    )
     return json.loads(out), err
 
 
@@ -156,6 +160,7 @@ def ros2(domain, *words):
     return ask('rclpy', domain, 'ros2', *words)[0]
 
 
+@needs(verbs=['topic', 'node'])
 @pytest.mark.parametrize('rmw', RMWS)
 def test_the_tools_of_ros_see_a_node_on_dds(rmw):
     domain = environment(RMW_IMPLEMENTATION=rmw)
@@ -175,6 +180,7 @@ def test_the_tools_of_ros_see_a_node_on_dds(rmw):
         assert echoed.startswith('data: tick')
 
 
+@needs(verbs=['topic'])
 @pytest.mark.parametrize('rmw', RMWS)
 def test_the_rate_of_a_topic_on_dds_is_measured(rmw):
     domain = environment(RMW_IMPLEMENTATION=rmw)
@@ -189,6 +195,7 @@ def test_the_rate_of_a_topic_on_dds_is_measured(rmw):
     assert not re.search('warn|error|traceback|incompatible', written, re.IGNORECASE)
 
 
+@needs(verbs=['bag'])
 @pytest.mark.parametrize('rmw', RMWS)
 def test_every_message_of_a_session_is_recorded(rmw, tmp_path):
     domain, count = environment(RMW_IMPLEMENTATION=rmw), 8000
@@ -197,7 +204,7 @@ def test_every_message_of_a_session_is_recorded(rmw, tmp_path):
     options += ['--qos-profile-overrides-path', str(CHECKOUT / 'config' / 'record_qos.yaml')]
     topics = ['--topics', *streams, '/turntable/state']
     with (
-        peer('dds', domain, 'stream', count) as source,
+        peer('dds', domain, 'stream', str(count), str(patience())) as source,
         started('rclpy', domain, 'ros2', 'bag', 'record', *options, *topics) as recorder,
     ):
         assert source.stdout.readline() == 'True\n'
