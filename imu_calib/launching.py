@@ -159,6 +159,21 @@ def _one_of(*known: str) -> Callable[[str], None]:
     return check
 
 
+def _or(word: str, check: Callable[[str], Any]) -> Callable[[str], None]:
+    """Take a word that stands for nothing given, too."""
+
+    def checked(text: str) -> None:
+        if text == word:
+            return
+        try:
+            check(text)
+        except InputError as error:
+            said = str(error).replace('expected ', f'expected {word} or ')
+            raise InputError(said) from None
+
+    return checked
+
+
 def _unless_empty(check: Callable[[str], Any]) -> Callable[[str], None]:
     def checked(text: str) -> None:
         if text:
@@ -181,14 +196,16 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'device': _unless_empty(load_format),
     'method': _one_of('', *METHODS),
     'port': _unless_empty(check_port),
-    'baud': _BAUD,
+    'baud': _or('0', _BAUD),
     'table_baud': _BAUD,
     'frame_port': _whole(1, 65535),
     'seed': _whole(0, 2**62),
     'latitude': _number(-90.0, 90.0),
-    'height': _number(-1000.0, 10_000.0),
+    'height': _or('nan', _number(-1000.0, 10_000.0)),
+    'height_std': _or('nan', _number(0.0, 10_000.0)),
     'speed': _number(0.0, 1e6),
     'gravity': _number(),
+    'gravity_std': _or('nan', _number(0.0, 10.0)),
     'azimuth': _number(),
     'true_azimuth': _number(-360.0, 360.0),
     'autostart': _boolean,

@@ -1,4 +1,4 @@
-"""Which parts of ROS 2 are here: a test that needs one asks for it, and its skip names what is not."""
+"""Which parts of ROS 2 are here: a test asks for those that it needs; its skip names what lacks."""
 
 import os
 from pathlib import Path

@@ -35,6 +35,7 @@ SOUND = {
     'params_file': str(CHECKOUT / 'config' / 'nodes' / 'stand.yaml'),
     'of_another_launch_file': 'nope',
 }
+FILES = sorted((CHECKOUT / 'launch').glob('*.launch.py'))
 
 
 def test_sound_arguments_are_taken():
@@ -50,7 +51,11 @@ def test_sound_arguments_are_taken():
         ('latitude', 'nan', "found 'nan', expected a number from -90 to 90."),
         ('latitude', '48,1', "found '48,1', expected a number from -90 to 90."),
         ('gravity', 'much', "found 'much', expected a number."),
-        ('baud', '9600.5', "found '9600.5', expected a whole number from 50 to 10000000."),
+        ('baud', '9600.5', "found '9600.5', expected 0 or a whole number from 50 to 10000000."),
+        ('baud', '49', "found '49', expected 0 or a whole number from 50 to 10000000."),
+        ('table_baud', '0', "found '0', expected a whole number from 50 to 10000000."),
+        ('height', '1e5', "found '1e5', expected nan or a number from -1000 to 10000."),
+        ('gravity_std', '-1', "found '-1', expected nan or a number from 0 to"),
         ('seed', '-1', "found '-1', expected a whole number"),
         ('plan', 'twelve', 'there are:'),
         ('device', 'kvh', 'there are:'),
@@ -72,23 +77,32 @@ def test_every_argument_of_every_launch_file_is_known():
     free = {'namespace', 'journal', 'output', 'imu_topic', 'joint_topic', 'setpoint_topic'}
     free |= {'skew_topic', 'temperature_topic', 'output_topic', 'frame_id', 'serial'}
     free |= {'calibration', 'calibrations', 'table_port'}
-    declared = set()
-    for path in (CHECKOUT / 'launch').glob('*.launch.py'):
-        declared |= _declared(path.read_text())
+    declared = {name for path in FILES for name in _declared(path.read_text())}
     assert 'plan' in declared
     assert declared - free <= set(launching._CHECKS)
 
 
+@pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
+def test_what_a_launch_file_gives_by_itself_is_taken(path):
+    defaults = {k: v.value for k, v in _declared(path.read_text()).items() if v is not None}
+    assert defaults
+    assert wrong(defaults) == []
+
+
 def _declared(text):
-    """Return the names of the arguments that a launch file declares."""
-    names = set()
+    """Return the arguments that a launch file declares, with their defaults where they are text."""
+    found = {}
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'DeclareLaunchArgument':
-            names |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
+            default = next((k.value for k in node.keywords if k.arg == 'default_value'), None)
+            if isinstance(node.args[0], ast.Constant):
+                found[node.args[0].value] = default
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
-            named = getattr(node.targets[0], 'id', '') == 'ARGUMENTS'
-            names |= {key.value for key in node.value.keys} if named else set()
-    return names
+            if getattr(node.targets[0], 'id', '') != 'ARGUMENTS':
+                continue
+            for key, value in zip(node.value.keys, node.value.values, strict=True):
+                found[key.value] = value.elts[0]
+    return {k: v if isinstance(v, ast.Constant) else None for k, v in found.items()}
 
 
 CHILD = 'from imu_calib.parent import end_with_parent as e; import time; e(); print(1, flush=True);'
