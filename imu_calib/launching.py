@@ -144,7 +144,10 @@ def _number(lower: float = -math.inf, upper: float = math.inf) -> Callable[[str]
 
 def _whole(lower: int, upper: int) -> Callable[[str], None]:
     def check(text: str) -> None:
-        value = yaml.safe_load(text or 'null')
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError:
+            value = None
         if type(value) is not int or not lower <= value <= upper:
             raise InputError(f'found {text!r}, expected a whole number from {lower} to {upper}.')
 
@@ -201,11 +204,11 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'frame_port': _whole(1, 65535),
     'seed': _whole(0, 2**62),
     'latitude': _number(-90.0, 90.0),
-    'height': _or('nan', _number(-1000.0, 10_000.0)),
+    'height': _or('nan', _number(-500.0, 10_000.0)),
     'height_std': _or('nan', _number(0.0, 10_000.0)),
     'speed': _number(0.0, 1e6),
     'gravity': _number(),
-    'gravity_std': _or('nan', _number(0.0, 10.0)),
+    'gravity_std': _or('nan', _number(0.0, 0.1)),
     'azimuth': _number(),
     'true_azimuth': _number(-360.0, 360.0),
     'autostart': _boolean,
