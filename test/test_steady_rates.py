@@ -111,6 +111,16 @@ def test_ramps_may_be_as_slow_or_as_fast_as_they_like(ramps: float, plateau: flo
     assert turns.rate_error < 2e-6
 
 
+def test_a_line_that_rests_on_the_ends_of_a_gap_alone_is_no_plateau() -> None:
+    # Joint states fail from 20 % to 80 % of the plateau: 114 deg, which no whole turn hides in.
+    whole = motion(18.0, 0.2, 190.0, hz=1.0)
+    since = (whole.stamp - whole.stamp[0]) * 1e-9 - 2 - 18.0 / 0.2
+    heard = (since < 0.2 * 190 / 18) | (since > 0.8 * 190 / 18)
+    seen = replace(whole, stamp=whole.stamp[heard], position=whole.position[heard])
+    assert find_turns(seen) == []
+    assert why_none(seen) == 'the joint states show no constant rate'
+
+
 def test_one_motion_may_hold_several_rates() -> None:
     # 60 deg/s for two turns and a bit, then, without a stop, 30 deg/s back for one and a bit.
     there, back = motion(60.0, RAMPS, 750.0), motion(30.0, RAMPS, 400.0)

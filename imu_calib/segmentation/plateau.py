@@ -134,7 +134,8 @@ def find_plateaus(motion: Motion) -> list[Plateau]:
         if not taken[slice(*seed)].any():
             first, last, plateau = _grown(time, angle, *seed)
             taken[first:last] = True
-            found.append((first, plateau))
+            if plateau is not None:
+                found.append((first, plateau))
     return [plateau for _, plateau in sorted(found, key=lambda f: f[0])]
 
 
@@ -181,7 +182,7 @@ def _bend(time: Floats, angle: Floats) -> tuple[float, float]:
     return bend, _BENT * scatter * float(np.linalg.norm(inverse[2:])) + _BENT_AT_MOST * _SEED
 
 
-def _grown(time: Floats, angle: Floats, first: int, last: int) -> tuple[int, int, Plateau]:
+def _grown(time: Floats, angle: Floats, first: int, last: int) -> tuple[int, int, Plateau | None]:
     """Let the line of a seed grow to where the angles leave it; return its range and the whole."""
     step = _step(angle)
     for _ in range(_ROUNDS):
@@ -215,8 +216,10 @@ def _step(angle: Floats) -> float:
     return 0.0
 
 
-def _trimmed(line: _Line, time: Floats, angle: Floats, first: int, last: int) -> Plateau:
+def _trimmed(line: _Line, time: Floats, angle: Floats, first: int, last: int) -> Plateau | None:
     """Take from both ends what may belong to a ramp already, and fit the line to the rest.
+
+    None where joint states come so slowly, or fail so long, that too few are left for a line.
 
     The departure of a ramp grows with the square of time: from where it is `_WELL_OFF` times as
     large as where it shows, it is at least as far back to there as from there to its beginning.
@@ -229,6 +232,8 @@ def _trimmed(line: _Line, time: Floats, angle: Floats, first: int, last: int) ->
     after = float(time[outside[1][0] if len(outside[1]) else len(time) - 1]) - end
     before, after = min(before, (end - begin) / 4), min(after, (end - begin) / 4)
     sure = (time >= begin + before) & (time <= end - after)
+    if np.count_nonzero(sure) < _FEWEST:
+        return None
     fitted = _Line.through(time[sure], angle[sure], line.step)
     unseen = float(line.limit(np.array([begin, end])).max())
     return Plateau(
