@@ -9,11 +9,17 @@ import select
 import signal
 import sys
 import threading
+import time
+from pathlib import Path
 
 ENDS_WITH = 'IMU_CALIB_ENDS_WITH'
 """Environment variable: number of the process to end with."""
 
 _SET_DEATH_SIGNAL = 1
+
+_POLL = 0.2
+"""How often it is looked for where the kernel does not tell, s: by trial, little work, and a table
+is stopped as soon as by its own watchdogs."""
 
 
 def end_with_parent() -> None:
@@ -28,18 +34,26 @@ def end_with_parent() -> None:
     ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGTERM)
     if str(os.getppid()) == parent:
         return
-    try:
-        watched = os.pidfd_open(int(parent))
-    except (OSError, ValueError):
-        # It ended before the kernel was asked.
-        os.kill(os.getpid(), signal.SIGTERM)
-        return
-    threading.Thread(target=_end_with, args=(watched,), name='parent', daemon=True).start()
+    threading.Thread(target=_end_with, args=(parent,), name='parent', daemon=True).start()
 
 
-def _end_with(watched: int) -> None:
-    select.select([watched], [], [])
+def _end_with(parent: str) -> None:
+    _wait_for(parent)
     os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _wait_for(process: str) -> None:
+    """Return when a process has ended, maybe before."""
+    try:
+        watched = os.pidfd_open(int(process))
+    except (ProcessLookupError, ValueError):
+        return
+    except OSError:
+        # Linux before 5.3, and containers that allow no such call.
+        while Path(f'/proc/{process}').exists():
+            time.sleep(_POLL)
+        return
+    select.select([watched], [], [])
 
 
 def main() -> int:

@@ -113,11 +113,12 @@ import os, subprocess, sys
 os.environ['IMU_CALIB_ENDS_WITH'] = str(os.getpid())
 child = subprocess.Popen(sys.argv[1:], stdout=subprocess.PIPE)
 print(child.pid, flush=True)
-child.stdout.readline()
-print('ready', flush=True)
+print('ready' if child.stdout.readline() else 'ended', flush=True)
 child.wait()
 """
 NODE = [sys.executable, '-c', f'{CHILD} time.sleep(1000)']
+# A kernel before 5.3, or a container that allows no pidfd_open(2).
+OLD_KERNEL = 'import os; d = lambda n: (_ for _ in ()).throw(OSError(38, "")); os.pidfd_open = d;'
 PROGRAM = 'import time; print(1, flush=True); time.sleep(1000)'
 
 
@@ -127,6 +128,7 @@ PROGRAM = 'import time; print(1, flush=True); time.sleep(1000)'
         NODE,
         # As a prefix of ros2 launch: a process in between.
         ['sh', '-c', '"$0" "$@"; :', *NODE],
+        ['sh', '-c', '"$0" "$@"; :', sys.executable, '-c', f'{OLD_KERNEL} {NODE[2]}'],
         # A program that is not ours becomes it.
         [sys.executable, '-m', 'imu_calib.parent', sys.executable, '-c', PROGRAM],
     ],
