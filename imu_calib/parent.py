@@ -18,8 +18,8 @@ ENDS_WITH = 'IMU_CALIB_ENDS_WITH'
 _SET_DEATH_SIGNAL = 1
 
 _POLL = 0.2
-"""How often it is looked for where the kernel does not tell, s: by trial, little work, and a table
-is stopped as soon as by its own watchdogs."""
+"""How often it is looked for where the kernel does not tell, s. A judgement: little work, and a
+table is stopped sooner than by the watchdog of lost joint states (0.5 s)."""
 
 
 def end_with_parent() -> None:

@@ -20,6 +20,8 @@ from .calibrate import Offline, open_offline
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 _SAME_UP = 0.999
+"""Cosine of 2.6 deg: turns about axes that are closer are of the same position. A judgement: the
+positions of a rate test are 90 deg apart."""
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

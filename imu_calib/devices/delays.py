@@ -9,8 +9,14 @@ import numpy as np
 from ..stream import Stamps
 
 _WINDOW = 2_000_000_000
+"""Width of a window at first, ns. A judgement: in two seconds some sample comes without delay on
+any line that is read by bunches of a USB adapter (16 ms)."""
+
 _MOST_WINDOWS = 512
+"""Windows that are kept, to bound memory: beyond, they are merged by twos."""
+
 _FEWEST_WINDOWS = 8
+"""Windows from which a drift is stated: six degrees of freedom are left for its deviation."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,10 @@ from .steps import Indices, Stepper
 
 _NS = 1_000_000_000
 _SETTLING = _NS // 2
+"""ns of samples after which the offset is fixed at the least delay: thirty bunches of a USB adapter
+(16 ms)."""
 _LONGEST_SETTLING = 2 * _NS
+"""The same by the host's time, where samples are slow to come."""
 _CATCH_UP = _NS // 10
 """A host that was busy reads what waits for it much faster than it came: by then it has."""
 _LONG_CATCH_UP = _NS
@@ -36,6 +39,8 @@ _UNCLEAR = (
     'anew by the time of arrival.'
 )
 _HOST_STEP = 10.0 * _NS
+"""ns by which arrivals must be late at least before a host counts as suspended. A judgement: no
+driver holds bytes back for so long."""
 
 
 @dataclass(frozen=True)

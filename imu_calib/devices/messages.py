@@ -15,6 +15,9 @@ from .fields import Number
 from .numbers import whole, whole_list
 
 _LONGEST = 4096
+"""Bytes: more than any IMU sends at once, and a length that is damaged is not waited for longer. A
+judgement."""
+
 _LENGTH_TYPES = {'u8': 1, 'u16': 2}
 
 

@@ -13,9 +13,21 @@ from .fields import DeviceTime, FrameCounter, differences
 Indices = NDArray[np.int64]
 
 _LEAST_JUMP = 1e6
+"""ns: clock and counter may contradict each other by a millisecond, the coarsest unit of a device's
+time that is usual. A judgement."""
+
 _PERIODS = 2.5
+"""The same in sample periods: stamp and count may belong to neighbouring samples at both ends, and
+half a period is for rounding. A judgement."""
+
 _RATE_TOLERANCE = 1e-3
+"""The same of the time between two frames: the period is learnt in the first moments, and the
+device's clock may change its rate afterwards. A judgement: quartzes keep to 1e-4."""
+
 _PLAUSIBLE = 2e9
+"""ns by which a step may be longer than what the host saw go by: what may wait in buffers before it
+is read. A judgement."""
+
 _NS = 1e9
 
 

@@ -15,11 +15,25 @@ from ..errors import NotObservable
 from ..stream import Floats
 
 _CONVERGED = 1e-9
+"""Standard deviations, root mean square, by which a last step may move the prediction: far below
+all that counts."""
+
 _UPHILL = 1e-3
+"""Relative growth of chi-square that is no way uphill: weights follow the state, and change it. A
+judgement; by one it may grow besides, which is less than noise makes of it."""
+
 _ROUNDING = 4 * float(np.finfo(float).eps)
+"""Of the longest column: what remains of a step when parameters of the size of one are rounded."""
+
 _DAMPING = 1e-3
+"""The first damping, and the least: next to columns of norm one it takes a thousandth off a step
+that is well determined (Marquardt's lambda)."""
+
 _STRONGER, _WEAKER = 10.0, 0.1
+"""Factors of the damping after a step uphill and one that was taken (Marquardt's nu = 10)."""
+
 _STRONGEST = 1e12
+"""Beyond, a step is the gradient (by columns of norm one) over the damping, and moves nothing."""
 
 State = TypeVar('State')
 

@@ -38,6 +38,8 @@ from .words import figures, sentence
 _DRAIN_PERIOD = 0.002
 _STATE_PERIOD = 0.5
 _LOOK_PERIOD = 0.1
+"""How often it is looked who publishes, s: at 90 deg/s a table turns by 9 deg meanwhile. A
+judgement; a foreign setpoint is answered at once, without looking."""
 _LAST_HOLDS = 3
 _REMEMBERED = 256
 """So many messages may be on their way back to the node that sent them."""

@@ -19,8 +19,16 @@ _STEADY_FORCE = 0.05 * STANDARD_GRAVITY
 in published sessions of five MPU-9150 (mikoff/imu-calib), with room for shakier hands."""
 
 _OTHER_WAY_UP = np.cos(np.radians(20))
+"""Attitudes whose ways up are further apart count as two. A judgement: a hand that holds still
+leans by some degrees, and is turned by tens."""
+
 _MOST_LEVELS = 32
+"""Steady rates that are remembered, to bound memory; the least supported makes room. A judgement: a
+turn by hand is steady for less than a second, so that few are ever found."""
+
 _MEMORY = 20
+"""Additions over which a rate is averaged, half a second each: a bias that warms up is followed
+within ten seconds at rest."""
 
 
 @dataclass(eq=False)

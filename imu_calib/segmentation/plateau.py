@@ -23,27 +23,91 @@ from .motion import Motion
 
 _TURN = 2 * np.pi
 _SEED = np.pi
+"""Angle that a line is begun with, rad. A judgement: it fits twice into the least plateau that is
+of use, a whole turn, and is long enough for a ramp to bend it visibly."""
+
 _SEEDS = 150
+"""Instants of a motion at which half a turn is looked at: a judgement between work and missing a
+plateau that is short beside its ramps."""
+
 _CELLS = 64
+"""Angles of half a turn are averaged in so many cells: their scatter keeps sixty degrees of
+freedom, and the work does not grow with the rate of the joint states."""
+
 _FEWEST = 6
+"""Fewest angles of a line: four coefficients are fitted to a seed, and two degrees of freedom are
+left for the scatter."""
+
 _DEGREE = 3
+"""Of the polynomial about which angles scatter: a ramp is a square, a jerk-limited one a cubic."""
+
 _BENT = 5.0
+"""Standard deviations by which half a turn may seem to be bent: of normal noise the hypotenuse of
+both parts passes them in less than one case in a million."""
+
 _BENT_AT_MOST = 1e-4
+"""Of half a turn: a bend below it counts as none, however small the scatter. A judgement: 65
+arcsec leave room for encoders whose errors repeat with the turn; at 90 deg/s no ramp of more than
+0.05 deg/s^2 bends by less."""
+
 _LEAVES = 6.0
+"""Standard deviations off the line at which it is left: normal noise passes them twice in 10^9,
+which rarely ends a plateau too early (docs/mathematics.md, rate test)."""
+
 _ENCODER = 1e-3 * DEG
+"""Least departure that counts, rad. A judgement: 3.6 arcsec for an encoder's error within the turn,
+which it does not state."""
+
 _COARSEST = 0.02 * DEG
+"""Largest step that is taken for that of an encoder, rad: 72 arcsec, 14 bits a turn. Angles that
+differ by more without exception are few, not rounded."""
+
 _IN_TIME = 0.2
+"""Scatter below this share of a step says that samples come in time with the steps: errors of
+rounding are else uniform and scatter by 1 / sqrt(12) = 0.29 of one."""
+
 _BLOCKS = 16
+"""Of the angles of a line, whose means show errors in common (docs/mathematics.md, rate test)."""
+
 _SIGNIFICANT = 1e-3
+"""Chance that the means of blocks of white noise scatter by so much more: one line in a thousand is
+called less certain than it is."""
+
 _SAME_READING = 1e-9
+"""Readings that are closer are the same one, rad: numbers near 100 turns are rounded to 1e-13, and
+an encoder of 32 bits steps by 1.5e-9."""
+
 _NEAR = 20.0
+"""Differences up to so many times the least are held against whole steps: half a percent of error
+of the least difference makes a tenth of a step of it there, which is `_WHOLE`."""
+
 _SHARES = (1, 2, 3)
+"""The least difference that is seen may be so many steps."""
+
 _WHOLE = 0.1
+"""Of a step: a difference is a whole number of them within this. By chance six differences are with
+a probability of 0.2^6 = 6e-5."""
+
 _SMOOTHED_SECONDS = 0.1
+"""Longest time over which departures are averaged, s: longer hides the onset of fast ramps. A
+judgement: a ramp of 20 deg/s^2 leaves by 0.1 deg in it."""
+
 _WELL_OFF = 8.0
+"""Departure in units of that at which a line is left, beyond which the way back to the beginning
+of a ramp is known: t grows by 8^(1/2) = 2.8 while it grows with the square, by 8^(1/3) = 2 with
+the cubic part (docs/mathematics.md, rate test)."""
+
 _ROUNDS = 60
+"""Most growths of a line: one may add half its length at either end, and the last add few
+angles."""
+
 _SURE = 0.8
+"""Share of the time beside the turns in which the rate counts as the same. A judgement: the rest is
+for ramps whose onset is slower than a square."""
+
 _CLOCKS_APART = 0.05
+"""What clocks of IMU and table may differ by before they are compared, s. A judgement: as much as
+arrivals may contradict a device before its stamps are corrected (`devices/device_clock.py`)."""
 
 
 @dataclass(frozen=True, eq=False)

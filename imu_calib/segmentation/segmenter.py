@@ -36,7 +36,8 @@ _SAMPLES_FOR_PERIOD = 256
 _SEEN = 0.75
 _ALIKE = 1.5
 _INTERRUPTION = 1_000_000_000
-"""A stream that is silent for so long, ns, may come from a program that was started again."""
+"""A stream that is silent for so long, ns, may come from a program that was started again. A
+judgement: no node starts in less, and a line rarely fails for longer."""
 
 
 class Segmenter:

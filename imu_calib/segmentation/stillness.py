@@ -19,6 +19,9 @@ _WINDOWS_AHEAD = 300
 attitudes, and the samples of so long are kept."""
 
 _WINDOWS_TO_LEARN = 50
+"""Five seconds between two learnings of the tolerance. A judgement: it rests on up to two minutes,
+which change little in five seconds."""
+
 _NO_JOINTS = np.empty((0, 0))
 _NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
 

@@ -13,6 +13,9 @@ _BESIDE = 5
 """Windows before and after the one that is looked at: a second in all."""
 
 _USUAL = 0.9
+"""Share of the quiet windows that are taken for still: the rest may be shocks, or turns too slow to
+be told beforehand. A judgement."""
+
 _MARGIN = 3.0
 """Three times what nine windows of ten keep to is over six standard deviations of normal noise:
 once in many hours a window of a unit at rest lies beyond."""

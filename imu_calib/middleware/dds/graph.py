@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _TOPIC = 'ros_discovery_info'
 _TYPE = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
 _MOST = 10_000
+"""Changes that are taken at once; more are taken by the next turn of the loop."""
 _ALIVE = 16
 """DDS_ALIVE_INSTANCE_STATE."""
 
