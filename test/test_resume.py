@@ -240,6 +240,11 @@ def test_what_cannot_be_gone_on_with_is_refused(tmp_path, capsys):
     exists = says(capsys, 'six_position', '-o', str(left))
     assert f'imu-calib stand --resume {left}' in exists
     assert 'recordings are not overwritten' in says(capsys, 'six_position', '-o', str(complete))
+    (complete / 'settings' / 'options.yaml').write_text('')
+    assert 'it holds no options' in says(capsys, '--resume', str(complete))
+    file = tmp_path / 'file'
+    file.write_text('')
+    assert f'{file}/stand: Not a directory.' in says(capsys, 'six_position', '-o', f'{file}/stand')
 
 
 def test_a_real_stand_goes_on_with_its_own_settings_at_another_port(tmp_path):

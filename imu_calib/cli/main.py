@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 from .. import __version__
-from ..errors import ImuCalibError
+from ..errors import ImuCalibError, InputError
 from . import (
     calibrate,
     combine,
@@ -75,6 +75,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Whoever read our output has seen enough; keep the interpreter from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        where = f'{error.filename}: ' if error.filename else ''
+        ERRORS.print(
+            f'imu-calib {arguments.command}: {where}{error.strerror or error}.',
+            style='red',
+            markup=False,
+            highlight=False,
+        )
+        _last_word(arguments)
+        return InputError.exit_code
     return 0
 
 

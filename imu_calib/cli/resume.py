@@ -85,8 +85,10 @@ def restore(arguments: argparse.Namespace) -> Path:
     folder = Path(arguments.resume).expanduser()
     settings = folder / _SETTINGS
     try:
-        kept: dict[str, Any] = yaml.safe_load((settings / _OPTIONS).read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        kept: Any = yaml.safe_load((settings / _OPTIONS).read_text(encoding='utf-8'))
+        if not isinstance(kept, dict):
+            raise ValueError('it holds no options.')
+    except (OSError, ValueError, yaml.YAMLError) as error:
         what = (
             'there is no such folder' if not folder.is_dir() else f'{settings / _OPTIONS}: {error}'
         )

@@ -119,12 +119,23 @@ def _sync(folder: Path) -> None:
 
 
 def state_folder(given: str) -> Path:
-    """Return where stops are kept: as given, else where the XDG base directories put state."""
-    if given:
-        return Path(given).expanduser()
+    """Return where stops are kept: as given, else where the XDG base directories put state.
+
+    Raises:
+        InputError: The home folder of the user is not known.
+
+    """
     base = os.environ.get('XDG_STATE_HOME', '')
-    # The specification has relative paths ignored.
-    root = Path(base) if base.startswith('/') else Path('~/.local/state').expanduser()
+    try:
+        if given:
+            return Path(given).expanduser()
+        # The specification has relative paths ignored.
+        root = Path(base) if base.startswith('/') else Path('~/.local/state').expanduser()
+    except RuntimeError:
+        raise InputError(
+            'Parameter state_folder: this user has no home folder to keep a pressed stop in; give '
+            'a folder without ~.'
+        ) from None
     return root / 'imu_calib'
 
 
