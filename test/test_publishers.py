@@ -1,13 +1,15 @@
 """One publisher per topic: when two are listed, do two live, or is one the ghost of a kill?"""
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from loopback import environment, until
 
-from imu_calib.errors import ImuCalibError
+from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.nodes.publishers import GHOST, OnePublisher
+from imu_calib.nodes.stop import state_folder
 
 UNKNOWN = '_NODE_NAME_UNKNOWN_'
 
@@ -117,3 +119,16 @@ def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, t
         node.destroy_node()
         peer.destroy_node()
         ros.try_shutdown()
+
+
+def test_a_user_without_a_home_is_told_to_name_a_folder_for_the_stop(monkeypatch):
+    def nobody(number):
+        raise KeyError(number)
+
+    monkeypatch.delenv('HOME', raising=False)
+    monkeypatch.delenv('XDG_STATE_HOME', raising=False)
+    monkeypatch.setattr('pwd.getpwuid', nobody)
+    for given in ('', '~/stops'):
+        with pytest.raises(InputError, match='state_folder'):
+            state_folder(given)
+    assert state_folder('/var/lib/stand') == Path('/var/lib/stand')
