@@ -18,6 +18,7 @@ import yaml
 
 from ..errors import InputError
 from ..imu import TriadSpec
+from ..methods.evidence import SMALLEST_VARIANCE
 from ..noise import Coefficient
 from ..report.noise import noise_of
 from ..stream import Floats, Units
@@ -96,6 +97,8 @@ def _noise(source: Source) -> tuple[dict[str, float], list[str]]:
     """
     calibration, sheet = source.calibration, source.sheet
     walk = np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
+    # Of a stream without noise the session shows the rounding of numbers, which is no density.
+    walk = np.where(walk**2 > SMALLEST_VARIANCE, walk, 0.0)
     channels = noise_of(calibration)
     found: dict[str, float] = {}
     notes = []

@@ -93,8 +93,10 @@ def with_true_noise(system: System) -> System:
         if chdtrc(max(fit.freedom, 1), fit.square) > _EXCESS:
             break
         system = system.inflated(fit.ratios)
+    if system.gyros:
+        return system
     sigma = float(np.sqrt(np.median(system.variances))) / system.reading
-    if not system.gyros and sigma > _NO_SENSE * system.magnitude:
+    if sigma > _NO_SENSE * system.magnitude:
         raise NotObservable(
             'No parameters whatever explain the accelerometers of this recording: plan, table, '
             'mounting or the description of the IMU are not those of the recording.'

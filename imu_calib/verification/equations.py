@@ -182,13 +182,13 @@ class System:
     def outputs(self) -> Floats:
         """(s, 3) at rest, as they are read."""
         mine = slice(0, 3) if self.gyros else slice(3, 6)
-        return np.array([r.output[mine] for r in self.observed.rests]) * self.reading
+        return np.array([r.output[mine] for r in self.observed.rests]).reshape(-1, 3) * self.reading
 
     @property
     def variances(self) -> Floats:
         """(s, 3) of these, all noise included."""
         mine = slice(0, 3) if self.gyros else slice(3, 6)
-        rests = np.array([r.variance[mine] for r in self.observed.rests])
+        rests = np.array([r.variance[mine] for r in self.observed.rests]).reshape(-1, 3)
         noise = (rests * self.inflation[0] ** 2 + self.wander**2) * self.reading**2
         return np.asarray(np.maximum(noise, _SMALLEST * self.magnitude**2))
 
@@ -197,7 +197,9 @@ class System:
         """(t, 3) of the outputs in turns, but for the error of the encoder's rate."""
         noise = np.array([t.variance for t in self.observed.turns]).reshape(-1, 3)
         factor = (self.inflation[1] * self.reading) ** 2
-        return np.asarray(np.maximum(noise * factor, _SMALLEST * EARTH_RATE**2))
+        # Rounding is a share of the output: a turn's is that of its rate.
+        rates = np.array([t.rate for t in self.observed.turns])[:, None]
+        return np.asarray(np.maximum(noise * factor, _SMALLEST * (EARTH_RATE + np.abs(rates)) ** 2))
 
     def rows(self, sensors: Sensors, world: World, *, level_known: bool) -> Rows:
         """Set the equations up around a model.
@@ -215,7 +217,7 @@ class System:
     def _outputs(self, sensors: Sensors, world: World, *, level_known: bool) -> Rows:
         seen = self.observed
         to_body = np.array([r.attitude.T for r in seen.rests if r.attitude is not None])
-        to_body = world.mount @ to_body
+        to_body = world.mount @ to_body.reshape(-1, 3, 3)
         inputs, forces = to_body @ world.vector, to_body @ seen.site.specific_force
         outputs, variances = self.outputs, self.variances
         ups = to_body[:, :, 2]
@@ -356,7 +358,7 @@ class System:
         if not seen.with_attitudes:
             return np.zeros((count, 0))
         to_body = np.array([r.attitude.T for r in seen.rests if r.attitude is not None])
-        inputs = world.mount @ to_body @ world.vector
+        inputs = world.mount @ to_body.reshape(-1, 3, 3) @ world.vector
         if self.gyros and seen.turns:
             rates = [t.up * (t.rate + seen.site.up_rate) for t in seen.turns]
             inputs = np.vstack([inputs, np.array(rates) @ world.mount.T])

@@ -96,7 +96,7 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
     # What has no inverse is refused here, in words.
     calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
     trials = [_Trial.of(calibration, observed, gyros=True)]
-    if calibration.has_accelerometers:
+    if calibration.has_accelerometers and observed.rests:
         trials.append(_Trial.of(calibration, observed, gyros=False))
     compared = [c for t in trials for c in compare(t.system, t.sensors, t.factor, t.fit)]
     limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
@@ -131,6 +131,8 @@ def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
         )
     if not calibration.has_accelerometers:
         notes.append('The accelerometers were not calibrated: they are not verified.')
+    elif not observed.rests:
+        notes.append('The recording has turns alone: the accelerometers are not verified.')
     if calibration.model.skewed is not None:
         notes.append('The skewed gyro is not verified.')
     return notes
@@ -196,7 +198,7 @@ def _forces(calibration: Calibration, observed: Observed, reading: float) -> Flo
     """Return the specific forces at rest: by attitude, or else by the accelerometers, (s, 3)."""
     if observed.with_attitudes:
         up = np.array([r.attitude[2] for r in observed.rests if r.attitude is not None])
-        return np.asarray(up * observed.site.gravity)
+        return np.asarray(up.reshape(-1, 3) * observed.site.gravity)
     raw = np.array([r.output for r in observed.rests])
     _, force = calibration.model.compensate(raw[:, :3], raw[:, 3:] * reading)
     return np.asarray(force * (observed.site.gravity / np.linalg.norm(force, axis=1))[:, None])

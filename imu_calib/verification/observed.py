@@ -130,7 +130,7 @@ def observe(
 
     Raises:
         InputError: The setpoints name none of the plan's positions.
-        NotObservable: Nothing at rest was found.
+        NotObservable: Neither rests nor turns were found.
 
     """
     labelled = (
@@ -138,9 +138,9 @@ def observe(
         if plan is not None
         else Labelled(session.segments, session.turns, session.rejected)
     )
-    if not labelled.segments:
+    if not labelled.segments and not labelled.turns:
         raise NotObservable(
-            f'No stretch at rest was found in {session.samples} IMU samples '
+            f'Neither rests nor whole turns were found in {session.samples} IMU samples '
             f'({session.duration:.0f} s): nothing can be compared.'
         )
     walk = noise(labelled.segments, imu)
@@ -148,7 +148,7 @@ def observe(
     known = not (plan is not None and plan.by_hand) and all(
         s.attitude is not None for s in labelled.segments
     )
-    start = labelled.segments[0].start
+    start = labelled.segments[0].start if labelled.segments else 0
     rests = tuple(
         Rest(
             segment.position or str(k + 1),
@@ -176,7 +176,10 @@ def observe(
         for k, turn in enumerate(labelled.turns)
         if known
     )
-    rates = [s.statistics.samples / s.statistics.duration for s in labelled.segments]
+    # A plan of turns alone names no rests.
+    rates = [
+        s.statistics.samples / s.statistics.duration for s in labelled.segments or labelled.turns
+    ]
     return Observed(
         rests,
         turns,
