@@ -1,0 +1,71 @@
+"""Streams without noise: what is found is as good as the numbers, and no better is claimed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sessions import SITE, calibrate, quick_plan, session, stand, truth
+
+from imu_calib.calibration import Calibration
+from imu_calib.errors import InputError
+from imu_calib.exports import EXPORTS
+from imu_calib.exports.exported import Source
+from imu_calib.imu import load_imu
+from imu_calib.plan import Plan, RateTest
+from imu_calib.segmentation.segmenter import Segmenter
+from imu_calib.turntable import load_table
+from imu_calib.units import DEG
+from imu_calib.verification import Verdict, observe, verify
+
+SPEC = load_imu('si')
+STATES_NO_NOISE = stand(sample_rate=100.0)
+
+
+def plan_of(name: str) -> Plan:
+    """A plan of fast turns: the faster, the more of the output rounding takes."""
+    plan = quick_plan(name, 12.0)
+    fast = RateTest(tuple(s * r * DEG for r in (30, 60, 90) for s in (1, -1)), turns=1)
+    return replace(
+        plan,
+        positions=tuple(
+            p if p.rate_test is None else replace(p, rate_test=fast) for p in plan.positions
+        ),
+    )
+
+
+@cache
+def found(name: str) -> Calibration:
+    plan = plan_of(name)
+    blocks = session(plan, STATES_NO_NOISE, seed=1, spec=SPEC)
+    return calibrate(blocks, plan, spec=SPEC).calibration
+
+
+@pytest.mark.parametrize('name', ['twenty_position', 'twelve_position'])
+def test_a_stream_without_noise_is_solved_to_rounding_and_claims_no_more(name: str) -> None:
+    calibration = found(name)
+    error = calibration.values - truth().model.values(calibration.parameters)
+    known = calibration.std > 0
+    assert known.all()
+    assert (np.abs(error) < 4.5 * calibration.std).all()
+    # Outputs at rest are rounded at 1e-14 of SI units; the Earth's rate is the smallest input.
+    assert (calibration.std[:24] < 1e-8).all()
+
+
+def test_a_stream_without_noise_is_verified_in_fast_turns() -> None:
+    plan, table = plan_of('twelve_position'), load_table('three_axis')
+    segmenter = Segmenter(SPEC, table)
+    for _, block in session(plan, STATES_NO_NOISE, seed=2, spec=SPEC):
+        segmenter.feed(block)
+    observed = observe(segmenter.finish(), SPEC, SITE, plan, table)
+    assert verify(found('twelve_position'), observed).verdict is Verdict.PASS
+
+
+def test_kalibr_is_not_given_the_rounding_of_numbers_as_a_density_of_noise() -> None:
+    made = found('twelve_position')
+    calibration = replace(made, provenance={**made.provenance, 'random_walk': [1e-16] * 6})
+    with pytest.raises(InputError, match='does not tell the noise of the'):
+        EXPORTS['kalibr'](Source(calibration, Path('/c.yaml'), 100.0))
