@@ -267,7 +267,8 @@ class Session:
     def process(self, code=MAIN, **changes):
         """Start the node as a process; return it when it drives the table through a turn."""
         self.open(with_node=False)
-        process = self.start(code, autostart=True, **changes)
+        # On a busy machine the table of this process may be held up for longer than a node waits.
+        process = self.start(code, **{'autostart': True, 'feedback_timeout': 30.0, **changes})
         assert self.until(lambda: self.watcher.phase is Phase.TURNING), process.poll()
         assert self.until(lambda: not self.table.at_rest())
         return process
