@@ -360,9 +360,8 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
         launcher.wait(timeout=60)
         launched = ('imu_node', 'calibrator_node', 'turntable_node')
         assert until(
-            lambda: not [line for line in net.left().values() if any(n in line for n in launched)],
-            30,
-        ), net.left()
+            lambda: not [n for n in launched for line in processes.running().values() if n in line]
+        ), processes.running()
         before, rates = one_joint_state(net)
         after, _ = one_joint_state(net)
         assert not any(rates)
