@@ -59,7 +59,7 @@ DATA = {
     'imu_calib.table': text_of('tables', 'three_axis'),
     'imu_calib.latitude_deg': '34.65',
     'imu_calib.gravity': repr(SITE.gravity),
-    'imu_calib.gravity_source': 'normal gravity (WGS 84)',
+    'imu_calib.gravity_source': 'measured',
 }
 
 

@@ -53,3 +53,24 @@ def test_the_joint_estimate_refuses_what_it_has_not_finished(
     monkeypatch.setattr(fit, '_ITERATIONS', 1)
     with pytest.raises(NotObservable, match='did not converge in 1 steps'):
         joint.solve(evidence)
+
+
+def test_rounding_that_keeps_steps_from_becoming_smaller_is_no_refusal() -> None:
+    # Each step is off by what rounding leaves: 1e-6 of a deviation, for ever.
+    def rounded(state: Floats) -> tuple[Floats, Floats]:
+        return np.array([[1e3]]), -1e3 * state + 1e-6
+
+    def drifting(state: Floats, step: Floats) -> Floats:
+        return np.asarray(state + step - 1e-9)
+
+    found = least_squares(np.array([1.0]), rounded, drifting, 30)
+    assert found[0] == pytest.approx(0.0, abs=3e-9)
+
+
+def test_steps_that_shrink_slowly_and_matter_are_refused() -> None:
+    # x^4 for zero: each step takes a quarter off, and thirty of them leave 0.2 deviations a step.
+    def flat(state: Floats) -> tuple[Floats, Floats]:
+        return np.array([[4e9 * state[0] ** 3]]), -1e9 * state**4
+
+    with pytest.raises(NotObservable, match='did not converge in 30 steps'):
+        solved(flat, 100.0)

@@ -717,7 +717,7 @@ except ImuCalibError as error:
 
 @pytest.mark.parametrize(
     ('runtime', 'module', 'advice'),
-    [('dds', 'cyclonedds', "pip install 'imu_calib[dds]'"),
+    [('dds', 'cyclonedds', "pip install '.[dds]'"),
      ('rclpy', 'rclpy', 'Source the setup file'),
      ('other', 'none', 'expected rclpy or dds')],
 )  # fmt: skip

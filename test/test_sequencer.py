@@ -386,8 +386,9 @@ def test_joint_states_of_others_change_nothing_and_are_counted(names):
 
 
 def test_no_plan_starts_while_the_calibrator_cannot_go_on():
-    stand = supervised()
+    stand = Stand(rules=SUPERVISED)
     stand.tick()
+    stand.sequencer.attend(True)
     stand.sequencer.hear('The calibrator cannot go on: the disk is full.')
     with pytest.raises(InputError, match='the disk is full'):
         stand.sequencer.start()

@@ -103,9 +103,16 @@ def run(arguments: argparse.Namespace) -> None:
         NotObservable: The session gives no calibration; says why.
 
     """
-    folder = resume.restore(arguments) if arguments.resume else _folder(arguments)
+    # Which runtime there is, is asked here alone: the other commands need none.
+    from . import monitor  # noqa: F401
+
+    if not (arguments.plan or arguments.resume):
+        raise InputError('Give a PLAN (imu-calib plans lists them), or --resume FOLDER.')
+    if arguments.resume:
+        resume.restore(arguments)
     _complete(arguments)
     truth = _check(arguments)
+    folder = Path(arguments.resume).expanduser() if arguments.resume else _new_folder(arguments)
     _say_baud(arguments)
     folder.mkdir(parents=True, exist_ok=bool(arguments.resume))
     with resume.claimed(folder) as claim, _signals():
@@ -117,10 +124,8 @@ def run(arguments: argparse.Namespace) -> None:
         _run(arguments, folder, truth, claim)
 
 
-def _folder(arguments: argparse.Namespace) -> Path:
+def _new_folder(arguments: argparse.Namespace) -> Path:
     """Return the folder to create."""
-    if arguments.plan is None:
-        raise InputError('Give a PLAN (imu-calib plans lists them), or --resume FOLDER.')
     folder = Path(arguments.output).expanduser()
     if not folder.exists():
         return folder
@@ -129,7 +134,9 @@ def _folder(arguments: argparse.Namespace) -> Path:
             f'{folder} exists already and holds a session that was interrupted. Go on with it: '
             f'{resume.command(arguments.output)}, or name another folder with -o.'
         )
-    raise InputError(f'{folder} exists already; recordings are not overwritten.')
+    raise InputError(
+        f'{folder} exists already; recordings are not overwritten. Name another folder with -o.'
+    )
 
 
 @contextmanager
@@ -197,8 +204,11 @@ def _session(
 
 def _check(arguments: argparse.Namespace) -> Calibration | None:
     """Refuse what cannot work before anything moves; return the truth of a simulation."""
+    _check_baud(arguments)
     if arguments.port:
         _check_device(arguments)
+    elif arguments.device:
+        raise InputError('--device: simulated hardware has frames of its own; give --port, too.')
     site = options.site_at(arguments, LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     table = None if plan.by_hand else load_table(arguments.table)
@@ -214,20 +224,20 @@ def _check(arguments: argparse.Namespace) -> Calibration | None:
     return options.load_truth(arguments.truth, imu)
 
 
+def _check_baud(arguments: argparse.Namespace) -> None:
+    """Refuse the rate of a serial port that is none, or no rate."""
+    if arguments.baud is None:
+        return
+    if not arguments.port:
+        raise InputError('--baud: simulated hardware has no serial port; give --port, too.')
+    if not is_serial(arguments.port):
+        raise InputError(f'--baud: {arguments.port} is no serial port; leave --baud out.')
+    if arguments.baud < _SLOWEST:
+        raise InputError(f'--baud: found {arguments.baud}, expected {_SLOWEST} bit/s or more.')
+
+
 def _say_baud(arguments: argparse.Namespace) -> None:
-    """Say at what rate a serial port is read, and where its frames do not fit.
-
-    Raises:
-        InputError: There is no serial port, or its rate is no rate.
-
-    """
-    if arguments.baud is not None:
-        if not arguments.port:
-            raise InputError('--baud: simulated hardware has no serial port; give --port, too.')
-        if not is_serial(arguments.port):
-            raise InputError(f'--baud: {arguments.port} is no serial port; leave --baud out.')
-        if arguments.baud < _SLOWEST:
-            raise InputError(f'--baud: found {arguments.baud}, expected {_SLOWEST} bit/s or more.')
+    """Say at what rate a serial port is read, and where its frames do not fit."""
     if not arguments.port or not is_serial(arguments.port):
         return
     frames = load_format(arguments.device or _frames(arguments))
@@ -240,13 +250,16 @@ def _say_baud(arguments: argparse.Namespace) -> None:
 
 def _check_device(arguments: argparse.Namespace) -> None:
     """Refuse a device that cannot be read."""
-    if arguments.latitude is None:
-        raise InputError('--port: a real stand needs --latitude.')
+    missing = []
     if not arguments.device:
-        raise InputError(
-            "--port: give --device too, the format of the frames that come there: a device's name "
-            f'({options.shipped("devices")}), or a file of your own (docs/devices.md).'
+        missing.append(
+            "--device, the format of the frames that come there: a device's name "
+            f'({options.shipped("devices")}), or a file of your own (docs/devices.md)'
         )
+    if arguments.latitude is None:
+        missing.append('--latitude, of a real stand, in degrees')
+    if missing:
+        raise InputError(f'--port: give {"; and ".join(missing)}.')
     load_format(arguments.device)
     check_port(arguments.port)
 
@@ -353,7 +366,6 @@ def _frames(arguments: argparse.Namespace) -> str:
 
 def _follow(processes: Processes) -> Outcome:
     """Watch the session until it ends, with a progress bar."""
-    # Which runtime there is, is asked here alone: the other commands need none.
     from .monitor import watching
 
     with watching(processes) as monitor, progress_bar('starting') as show:

@@ -18,6 +18,16 @@ _CONVERGED = 1e-9
 """Standard deviations, root mean square, by which a last step may move the prediction: far below
 all that counts."""
 
+_SETTLED = 1e-4
+"""Standard deviations by which steps may go on moving the prediction, all outputs together, where
+they do not become smaller any more: rounding in a system of a large condition number, or a slow
+approach whose rest, a hundred times the last step, counts for nothing."""
+
+_SLIGHT = 0.1
+"""Standard deviations, all outputs together, of a full step that does not matter: it would lower
+chi-square by a hundredth. Where chi-square grows by more than one instead, it is not resolved any
+finer (sessions without noise): the state is as good as it can be told."""
+
 _UPHILL = 1e-3
 """Relative growth of chi-square that is no way uphill: weights follow the state, and change it. A
 judgement; by one it may grow besides, which is less than noise makes of it."""
@@ -49,7 +59,8 @@ def least_squares(
     Each round is a full Gauss-Newton step unless it leads uphill: chi-square, weighed anew at its
     end, would grow by more than one and a thousandth, which weights that follow the state do not
     make of it. Then it is damped until it does not. It ends where a step would move the prediction
-    by less than a billionth of its standard deviation, or than its rounding.
+    by less than a billionth of its standard deviation, or than its rounding, or where small steps
+    do not become smaller or lead uphill.
 
     Args:
         state: Where to start.
@@ -63,18 +74,22 @@ def least_squares(
 
     """
     jacobian, left = system(state)
-    damping = 0.0
+    damping, before = 0.0, np.inf
     for _ in range(rounds):
         step = _step(jacobian, left, damping)
         change = float(np.linalg.norm(jacobian @ step))
         tried = moved(state, step)
         rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
-        if change < max(_CONVERGED * np.sqrt(len(left)), rounding) and not damping:
+        settled = before / 2 < change < _SETTLED
+        if not damping and (settled or change < max(_CONVERGED * np.sqrt(len(left)), rounding)):
             return tried
+        before = change
         ahead = system(tried)
         if _square(ahead[1]) <= _square(left) * (1 + _UPHILL) + 1:
             state, (jacobian, left) = tried, ahead
             damping = damping * _WEAKER if damping * _WEAKER >= _DAMPING else 0.0
+        elif not damping and change < _SLIGHT:
+            return state
         else:
             damping = max(_DAMPING, damping * _STRONGER)
             if damping > _STRONGEST:

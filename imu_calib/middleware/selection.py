@@ -55,7 +55,7 @@ def require(chosen: str) -> None:
         _import(
             'cyclonedds._clayer',
             'Without ROS 2 the nodes need Cyclone DDS, which does not '
-            "load: {}. Install it with `pip install 'imu_calib[dds]'`, or source ROS 2.",
+            "load: {}. Install it with `pip install '.[dds]'`, or source ROS 2.",
         )
 
 

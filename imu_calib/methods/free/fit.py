@@ -34,7 +34,7 @@ from .system import FREE, System, check_observable, free_columns, level_axes
 FEWEST = 9
 """Holds below which gravity cannot tell nine parameters of the accelerometers."""
 
-_ITERATIONS = 40
+_ITERATIONS = 100
 _ROUNDS = 4
 _SIGNIFICANT = 1e-3
 _OUTLYING = 6.0
