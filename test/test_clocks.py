@@ -49,17 +49,6 @@ def test_the_clocks_rate_is_no_scale_factor_of_the_gyros(name: str, faster: floa
 
 
 @pytest.mark.parametrize('jump', [0.0, 0.2])
-def test_an_interruption_is_no_jump_unless_the_offset_shows_one(jump: float) -> None:
-    rng = np.random.default_rng(5)
-    seconds = 50.0 * np.arange(14)
-    seen = 0.01 + jump * (seconds > 325) + 1e-4 * rng.standard_normal(14)
-    samples = [ClockSample(1e9 * t, o) for t, o in zip(seconds, seen, strict=True)]
-    fit = fit_clock(samples, [round(130e9), round(325e9)])
-    # Three pieces and a rate take four of the fourteen; scatter of 0.1 ms at either end.
-    assert fit.jumps == pytest.approx([jump] if jump else [], abs=1e-3)
-
-
-@pytest.mark.parametrize('jump', [0.0, 0.2])
 def test_the_deviations_of_offset_and_rate_are_those_of_their_errors(jump: float) -> None:
     rng = np.random.default_rng(4)
     motions, runs, scatter, rate = 14, 1000, 1e-4, 20 * PPM

@@ -196,15 +196,12 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
         return ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
     time = np.array([s.time for s in samples])
     offset = np.array([s.offset for s in samples])
-    jumped = _pieces(time, offset)
-    pieces = jumped + np.searchsorted(np.asarray(interruptions), time)
+    pieces = _pieces(time, offset) + np.searchsorted(np.asarray(interruptions), time)
     # A motion that stands alone between two jumps is an outlier.
     sizes = np.bincount(pieces)
     keep = sizes[pieces] > 1 if sizes.max() > 1 else np.ones(len(time), dtype=bool)
     time, offset = time[keep], offset[keep]
-    levels, firsts, pieces = np.unique(pieces[keep], return_index=True, return_inverse=True)
-    # Where the stream was interrupted alone, nobody has seen the clocks jump.
-    seen = np.diff(jumped[keep][firsts]) > 0
+    levels, pieces = np.unique(pieces[keep], return_inverse=True)
     epoch = float(time.mean())
     seconds = (time - epoch) * 1e-9
     n, k = len(time), len(levels)
@@ -225,7 +222,7 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
         rate,
         scatter / float(np.sqrt(spread)),
         n,
-        tuple(np.diff(at_epoch)[seen].tolist()),
+        tuple(np.diff(at_epoch).tolist()),
     )
 
 
