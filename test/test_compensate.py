@@ -220,6 +220,9 @@ def test_a_compensated_recording_is_read_as_what_it_is(tmp_path, monkeypatch, ca
     assert (left.imu.id, left.imu.units) == ('fog_medium', Units.SI)
     # The truth took out all there was.
     assert (np.abs(left.values) < 4.5 * left.std).all()
+    capsys.readouterr()
+    assert main(['calibrate', 'out', '-o', 'no.yaml', '--imu', 'fog_medium']) == 2
+    assert 'units: found pulses, but /imu/data_raw of out was computed' in capsys.readouterr().err
     words = ['compensate', 'bag', '--calibration', 'bag/truth.yaml', '-o', 'both', '--keep']
     assert main(words) == 0
     assert main(['calibrate', 'both', '-o', 'raw.yaml', '--imu-topic', 'imu/pulses']) == 0

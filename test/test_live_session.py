@@ -255,3 +255,16 @@ def test_joint_states_of_others_alone_are_named_as_they_come_and_at_the_end(tmp_
     assert '5 joint states left out: they name gripper' in session.failure
     with pytest.raises(InputError, match='joint states name gripper; table three_axis has outer'):
         offline(tmp_path / 'journal')
+
+
+def test_every_interruption_is_named_live_as_offline(tmp_path, wire):
+    rng = np.random.default_rng(6)
+    for first, last in ((0, 0.3), (0.31, 0.6), (0.62, 1)):
+        session = begin(tmp_path / 'journal')
+        send(session, wire, rng, first, last)
+        if last < 1:
+            session.close()
+    live = finish(session)
+    named = [f for f in live.findings if 'IMU stream was interrupted' in f]
+    assert len(named) == 2
+    assert named == [f for f in offline(tmp_path / 'journal').findings if f in named]

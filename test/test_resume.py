@@ -140,7 +140,7 @@ def test_after_ctrl_c_the_last_line_is_what_goes_on(tmp_path):
     # The step that was interrupted, and one whose last data was under way, are run again.
     assert first[-1] - 1 <= second[0] <= first[-1] + 1
     assert second == list(range(second[0], 22))
-    assert 'The session was interrupted' in output
+    assert 'The IMU stream was interrupted' in output
 
 
 @pytest.mark.parametrize('torn', [False, True])
@@ -155,7 +155,7 @@ def test_after_a_power_cut_it_goes_on_with_what_reached_the_disk(tmp_path, torn)
     # What was in memory alone is run again, and no more: five seconds of the stand, and a chunk.
     assert 1 < second[0] <= first[-1] + 1
     assert second == list(range(second[0], 22))
-    assert 'The session was interrupted' in output
+    assert 'The IMU stream was interrupted' in output
 
 
 def test_a_killed_command_is_gone_on_with_at_once_and_again(tmp_path):
@@ -190,7 +190,7 @@ def test_free_positions_in_a_simulated_hand_go_on_too(tmp_path):
     with offline.recording:
         calibration = calibrate.calibrate(offline).calibration
     assert np.array_equal(calibration.model.vector(), live.model.vector())
-    assert 'The session was interrupted' in output
+    assert 'The IMU stream was interrupted' in output
 
 
 def ended(folder, *, finished, result=False):

@@ -16,7 +16,7 @@ from ..earth import HEIGHT_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
 from ..plan import Plan, load_plan, read_plan
-from ..session import SERIAL_NUMBER, described_imu, described_site
+from ..session import SERIAL_NUMBER, described_imu, described_site, imu_key
 from ..share import named_file
 from ..turntable import Table, load_table, read_table
 from ..units import DEG
@@ -158,13 +158,17 @@ def stated_imu(
         InputError: The file is broken.
 
     """
-    if arguments.imu is not None:
-        return load_imu(arguments.imu), arguments.imu
-    text = described_imu(data, topic)
-    if text is None:
-        return None
-    says = f'{where}: its IMU'
-    return read_imu(Section.parse(text, says)), says
+    text, says = described_imu(data, topic), f'{where}: its IMU'
+    described = None if text is None else read_imu(Section.parse(text, says))
+    if arguments.imu is None:
+        return None if described is None else (described, says)
+    given = load_imu(arguments.imu)
+    if described is not None and imu_key(topic) in data and given.units is not described.units:
+        raise InputError(
+            f'--imu {arguments.imu}: units: found {given.units.value}, but {topic} of {where} was '
+            f'computed from the raw stream and holds {described.units.value}: leave --imu out.'
+        )
+    return given, arguments.imu
 
 
 def find_serial(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> str:

@@ -17,6 +17,7 @@ from ..methods import estimates
 from ..methods.free.guidance import Guidance, Stage
 from ..methods.free.session import FreeCalibrator, FreeReview, calibrator_of
 from ..model import Parameter, skewed_parameters
+from ..segmentation.segmenter import INTERRUPTION, interruption
 from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 
 _LATE = 500_000_000
@@ -391,12 +392,7 @@ class LiveSession:
             )
 
     def _name_the_gap(self, first: int) -> None:
-        """Say, once, how long the session was interrupted."""
-        if self._left_at is None:
-            return
-        gap = (first - self._left_at) * 1e-9
-        self.notes.append(
-            f'The session was interrupted: {gap:.1f} s are missing, from '
-            f'{self._left_at * 1e-9:.3f} s.'
-        )
+        """Say how long the session was interrupted, where the stream alone does not tell."""
+        if self._left_at is not None and first - self._left_at <= INTERRUPTION:
+            self.notes.append(f'{interruption(self._left_at, first)}.')
         self._left_at = None

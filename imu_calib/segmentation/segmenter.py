@@ -35,7 +35,7 @@ _LONGEST_REST = 1 << 20
 _SAMPLES_FOR_PERIOD = 256
 _SEEN = 0.75
 _ALIKE = 1.5
-_INTERRUPTION = 1_000_000_000
+INTERRUPTION = 1_000_000_000
 """A stream that is silent for so long, ns, may come from a program that was started again. A
 judgement: no node starts in less, and a line rarely fails for longer."""
 
@@ -66,7 +66,7 @@ class Segmenter:
         self._offset_ns = 0
         self._clock: list[ClockSample] = []
         self._newest: int | None = None
-        self._interruptions: list[int] = []
+        self._interruptions: list[tuple[int, int]] = []
         self._seen_motions: list[tuple[float, Seen]] = []
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
@@ -107,8 +107,9 @@ class Segmenter:
         if not len(stamp):
             return
         before = stamp[0] if self._newest is None else self._newest
-        begins = np.diff(stamp, prepend=before) > _INTERRUPTION
-        self._interruptions += stamp[begins].tolist()
+        begins = np.diff(stamp, prepend=before) > INTERRUPTION
+        last = np.concatenate([[before], stamp[:-1]])[begins]
+        self._interruptions += zip(last.tolist(), stamp[begins].tolist(), strict=True)
         self._newest = int(stamp[-1])
 
     def finish(self) -> Segmented:
@@ -121,7 +122,7 @@ class Segmenter:
             self._pending.extend(tracker.finish())
         self._work(last=True)
         self._drop_unseen()
-        clock = fit_clock(self._clock, self._interruptions)
+        clock = fit_clock(self._clock, [begins for _, begins in self._interruptions])
         return Segmented(
             tuple(self._segments),
             tuple(self._turns),
@@ -291,9 +292,16 @@ class Segmenter:
 
     def _losses(self) -> tuple[str, ...]:
         lost = self._intake.losses()
+        lost += [interruption(last, begins) for last, begins in self._interruptions]
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return tuple(lost)
+
+
+def interruption(last: int, begins: int) -> str:
+    """Say what an interruption of the IMU's stream costs: from its last stamp to the next, ns."""
+    gap = (begins - last) * 1e-9
+    return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {last * 1e-9:.3f} s'
 
 
 def _jumps(clock: ClockFit) -> list[str]:
