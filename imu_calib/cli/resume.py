@@ -215,7 +215,7 @@ def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
     if given:
         named = ', '.join('PLAN' if n == 'plan' else f'--{n.replace("_", "-")}' for n in given)
         raise InputError(
-            f'--resume {folder}: found {named} too, expected at most --port and --speed: '
+            f'--resume {folder}: found {named} too, expected at most --port, --baud and --speed: '
             'the session goes on with the settings it began with.'
         )
 
