@@ -24,7 +24,7 @@ def unit(*, with_g: bool = True, skewed: bool = True) -> Calibration:
         Triad(rng.normal(0, 1e-3, (3, 3)), rng.normal(0, 1e-5, 3)),
         Triad(rng.normal(0, 1e-3, (3, 3)), rng.normal(0, 1e-3, 3)),
         rng.normal(0, 1e-6, (3, 3)) if with_g else np.zeros((3, 3)),
-        Skewed(rng.normal(0, 1, (1, 3)), rng.normal(0, 1e-5, 1)) if skewed else None,
+        Skewed(rng.normal(0.58, 1e-3, (1, 3)), rng.normal(0, 1e-5, 1)) if skewed else None,
     )
     size = len(extended_parameters(with_g=with_g, skewed=1 if skewed else 0))
     return Calibration(load_imu('fog_skewed'), model, np.diag(np.full(size, 1e-12)))

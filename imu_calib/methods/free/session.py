@@ -216,6 +216,8 @@ class FreeCalibrator:
         provenance = table_session._provenance(setup, evidence, session, solution)
         provenance['turns'] = swings
         provenance['frame'] = 'accelerometers'
+        # The attitudes of a plan of free positions are proposals: none is missing.
+        provenance.pop('missing_positions', None)
         calibration = Calibration(
             setup.imu,
             fit.model,
