@@ -1,6 +1,7 @@
 """A live session ends in what its journal gives, however its messages came."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -268,3 +269,19 @@ def test_every_interruption_is_named_live_as_offline(tmp_path, wire):
     named = [f for f in live.findings if 'IMU stream was interrupted' in f]
     assert len(named) == 2
     assert named == [f for f in offline(tmp_path / 'journal').findings if f in named]
+
+
+def test_setpoints_of_another_plan_end_no_session_and_are_not_recorded(tmp_path, wire):
+    session = begin(tmp_path / 'journal')
+    (block,) = Kind.SETPOINTS.decode(Messages.join(wire[Kind.SETPOINTS][:1]))
+    mine = SetpointBlock((replace(block.setpoints[0], plan='mine', position='nowhere'),))
+    session.take(Kind.SETPOINTS, encode_setpoints(mine).payloads(), 1)
+    session.take(Kind.IMU, wire[Kind.IMU][:3000], 2)
+    session.solve()
+    assert until(lambda: session.poll() or session.review is not None)
+    assert session.phase is not Phase.FAILED, session.failure
+    rest = {**wire, Kind.IMU: wire[Kind.IMU][3000:]}
+    send(session, rest, np.random.default_rng(4))
+    assert session.intakes[Kind.SETPOINTS].ignored == 1
+    live = finish(session)
+    assert same(live, offline(tmp_path / 'journal'))

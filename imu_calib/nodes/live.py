@@ -45,7 +45,7 @@ class Intake:
         topic: Full name.
         malformed: Messages that were left out.
         count: Samples taken in, those of the journal included.
-        ignored: Joint states that lack a joint of the table.
+        ignored: Joint states that lack a joint of the table, setpoints of another plan.
         oldest: Stamp of the first, ns; None before it.
         newest: Stamp of the newest, ns; None before the first.
         heard: When it came, s of the steady clock.
@@ -172,6 +172,12 @@ class LiveSession:
         if kind is Kind.SKEW and self.without_skew:
             # The recording is to hold what the result rests on.
             return
+        if kind is Kind.SETPOINTS:
+            sound = [p for p in payloads if self._of_the_plan(p)]
+            intake.ignored += len(payloads) - len(sound)
+            if not sound:
+                return
+            payloads = sound
         messages = Messages.join(payloads)
         blocks = list(kind.decode(messages, intake.malformed))
         self._write(intake, messages, now)
@@ -355,6 +361,12 @@ class LiveSession:
             self._await_skew()
         else:
             self._pass_on(block)
+
+    def _of_the_plan(self, payload: bytes) -> bool:
+        """Say whether a setpoint may be the leader's: those of another plan are a stranger's."""
+        blocks = Kind.SETPOINTS.decode(Messages.join([payload]), Malformed())
+        named = {s.plan for b in blocks if isinstance(b, SetpointBlock) for s in b.setpoints}
+        return not named or self.setup.plan.name in named
 
     def _of_the_table(self, block: JointBlock) -> bool:
         """Say whether joint states are the table's: other joints may share its topic."""
