@@ -7,7 +7,7 @@ at `RATES`; units sample at no more than `HIGHEST` Hz. None of this is what a pl
 about: deviations follow the noise, and errors are held against them.
 
 By default each plan meets each class of units once, and each unit some plan: `covering` takes the
-combinations, some 90 s. IMU_CALIB_MATRIX=all runs them all.
+combinations. IMU_CALIB_MATRIX=all runs them all.
 """
 
 from __future__ import annotations
