@@ -10,7 +10,7 @@ from ..profile import distance_from_rest, travel_time
 from ..stream import Mode
 from ..turntable import TURN, Joint, Table
 from ..units import DEG
-from .encoders import Feedback
+from .encoders import WINDOW, Feedback
 from .rules import Rules
 
 _LAG = 1.0
@@ -58,6 +58,7 @@ class Watch:
         self._rules = rules
         self.begin = at.stamp
         self.expected = 0.0
+        self._unseen = 0.0
         self._ways = []
         self._turn: _TurnRate | None = None
         for k, joint in enumerate(table.joints):
@@ -101,8 +102,11 @@ class Watch:
             fault = self._turn.look(now.stamp)
             if fault:
                 return False, fault
+        # While no joint state came nobody saw the table stand; how long that may last is
+        # `Rules.feedback_timeout`.
+        self._unseen += max(0.0, now.gap - WINDOW)
         elapsed = (now.stamp - self.begin) * 1e-9
-        if not arrived and elapsed > _SLACK * self.expected + 2 * _LAG:
+        if not arrived and elapsed - self._unseen > _SLACK * self.expected + 2 * _LAG:
             return False, self._late(now, elapsed)
         return arrived, ''
 
