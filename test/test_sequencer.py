@@ -930,10 +930,10 @@ def test_a_table_that_nobody_saw_for_a_while_is_not_late():
     """Joint states stay away for longer than the motion may take, but not for longer than allowed:
     the table stands at its goal when they come again."""
     stand = Stand(rules=replace(ALONE, feedback_timeout=60.0)).started()
-    stand.run(lambda state: state.step == 3 and state.phase is Phase.MOVING)
+    stand.run(lambda state: state.step == 4 and state.phase is Phase.MOVING)
     stand.silent = True
     gap = stand.time + 30.0
     while stand.time < gap:
         stand.tick()
     stand.silent = False
-    assert stand.run(lambda state: state.step > 3 or state.fault).fault is False
+    assert stand.run(lambda state: state.phase is Phase.DWELLING or state.fault).fault is False
