@@ -13,13 +13,16 @@ from .config import Section
 from .errors import InputError
 from .imu import ImuSpec, TriadSpec
 from .model import (
+    G_SENSITIVITIES,
+    G_SENSITIVITY,
     MOST_SKEWED,
     PARAMETERS,
     Parameter,
     SensorModel,
     Skewed,
     Triad,
-    extended_parameters,
+    parameters_of,
+    positions,
 )
 from .plausibility import check_plausible
 from .stream import Floats, Units
@@ -47,13 +50,14 @@ class Calibration:
     Attributes:
         imu: What the numbers of the unit's stream mean (nominal scale factors, units).
         model: The parameters.
-        covariance: (n, n) in the order of `parameters`, SI units: the 24, then the nine
-            g-sensitivities where they were estimated, then the skewed gyros'. Rows and columns of
-            a triad that was not estimated are NaN.
+        covariance: (n, n) in the order of `parameters`, SI units. Rows and columns of a triad that
+            was not estimated are NaN.
         residuals: One per stretch at rest.
         findings: What a person should know, in sentences.
         provenance: Where it comes from: recording, hash, plan, method, site, versions.
         serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
+        parameters: What the rows of the covariance stand for: the 24, the terms', the skewed
+            gyros', as `model.parameters_of` orders them.
 
     """
 
@@ -64,15 +68,11 @@ class Calibration:
     findings: tuple[str, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
     serial_number: str = ''
+    parameters: tuple[Parameter, ...] = PARAMETERS
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What the rows of the covariance stand for."""
-        skewed = 0 if self.model.skewed is None else len(self.model.skewed.bias)
-        plain = extended_parameters(with_g=False, skewed=skewed)
-        if len(self.covariance) == len(plain):
-            return plain
-        return extended_parameters(with_g=True, skewed=skewed)
+    def __post_init__(self) -> None:
+        """Refuse a covariance of other parameters."""
+        assert self.covariance.shape == (len(self.parameters),) * 2
 
     @property
     def std(self) -> Floats:
@@ -87,7 +87,8 @@ class Calibration:
     @property
     def has_accelerometers(self) -> bool:
         """Whether the accelerometers were estimated; else their model is that of ideal ones."""
-        return bool(np.isfinite(self.std[12:24]).all())
+        of_accels = np.array([p.triad == 'a' for p in self.parameters])
+        return bool(np.isfinite(self.std[of_accels]).all())
 
     def to_yaml(self) -> str:
         """Return the file's text: SI units, readable by a person and by yaml.safe_load.
@@ -98,9 +99,9 @@ class Calibration:
             InputError: A parameter that counts as estimated is no finite number.
 
         """
-        std = SensorModel.from_vector(self.std[: len(PARAMETERS)])
+        std = SensorModel.from_vector(self.std[positions(PARAMETERS, self.parameters)])
         known = np.isfinite(self.std)
-        needed = known | (np.arange(len(known)) < len(PARAMETERS) // 2)
+        needed = known | np.array([p.triad == 'g' for p in self.parameters])
         lost = needed & ~np.isfinite(self.values + self.std)
         if lost.any():
             names = [p.name for p, gone in zip(self.parameters, lost, strict=True) if gone]
@@ -143,12 +144,12 @@ class Calibration:
     @property
     def has_g(self) -> bool:
         """Whether the g-sensitivities were estimated."""
-        return extended_parameters(with_g=True)[-1] in self.parameters
+        return set(G_SENSITIVITIES) <= set(self.parameters)
 
     def _gyro_document(self, std: Triad) -> dict[str, Any]:
         document = _triad_document(self.imu.gyro, self.model.gyro, std)
         if self.has_g:
-            nine = self.std[len(PARAMETERS) : len(PARAMETERS) + 9].reshape(3, 3)
+            nine = self.std[positions(G_SENSITIVITIES, self.parameters)].reshape(3, 3)
             document['g_sensitivity'] = _rows(self.model.g_sensitivity)
             document['std']['g_sensitivity'] = _rows(nine)
         return document
@@ -225,7 +226,7 @@ class Calibration:
             raise InputError(f'{gyros.where}: the keys error_matrix and bias are missing.')
         spec = ImuSpec(section.text('imu'), units, None, gyro_spec, accel_spec, skewed_spec)
         channels = 0 if skewed is None else len(skewed.bias)
-        parameters = extended_parameters(with_g=g is not None, skewed=channels)
+        parameters = parameters_of([] if g is None else [G_SENSITIVITY], skewed=channels)
         covariance = _read_covariance(section, parameters, accelerometers=accel is not None)
         model = SensorModel(gyro, accel or Triad(), np.zeros((3, 3)) if g is None else g, skewed)
         residuals = _read_residuals(section)
@@ -235,7 +236,14 @@ class Calibration:
             raise InputError(f'{section.where}: findings must be a list, provenance a mapping.')
         serial_number = section.text('serial_number', '')
         calibration = cls(
-            spec, model, covariance, residuals, tuple(findings), provenance, serial_number
+            spec,
+            model,
+            covariance,
+            residuals,
+            tuple(findings),
+            provenance,
+            serial_number,
+            parameters,
         )
         check_plausible(calibration, section.where)
         return calibration

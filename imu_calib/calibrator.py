@@ -20,7 +20,7 @@ from .methods.comparison import Comparison
 from .methods.evidence import Evidence, noise
 from .methods.information import reached
 from .methods.solution import Solution
-from .model import PARAMETERS, Parameter, SensorModel
+from .model import AXES, Parameter, SensorModel, Term
 from .noise import session_noise
 from .plan import Plan
 from .progress import unsupported_steps
@@ -46,6 +46,7 @@ class Setup:
         method: Name of the solver; None takes the joint estimate where it applies, else the plan's
             own method.
         serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
+        terms: To be estimated besides what the method estimates.
 
     """
 
@@ -55,11 +56,22 @@ class Setup:
     site: Site
     method: str | None = None
     serial_number: str = ''
+    terms: tuple[Term, ...] = ()
 
     @property
     def method_name(self) -> str:
         """Name of the solver."""
         return self.method or default_method(self.plan)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is estimated.
+
+        Raises:
+            InputError: There is no such method, or it knows no terms.
+
+        """
+        return estimates(self.method_name, self.terms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +131,7 @@ class Calibrator:
     def __init__(self, setup: Setup) -> None:
         check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
-        self._solver = method(setup.method_name)
+        self._solver = method(setup.method_name, setup.terms)
         self._segmenter = Segmenter(setup.imu, setup.table)
 
     def feed(self, block: Block) -> None:
@@ -159,7 +171,7 @@ class Calibrator:
         try:
             result = self._solve(session)
         except NotObservable as error:
-            std = dict(zip(PARAMETERS, self._reached(labelled, session), strict=True))
+            std = self._reached(labelled, session)
             return self._review(session, std, unsupported, None, str(error))
         calibration = result.calibration
         std = dict(zip(calibration.parameters, calibration.std, strict=True))
@@ -173,19 +185,20 @@ class Calibrator:
         result: Result | None,
         refusal: str,
     ) -> Review:
-        wanted = estimates(self._setup.method_name)
+        wanted = self._setup.parameters
         reached = np.array([std.get(parameter, np.nan) for parameter in wanted])
         return Review(session, wanted, reached, unsupported, result, refusal)
 
-    def _reached(self, labelled: Labelled, session: Segmented) -> Floats:
+    def _reached(self, labelled: Labelled, session: Segmented) -> dict[Parameter, float]:
         """Return the standard deviations of what is determined already, NaN for the rest."""
+        parameters = tuple(p for p in self._setup.parameters if p.row < len(AXES))
         try:
-            noise_alone = reached(self._evidence(labelled, session))
+            noise_alone = reached(self._evidence(labelled, session), parameters)
         except NotObservable:
-            return np.full(len(PARAMETERS), np.nan)
+            return {}
         doubt = self._setup.site.gravity_doubt
-        share = np.diag(gravity_covariance(SensorModel(), PARAMETERS, doubt))
-        return np.asarray(np.sqrt(noise_alone**2 + share))
+        share = np.diag(gravity_covariance(SensorModel(), parameters, doubt))
+        return dict(zip(parameters, np.sqrt(noise_alone**2 + share), strict=True))
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
         setup = self._setup
@@ -258,6 +271,7 @@ class Calibrator:
             findings,
             _provenance(setup, evidence, session, solution, comparison),
             setup.serial_number,
+            solution.parameters,
         )
         calibration = with_gravity(calibration, setup.site)
         return Result(calibration, solution, session, labelled, comparison)

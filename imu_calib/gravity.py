@@ -10,7 +10,7 @@ import numpy as np
 
 from .calibration import Calibration
 from .earth import Site
-from .model import Parameter, ParameterKind, SensorModel
+from .model import PRODUCTS, Parameter, ParameterKind, SensorModel
 from .stream import Floats
 from .units import PPM
 
@@ -18,14 +18,16 @@ from .units import PPM
 def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:
     """Return by how much parameters change with the relative error of gravity, (n,).
 
-    The outputs know gravity only as a factor of the accelerometers' responses and of the
-    g-sensitivities: a session solved with g (1 + e) for g gives 1 / (1 + e) times both.
+    The outputs know gravity only as a factor of the accelerometers' responses and of terms that
+    are products of forces: a session solved with g (1 + e) for g gives 1 / (1 + e) times them, as
+    often as force is a factor.
 
     Source: docs/mathematics.md, 'Gravity'.
     """
     one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
-    scaled = np.array([_is_scaled(p) for p in parameters])
-    return np.asarray(np.where(scaled, -(one + model.values(tuple(parameters))), 0.0))
+    degree = np.array([PRODUCTS[p].degree_in_force for p in parameters])
+    slope = -degree * (one + model.values(parameters))
+    return np.asarray(np.where(degree > 0, slope, 0.0))
 
 
 def gravity_covariance(model: SensorModel, parameters: Sequence[Parameter], doubt: float) -> Floats:
@@ -99,8 +101,3 @@ def _findings(calibration: Calibration, site: Site) -> list[str]:
         f'{site.gravity_doubt / PPM:.0f} ppm (1 sigma), and so are all K_a alike. State --height, '
         'or --gravity as measured.'
     ]
-
-
-def _is_scaled(parameter: Parameter) -> bool:
-    of_accels = parameter.triad == 'a' and parameter.kind is not ParameterKind.BIAS
-    return of_accels or parameter.kind is ParameterKind.G_SENSITIVITY

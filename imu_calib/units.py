@@ -72,6 +72,16 @@ class Dimension(Enum):
         '(deg/h)/g': DEG_H / STANDARD_GRAVITY,
         '(deg/s)/g': DEG / STANDARD_GRAVITY,
     }
+    PER_ACCELERATION = {
+        '1/(m/s^2)': 1.0,
+        'ug/g^2': MICRO_G / STANDARD_GRAVITY**2,
+        'mg/g^2': MICRO_G * 1e3 / STANDARD_GRAVITY**2,
+    }
+    PER_ACCELERATION_SQUARED = {
+        '1/(m/s^2)^2': 1.0,
+        'ug/g^3': MICRO_G / STANDARD_GRAVITY**3,
+        'mg/g^3': MICRO_G * 1e3 / STANDARD_GRAVITY**3,
+    }
     VELOCITY_RANDOM_WALK = {
         '(m/s)/sqrt(s)': 1.0,
         '(m/s)/sqrt(h)': 1 / _ROOT_HOUR,

@@ -12,7 +12,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
-from imu_calib.model import SensorModel, Skewed, Triad, extended_parameters
+from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, parameters_of
 from imu_calib.report.parameters import comparison_table, in_scale_of, unmatched
 from imu_calib.stream import Units
 from imu_calib.units import DEG_H, STANDARD_GRAVITY
@@ -26,8 +26,8 @@ def unit(*, with_g: bool = True, skewed: bool = True) -> Calibration:
         rng.normal(0, 1e-6, (3, 3)) if with_g else np.zeros((3, 3)),
         Skewed(rng.normal(0.58, 1e-3, (1, 3)), rng.normal(0, 1e-5, 1)) if skewed else None,
     )
-    size = len(extended_parameters(with_g=with_g, skewed=1 if skewed else 0))
-    return Calibration(load_imu('fog_skewed'), model, np.diag(np.full(size, 1e-12)))
+    square = np.diag(np.full(len(model.parameters), 1e-12))
+    return Calibration(load_imu('fog_skewed'), model, square, parameters=model.parameters)
 
 
 def rows(first: Calibration, second: Calibration) -> dict[str, tuple[str, ...]]:
@@ -55,7 +55,7 @@ def test_g_sensitivities_and_skewed_gyros_are_compared_too() -> None:
 def test_what_only_one_of_them_has_is_named() -> None:
     large, small = unit(), unit(with_g=False, skewed=False)
     only, nothing = unmatched(large, small)
-    assert only == [p.name for p in extended_parameters(with_g=True, skewed=1)[24:]]
+    assert only == [p.name for p in parameters_of([G_SENSITIVITY], skewed=1)[24:]]
     assert nothing == []
     assert len(rows(large, small)) == len(rows(small, large)) == 24
 

@@ -11,7 +11,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.compensation.apply import Compensation, Mark, joined
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.model import SensorModel, Skewed, Triad, extended_parameters
+from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, parameters_of
 from imu_calib.stream import Units
 from imu_calib.units import DEG, MICRO_G
 
@@ -22,12 +22,9 @@ PULSE = np.array([7.8 / 3600 * DEG, 0.01])
 def known(spec=None, model=None, **provenance):
     """A calibration without doubt."""
     model = model or truth().model
-    parameters = extended_parameters(
-        with_g=bool(model.g_sensitivity.any()),
-        skewed=0 if model.skewed is None else len(model.skewed.bias),
-    )
-    square = np.zeros((len(parameters), len(parameters)))
-    return Calibration(spec or paper_imu(), model, square, provenance=provenance)
+    square = np.zeros((len(model.parameters), len(model.parameters)))
+    spec = spec or paper_imu()
+    return Calibration(spec, model, square, provenance=provenance, parameters=model.parameters)
 
 
 def inputs(count, seed=0):
@@ -101,7 +98,7 @@ def test_the_covariance_is_the_scatter_of_calibrations_drawn_from_theirs():
     # Any positive definite covariance of 33 parameters, and 4000 units drawn from it.
     rng = np.random.default_rng(2)
     model = with_g()
-    parameters = extended_parameters(with_g=True)
+    parameters = parameters_of([G_SENSITIVITY])
     root = rng.normal(size=(33, 33)) * np.where([p.column is None for p in parameters], 1e-4, 1e-6)
     root *= np.where(np.arange(33) >= 24, 0.1, 1.0)
     calibration = replace(known(model=model), covariance=root.T @ root)

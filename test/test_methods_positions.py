@@ -16,7 +16,7 @@ from imu_calib.config import Section
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.imu import load_imu
 from imu_calib.methods import METHODS, check_plan
-from imu_calib.model import SensorModel, extended_parameters
+from imu_calib.model import G_SENSITIVITY, SensorModel, parameters_of
 from imu_calib.plan import Plan, load_plan, read_plan
 from imu_calib.report.parameters import parameter_table
 from imu_calib.share import named_file, share_folder
@@ -26,7 +26,7 @@ from imu_calib.turntable import Table, load_table
 from imu_calib.units import DEG, DEG_H, STANDARD_GRAVITY
 
 PER_G = DEG_H / STANDARD_GRAVITY
-ALL_33 = extended_parameters(with_g=True)
+ALL_33 = parameters_of([G_SENSITIVITY])
 N_POSITIONS = [
     'eight_position',
     'twelve_position_33',

@@ -82,7 +82,10 @@ def test_a_skewed_gyro_is_limited():
     model = replace(truth().model, skewed=Skewed(np.full((1, 3), 3.0), np.zeros(1)))
     covariance = np.zeros((28, 28))
     with pytest.raises(InputError, match=r'skewed gyro X answers 5.196 times'):
-        check_plausible(replace(truth(), model=model, covariance=covariance), 'file')
+        check_plausible(
+            replace(truth(), model=model, covariance=covariance, parameters=model.parameters),
+            'file',
+        )
 
 
 @pytest.mark.parametrize('kind', ['negative', 'lopsided', 'impossible', 'infinite', 'gyro missing'])

@@ -15,17 +15,16 @@ from numpy.typing import NDArray
 from ..calibration import Calibration
 from ..errors import NotObservable
 from ..imu import TriadSpec
-from ..model import Parameter, ParameterKind, SensorModel
+from ..model import PRODUCTS, Parameter, Product, SensorModel
+from ..model.inversion import inverted
 from ..stream import Floats, Units
 
 Marks = NDArray[np.uint8]
 
 _AXES = 3
-_RATE, _ONE, _FORCE = slice(0, 3), 3, slice(4, 7)
-_LEVERS = 7
-"""What a parameter's error is multiplied by: rate, one, specific force."""
+_LINEAR = tuple(Product(factors) for factors in ((0,), (1,), (2,), (), (3,), (4,), (5,)))
+"""What an error of a parameter of the linear model is multiplied by: rate, one, specific force."""
 
-_PAIRS = tuple(combinations_with_replacement(range(_LEVERS), 2))
 _ELEMENTS = tuple((i, j) for i in range(_AXES) for j in range(_AXES))
 
 _NEARLY = 0.999
@@ -88,13 +87,16 @@ class Compensation:
 
     f = (I + M_a)^-1 (dW / tau - d_a), w = (I + M_g)^-1 (dTheta / tau - d_g - G f), with dW and
     dTheta the pulses of one sample times the nominal scale factor and tau the sample interval
-    (Luo 2018, eqs. (2-190) to (2-193)). With skewed gyros the rate is the weighted least-squares
-    solution of all of them, weighted by their noise, and what is left over is their parity.
+    (Luo 2018, eqs. (2-190) to (2-193)); where the model has further terms, f and w that answer so
+    with them, by Newton's method (docs/mathematics.md, 'Terms'). With skewed gyros the rate is the
+    weighted least-squares solution of all of them, weighted by their noise, and what is left over
+    is their parity.
 
     The covariances add the calibration's own, propagated to first order at the rate and force of
     each sample, to the noise of one sample: N^2 / tau of the random walk N that the calibration
     measured, and of a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an
-    accumulating counter (methods.md, section 11); of an ADC's step q^2 / 12.
+    accumulating counter (methods.md, section 11); of an ADC's step q^2 / 12. By how much terms
+    that are not linear change the answers to these errors (their size next to one) is left out.
 
     Args:
         calibration: What to apply.
@@ -132,16 +134,20 @@ class Compensation:
         nothing = np.zeros((_AXES, len(specs)))
         self._to_both = np.block([[rate, through], [nothing, force]]).T.copy()
         self._known_force = calibration.has_accelerometers
+        self._model = model
+        mine = [*range(_AXES), *range(len(specs), len(specs) + _AXES)]
+        self._of_six, self._gain = mine, self._to_both[mine].T.copy()
+        self._levers = _levers(calibration.parameters)
+        self._pairs = tuple(combinations_with_replacement(range(len(self._levers)), 2))
         self._covariance = self._covariances(rate, force, through)
         self._parity_vector: Floats | None = None
         if channels is not None:
             self._set_parity(response, sensitivity, force)
         # Most levers do nothing where there is no g-sensitivity.
-        used = self._covariance[: len(_PAIRS)].any(axis=1)
-        self._first, self._second = _FIRST[used], _SECOND[used]
-        self._covariance = np.vstack(
-            [self._covariance[: len(_PAIRS)][used], self._covariance[len(_PAIRS) :]]
-        )
+        count = len(self._pairs)
+        used = self._covariance[:count].any(axis=1)
+        self._first, self._second = np.array(self._pairs)[used].T
+        self._covariance = np.vstack([self._covariance[:count][used], self._covariance[count:]])
         highest = calibration.provenance.get('highest_rate')
         self._highest = np.inf if highest is None else _BEYOND * float(highest)
 
@@ -181,10 +187,15 @@ class Compensation:
             outputs = outputs / tau
         free = outputs - self._bias
         both = _mix(free, self._to_both)
+        if not self._model.linear:
+            both = inverted(self._model, both, self._gain)[0]
+            free[:, self._of_six] -= self._model.extra(both)
         rate, force = both[:, :_AXES], both[:, _AXES:]
         covariance = _mix(self._terms(both, tau), self._covariance)
         rate_covariance, force_covariance = covariance[:, :9], covariance[:, 9:18]
         marks, parity = self._judge(raw, outputs, rate), None
+        if not self._model.linear:
+            marks |= ~np.isfinite(both).all(axis=1) * _BITS[Mark.NO_NUMBER]
         if self._parity_vector is not None:
             parity = _mix(free, self._parity_vector)[:, 0]
             marks |= (parity**2 > _PARITY**2 * covariance[:, 18]) * _BITS[Mark.PARITY]
@@ -241,14 +252,17 @@ class Compensation:
         """
         parameters = self.calibration.parameters
         square = np.nan_to_num(self.calibration.covariance)
-        effect = np.zeros((_LEVERS, len(gyros), len(parameters)))
+        effect = np.zeros((len(self._levers), len(gyros), len(parameters)))
         for k, parameter in enumerate(parameters):
-            _add_effect(effect[:, :, k], parameter, gyros, accels)
+            reach = gyros if parameter.triad == 'g' else accels
+            # Those of skewed gyros that the samples come without.
+            if parameter.row < reach.shape[1]:
+                effect[self._levers.index(PRODUCTS[parameter]), :, k] = reach[:, parameter.row]
         spread = np.einsum('amp,pq,bnq->abmn', effect, square, effect)
         # Errors act against the output, whose sign the square does not see.
         rows = [
             [spread[a, b, i, j] + (spread[b, a, i, j] if a != b else 0.0) for i, j in elements]
-            for a, b in _PAIRS
+            for a, b in self._pairs
         ]
         noise = np.hstack([gyros, accels]).T
         rows += [[row[i] * row[j] for i, j in elements] for row in noise]
@@ -256,8 +270,10 @@ class Compensation:
 
     def _terms(self, both: Floats, tau: Floats) -> Floats:
         """Return the products of levers and the variances of the channels, (n, t)."""
-        levers = np.ones((len(both), _LEVERS))
-        levers[:, :_AXES], levers[:, _AXES + 1 :] = both[:, :_AXES], both[:, _AXES:]
+        levers = np.ones((len(both), len(self._levers)))
+        levers[:, :_AXES], levers[:, _AXES + 1 : len(_LINEAR)] = both[:, :_AXES], both[:, _AXES:]
+        for k, product in enumerate(self._levers[len(_LINEAR) :], len(_LINEAR)):
+            levers[:, k] = product.value(both)
         products = levers[:, self._first] * levers[:, self._second]
         quantum = self._quantum / (tau * tau) if self._units is Units.PULSES else self._quantum
         return np.concatenate([products, self._power / tau + quantum], axis=1)
@@ -281,7 +297,9 @@ class Compensation:
         return marks
 
 
-_FIRST, _SECOND = np.array(_PAIRS).T
+def _levers(parameters: tuple[Parameter, ...]) -> tuple[Product, ...]:
+    """Return what errors of parameters are multiplied by, each once."""
+    return tuple(dict.fromkeys((*_LINEAR, *(PRODUCTS[parameter] for parameter in parameters))))
 
 
 def joined(parts: list[Compensated]) -> Compensated:
@@ -341,18 +359,3 @@ def _random_walk(calibration: Calibration, gyros: int) -> Floats:
         np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
     )
     return np.concatenate([walk[:3], np.full(gyros - _AXES, walk[:3].mean()), walk[3:]])
-
-
-def _add_effect(effect: Floats, parameter: Parameter, gyros: Floats, accels: Floats) -> None:
-    """Add what an error of a parameter does to the output, by lever: (levers, m)."""
-    gyro = parameter.triad == 'g'
-    if parameter.row >= gyros.shape[1]:
-        return
-    reach = gyros[:, parameter.row] if gyro else accels[:, parameter.row]
-    if parameter.column is None:
-        lever = _ONE
-    elif gyro and parameter.kind is not ParameterKind.G_SENSITIVITY:
-        lever = _RATE.start + parameter.column
-    else:
-        lever = _FORCE.start + parameter.column
-    effect[lever] += reach

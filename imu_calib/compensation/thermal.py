@@ -16,7 +16,6 @@ from ..config import Section
 from ..errors import InputError
 from ..gravity import gravity_deviation, without_gravity
 from ..imu import ImuSpec
-from ..model import SensorModel, Skewed
 from ..stream import Floats
 
 _FORMAT = 1
@@ -85,7 +84,7 @@ class ThermalCalibration:
         }
         return replace(
             first,
-            model=_model(first, weights @ values),
+            model=first.model.with_values(first.parameters, weights @ values),
             covariance=covariance,
             residuals=(),
             provenance=provenance,
@@ -323,15 +322,3 @@ def _known(calibration: Calibration) -> str:
     names = [p.name for p in calibration.parameters]
     known = np.isfinite(calibration.std)
     return ', '.join(name for name, yes in zip(names, known, strict=True) if yes)
-
-
-def _model(like: Calibration, values: Floats) -> SensorModel:
-    """Return a model of the same kind from the values of its parameters."""
-    model = SensorModel.from_vector(values[:24])
-    rest = values[24:]
-    if like.has_g:
-        model, rest = replace(model, g_sensitivity=rest[:9].reshape(3, 3)), rest[9:]
-    if len(rest):
-        four = rest.reshape(-1, 4)
-        model = replace(model, skewed=Skewed(four[:, :3], four[:, 3]))
-    return model

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from ..earth import Site
 from ..errors import InputError
-from ..model import PARAMETERS, Parameter, extended_parameters
+from ..model import G_SENSITIVITY, PARAMETERS, Parameter, Term, parameters_of
 from ..plan import Plan
 from . import (
     free,
@@ -25,7 +26,7 @@ from .solution import Solution
 METHODS: dict[str, Callable[[Evidence], Solution]] = {
     free.NAME: free.refuse,
     'joint': joint.solve,
-    'joint_33': joint.solve_33,
+    'joint_33': partial(joint.solve, terms=(G_SENSITIVITY,)),
     'n_positions': n_positions.solve,
     'off_axis_four': off_axis_four.solve,
     'rate_24': rate_24.solve,
@@ -35,8 +36,20 @@ METHODS: dict[str, Callable[[Evidence], Solution]] = {
     'twelve_position': twelve_position.solve,
 }
 
-JOINT = {'joint': False, 'joint_33': True}
-"""The estimates from all of a session at once, and whether with g-sensitivity."""
+JOINT: dict[str, tuple[Term, ...]] = {'joint': (), 'joint_33': (G_SENSITIVITY,)}
+"""The estimates from all of a session at once, and the terms that they begin with."""
+
+_ESTIMATES: dict[str, tuple[Parameter, ...]] = {
+    free.NAME: free.ESTIMATES,
+    'n_positions': n_positions.ESTIMATES,
+    'off_axis_four': static_six.ESTIMATES,
+    'rate_24': PARAMETERS,
+    'six_position': PARAMETERS,
+    'skewed': skewed.ESTIMATES,
+    'static_six': static_six.ESTIMATES,
+    'twelve_position': PARAMETERS,
+}
+"""What the others estimate."""
 
 _JOINT_OF = {
     'n_positions': 'joint_33',
@@ -59,33 +72,40 @@ _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
 }
 
 
-def method(name: str) -> Callable[[Evidence], Solution]:
+def method(name: str, terms: tuple[Term, ...] = ()) -> Callable[[Evidence], Solution]:
     """Return the solver of a name.
 
+    Args:
+        name: Of the method.
+        terms: To be estimated besides what the method estimates.
+
     Raises:
-        InputError: No such method; lists those that exist.
+        InputError: No such method, which lists those that exist, or one that knows no terms.
 
     """
     if name not in METHODS:
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
-    return METHODS[name]
+    if not terms:
+        return METHODS[name]
+    if name not in JOINT:
+        raise InputError(
+            f'Method {name} estimates its own parameters and no further terms '
+            f'({", ".join(t.name for t in terms)}); {" and ".join(JOINT)} do.'
+        )
+    return partial(joint.solve, terms=(*JOINT[name], *terms))
 
 
-def estimates(name: str) -> tuple[Parameter, ...]:
-    """Return the parameters that a method estimates.
+def estimates(name: str, terms: tuple[Term, ...] = ()) -> tuple[Parameter, ...]:
+    """Return the parameters that a method estimates, terms added.
 
     Raises:
-        InputError: No such method.
+        InputError: No such method, or one that knows no terms.
 
     """
-    method(name)
-    with_g = name in {'joint_33', 'n_positions'}
-    found = extended_parameters(with_g=with_g, skewed=int(name == 'skewed'))
-    if name == free.NAME:
-        return tuple(p for p, exists in zip(PARAMETERS, free.FREE, strict=True) if exists)
-    if name in {'off_axis_four', 'skewed', 'static_six'}:
-        return tuple(p for p in found if p.triad == 'g')
-    return found
+    method(name, terms)
+    if name in JOINT:
+        return parameters_of((*JOINT[name], *terms))
+    return _ESTIMATES[name]
 
 
 def default_method(plan: Plan) -> str:

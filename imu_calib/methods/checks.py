@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
-from ..model import AXES, SensorModel
+from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM
 from .evidence import SMALLEST_VARIANCE, Evidence
@@ -31,6 +31,7 @@ _OUTSTANDING = 5.0
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 _LEAST_AZIMUTH = 0.05 * DEG
 _SAME_UP = 0.99
+_ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,7 @@ def conclude(
     covariance: Floats,
     condition: float,
     *,
+    parameters: tuple[Parameter, ...] = PARAMETERS,
     findings: Sequence[str],
     north_known: bool,
     accelerometers: Accelerometers | None = None,
@@ -68,9 +70,10 @@ def conclude(
     Args:
         evidence: The session.
         model: What a method found.
-        covariance: (n, n) its covariance by the noise within the stretches, in the order of
-            `model.extended_parameters`; NaN for accelerometers that were not estimated.
+        covariance: (n, n) its covariance by the noise within the stretches; NaN for accelerometers
+            that were not estimated.
         condition: Condition number of its system.
+        parameters: What the rows of the covariance stand for.
         findings: What the method has to say already.
         north_known: Whether the attitudes are against north.
         accelerometers: How the method makes accelerometers of a session; None where it does not.
@@ -80,7 +83,8 @@ def conclude(
         NotObservable: Axes are swapped or mirrored, or the data contradicts the latitude.
 
     """
-    with_accels = bool(np.isfinite(covariance[12:24, 12:24]).all())
+    of_accels = np.array([p.triad == 'a' for p in parameters])
+    with_accels = bool(np.isfinite(covariance[np.ix_(of_accels, of_accels)]).all())
     check_axes(model.gyro.response, 'gyros', 'whole turns' if evidence.turns else 'the Earth rate')
     if with_accels:
         check_axes(model.accel.response, 'accelerometers', 'gravity')
@@ -88,8 +92,6 @@ def conclude(
     gyro = _fit(evidence, model, slice(0, 3), estimated=6)
     accel = _fit(evidence, model, slice(3, 6), estimated=14) if with_accels else None
     widened = covariance.copy()
-    indices = np.arange(len(covariance))
-    of_accels = (indices >= 12) & (indices < 24)
     for fit, mine, name in (
         (gyro, ~of_accels, 'gyros'),
         (accel, of_accels, 'accelerometers'),
@@ -104,7 +106,8 @@ def conclude(
     scatter = RateTest.of(evidence).scatter() if evidence.turns else None
     if scatter is not None:
         # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
-        factors = np.where(indices < 9, np.sqrt(scatter), 1.0)
+        on_turns = [p.triad == 'g' and p.kind in _ON_TURNS for p in parameters]
+        factors = np.where(on_turns, np.sqrt(scatter), 1.0)
         widened *= np.outer(factors, factors)
         notes.append(turns_scatter(scatter))
     rate, earth = gyro.vector, gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
@@ -136,6 +139,7 @@ def conclude(
         float(np.sqrt(earth[2, 2])),
         condition,
         tuple(notes),
+        parameters=parameters,
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from ..model import Parameter, extended_parameters
+from ..model import Parameter, positions
 from ..stream import Floats
 from .solution import Solution
 
@@ -38,13 +38,9 @@ class Comparison:
     @classmethod
     def of(cls, joint: Solution, closed: Solution, method: str) -> Comparison:
         """Compare what both estimate."""
-        named = [extended_parameters(with_g=len(s.covariance) > 24) for s in (joint, closed)]
-        parameters = tuple(p for p in named[0] if p in named[1])
+        parameters = tuple(p for p in joint.parameters if p in closed.parameters)
         values = [s.model.values(parameters) for s in (joint, closed)]
-        deviations = [
-            s.std[[p in parameters for p in of]]
-            for s, of in zip((joint, closed), named, strict=True)
-        ]
+        deviations = [s.std[positions(parameters, s.parameters)] for s in (joint, closed)]
         larger = np.maximum(deviations[0], deviations[1])
         off = values[1] - values[0]
         # Without noise both deviations are zero, and so is what they differ by but for rounding.

@@ -20,13 +20,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from ..earth import Site
-from ..model import PARAMETERS, SensorModel
+from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG
 from .evidence import SMALLEST_VARIANCE, Evidence
-
-SENSORS = len(PARAMETERS)
-G_SENSITIVITIES = 9
 
 
 class Nuisance(IntEnum):
@@ -57,12 +54,8 @@ _GENERATORS = np.array(
 )
 
 
-_COLUMNS = [3 if p.column is None else p.column for p in PARAMETERS[:12]]
-
-PATTERN = np.zeros((3, 12, 4))
-"""Which of 12 parameters meets which of the inputs [u, 1]: (channel, parameter, input)."""
-
-PATTERN[[p.row for p in PARAMETERS[:12]], np.arange(12), _COLUMNS] = 1.0
+_HEADINGS = 8
+"""Means over so many equal steps of a whole turn are exact for products of up to seven inputs."""
 
 
 def _turn(axis: int, angle: float) -> Floats:
@@ -113,7 +106,7 @@ class Equations:
 
     Attributes:
         evidence: The session.
-        with_g: Whether the nine g-sensitivities are parameters too (33 in all).
+        parameters: Of the sensors, in the order of the state, which they begin.
         levelled: Standard deviation of the table's tilt about either axis, rad.
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
         positioning: Standard deviation of an arrival that the encoder does not show, rad; None
@@ -125,7 +118,7 @@ class Equations:
     """
 
     evidence: Evidence
-    with_g: bool = False
+    parameters: tuple[Parameter, ...] = PARAMETERS
     levelled: float = LEVELLED
     any_heading: bool = False
     positioning: float | None = None
@@ -133,14 +126,14 @@ class Equations:
     inflation: Floats | None = field(default=None, repr=False)
 
     @property
-    def parameters(self) -> int:
-        """Number of parameters of the sensors: 24 or 33."""
-        return SENSORS + (G_SENSITIVITIES if self.with_g else 0)
+    def sensors(self) -> int:
+        """Number of parameters of the sensors."""
+        return len(self.parameters)
 
     @property
     def size(self) -> int:
         """Length of the state."""
-        return self.parameters + len(Nuisance)
+        return self.sensors + len(Nuisance)
 
     @property
     def north_known(self) -> bool:
@@ -170,30 +163,26 @@ class Equations:
         """
         mean, deviation = self.prior
         rows = np.zeros((len(Nuisance), self.size + 1))
-        rows[:, self.parameters : self.size] = np.diag(1 / deviation)
-        rows[:, -1] = (mean - state[self.parameters :]) / deviation
+        rows[:, self.sensors : self.size] = np.diag(1 / deviation)
+        rows[:, -1] = (mean - state[self.sensors :]) / deviation
         if not self.north_known:
             rows[Nuisance.AZIMUTH, -1] = 0.0
         return rows
 
     def nominal(self) -> Floats:
         """Return the state (n,) of ideal sensors on the table as it is described."""
-        return np.concatenate([np.zeros(self.parameters), self.prior[0]])
+        return np.concatenate([np.zeros(self.sensors), self.prior[0]])
 
     def model(self, state: Floats) -> SensorModel:
         """Return the sensors that a state (n,) describes: parameters, then `Nuisance`."""
-        plain = SensorModel.from_vector(state[:SENSORS])
-        if not self.with_g:
-            return plain
-        g = state[SENSORS : SENSORS + G_SENSITIVITIES].reshape(3, 3)
-        return SensorModel(plain.gyro, plain.accel, g)
+        return SensorModel().with_values(self.parameters, state[: self.sensors])
 
     def surroundings(self, state: Floats) -> Surroundings:
         """Return Earth rate and gravity in the frame of the attitudes, by a state (n,).
 
         An azimuth that is given is already in the attitudes: the state holds what is left of it.
         """
-        azimuth, tilt_x, tilt_y, _ = state[self.parameters :]
+        azimuth, tilt_x, tilt_y, _ = state[self.sensors :]
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 
     @cached_property
@@ -208,19 +197,38 @@ class Equations:
         timed = np.array([t.seconds is not None for t in turns], dtype=bool)
         return ups, np.array([t.rate() for t in turns]), timed
 
+    @cached_property
+    def _headings(self) -> Floats:
+        """Attitudes that whole turns go through at equal steps, (t, 8, 3, 3): body from table.
+
+        Those of the second half are the first half's with the level axes reversed to the last bit:
+        what a whole turn cancels vanishes, and does not stay as rounding that seems observed.
+        """
+        ups, _, _ = self._turning
+        angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
+        cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        result = np.zeros((len(ups), _HEADINGS, 3, 3))
+        for k, up in enumerate(ups):
+            first, second = _level_axes(up)
+            half = np.stack([cosine * first + sine * second, cosine * second - sine * first], -1)
+            result[k, :, :, :2] = np.concatenate([half, -half])
+            result[k, :, :, 2] = up
+        return result
+
     def _inputs(self, state: Floats) -> tuple[Surroundings, Floats, Floats, Floats, Floats]:
-        """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 3)."""
+        """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 8, 3).
+
+        Turns are seen at eight headings: of what is linear the mean is the part along the axis.
+        """
         around = self.surroundings(state)
         ups, rates, timed = self._turning
         rates = rates / np.where(timed, 1 + state[-1], 1.0)
-        turning = ups * (rates + around.rate[2])[:, None]
-        # Over whole turns all but the part along the axis of turning averages to zero.
         return (
             around,
             around.rate @ self._attitudes,
             around.force @ self._attitudes,
-            turning,
-            ups * around.force[2],
+            self._headings @ around.rate + (ups * rates[:, None])[:, None],
+            self._headings @ around.force,
         )
 
     def predict(self, state: Floats) -> Floats:
@@ -228,33 +236,29 @@ class Equations:
         _, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
-        turned = model.predict(turning, felt)[0]
+        turned = _whole(model.predict(turning, felt)[0])
         return np.asarray(np.concatenate([at_rest.ravel(), turned.ravel()]))
 
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (6 s + 3 t, n)."""
         around, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
-        s, t = len(rate), len(turning)
+        s, t, n = len(rate), len(turning), self.sensors
         at_rest, turned = np.zeros((s, 6, self.size)), np.zeros((t, 3, self.size))
-        at_rest[:, :3, :12] = _by_parameters(rate)
-        at_rest[:, 3:, 12:24] = _by_parameters(force)
-        turned[:, :, :12] = _by_parameters(turning)
-        if self.with_g:
-            g = slice(SENSORS, SENSORS + G_SENSITIVITIES)
-            at_rest[:, :3, g] = np.einsum('ij,sk->sijk', np.eye(3), force).reshape(s, 3, 9)
-            turned[:, :, g] = np.einsum('ij,tk->tijk', np.eye(3), felt).reshape(t, 3, 9)
-        world = slice(self.parameters, self.parameters + 3)
-        body = np.transpose(self._attitudes, (0, 2, 1))
-        by_rate, by_force = body @ around.rate_slopes, body @ around.force_slopes
-        at_rest[:, :3, world] = model.gyro.response @ by_rate + model.g_sensitivity @ by_force
-        at_rest[:, 3:, world] = model.accel.response @ by_force
+        at_rest[:, :, :n] = model.derivatives(rate, force, self.parameters)
+        turned[:, :, :n] = _whole(model.derivatives(turning, felt, self.parameters))[:, :3]
+        world = np.vstack([around.rate_slopes, around.force_slopes])
+        at_rest[:, :, n : n + 3] = model.slopes(rate, force) @ _both(self._to_body) @ world
+        slopes = model.slopes(turning, felt)[..., :3, :]
+        turned[:, :, n : n + 3] = _whole(slopes @ _both(self._headings) @ world)
         ups, rates, timed = self._turning
-        answers = ups @ model.gyro.response.T
-        turned[:, :, world] = answers[:, :, None] * around.rate_slopes[2]
-        turned[:, :, world] += (ups @ model.g_sensitivity.T)[:, :, None] * around.force_slopes[2]
+        answers = np.einsum('tij,tj->ti', _whole(slopes[..., :3]), ups)
         turned[:, :, -1] = -answers * (np.where(timed, rates, 0.0) / (1 + state[-1]) ** 2)[:, None]
         return np.vstack([at_rest.reshape(6 * s, self.size), turned.reshape(3 * t, self.size)])
+
+    @property
+    def _to_body(self) -> Floats:
+        return np.transpose(self._attitudes, (0, 2, 1))
 
     @cached_property
     def own_variances(self) -> Floats:
@@ -297,9 +301,11 @@ class Equations:
         The vertical joint's own is another for each stretch, and whole turns do not feel it.
         """
         _, rate, force, turning, felt = self._inputs(state)
-        model = self.model(state)
         s = len(rate)
         ups = np.vstack([self._attitudes[:, 2], self._turning[0]])
+        rates = np.vstack([rate, _whole(turning)])
+        forces = np.vstack([force, _whole(felt)])
+        slopes = self.model(state).slopes(rates, forces)
         groups = self._groups(ups)
         count = int(groups.max(initial=-1)) + 1
         result = np.zeros((len(self.outputs), 2 * count + s))
@@ -311,16 +317,13 @@ class Equations:
             if k < s:
                 columns.append(2 * count + k)
                 axes.append(up)
-            w, f = (rate[k], force[k]) if k < s else (turning[k - s], felt[k - s])
             about = np.array(axes).T
-            w_moved, f_moved = np.cross(w, about.T).T, np.cross(f, about.T).T
-            gyro = model.gyro.response @ w_moved + model.g_sensitivity @ f_moved
+            moved = np.vstack([np.cross(v[k], about.T).T for v in (rates, forces)])
             if k < s:
-                result[6 * k : 6 * k + 3, columns] = gyro
-                result[6 * k + 3 : 6 * k + 6, columns] = model.accel.response @ f_moved
+                result[6 * k : 6 * k + 6, columns] = slopes[k] @ moved
             else:
                 row = 6 * s + 3 * (k - s)
-                result[row : row + 3, columns] = gyro
+                result[row : row + 3, columns] = slopes[k, :3] @ moved
         return result
 
     def _groups(self, ups: Floats) -> NDArray[np.intp]:
@@ -358,10 +361,17 @@ class Equations:
         return columns[:, :-1], columns[:, -1]
 
 
-def _by_parameters(inputs: Floats) -> Floats:
-    """Return the derivatives of three channels by their 12 parameters: (k, 3, 12)."""
-    extended = np.column_stack([inputs, np.ones(len(inputs))])
-    return np.asarray(np.einsum('ipc,kc->kip', PATTERN, extended))
+def _whole(values: Floats) -> Floats:
+    """Return the mean (t, ...) over the headings of whole turns, (t, 8, ...)."""
+    half = _HEADINGS // 2
+    return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _HEADINGS)
+
+
+def _both(rotations: Floats) -> Floats:
+    """Return rotations (..., 3, 3) of rates and forces alike: (..., 6, 6)."""
+    result = np.zeros((*rotations.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = rotations
+    return result
 
 
 def _level_axes(up: Floats) -> tuple[Floats, Floats]:

@@ -19,14 +19,14 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc, chdtri
 
 from ..errors import NotObservable
-from ..model import PARAMETERS
+from ..model import PARAMETERS, Parameter, terms_of
 from ..stream import Floats
 from ..units import DEG
 from .converge import least_squares
 from .equations import LEVELLED, Equations, Nuisance
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess import Excess, excess
-from .information import ALONG, Information, before, told, unobserved
+from .information import ALONG, Information, before, told, undetermined, unobserved
 
 _STARTS = 8
 _ITERATIONS = 30
@@ -83,22 +83,22 @@ class Estimate:
 
     def nuisance(self, which: Nuisance) -> tuple[float, float]:
         """Return one of the nuisances and its standard deviation."""
-        index = self.equations.parameters + which
+        index = self.equations.sensors + which
         return float(self.state[index]), float(np.sqrt(self.covariance[index, index]))
 
 
-def estimate(evidence: Evidence, *, with_g: bool = False) -> Estimate:
+def estimate(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Estimate:
     """Fit all of a session at once.
 
     Args:
         evidence: The session.
-        with_g: Whether to estimate the g-sensitivities too.
+        parameters: Of the sensors.
 
     Raises:
         NotObservable: Names what the session cannot observe.
 
     """
-    equations = Equations(evidence, with_g=with_g)
+    equations = Equations(evidence, parameters)
     check_observable(equations)
     state = _fit(equations, _start(equations))
     equations = _headed(_levelled(equations, state), state)
@@ -179,7 +179,7 @@ def check_observable(equations: Equations) -> None:
 
     """
     evidence = equations.evidence
-    information = before(equations)
+    information = before(replace(equations, parameters=PARAMETERS))
     lost = ~told(information)
     tests = [np.abs(p.up) for p in evidence.plan.positions if p.rate_test is not None]
     for axis in range(3):
@@ -190,11 +190,24 @@ def check_observable(equations: Equations) -> None:
             lost |= [p.triad == 'g' and p.column == axis for p in PARAMETERS]
     if lost.any():
         raise NotObservable(unobserved(evidence, lost))
-    if not information.observed.all():
-        raise NotObservable(
-            f'{len(evidence.segments)} positions do not tell the g-sensitivity of the gyros from '
-            'their biases and their responses to the Earth rate: G not observable.'
-        )
+    if equations.parameters != PARAMETERS:
+        _check_terms(equations)
+
+
+def _check_terms(equations: Equations) -> None:
+    """Refuse terms that the session leaves open, though it determines the 24 parameters.
+
+    Raises:
+        NotObservable: Names the terms and what would determine them.
+
+    """
+    parameters = equations.parameters
+    known = told(before(equations), parameters)
+    lost = [p for p, sure in zip(parameters, known, strict=True) if not sure]
+    if not lost:
+        return
+    terms = terms_of(lost) or terms_of(parameters)
+    raise NotObservable(' '.join(undetermined(equations.evidence, term, lost) for term in terms))
 
 
 def _start(equations: Equations) -> Floats:
@@ -204,15 +217,15 @@ def _start(equations: Equations) -> Floats:
     best, smallest = equations.nominal(), np.inf
     for angle in angles:
         state = equations.nominal()
-        state[equations.parameters + Nuisance.AZIMUTH] = angle
+        state[equations.sensors + Nuisance.AZIMUTH] = angle
         jacobian, left = equations.whitened(state)
         jacobian, left = jacobian[: -len(Nuisance)], left[: -len(Nuisance)]
-        columns = np.delete(jacobian, np.s_[equations.parameters + 1 :], axis=1)
+        columns = np.delete(jacobian, np.s_[equations.sensors + 1 :], axis=1)
         columns[:, -1] *= 0.0 if known else 1.0
         step = _least_squares(columns, left)
         rest = left - columns @ step
         if (square := float(rest @ rest)) < smallest:
-            state[: equations.parameters + 1] += step
+            state[: equations.sensors + 1] += step
             best, smallest = state, square
     return best
 
@@ -225,7 +238,7 @@ def _fit(equations: Equations, state: Floats) -> Floats:
 
     """
     state = least_squares(state, equations.whitened, np.add, _ITERATIONS)
-    azimuth = equations.parameters + Nuisance.AZIMUTH
+    azimuth = equations.sensors + Nuisance.AZIMUTH
     state[azimuth] = (state[azimuth] + np.pi) % (2 * np.pi) - np.pi
     return state
 
@@ -246,7 +259,7 @@ def _levelled(equations: Equations, state: Floats) -> Equations:
     Six positions see one tilt and not the other: where the one is many times what was assumed, so
     may the other be.
     """
-    first = equations.parameters + Nuisance.TILT_X
+    first = equations.sensors + Nuisance.TILT_X
     seen = float(np.abs(state[first : first + 2]).max())
     return replace(equations, levelled=seen) if seen > _TILTED * LEVELLED else equations
 
@@ -256,7 +269,7 @@ def _headed(equations: Equations, state: Floats) -> Equations:
     if not equations.north_known:
         return equations
     free = replace(equations, any_heading=True)
-    azimuth = equations.parameters + Nuisance.AZIMUTH
+    azimuth = equations.sensors + Nuisance.AZIMUTH
     state = _fit(free, state)
     covariance = Information.of(free.whitened(state)[0]).covariance
     far = max(_CONTRADICTION * float(np.sqrt(covariance[azimuth, azimuth])), _LEAST_AZIMUTH)

@@ -13,7 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import NotObservable
-from ..model import AXES, PARAMETERS, ParameterKind, SensorModel, Triad, extended_parameters
+from ..model import (
+    AXES,
+    G_SENSITIVITY,
+    PARAMETERS,
+    Parameter,
+    ParameterKind,
+    SensorModel,
+    Triad,
+    parameters_of,
+)
 from ..stream import Floats
 from .checks import conclude
 from .equations import Equations, Nuisance
@@ -49,9 +58,9 @@ class Gains:
         return np.broadcast_to(self.gyro, (3, *self.gyro.shape[-2:]))
 
     @property
-    def with_g(self) -> bool:
-        """Whether g-sensitivities are among the unknowns."""
-        return bool(self.gyro.shape[-2] > BIAS + 1)
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the weights make of the outputs, those of accelerometers included."""
+        return parameters_of([G_SENSITIVITY] if self.gyro.shape[-2] > BIAS + 1 else [])
 
     def model(self, evidence: Evidence) -> SensorModel:
         """Return the sensors that the outputs of a session give."""
@@ -62,13 +71,14 @@ class Gains:
         if self.accel is not None:
             unknowns = (self.accel @ outputs[:, 3:]).T
             accel = Triad(unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS])
-        g = gyro[:, BIAS + 1 :] if self.with_g else np.zeros((3, 3))
-        return SensorModel(Triad(gyro[:, :BIAS] - np.eye(3), gyro[:, BIAS]), accel, g)
+        model = SensorModel(Triad(gyro[:, :BIAS] - np.eye(3), gyro[:, BIAS]), accel)
+        further = self.parameters[len(PARAMETERS) :]
+        return model.with_values(further, gyro[:, BIAS + 1 :].ravel())
 
     def covariance(self, evidence: Evidence, model: SensorModel) -> Floats:
         """Return the covariance (n, n) of the parameters, NaN for what is not estimated."""
         s, t = len(evidence.segments), len(evidence.turns)
-        parameters = extended_parameters(with_g=self.with_g)
+        parameters = self.parameters
         rows = np.zeros((len(parameters), 6 * s + 3 * t))
         for row, parameter in zip(rows, parameters, strict=True):
             column = BIAS if parameter.column is None else parameter.column
@@ -104,6 +114,7 @@ class Gains:
             model,
             self.covariance(evidence, model),
             self.condition,
+            parameters=self.parameters,
             findings=findings,
             north_known=north_known,
             accelerometers=lambda other: self.model(other).accel,

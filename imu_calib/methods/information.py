@@ -6,19 +6,22 @@ singular vectors of the column-scaled system say cannot be told apart.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model import AXES, PARAMETER_NAMES, PARAMETERS, ParameterKind
+from ..model import AXES, PARAMETERS, Parameter, ParameterKind, Term
 from ..stream import Floats
-from .equations import SENSORS, Equations
+from .equations import Equations
 from .evidence import Evidence
 
 _SINGULAR = 1e-7
 _MIXED = 1e-4
 _MEANINGLESS = 0.1
+"""Standard deviation of a scale factor or a misalignment (rad) that is of no use."""
+
 ALONG = 0.5
 _STRAY = 1e-3
 
@@ -65,22 +68,23 @@ class Information:
         return cls(covariance, observed, condition)
 
 
-def reached(evidence: Evidence) -> Floats:
+def reached(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Floats:
     """Return the standard deviations that a session allows so far.
 
     Args:
         evidence: Any subset of a session's stretches and turns, none at all included.
+        parameters: That are to be estimated.
 
     Returns:
-        (24,) in the order of `model.PARAMETERS`, SI units; NaN where nothing determines a
-        parameter, or where it is known no better than to a tenth (dimensionless ones).
+        (n,) SI units; NaN where nothing determines a parameter, or to no use (`told`).
 
     """
     try:
-        information = before(Equations(evidence))
+        information = before(Equations(evidence, parameters))
     except np.linalg.LinAlgError:
-        return np.full(SENSORS, np.nan)
-    return np.where(told(information), _deviations(information), np.nan)
+        return np.full(len(parameters), np.nan)
+    deviations = _deviations(information, parameters)
+    return np.where(told(information, parameters), deviations, np.nan)
 
 
 def before(equations: Equations) -> Information:
@@ -103,16 +107,50 @@ def _without_strays(directions: Floats) -> Floats:
     return np.where(np.abs(directions) < _STRAY, 0.0, directions)
 
 
-def told(information: Information) -> NDArray[np.bool_]:
-    """Say of the 24 parameters whether they are observed to any use."""
-    deviations = _deviations(information)
-    ratio = np.array([p.kind is not ParameterKind.BIAS for p in PARAMETERS])
+def told(
+    information: Information, parameters: tuple[Parameter, ...] = PARAMETERS
+) -> NDArray[np.bool_]:
+    """Say of the parameters whether they are observed to any use.
+
+    A scale factor or a misalignment is of none that is known no better than to a tenth, a
+    coefficient of a term that is known no better than to what any IMU may have.
+    """
+    deviations = _deviations(information, parameters)
+    limits = np.array([_limit(p) for p in parameters])
     with np.errstate(invalid='ignore'):
-        return np.asarray(np.isfinite(deviations) & ~(ratio & (deviations > _MEANINGLESS)))
+        return np.asarray(np.isfinite(deviations) & ~(deviations > limits))
 
 
-def _deviations(information: Information) -> Floats:
-    return np.asarray(np.sqrt(np.diag(information.covariance)[:SENSORS]))
+def _limit(parameter: Parameter) -> float:
+    if parameter.kind is ParameterKind.BIAS:
+        return np.inf
+    return parameter.unit.limit or _MEANINGLESS
+
+
+def _deviations(information: Information, parameters: tuple[Parameter, ...]) -> Floats:
+    return np.asarray(np.sqrt(np.diag(information.covariance)[: len(parameters)]))
+
+
+def undetermined(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> str:
+    """Say that a session does not determine a term, and what would.
+
+    Args:
+        evidence: The session, which determines the 24 parameters without the term.
+        term: The term.
+        lost: All parameters that it does not determine with the term.
+
+    """
+    mine = [p.name for p in lost if p in term.parameters]
+    others = [p.name for p in lost if p not in term.parameters]
+    apart = f' apart from {", ".join(others)}' if others else ''
+    return (
+        f'{_found(evidence)} cannot tell {term.name} ({", ".join(mine)}){apart}: not observable. '
+        f'To determine it takes {term.needs}; or leave it out (--terms).'
+    )
+
+
+def _found(evidence: Evidence) -> str:
+    return f'{len(evidence.segments)} stretches at rest and {len(evidence.turns)} turns'
 
 
 def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
@@ -124,7 +162,7 @@ def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
 
     """
     words = []
-    left = {name for name, gone in zip(PARAMETER_NAMES, lost, strict=True) if gone}
+    left = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}
     turned = [np.abs(turn.up) for turn in evidence.turns]
     stood = [np.abs(attitude[2]) for attitude in evidence.attitudes()]
     reasons = (('g', turned, 'no position turns {}'), ('a', stood, 'no position has {} vertical'))
@@ -138,10 +176,9 @@ def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
             if names and not any(up[column] > ALONG for up in seen):
                 words.append(f'{reason.format(axis.upper())}: {", ".join(names)} not observable')
                 left -= set(names)
-    rest = [name for name in PARAMETER_NAMES if name in left]
+    rest = [p.name for p in PARAMETERS if p.name in left]
     if rest:
-        found = f'{len(evidence.segments)} stretches at rest and {len(evidence.turns)} turns'
-        words.append(f'{found} cannot tell {", ".join(rest)}: not observable')
+        words.append(f'{_found(evidence)} cannot tell {", ".join(rest)}: not observable')
     missing = evidence.missing()
     tail = f' (missing: position {", ".join(missing)})' if missing else ''
     text = '; '.join(words)

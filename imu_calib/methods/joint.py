@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from ..model import Term, parameters_of
 from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
 from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatter
@@ -24,28 +25,15 @@ from .solution import Residual, Solution
 _TELLING = 0.1
 
 
-def solve(evidence: Evidence) -> Solution:
-    """Estimate the 24 parameters from a session of any plan.
+def solve(evidence: Evidence, terms: tuple[Term, ...] = ()) -> Solution:
+    """Estimate the 24 parameters, and those of terms, from a session of any plan.
 
     Raises:
         NotObservable: Names what the session cannot observe, or what contradicts itself.
         InputError: The outputs are not in the units that the IMU's description states.
 
     """
-    return _concluded(estimate(evidence))
-
-
-def solve_33(evidence: Evidence) -> Solution:
-    """Estimate the 24 parameters and the nine g-sensitivities (Luo 2018, section 6.2).
-
-    The covariance is (33, 33), that of G row by row last.
-
-    Raises:
-        NotObservable: Names what the session cannot observe, or what contradicts itself.
-        InputError: The outputs are not in the units that the IMU's description states.
-
-    """
-    return _concluded(estimate(evidence, with_g=True))
+    return _concluded(estimate(evidence, parameters_of(terms)))
 
 
 def _concluded(found: Estimate) -> Solution:
@@ -60,7 +48,7 @@ def _concluded(found: Estimate) -> Solution:
     azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
     return Solution(
         model,
-        found.covariance[: equations.parameters, : equations.parameters],
+        found.covariance[: equations.sensors, : equations.sensors],
         _residuals(found),
         azimuth + (evidence.azimuth or 0.0),
         azimuth_std,
@@ -69,6 +57,7 @@ def _concluded(found: Estimate) -> Solution:
         found.condition,
         (*_findings(found), *far_scales(model), *clocks(evidence)),
         found.scatter.wandering,
+        equations.parameters,
     )
 
 
@@ -96,7 +85,7 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     """
     evidence = found.equations.evidence
     plain = replace(found.equations, extra=found.scatter.stated, positioning=None)
-    state, sensors = found.state, found.equations.parameters
+    state, sensors = found.state, found.equations.sensors
     response = plain.model(state).gyro.response
     free = np.zeros((len(plain.outputs), 3))
     for k, attitude in enumerate(evidence.attitudes()):

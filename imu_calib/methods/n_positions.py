@@ -11,12 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..errors import NotObservable
-from ..model import G_SENSITIVITIES
+from ..model import G_SENSITIVITIES, G_SENSITIVITY, Parameter, parameters_of
 from ..plan import Plan
 from ..stream import Floats
 from .evidence import Evidence
 from .gains import BIAS, Gains, biases, inverse, once, rate_test, responses
 from .solution import Solution
+
+ESTIMATES = parameters_of([G_SENSITIVITY])
 
 
 def solve(evidence: Evidence) -> Solution:
@@ -33,7 +35,7 @@ def solve(evidence: Evidence) -> Solution:
         )
     turned, _ = rate_test(evidence)
     fitted, condition = force_weights(
-        evidence.attitudes()[:, 2], once(evidence), _positions(evidence), with_g=True
+        evidence.attitudes()[:, 2], once(evidence), _positions(evidence), ESTIMATES
     )
     g = evidence.site.gravity
     rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
@@ -52,16 +54,16 @@ def check(plan: Plan) -> None:
         NotObservable: Names the parameters.
 
     """
-    check_positions(plan, with_g=True)
+    check_positions(plan, ESTIMATES)
     check_turns(plan)
 
 
-def check_positions(plan: Plan, *, with_g: bool) -> None:
+def check_positions(plan: Plan, parameters: tuple[Parameter, ...]) -> None:
     """Refuse a plan whose positions cannot tell the parameters apart.
 
     Args:
         plan: To be run.
-        with_g: Whether the g-sensitivities are parameters too.
+        parameters: That its method estimates.
 
     Raises:
         NotObservable: Names the parameters.
@@ -70,7 +72,7 @@ def check_positions(plan: Plan, *, with_g: bool) -> None:
     held = [p for p in plan.positions if p.dwell > 0]
     ups = np.array([p.up for p in held]).reshape(-1, 3)
     what = f'The {len(held)} positions of plan {plan.name}'
-    force_weights(ups, np.ones(len(held)), what, with_g=with_g)
+    force_weights(ups, np.ones(len(held)), what, parameters)
 
 
 def check_turns(plan: Plan) -> None:
@@ -89,14 +91,16 @@ def check_turns(plan: Plan) -> None:
             )
 
 
-def force_weights(ups: Floats, weights: Floats, what: str, *, with_g: bool) -> tuple[Floats, float]:
+def force_weights(
+    ups: Floats, weights: Floats, what: str, parameters: tuple[Parameter, ...]
+) -> tuple[Floats, float]:
     """Fit outputs by a constant and the direction of specific force.
 
     Args:
         ups: (s, 3) up in body axes.
         weights: (s,) weight of each row.
         what: Where the rows come from, for the message.
-        with_g: Whether the gyros are fitted too, for the message.
+        parameters: That rest on them, for the message.
 
     Returns:
         (4, s) weights on the outputs that give the constant and, per g, the response to X, Y, Z;
@@ -107,22 +111,20 @@ def force_weights(ups: Floats, weights: Floats, what: str, *, with_g: bool) -> t
 
     Source: Luo 2018, eqs. (2-184) to (2-189), [1 f^T] with f in units of gravity.
     """
-    names = _names(with_g=with_g)
+    names = _names(parameters)
     root = np.sqrt(weights)
     design = np.column_stack([np.ones(len(ups)), ups]) * root[:, None]
     gain, condition = inverse(design, names, what)
     return gain * root, condition
 
 
-def _names(*, with_g: bool) -> Sequence[str]:
+def _names(parameters: tuple[Parameter, ...]) -> Sequence[str]:
     names = [biases('a'), *(responses('a', axis) for axis in range(3))]
-    if not with_g:
+    sensitive = [p for p in parameters if p in G_SENSITIVITIES]
+    if not sensitive:
         return names
-    sensitive = [
-        ', '.join(p.name for p in G_SENSITIVITIES if p.column == axis) for axis in range(3)
-    ]
-    own = [biases('g'), *sensitive]
-    return [f'{a}, {b}' for a, b in zip(own, names, strict=True)]
+    own = [', '.join(p.name for p in sensitive if p.column == axis) for axis in range(3)]
+    return [f'{a}, {b}' for a, b in zip([biases('g'), *own], names, strict=True)]
 
 
 def _positions(evidence: Evidence) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import NotObservable
+from ..model import PARAMETERS
 from ..plan import Plan
 from .evidence import Evidence
 from .gains import BIAS, Gains, biases, once, rate_test
@@ -38,7 +39,7 @@ def solve(evidence: Evidence) -> Solution:
     gyro[:BIAS, len(rates) :] = turned
     gyro[BIAS] = np.concatenate([mean, -(mean @ rates) @ turned])
     ups = evidence.attitudes()[:, 2]
-    fitted, spread = force_weights(ups, once(evidence), f'{count} positions', with_g=False)
+    fitted, spread = force_weights(ups, once(evidence), f'{count} positions', PARAMETERS)
     accel = np.vstack([fitted[1:] / evidence.site.gravity, fitted[:1]])
     return Gains(gyro, accel, max(condition, spread)).conclude(evidence, north_known=True)
 
@@ -50,5 +51,5 @@ def check(plan: Plan) -> None:
         NotObservable: Names the parameters.
 
     """
-    check_positions(plan, with_g=False)
+    check_positions(plan, PARAMETERS)
     check_turns(plan)

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import NotObservable
-from ..model import PARAMETERS, SensorModel, Skewed, Triad, extended_parameters, skewed_parameters
+from ..model import SensorModel, Skewed, Triad, parameters_of, positions, skewed_parameters
 from ..plan import Plan
 from ..stream import Floats
 from ..units import DEG, DEG_H
@@ -25,6 +25,10 @@ from .solution import Solution
 
 NAME = 'skewed'
 """The method's name in plans."""
+
+_PARAMETERS = parameters_of(skewed=1)
+
+ESTIMATES = tuple(p for p in _PARAMETERS if p.triad == 'g')
 
 _SAME_RATE = 0.05
 _PARITY = 5.0
@@ -178,7 +182,16 @@ def solve(evidence: Evidence) -> Solution:
     ]
     unknown = float('nan')
     return Solution(
-        model, covariance, (), unknown, unknown, unknown, unknown, condition, tuple(findings)
+        model,
+        covariance,
+        (),
+        unknown,
+        unknown,
+        unknown,
+        unknown,
+        condition,
+        tuple(findings),
+        parameters=_PARAMETERS,
     )
 
 
@@ -284,14 +297,10 @@ def _covariance(
 
 def _in_order(square: Floats) -> Floats:
     """Put (16, 16), channel by channel, in the order of the 24 and the four; NaN elsewhere."""
-    parameters = extended_parameters(with_g=False, skewed=1)
-    places = [
-        4 * p.row + (BIAS if p.column is None else p.column) for p in parameters if p.triad == 'g'
-    ]
-    of_gyros = [k for k, p in enumerate(parameters) if p.triad == 'g']
-    result = np.full((len(parameters), len(parameters)), np.nan)
+    places = [4 * p.row + (BIAS if p.column is None else p.column) for p in ESTIMATES]
+    of_gyros = positions(ESTIMATES, _PARAMETERS)
+    result = np.full((len(_PARAMETERS), len(_PARAMETERS)), np.nan)
     result[np.ix_(of_gyros, of_gyros)] = square[np.ix_(places, places)]
-    assert len(PARAMETERS) + 4 == len(parameters)
     return result
 
 

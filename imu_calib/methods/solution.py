@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..model import SensorModel
+from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 
 
@@ -34,8 +34,8 @@ class Solution:
 
     Attributes:
         model: The sensor model.
-        covariance: (n, n) in the order of `model.extended_parameters`, SI units; n is 24 without
-            g-sensitivities and skewed gyros. NaN for a triad that was not estimated.
+        covariance: (n, n) in the order of `parameters`, SI units. NaN for a triad that was not
+            estimated.
         residuals: One per stretch at rest.
         azimuth: Heading of the table's zero that the gyros show, rad; NaN where they cannot.
         azimuth_std: Its standard deviation, rad.
@@ -45,6 +45,7 @@ class Solution:
         findings: What a person should know, in sentences.
         wandering: (6,) standard deviation of wandering biases that the covariance allows for,
             rad/s and m/s^2; None for a method that knows of no such thing.
+        parameters: (n,) what the rows of the covariance stand for.
 
     """
 
@@ -58,6 +59,11 @@ class Solution:
     condition: float
     findings: tuple[str, ...]
     wandering: Floats | None = None
+    parameters: tuple[Parameter, ...] = PARAMETERS
+
+    def __post_init__(self) -> None:
+        """Refuse a covariance of other parameters."""
+        assert self.covariance.shape == (len(self.parameters),) * 2
 
     @property
     def std(self) -> Floats:

@@ -19,6 +19,8 @@ from .evidence import Evidence
 from .gains import BIAS, Gains, biases, inverse, once, responses
 from .solution import Solution
 
+ESTIMATES = tuple(p for p in PARAMETERS if p.triad == 'g')
+
 _MEANINGLESS = 0.1
 
 

@@ -13,11 +13,12 @@ from ..imu import ImuSpec, TriadSpec
 from ..middleware import Time, messages
 from ..model import (
     G_SENSITIVITIES,
+    G_SENSITIVITY,
     PARAMETER_NAMES,
     SensorModel,
     Skewed,
     Triad,
-    extended_parameters,
+    parameters_of,
 )
 from ..plausibility import check_plausible
 from ..sequencing import State
@@ -101,8 +102,8 @@ def calibration_of(message: Any) -> Calibration:
     if message.has_skew:
         response = np.array([message.skew_response], dtype=float)
         skewed = Skewed(response, np.array([message.skew_bias]))
-    parameters = extended_parameters(
-        with_g=message.has_g_sensitivity, skewed=1 if message.has_skew else 0
+    parameters = parameters_of(
+        [G_SENSITIVITY] if message.has_g_sensitivity else [], skewed=1 if message.has_skew else 0
     )
     names, size = [p.name for p in parameters], len(parameters)
     covariance = np.array(message.covariance, dtype=float)
@@ -130,6 +131,7 @@ def calibration_of(message: Any) -> Calibration:
         covariance.reshape(size, size),
         provenance=_provenance(message),
         serial_number=message.serial_number,
+        parameters=parameters,
     )
     check_plausible(calibration, f'The calibration of {message.imu_id or "no name"}')
     return calibration

@@ -15,15 +15,14 @@ from ..calibrator import Setup
 from ..errors import NotObservable
 from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free, method, skewed
-from ..methods.equations import G_SENSITIVITIES, SENSORS, Equations
+from ..methods.equations import Equations
 from ..methods.evidence import Evidence
 from ..methods.fit import check_observable
 from ..methods.free.ahead import deviations
 from ..methods.information import Information, told
 from ..methods.skewed import RatePoints
 from ..methods.solution import Solution
-from ..model import G_SENSITIVITIES as G_PARAMETERS
-from ..model import PARAMETERS, Parameter, SensorModel, extended_parameters
+from ..model import AXES, PARAMETERS, Parameter, SensorModel
 from ..segmentation.segment import Statistics
 from ..stream import Floats
 from .expected import expected, wandering
@@ -84,9 +83,9 @@ def forecast(
         return _with_gravity(_in_the_hand(setup, truth, evidence), truth)
     extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
     name = setup.method_name
-    solver = method(name)
+    solver = method(name, setup.terms)
     refusal = ''
-    parameters = extended_parameters(with_g=JOINT.get(name, False))
+    parameters = listed(setup)
     square = _nothing(parameters)
     if name not in JOINT:
         try:
@@ -97,7 +96,7 @@ def forecast(
             refusal = str(error)
     else:
         try:
-            check_observable(Equations(evidence, with_g=JOINT[name]))
+            check_observable(Equations(evidence, parameters))
         except NotObservable as error:
             refusal = str(error)
     best = _nothing(parameters)
@@ -142,12 +141,11 @@ def _best(
     extra: Floats | None,
 ) -> Floats:
     """Return the least standard deviations that a session allows, NaN for what it does not tell."""
-    with_g = set(G_PARAMETERS) <= set(parameters)
-    found = information(evidence, truth, extra=extra, with_g=with_g)
-    modelled = SENSORS + with_g * G_SENSITIVITIES
-    best = np.sqrt(np.diag(found.covariance)[:modelled])
-    best[:SENSORS] = np.where(told(found), best[:SENSORS], np.nan)
-    if len(parameters) == modelled:
+    modelled = tuple(p for p in parameters if p.row < len(AXES))
+    found = information(evidence, truth, modelled, extra=extra)
+    best = np.sqrt(np.diag(found.covariance)[: len(modelled)])
+    best = np.where(told(found, modelled), best, np.nan)
+    if parameters == modelled:
         return np.asarray(best)
     turns = [t for t in evidence.turns if t.skewed is not None]
     square = None if extra is None else extra[-len(turns) :, -len(turns) :]
@@ -162,6 +160,16 @@ def _in_the_hand(setup: Setup, truth: SensorModel, evidence: Evidence) -> Foreca
     return Forecast(evidence, free.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
 
 
+def listed(setup: Setup) -> tuple[Parameter, ...]:
+    """Return the parameters of a forecast: all of the 24, estimated or not, and what comes on top.
+
+    Raises:
+        InputError: There is no such method, or it knows no terms.
+
+    """
+    return tuple(dict.fromkeys((*PARAMETERS, *setup.parameters)))
+
+
 def _nothing(parameters: tuple[Parameter, ...]) -> Floats:
     return np.full(len(parameters), np.nan)
 
@@ -169,23 +177,21 @@ def _nothing(parameters: tuple[Parameter, ...]) -> Floats:
 def information(
     evidence: Evidence,
     truth: SensorModel,
+    parameters: tuple[Parameter, ...] = PARAMETERS,
     *,
     extra: Floats | None = None,
-    with_g: bool = False,
 ) -> Information:
     """Return what a session tells at the truth (methods.md, section 11)."""
     modelled = 6 * len(evidence.segments) + 3 * len(evidence.turns)
     extra = None if extra is None else extra[:modelled, :modelled]
-    equations = Equations(evidence, with_g=with_g, extra=extra)
+    equations = Equations(evidence, parameters, extra=extra)
     return Information.of(equations.whitened(state_at(equations, truth))[0])
 
 
 def state_at(equations: Equations, truth: SensorModel) -> Floats:
     """Return the state (n,) of `equations` for sensors that are what they are thought to be."""
     state = equations.nominal()
-    state[:SENSORS] = truth.vector()
-    if equations.with_g:
-        state[SENSORS : equations.parameters] = truth.g_sensitivity.ravel()
+    state[: equations.sensors] = truth.values(equations.parameters)
     return state
 
 
@@ -198,17 +204,7 @@ def _by_closed_form(
     if extra is not None:
         gain = gains(evidence, solver)
         square = square + np.einsum('ij,jk,ik->i', gain, extra, gain)
-    return estimated(solution), square
-
-
-def estimated(solution: Solution) -> tuple[Parameter, ...]:
-    """Return the parameters whose covariance a solution holds."""
-    askew = solution.model.skewed
-    channels = 0 if askew is None else len(askew.bias)
-    plain = extended_parameters(with_g=False, skewed=channels)
-    if len(solution.covariance) == len(plain):
-        return plain
-    return extended_parameters(with_g=True, skewed=channels)
+    return solution.parameters, square
 
 
 def gains(evidence: Evidence, solver: Callable[[Evidence], Solution]) -> Floats:
@@ -219,7 +215,7 @@ def gains(evidence: Evidence, solver: Callable[[Evidence], Solution]) -> Floats:
 
     def parameters(output: int, step: float) -> Floats:
         solution = solver(_moved(evidence, output, step))
-        return solution.model.values(estimated(solution))
+        return solution.model.values(solution.parameters)
 
     steps = _STEP * np.sqrt(_own_variances(evidence))
     columns = [

@@ -16,8 +16,8 @@ import numpy as np
 
 from ..calibrator import Setup
 from ..errors import ImuCalibError, InputError
-from ..methods.equations import SENSORS, Equations
-from ..model import SensorModel
+from ..methods.equations import Equations
+from ..model import PARAMETERS, SensorModel
 from ..plan import Plan, Position, RateTest
 from ..stream import Floats
 from ..turntable import Table, rotation
@@ -26,6 +26,7 @@ from .expected import expected
 from .forecast import state_at
 from .schedule import duration
 
+_SENSORS = len(PARAMETERS)
 _SLANTS = (0.0, 45.0)
 _COMPASS = dict(zip('ENUWSD', [*np.eye(3), *-np.eye(3)], strict=True))
 _AXES = dict(zip('XYZ', np.eye(3), strict=True))
@@ -197,10 +198,10 @@ def _log_information(information: Floats) -> float:
     scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scaled = information * np.outer(scale, scale)
     whole = np.linalg.slogdet(scaled)
-    others = np.linalg.slogdet(scaled[SENSORS:, SENSORS:])
+    others = np.linalg.slogdet(scaled[_SENSORS:, _SENSORS:])
     if whole[0] <= 0 or others[0] <= 0:
         return -np.inf
-    return float(whole[1] - others[1] - 2 * np.log(scale[:SENSORS]).sum())
+    return float(whole[1] - others[1] - 2 * np.log(scale[:_SENSORS]).sum())
 
 
 def _timed(

@@ -9,7 +9,7 @@ not change.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,13 +19,21 @@ from scipy.optimize import minimize
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
 from ..methods import JOINT, method
-from ..methods.equations import SENSORS, Equations
+from ..methods.equations import Equations
 from ..methods.evidence import Evidence
-from ..model import PARAMETER_NAMES, SensorModel
+from ..model import SensorModel
 from ..plan import Plan
 from ..stream import Floats
 from ..units import PPM
-from .forecast import Forecast, forecast, gains, gravity_variances, information, state_at
+from .forecast import (
+    Forecast,
+    forecast,
+    gains,
+    gravity_variances,
+    information,
+    listed,
+    state_at,
+)
 
 SHORTEST = 5.0
 """Shortest dwell proposed, s."""
@@ -68,11 +76,11 @@ def reach(
         NotObservable: No dwell reaches it; says what stands in the way.
 
     """
+    names = [p.name for p in listed(setup)]
     for name in wanted:
-        if name not in PARAMETER_NAMES:
-            known = ', '.join(PARAMETER_NAMES)
-            raise InputError(f'There is no parameter {name!r}; there are: {known}.')
-    rows = np.array([PARAMETER_NAMES.index(name) for name in wanted])
+        if name not in names:
+            raise InputError(f'There is no parameter {name!r}; there are: {", ".join(names)}.')
+    rows = np.array([names.index(name) for name in wanted])
     targets = np.array(list(wanted.values()))
     plan, weights = setup.plan, None
     for _ in range(_LOOKS):
@@ -128,7 +136,7 @@ def _shorter(
     walk_part = np.einsum('ksc,sc->ks', by_segment, walked)
     count_part = np.einsum('ksc,sc->ks', by_segment, counted)
     fixed = square - (walk_part + count_part).sum(axis=1)
-    _check_reachable(rows, targets, fixed, gravities)
+    _check_reachable([found.parameters[row].name for row in rows], targets, fixed, gravities)
     seconds = dwells[share] + beyond
 
     def left(logs: Floats) -> Floats:
@@ -172,20 +180,20 @@ def _shorter(
 
 
 def _weights(setup: Setup, truth: SensorModel, evidence: Evidence) -> Floats:
-    """Return how the parameters follow from the outputs, (24, 6 s + 3 t)."""
+    """Return how the parameters follow from the outputs, (n, 6 s + 3 t)."""
     name = setup.method_name
     if name not in JOINT:
         return gains(evidence, method(name))
-    equations = Equations(evidence, with_g=JOINT[name])
+    equations = Equations(evidence, setup.parameters)
     state = state_at(equations, truth)
-    covariance = information(evidence, truth, with_g=JOINT[name]).covariance
+    covariance = information(evidence, truth, setup.parameters).covariance
     jacobian = equations.jacobian(state)
     inverse = np.linalg.inv(equations.covariance(state))
-    return np.asarray((np.nan_to_num(covariance) @ jacobian.T @ inverse)[:SENSORS])
+    return np.asarray((np.nan_to_num(covariance) @ jacobian.T @ inverse)[: equations.sensors])
 
 
 def _check_observed(found: Forecast, rows: NDArray[np.intp]) -> None:
-    lost = [PARAMETER_NAMES[int(row)] for row in rows if not np.isfinite(found.std[row])]
+    lost = [found.parameters[row].name for row in rows if not np.isfinite(found.std[row])]
     if lost:
         raise NotObservable(
             f'This plan does not observe {", ".join(lost)}, however long it dwells.'
@@ -193,21 +201,19 @@ def _check_observed(found: Forecast, rows: NDArray[np.intp]) -> None:
 
 
 def _check_reachable(
-    rows: NDArray[np.intp], targets: Floats, fixed: Floats, gravities: Floats
+    wanted: Sequence[str], targets: Floats, fixed: Floats, gravities: Floats
 ) -> None:
     """Refuse what no dwell can give."""
     scaled = gravities >= targets**2
     if scaled.any():
-        names = ', '.join(PARAMETER_NAMES[int(row)] for row in rows[scaled])
+        names = ', '.join(name for name, far in zip(wanted, scaled, strict=True) if far)
         least = float(np.sqrt(gravities[scaled].max())) / PPM
         raise NotObservable(
             f'No dwell reaches it for {names}: gravity is known to {least:.0f} ppm. Give --gravity '
             'as measured, or --height.'
         )
     short = [
-        PARAMETER_NAMES[int(row)]
-        for row, target, rest in zip(rows, targets, fixed, strict=True)
-        if rest >= target**2
+        name for name, target, rest in zip(wanted, targets, fixed, strict=True) if rest >= target**2
     ]
     if short:
         raise NotObservable(

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from ..errors import NotObservable
-from ..model import PARAMETERS, Parameter, ParameterKind, Triad, extended_parameters
+from ..model import G_SENSITIVITIES, PARAMETERS, Parameter, ParameterKind, Triad
 from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
 from .equations import Fit, Sensors, System
@@ -253,7 +253,7 @@ def _another_unit(system: System, sensors: Sensors, factor: Floats, name: str) -
 
 def _parameters(system: System) -> tuple[Parameter, ...]:
     mine = PARAMETERS[:12] if system.gyros else PARAMETERS[12:]
-    return (*mine, *extended_parameters(with_g=True)[24:])[: system.size]
+    return (*mine, *G_SENSITIVITIES)[: system.size]
 
 
 def _wide(system: System) -> Floats:

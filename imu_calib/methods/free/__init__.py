@@ -2,12 +2,13 @@
 
 from .fit import FreeFit, in_frame_of_accelerometers, refuse, solve
 from .holds import Hold, Swing
-from .system import FREE
+from .system import ESTIMATES, FREE
 
 NAME = 'free_positions'
 """The method's name in plans."""
 
 __all__ = [
+    'ESTIMATES',
     'FREE',
     'NAME',
     'FreeFit',

@@ -12,13 +12,20 @@ from ...earth import Site
 from ...errors import NotObservable
 from ...model import PARAMETERS, ParameterKind, SensorModel
 from ...stream import Floats
-from ..equations import PATTERN
 from ..information import Information
 from .holds import Hold, Swing, turned
 
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
 FREE = np.array([(p.triad, p.row, p.column) not in _KEPT for p in PARAMETERS])
 """(24,) which parameters exist in the frame of the accelerometers: 21."""
+
+ESTIMATES = tuple(p for p, free in zip(PARAMETERS, FREE, strict=True) if free)
+
+_COLUMNS = [3 if p.column is None else p.column for p in PARAMETERS[:12]]
+_PATTERN = np.zeros((3, 12, 4))
+"""Which of 12 parameters meets which of the inputs [u, 1]: (channel, parameter, input)."""
+
+_PATTERN[[p.row for p in PARAMETERS[:12]], np.arange(12), _COLUMNS] = 1.0
 
 _USELESS = 0.05
 _PRIOR = 3
@@ -197,11 +204,10 @@ def check_observable(system: System, model: SensorModel, ups: Floats) -> None:
     found = int(FREE.sum())
     information = Information.of(jacobian)
     std = np.sqrt(np.diag(information.covariance)[:found])
-    parameters = [p for p, free in zip(PARAMETERS, FREE, strict=True) if free]
-    ratio = np.array([p.kind is not ParameterKind.BIAS for p in parameters])
+    ratio = np.array([p.kind is not ParameterKind.BIAS for p in ESTIMATES])
     lost = ~np.isfinite(std) | (ratio & (std > _USELESS))
     if lost.any():
-        names = [p.name for p, gone in zip(parameters, lost, strict=True) if gone]
+        names = [p.name for p, gone in zip(ESTIMATES, lost, strict=True) if gone]
         words = []
         if any(name[2] == 'a' for name in names):
             words.append('hold the unit in more different attitudes, each axis up and down')
@@ -221,7 +227,7 @@ def free_columns(jacobian: Floats) -> Floats:
 
 def _by_parameters(inputs: Floats) -> Floats:
     """Return the derivatives of three channels by their 12 parameters at (3,) inputs: (3, 12)."""
-    return np.asarray(np.einsum('ipc,c->ip', PATTERN, np.append(inputs, 1.0)))
+    return np.asarray(np.einsum('ipc,c->ip', _PATTERN, np.append(inputs, 1.0)))
 
 
 def _leaning(angles: Floats, carried: Floats, period: float) -> Floats:
@@ -236,7 +242,7 @@ def _leaning(angles: Floats, carried: Floats, period: float) -> Floats:
     by_response = np.einsum('nij,nk->ijk', carried, angles)
     by_bias = carried.sum(axis=0) * period
     moments = np.concatenate([by_response, by_bias[:, :, None]], axis=2)
-    return np.asarray(-np.einsum('jpc,ijc->ip', PATTERN, moments))
+    return np.asarray(-np.einsum('jpc,ijc->ip', _PATTERN, moments))
 
 
 def level_axes(up: Floats) -> Floats:

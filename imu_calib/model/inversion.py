@@ -1,0 +1,79 @@
+"""Inputs from outputs where the outputs are not linear in them."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats
+
+_ROUNDS = 30
+"""Newton's steps double the digits: five are enough for terms of a percent. Whose terms outgrow the
+linear part at a sample takes forever."""
+
+_CONVERGED = 1e-12
+"""Relative to one SI unit and to the input itself: a last step below leaves rounding."""
+
+
+class Nonlinear(Protocol):
+    """What a model adds to its linear part, as a function of (..., 6) inputs."""
+
+    def extra(self, inputs: Floats) -> Floats:
+        """Return what is added to the outputs, (..., 6)."""
+
+    def extra_slopes(self, inputs: Floats) -> Floats:
+        """Return its derivatives by the inputs, (..., 6, 6)."""
+
+
+def inverted(model: Nonlinear, linear: Floats, gain: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the inputs x = linear - gain extra(x), by Newton's method.
+
+    A sample gives the same bits alone as among others.
+
+    Args:
+        model: What is added to the outputs.
+        linear: (n, 6) inputs by the linear model alone.
+        gain: (6, 6) how the linear model makes inputs of the six outputs.
+
+    Returns:
+        (n, 6) inputs, NaN where the steps do not come to an end, and (n,) whether they did.
+
+    Source: docs/mathematics.md, 'Terms'.
+    """
+    found = linear.copy()
+    # What is no number stays so, and is not solved for.
+    going: NDArray[np.bool_] = np.asarray(np.isfinite(linear).all(axis=1))
+    done = ~going
+    for _ in range(_ROUNDS):
+        at = np.flatnonzero(going)
+        if not len(at):
+            break
+        inputs = found[at]
+        left = inputs - linear[at] + through(model.extra(inputs), gain)
+        step = _solved(np.eye(6) + gain @ model.extra_slopes(inputs), left)
+        found[at] = inputs - step
+        small = np.abs(step).max(axis=1) <= _CONVERGED * (1 + np.abs(inputs).max(axis=1))
+        done[at[small]] = True
+        going[at] = ~small & np.isfinite(step).all(axis=1)
+    found[~done] = np.nan
+    return found, done
+
+
+def through(columns: Floats, matrix: Floats) -> Floats:
+    """Return (n, k) columns times the transpose of an (m, k) matrix, summed column by column.
+
+    A BLAS product of many rows may round otherwise than that of one.
+    """
+    return np.asarray((columns.T[:, :, None] * matrix.T[:, None, :]).sum(axis=0))
+
+
+def _solved(matrices: Floats, right: Floats) -> Floats:
+    """Return the solutions (n, 6) of (n, 6, 6) systems; NaN for a singular one."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full_like(right, np.nan)
+        return np.vstack([_solved(m[None], r[None]) for m, r in zip(matrices, right, strict=True)])

@@ -1,0 +1,189 @@
+"""What a parameter can be: one row for each kind, read by all that writes, shows or judges it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from ..units import ARCMIN, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY, Dimension
+
+
+class Carried(Enum):
+    """What a file of somebody else's format does with a kind of parameter."""
+
+    YES = 'yes'
+    LEFT_OUT = 'left out'
+    """The file is right without it, and says that it is not in it."""
+    REFUSED = 'refused'
+    """The other parameters are wrong without it: there is no file."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """The units of a kind of parameter.
+
+    Attributes:
+        si: In files and messages.
+        shown: As engineers write it.
+        scale: SI value of the unit shown.
+        dimension: What a person may write it in.
+        limit: Largest amount that a strapdown IMU may have, SI; None where it is judged otherwise.
+
+    """
+
+    si: str
+    shown: str
+    scale: float
+    dimension: Dimension
+    limit: float | None = None
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What all parameters of a kind have in common.
+
+    Attributes:
+        symbol: Begins their names.
+        words: For sentences.
+        key: In calibration.yaml, and in the specification of an IMU's YAML.
+        axes: How many input axes their names have after the channel.
+        units: By triad.
+        exports: What each export does with them.
+
+    """
+
+    symbol: str
+    words: str
+    key: str
+    axes: int
+    units: Mapping[str, Unit]
+    exports: Mapping[str, Carried]
+
+
+_EVERYWHERE = dict.fromkeys(('ros', 'c', 'kalibr', 'imucal'), Carried.YES)
+_AS_PRODUCTS = {
+    'ros': Carried.YES,
+    'c': Carried.YES,
+    'kalibr': Carried.REFUSED,
+    'imucal': Carried.REFUSED,
+}
+_BY_THE_NODE = {
+    'ros': Carried.YES,
+    'c': Carried.LEFT_OUT,
+    'kalibr': Carried.LEFT_OUT,
+    'imucal': Carried.LEFT_OUT,
+}
+
+_NONLINEAR = 0.05
+"""Ten times the nonlinearity that data sheets of cheap units state (MPU-9150: 0.5 % of full scale
+of the accelerometers, 0.2 % of the gyros)."""
+
+_BY_FORCE = 10 * DEG / STANDARD_GRAVITY
+"""Five times and more what gyros of the cheapest units react by (some 0.1 deg/s per g, and a zero
+rate output within 20 deg/s)."""
+
+_RATIO = Unit('1', 'ppm', PPM, Dimension.RATIO)
+_NONLINEARITY = Unit('1', 'ppm', PPM, Dimension.RATIO, _NONLINEAR)
+_SQUARE = Unit(
+    '1/(m/s^2)',
+    'ug/g^2',
+    MICRO_G / STANDARD_GRAVITY**2,
+    Dimension.PER_ACCELERATION,
+    _NONLINEAR / STANDARD_GRAVITY,
+)
+
+
+class ParameterKind(Enum):
+    """What a parameter is; its row says all that depends on that."""
+
+    def __repr__(self) -> str:
+        """Return the name alone, not the row."""
+        return self.name
+
+    SCALE_FACTOR_ERROR = Kind(
+        'K', 'scale-factor error', 'scale_factor_error', 0, {'g': _RATIO, 'a': _RATIO}, _EVERYWHERE
+    )
+    MISALIGNMENT = Kind(
+        'E',
+        'misalignment',
+        'misalignment',
+        1,
+        dict.fromkeys('ga', Unit('rad', 'arcmin', ARCMIN, Dimension.ANGLE)),
+        _EVERYWHERE,
+    )
+    BIAS = Kind(
+        'D',
+        'bias',
+        'bias',
+        0,
+        {
+            'g': Unit('rad/s', 'deg/h', DEG_H, Dimension.RATE, 100 * DEG),
+            'a': Unit('m/s^2', 'ug', MICRO_G, Dimension.ACCELERATION, STANDARD_GRAVITY),
+        },
+        _EVERYWHERE,
+    )
+    RESPONSE = Kind(
+        'R',
+        'response of a skewed gyro',
+        'response',
+        1,
+        {'g': Unit('1', '', 1.0, Dimension.RATIO)},
+        _BY_THE_NODE,
+    )
+    """Of a skewed gyro to the rate about a body axis: scale and direction in one."""
+    G_SENSITIVITY = Kind(
+        'G',
+        'g-sensitivity',
+        'g_sensitivity',
+        1,
+        {
+            'g': Unit(
+                '(rad/s)/(m/s^2)',
+                '(deg/h)/g',
+                DEG_H / STANDARD_GRAVITY,
+                Dimension.G_SENSITIVITY,
+                _BY_FORCE,
+            )
+        },
+        _EVERYWHERE,
+    )
+    GYRO_ASYMMETRY = Kind(
+        'A', 'gyro asymmetry', 'gyro_asymmetry', 0, {'g': _NONLINEARITY}, _AS_PRODUCTS
+    )
+    GYRO_RATE_DEPENDENCE = Kind(
+        'N', 'gyro rate dependence', 'gyro_rate_dependence', 0, {'g': _NONLINEARITY}, _AS_PRODUCTS
+    )
+    GYRO_CUBIC = Kind('C', 'gyro cubic term', 'gyro_cubic', 0, {'g': _NONLINEARITY}, _AS_PRODUCTS)
+    GYRO_QUADRATIC = Kind(
+        'Q', 'gyro quadratic term', 'gyro_quadratic', 0, {'g': _NONLINEARITY}, _AS_PRODUCTS
+    )
+    ACCEL_QUADRATIC = Kind(
+        'K2', 'accelerometer quadratic term', 'accel_quadratic', 0, {'a': _SQUARE}, _AS_PRODUCTS
+    )
+    ACCEL_ASYMMETRY = Kind(
+        'A', 'accelerometer asymmetry', 'accel_asymmetry', 0, {'a': _NONLINEARITY}, _AS_PRODUCTS
+    )
+    ACCEL_CUBIC = Kind(
+        'K3',
+        'accelerometer cubic term',
+        'accel_cubic',
+        0,
+        {
+            'a': Unit(
+                '1/(m/s^2)^2',
+                'ug/g^3',
+                MICRO_G / STANDARD_GRAVITY**3,
+                Dimension.PER_ACCELERATION_SQUARED,
+                _NONLINEAR / STANDARD_GRAVITY**2,
+            )
+        },
+        _AS_PRODUCTS,
+    )
+    ACCEL_CROSS = Kind(
+        'X', 'accelerometer cross term', 'accel_cross', 2, {'a': _SQUARE}, _AS_PRODUCTS
+    )
+
+
+TRIADS = {'g': 'gyro', 'a': 'accelerometer'}
+"""A triad by the letter in its parameters' names: its section in files, and its word."""

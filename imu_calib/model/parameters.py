@@ -1,0 +1,144 @@
+"""The parameters of the sensor model, and by what each is multiplied."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..stream import Floats
+from .kinds import ParameterKind, Unit
+
+AXES = 'xyz'
+_SKEWED = 'stuv'
+MOST_SKEWED = len(_SKEWED)
+"""More skewed gyros than that have no names."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: its name, its kind, its triad ('g' or 'a') and its place.
+
+    `row` is the channel, skewed gyros from 3 on; `column` the input axis, or None for a bias;
+    `second` the other input axis of a product of two.
+    """
+
+    kind: ParameterKind
+    triad: str
+    row: int
+    column: int | None
+    second: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Name after Cao 2022, subscripts as in eqs. (1)-(2): E_gxy is row x, column y."""
+        places = [c for c in (self.column, self.second) if c is not None]
+        axes = ''.join(AXES[c] for c in places[: self.kind.value.axes])
+        return f'{self.kind.value.symbol}_{self.triad}{(AXES + _SKEWED)[self.row]}{axes}'
+
+    @property
+    def unit(self) -> Unit:
+        """Its units."""
+        return self.kind.value.units[self.triad]
+
+    @property
+    def channel(self) -> int:
+        """Its output among [gyros x y z, accelerometers x y z, skewed gyros]."""
+        if self.triad == 'a':
+            return 3 + self.row
+        return self.row if self.row < len(AXES) else 3 + self.row
+
+
+@dataclass(frozen=True)
+class Product:
+    """What a parameter is multiplied by: scale * u_i u_j ... |u_k| ...
+
+    u = [w_x, w_y, w_z, f_x, f_y, f_z], rad/s and m/s^2.
+
+    Attributes:
+        factors: Indices of the inputs that it is a product of; none for a bias.
+        absolute: Indices of those that go in by their amount.
+        scale: Constant factor, SI.
+
+    """
+
+    factors: tuple[int, ...] = ()
+    absolute: tuple[int, ...] = ()
+    scale: float = 1.0
+
+    @property
+    def degree_in_force(self) -> int:
+        """How many factors are specific forces."""
+        return sum(k >= len(AXES) for k in (*self.factors, *self.absolute))
+
+    def value(self, inputs: Floats) -> Floats:
+        """Return the product, (...), at (..., 6) inputs."""
+        result = np.full(inputs.shape[:-1], self.scale)
+        for k in self.factors:
+            result = result * inputs[..., k]
+        for k in self.absolute:
+            result = result * np.abs(inputs[..., k])
+        return np.asarray(result)
+
+    def slopes(self, inputs: Floats) -> Floats:
+        """Return the derivatives of the product by the inputs, (..., 6); of |0| it is 0."""
+        result = np.zeros(inputs.shape)
+        for n, k in enumerate(self.factors):
+            others = Product(self.factors[:n] + self.factors[n + 1 :], self.absolute, self.scale)
+            result[..., k] += others.value(inputs)
+        for n, k in enumerate(self.absolute):
+            others = Product(self.factors, self.absolute[:n] + self.absolute[n + 1 :], self.scale)
+            result[..., k] += others.value(inputs) * np.sign(inputs[..., k])
+        return result
+
+
+def _triad_parameters(triad: str) -> list[Parameter]:
+    scale = [Parameter(ParameterKind.SCALE_FACTOR_ERROR, triad, i, i) for i in range(3)]
+    cross = [
+        Parameter(ParameterKind.MISALIGNMENT, triad, i, j)
+        for i in range(3)
+        for j in range(3)
+        if i != j
+    ]
+    bias = [Parameter(ParameterKind.BIAS, triad, i, None) for i in range(3)]
+    return scale + cross + bias
+
+
+PARAMETERS: tuple[Parameter, ...] = (*_triad_parameters('g'), *_triad_parameters('a'))
+"""The 24 parameters, in the order of every vector and covariance."""
+
+PARAMETER_NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
+
+
+def skewed_parameters(channels: int) -> tuple[Parameter, ...]:
+    """Return the four parameters of each skewed gyro: three responses and a bias."""
+    rows = range(3, 3 + channels)
+    return tuple(
+        Parameter(ParameterKind.BIAS if j is None else ParameterKind.RESPONSE, 'g', i, j)
+        for i in rows
+        for j in (0, 1, 2, None)
+    )
+
+
+def linear_product(parameter: Parameter) -> Product:
+    """Return what a parameter of the linear model is multiplied by: an input of its triad, or one.
+
+    Args:
+        parameter: One of `PARAMETERS` or of a skewed gyro.
+
+    """
+    if parameter.column is None:
+        return Product()
+    return Product((parameter.column + (len(AXES) if parameter.triad == 'a' else 0),))
+
+
+def positions(wanted: Sequence[Parameter], among: Sequence[Parameter]) -> list[int]:
+    """Return where parameters stand in a longer list.
+
+    Raises:
+        KeyError: One is not in it.
+
+    """
+    places = {parameter: k for k, parameter in enumerate(among)}
+    return [places[parameter] for parameter in wanted]

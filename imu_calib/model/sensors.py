@@ -1,0 +1,352 @@
+"""The sensor model: what the channels of an IMU answer to rates and specific forces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import NotObservable
+from ..stream import Floats
+from .inversion import inverted
+from .parameters import (
+    MOST_SKEWED,
+    PARAMETERS,
+    Parameter,
+    Product,
+    linear_product,
+    skewed_parameters,
+)
+from .terms import G_SENSITIVITIES, G_SENSITIVITY, TERMS, Term, term
+
+_BASE = len(PARAMETERS)
+_G = slice(_BASE, _BASE + len(G_SENSITIVITIES))
+_UNSKEWED = (*PARAMETERS, *(p for one in TERMS for p in one.parameters))
+_ALL = (*_UNSKEWED, *skewed_parameters(MOST_SKEWED))
+_PLACES = {parameter: k for k, parameter in enumerate(_ALL)}
+
+PRODUCTS: Mapping[Parameter, Product] = {
+    **{p: linear_product(p) for p in (*PARAMETERS, *skewed_parameters(MOST_SKEWED))},
+    **{p: product for one in TERMS for p, product in one.products},
+}
+"""What each parameter is multiplied by."""
+
+
+def parameters_of(terms: Sequence[Term] = (), *, skewed: int = 0) -> tuple[Parameter, ...]:
+    """Return the parameters of a model in the order of its vectors and covariance.
+
+    Args:
+        terms: What it has besides the 24, in any order.
+        skewed: Number of skewed gyros.
+
+    """
+    chosen = [p for one in TERMS if one in terms for p in one.parameters]
+    return (*PARAMETERS, *chosen, *skewed_parameters(skewed))
+
+
+def terms_of(parameters: Sequence[Parameter]) -> tuple[Term, ...]:
+    """Return the terms that have some of the parameters."""
+    kinds = {p.kind for p in parameters}
+    return tuple(one for one in TERMS if one.kind in kinds)
+
+
+def by_name(names: Sequence[str]) -> tuple[Parameter, ...]:
+    """Return the parameters of these names.
+
+    Raises:
+        KeyError: A name that no parameter has.
+
+    """
+    return tuple(_NAMES[name] for name in names)
+
+
+_NAMES = {parameter.name: parameter for parameter in _ALL}
+
+
+@dataclass(frozen=True, eq=False)
+class Regressors:
+    """Parameters by what they are multiplied by.
+
+    Attributes:
+        channels: (n,) output that each adds to, as in `Parameter.channel`.
+        products: What they are multiplied by, each once.
+        index: (n,) which of the products is each one's.
+
+    """
+
+    channels: NDArray[np.intp]
+    products: tuple[Product, ...]
+    index: NDArray[np.intp]
+
+    def at(self, rate: Floats, force: Floats) -> Floats:
+        """Return the products, (..., m), at (..., 3) rates and specific forces."""
+        inputs = np.concatenate([rate, force], axis=-1)
+        return np.stack([product.value(inputs) for product in self.products], axis=-1)
+
+
+@lru_cache(maxsize=64)
+def regressors(parameters: tuple[Parameter, ...]) -> Regressors:
+    """Return by what parameters are multiplied, in the order in which products first come."""
+    mine = [PRODUCTS[parameter] for parameter in parameters]
+    products = tuple(dict.fromkeys(mine))
+    return Regressors(
+        np.array([parameter.channel for parameter in parameters], dtype=np.intp),
+        products,
+        np.array([products.index(product) for product in mine], dtype=np.intp),
+    )
+
+
+@lru_cache(maxsize=64)
+def _places(parameters: tuple[Parameter, ...]) -> NDArray[np.intp]:
+    return np.array([_PLACES[parameter] for parameter in parameters], dtype=np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class Triad:
+    """Three channels: n = (I + error_matrix) u + bias.
+
+    Attributes:
+        error_matrix: (3, 3) scale-factor errors on the diagonal, misalignments (rad) off it.
+        bias: (3,) rad/s or m/s^2.
+
+    Source: Cao 2022, eqs. (1)-(2).
+
+    """
+
+    error_matrix: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    bias: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def response(self) -> Floats:
+        """I + M, (3, 3)."""
+        return np.eye(3) + self.error_matrix
+
+    def vector(self) -> Floats:
+        """Return the 12 parameters in the order of `PARAMETERS`."""
+        off = self.error_matrix[~np.eye(3, dtype=bool)]
+        return np.concatenate([np.diag(self.error_matrix), off, self.bias])
+
+    @classmethod
+    def from_vector(cls, vector: Floats) -> Triad:
+        """Build a triad from 12 parameters in the order of `PARAMETERS`."""
+        matrix = np.zeros((3, 3))
+        matrix[~np.eye(3, dtype=bool)] = vector[3:9]
+        matrix[np.diag_indices(3)] = vector[:3]
+        return cls(matrix, np.array(vector[9:12], dtype=float))
+
+
+@dataclass(frozen=True, eq=False)
+class Skewed:
+    """Gyros whose input axes lie askew to X, Y and Z: n_s = response w + bias.
+
+    Scale factor and direction are not told apart, so no small angle is needed (CN103697918A).
+
+    Attributes:
+        response: (k, 3) to rates about the body axes.
+        bias: (k,) rad/s.
+
+    """
+
+    response: Floats
+    bias: Floats
+
+    def predict(self, rate: Floats) -> Floats:
+        """Return what the channels read, (..., k) rad/s, for (..., 3) rates."""
+        return np.asarray(rate @ self.response.T + self.bias)
+
+
+@dataclass(frozen=True, eq=False)
+class SensorModel:
+    """Gyros and accelerometers of one unit, in SI after the nominal scale factor.
+
+    n_g = (I + M_g) w + d_g + G f and n_a = (I + M_a) f + d_a, and what the terms add.
+
+    Attributes:
+        gyro: The gyro triad.
+        accel: The accelerometer triad.
+        g_sensitivity: (3, 3) G, (rad/s)/(m/s^2); zero in the 24-parameter model.
+        skewed: Further gyros, or None.
+        terms: Coefficients of further terms by name, in the order of `Term.parameters`, SI.
+
+    Source: Cao 2022, eqs. (1)-(2); Luo 2018, section 6.2, for G; `terms` for the others.
+
+    """
+
+    gyro: Triad = field(default_factory=Triad)
+    accel: Triad = field(default_factory=Triad)
+    g_sensitivity: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    skewed: Skewed | None = None
+    terms: Mapping[str, Floats] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the model has: the 24, the terms that are in it, the skewed gyros'."""
+        mine = [term(name) for name in self.terms]
+        if self.g_sensitivity.any():
+            mine.append(G_SENSITIVITY)
+        return parameters_of(mine, skewed=0 if self.skewed is None else len(self.skewed.bias))
+
+    def vector(self) -> Floats:
+        """Return the 24 parameters in the order of `PARAMETERS`, SI units."""
+        return np.concatenate([self.gyro.vector(), self.accel.vector()])
+
+    @classmethod
+    def from_vector(cls, vector: Floats) -> SensorModel:
+        """Build the model from 24 parameters in the order of `PARAMETERS`, SI units."""
+        return cls(Triad.from_vector(vector[:12]), Triad.from_vector(vector[12:24]))
+
+    def values(self, parameters: Sequence[Parameter]) -> Floats:
+        """Return the values of parameters, SI units.
+
+        Those of a term that the model does not have are zero, those of a skewed gyro that it does
+        not have NaN.
+        """
+        return self._flat()[_places(tuple(parameters))]
+
+    def with_values(self, parameters: Sequence[Parameter], values: Floats) -> SensorModel:
+        """Return the model with other values of some parameters, (n,) SI units.
+
+        A term of which a parameter is set is in the model from then on; so is a skewed gyro.
+        """
+        chosen = tuple(parameters)
+        flat = self._flat()
+        flat[_places(chosen)] = values
+        base = SensorModel.from_vector(flat)
+        kinds = {p.kind for p in chosen}
+        terms = {
+            one.name: flat[_places(one.parameters)]
+            for one in TERMS
+            if one is not G_SENSITIVITY and (one.name in self.terms or one.kind in kinds)
+        }
+        channels = 0 if self.skewed is None else len(self.skewed.bias)
+        channels = max([channels, *(p.row - 2 for p in chosen)])
+        skewed = None
+        if channels:
+            four = flat[len(_UNSKEWED) :].reshape(-1, 4)[:channels]
+            skewed = Skewed(four[:, :3], four[:, 3])
+        return SensorModel(base.gyro, base.accel, flat[_G].reshape(3, 3), skewed, terms)
+
+    def _flat(self) -> Floats:
+        """Return all that there can be, in the order of `_ALL`."""
+        flat = np.zeros(len(_ALL))
+        flat[len(_UNSKEWED) :] = np.nan
+        flat[:_BASE] = self.vector()
+        flat[_G] = self.g_sensitivity.ravel()
+        for name, values in self.terms.items():
+            flat[_places(term(name).parameters)] = values
+        if self.skewed is not None:
+            four = np.column_stack([self.skewed.response, self.skewed.bias]).ravel()
+            flat[len(_UNSKEWED) : len(_UNSKEWED) + len(four)] = four
+        return flat
+
+    def predict(self, rate: Floats, force: Floats) -> tuple[Floats, Floats]:
+        """Return what the channels read.
+
+        Args:
+            rate: (..., 3) angular rate along the body axes, rad/s.
+            force: (..., 3) specific force along the body axes, m/s^2.
+
+        Returns:
+            Gyro (..., 3) in rad/s and accelerometer (..., 3) in m/s^2 channels.
+
+        """
+        gyro = rate @ self.gyro.response.T + self.gyro.bias + force @ self.g_sensitivity.T
+        accel = force @ self.accel.response.T + self.accel.bias
+        if self.linear:
+            return gyro, accel
+        more = self.extra(np.concatenate(np.broadcast_arrays(rate, force), axis=-1))
+        return gyro + more[..., :3], accel + more[..., 3:]
+
+    def derivatives(self, rate: Floats, force: Floats, parameters: tuple[Parameter, ...]) -> Floats:
+        """Return the derivatives of the six outputs by parameters, (..., 6, n).
+
+        The model is linear in them: these do not depend on their values. A skewed gyro's do not
+        touch the six.
+
+        Args:
+            rate: (..., 3) rad/s.
+            force: (..., 3) m/s^2.
+            parameters: By which.
+
+        """
+        by = regressors(parameters)
+        result = np.zeros((*rate.shape[:-1], 6, len(parameters)))
+        mine = np.flatnonzero(by.channels < 6)
+        result[..., by.channels[mine], mine] = by.at(rate, force)[..., by.index[mine]]
+        return result
+
+    def slopes(self, rate: Floats, force: Floats) -> Floats:
+        """Return the derivatives of the six outputs by the six inputs, (..., 6, 6)."""
+        linear = np.block(
+            [[self.gyro.response, self.g_sensitivity], [np.zeros((3, 3)), self.accel.response]]
+        )
+        return linear + self.extra_slopes(np.concatenate([rate, force], axis=-1))
+
+    @property
+    def linear(self) -> bool:
+        """Whether the outputs are linear in the inputs."""
+        return not self._products
+
+    @cached_property
+    def _products(self) -> tuple[tuple[int, float, Product], ...]:
+        """Channel, coefficient and product of all that is not linear."""
+        return tuple(
+            (parameter.channel, float(value), product)
+            for name, values in self.terms.items()
+            for (parameter, product), value in zip(term(name).products, values, strict=True)
+            if value
+        )
+
+    def extra(self, inputs: Floats) -> Floats:
+        """Return what the terms add to the six outputs, (..., 6), at (..., 6) inputs."""
+        result = np.zeros(inputs.shape)
+        for channel, value, product in self._products:
+            result[..., channel] += value * product.value(inputs)
+        return result
+
+    def extra_slopes(self, inputs: Floats) -> Floats:
+        """Return the derivatives of `extra` by the inputs, (..., 6, 6)."""
+        result = np.zeros((*inputs.shape, 6))
+        for channel, value, product in self._products:
+            result[..., channel, :] += value * product.slopes(inputs)
+        return result
+
+    def compensate(self, gyro: Floats, accel: Floats) -> tuple[Floats, Floats]:
+        """Return the rate and the specific force that the channels' readings mean.
+
+        Args:
+            gyro: (..., 3) gyro channels, rad/s.
+            accel: (..., 3) accelerometer channels, m/s^2.
+
+        Returns:
+            Angular rate (..., 3) in rad/s and specific force (..., 3) in m/s^2, body axes.
+
+        Raises:
+            NotObservable: A response matrix is singular, or terms outgrow the responses.
+
+        Source: Luo 2018, eqs. (2-190) to (2-193); docs/mathematics.md, 'Terms', for the others.
+        """
+        try:
+            force = np.linalg.solve(self.accel.response, (accel - self.accel.bias)[..., None])[
+                ..., 0
+            ]
+            free = gyro - self.gyro.bias - force @ self.g_sensitivity.T
+            rate = np.linalg.solve(self.gyro.response, free[..., None])[..., 0]
+            if self.linear:
+                return np.asarray(rate), np.asarray(force)
+            linear = replace(self, terms={}).slopes(np.zeros(3), np.zeros(3))
+            gain = np.asarray(np.linalg.inv(linear))
+        except np.linalg.LinAlgError:
+            raise NotObservable('The model cannot be inverted: I + M is singular.') from None
+        both = np.concatenate(np.broadcast_arrays(rate, force), axis=-1)
+        found, done = inverted(self, both.reshape(-1, 6), gain)
+        if not done.all():
+            raise NotObservable(
+                f'The model cannot be inverted: its terms ({", ".join(self.terms)}) outgrow the '
+                'responses within the range of these outputs.'
+            )
+        found = found.reshape(both.shape)
+        return found[..., :3], found[..., 3:]

@@ -1,0 +1,186 @@
+"""Terms beyond the 24 parameters: what a channel adds to its output besides I + M and bias.
+
+Every parameter of a term is multiplied by a product of the instantaneous inputs (`Product`), from
+which prediction, derivatives, inversion and code follow. `TERMS` is their order in vectors.
+
+Rates count in units of 60 deg/s, so that the coefficients are ratios of the size of what they do.
+
+Sources: IEEE Std 1293 (model equation of a linear accelerometer), IEEE Std 952 and 1431 (gyros),
+IEEE Std 528 (the words); docs/mathematics.md, 'Terms'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..errors import InputError
+from ..units import DEG
+from .kinds import ParameterKind
+from .parameters import AXES, Parameter, Product
+
+REFERENCE_RATE = 60 * DEG
+"""Rate at which the coefficients of gyros' terms are stated, rad/s."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A group of parameters that are added to the model together.
+
+    Attributes:
+        name: As in `--terms` and in files.
+        kind: Of all its parameters.
+        products: Its parameters, in order, with what each is multiplied by.
+        needs: What a session must have to determine it; ends 'it takes'.
+
+    """
+
+    name: str
+    kind: ParameterKind
+    products: tuple[tuple[Parameter, Product], ...]
+    needs: str
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters, in order."""
+        return tuple(parameter for parameter, _ in self.products)
+
+    @property
+    def linear(self) -> bool:
+        """Whether the outputs stay linear in the inputs with it."""
+        return all(len(p.factors) == 1 and not p.absolute for _, p in self.products)
+
+    @property
+    def triad(self) -> str:
+        """Whose outputs it adds to: 'g' or 'a'."""
+        return self.parameters[0].triad
+
+
+def _own(
+    kind: ParameterKind, triad: str, plain: int, absolute: int, needs: str, scale: float = 1.0
+) -> Term:
+    """Return a term of one coefficient for each channel, by its own input: u^plain |u|^absolute."""
+    first = 0 if triad == 'g' else len(AXES)
+    products = tuple(
+        (
+            Parameter(kind, triad, i, i),
+            Product((first + i,) * plain, (first + i,) * absolute, scale),
+        )
+        for i in range(3)
+    )
+    return Term(kind.value.key, kind, products, needs)
+
+
+G_SENSITIVITY = Term(
+    'g_sensitivity',
+    ParameterKind.G_SENSITIVITY,
+    tuple(
+        (Parameter(ParameterKind.G_SENSITIVITY, 'g', i, j), Product((len(AXES) + j,)))
+        for i in range(3)
+        for j in range(3)
+    ),
+    'rests with each axis up and down, and turns about each',
+)
+"""G_ij f_j to gyro i (Luo 2018, section 6.2), row by row of G."""
+
+GYRO_ASYMMETRY = _own(
+    ParameterKind.GYRO_ASYMMETRY, 'g', 0, 1, 'turns about each axis, in both senses at two rates'
+)
+"""A_i |w_i|: scale factors that differ by 2 A between the senses; K is their mean."""
+
+GYRO_RATE_DEPENDENCE = _own(
+    ParameterKind.GYRO_RATE_DEPENDENCE,
+    'g',
+    1,
+    1,
+    'turns about each axis at two rates or more, four to tell it from gyro_cubic',
+    1 / REFERENCE_RATE,
+)
+"""N_i w_i |w_i| / w_ref: a scale factor that changes with the size of the rate, evenly."""
+
+GYRO_CUBIC = _own(
+    ParameterKind.GYRO_CUBIC,
+    'g',
+    3,
+    0,
+    'turns about each axis at two rates or more, four to tell it from gyro_rate_dependence',
+    1 / REFERENCE_RATE**2,
+)
+"""C_i w_i^3 / w_ref^2: a scale factor that changes with the square of the rate."""
+
+GYRO_QUADRATIC = _own(
+    ParameterKind.GYRO_QUADRATIC,
+    'g',
+    2,
+    0,
+    'turns about each axis, in both senses at three rates to tell it from gyro_asymmetry',
+    1 / REFERENCE_RATE,
+)
+"""Q_i w_i^2 / w_ref: scale factors of the senses that differ by the more the faster it turns."""
+
+ACCEL_QUADRATIC = _own(
+    ParameterKind.ACCEL_QUADRATIC,
+    'a',
+    2,
+    0,
+    'rests with each axis up, down and level; 45 degrees between tell it from accel_asymmetry',
+)
+"""K2_i f_i^2 (IEEE Std 1293, K_2)."""
+
+ACCEL_ASYMMETRY = _own(
+    ParameterKind.ACCEL_ASYMMETRY,
+    'a',
+    0,
+    1,
+    'rests with each axis up, down and level; 45 degrees between tell it from accel_quadratic',
+)
+"""A_i |f_i|: scale factors that differ by 2 A between the signs; K is their mean."""
+
+ACCEL_CUBIC = _own(
+    ParameterKind.ACCEL_CUBIC, 'a', 3, 0, 'rests with each axis some 45 degrees off the vertical'
+)
+"""K3_i f_i^3 (IEEE Std 1293, K_3). At 0 and 1 g it is the scale factor."""
+
+ACCEL_CROSS = Term(
+    'accel_cross',
+    ParameterKind.ACCEL_CROSS,
+    tuple(
+        (
+            Parameter(ParameterKind.ACCEL_CROSS, 'a', i, j, k),
+            Product((len(AXES) + j, len(AXES) + k)),
+        )
+        for i in range(3)
+        for j, k in ((0, 1), (0, 2), (1, 2))
+    ),
+    'rests with two axes at once some 45 degrees off the vertical, in all quadrants of each pair',
+)
+"""X_ijk f_j f_k to accelerometer i, j < k (IEEE Std 1293, K_ip, K_io, K_po)."""
+
+TERMS: tuple[Term, ...] = (
+    G_SENSITIVITY,
+    GYRO_ASYMMETRY,
+    GYRO_RATE_DEPENDENCE,
+    GYRO_CUBIC,
+    GYRO_QUADRATIC,
+    ACCEL_QUADRATIC,
+    ACCEL_ASYMMETRY,
+    ACCEL_CUBIC,
+    ACCEL_CROSS,
+)
+"""All terms, in the order of vectors and covariances: after the 24 parameters."""
+
+G_SENSITIVITIES: tuple[Parameter, ...] = G_SENSITIVITY.parameters
+"""The nine that make 33."""
+
+
+def term(name: str) -> Term:
+    """Return the term of a name.
+
+    Raises:
+        InputError: No such term; lists those that exist.
+
+    """
+    for known in TERMS:
+        if known.name == name:
+            return known
+    names = ', '.join(known.name for known in TERMS)
+    raise InputError(f'No term is called {name!r}; there are: {names}.')
