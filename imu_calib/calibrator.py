@@ -341,6 +341,7 @@ def _provenance(
     return {
         'recorded': _date(session.start),
         'method': setup.method_name,
+        'terms': [term.name for term in setup.terms],
         'plan': setup.plan.name,
         'table': setup.table.name if setup.table is not None else None,
         'latitude_deg': setup.site.latitude / DEG,

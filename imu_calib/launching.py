@@ -16,6 +16,7 @@ from .devices import check_port, load_format
 from .errors import ImuCalibError, InputError
 from .imu import load_imu
 from .methods import METHODS
+from .model import chosen
 from .parent import ENDS_WITH
 from .plan import load_plan
 from .share import named_file
@@ -198,6 +199,7 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'truth': lambda name: named_file('truths', name),
     'device': _unless_empty(load_format),
     'method': _one_of('', *METHODS),
+    'terms': chosen,
     'port': _unless_empty(check_port),
     'baud': _or('0', _BAUD),
     'table_baud': _BAUD,

@@ -41,6 +41,9 @@ ARGUMENTS = [
         'method', default_value='', description='The estimator; empty: joint where it applies.'
     ),
     DeclareLaunchArgument(
+        'terms', default_value='none', description='That the joint estimate adds: names, commas.'
+    ),
+    DeclareLaunchArgument(
         'journal', default_value='journal', description='Folder of the recording.'
     ),
     DeclareLaunchArgument(
@@ -76,7 +79,7 @@ def generate_launch_description() -> LaunchDescription:
     typed = {
         bool: ('use_sim_time',),
         float: ('latitude', 'height', 'height_std', 'gravity', 'gravity_std', 'azimuth'),
-        str: ('plan', 'imu', 'table', 'method', 'journal', 'output'),
+        str: ('plan', 'imu', 'table', 'method', 'terms', 'journal', 'output'),
     }
     parameters = {
         name: ParameterValue(LaunchConfiguration(name), value_type=kind)

@@ -72,6 +72,7 @@ def open_offline(arguments: argparse.Namespace) -> Offline:
         options.find_site(arguments, data, where),
         arguments.method,
         options.find_serial(arguments, data, where),
+        options.find_terms(arguments),
     )
     return Offline(recording, setup, streams)
 

@@ -15,6 +15,7 @@ from ..config import Section
 from ..earth import HEIGHT_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
+from ..model import NO_TERMS, TERMS, Term, chosen
 from ..plan import Plan, load_plan, read_plan
 from ..session import SERIAL_NUMBER, described_imu, described_site, imu_key
 from ..share import named_file
@@ -74,12 +75,29 @@ def add_session_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_method_option(parser: argparse.ArgumentParser) -> None:
-    """Add --method."""
+    """Add --method and --terms."""
     parser.add_argument(
         '--method',
         metavar='NAME',
         help="the estimator (default: joint where it applies, else the plan's own)",
     )
+    names = ', '.join(term.name for term in TERMS)
+    parser.add_argument(
+        '--terms',
+        metavar='NAME,NAME',
+        help=f'what the joint estimate adds to the 24 parameters: {NO_TERMS}, or of {names} '
+        f'(default: {NO_TERMS})',
+    )
+
+
+def find_terms(arguments: argparse.Namespace) -> tuple[Term, ...]:
+    """Return the terms that --terms names.
+
+    Raises:
+        InputError: No such term.
+
+    """
+    return chosen(NO_TERMS if arguments.terms is None else arguments.terms)
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:

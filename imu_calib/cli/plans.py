@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,14 +14,14 @@ from ..calibrator import Setup
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import METHODS, check_plan, closed_form_beside, free
-from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
+from ..model import Parameter, SensorModel, parameters_of, terms_of
 from ..plan import Plan, Position, Step, load_plan
-from ..prediction import Forecast, duration, forecast, reach
+from ..prediction import Forecast, duration, forecast, listed, reach
 from ..report.parameters import decimals, engineering
 from ..share import named_file, share_folder
 from ..stream import Mode
 from ..turntable import Table, load_table
-from ..units import DEG, PPM, Dimension, parse
+from ..units import DEG, PPM, parse
 from . import options
 from .terminal import OUTPUT
 
@@ -35,13 +36,6 @@ _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds about one axis each.'
 )
 _LEANING = 'What a hold leans comes on top: E_a errs by half of it, D_a by g times a sixth.'
-
-_DIMENSIONS = {
-    ParameterKind.SCALE_FACTOR_ERROR: (Dimension.RATIO, Dimension.RATIO),
-    ParameterKind.MISALIGNMENT: (Dimension.ANGLE, Dimension.ANGLE),
-    ParameterKind.BIAS: (Dimension.RATE, Dimension.ACCELERATION),
-}
-"""What is written after the equals sign of --reach: of gyros, of accelerometers."""
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -105,7 +99,9 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
     site = options.site_at(arguments, LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     truth = Calibration.load(named_file('truths', arguments.truth)).model
-    setup = Setup(imu, plan, None if plan.by_hand else table, site, arguments.method)
+    terms = options.find_terms(arguments)
+    held = None if plan.by_hand else table
+    setup = Setup(imu, plan, held, site, arguments.method, terms=terms)
     check_plan(setup.method_name, plan, site)
     OUTPUT.print(f'{plan.title} ({plan.source})')
     where = 'by hand' if plan.by_hand else f'on table {table.name}'
@@ -118,7 +114,9 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
     if beside is None:
         _show_forecast(found)
     else:
-        own = forecast(replace(setup, method=beside), truth, wander=arguments.bias_instability)
+        own = forecast(
+            replace(setup, method=beside, terms=()), truth, wander=arguments.bias_instability
+        )
         if own.refusal:
             _show_forecast(found)
             OUTPUT.print(f'closed form {beside}: {own.refusal}', markup=False)
@@ -137,16 +135,17 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
 def _side_by_side(own: Forecast, joint: Forecast) -> Forecast:
     """Put a joint estimate's deviations beside those of a closed form, by parameter.
 
-    One of the two may estimate the g-sensitivities and the other not.
+    Either may estimate terms that the other does not.
     """
-    parameters = max(own.parameters, joint.parameters, key=len)
+    parameters = parameters_of(terms_of((*own.parameters, *joint.parameters)))
     columns = [dict(zip(f.parameters, f.std.tolist(), strict=True)) for f in (own, joint)]
     std, best = (np.array([c.get(p, np.nan) for p in parameters]) for c in columns)
     return replace(own, parameters=parameters, std=std, best=best)
 
 
 def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
-    wanted = dict(_wanted(text) for text in arguments.reach)
+    parameters = {p.name: p for p in listed(setup)}
+    wanted = dict(_wanted(text, parameters) for text in arguments.reach)
     reached = reach(setup, truth, wanted)
     _show_forecast(reached.forecast, wanted)
     rows = Rows(box=None, pad_edge=False, header_style='bold')
@@ -162,20 +161,19 @@ def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel)
         _show_time(reached.plan, setup.table)
 
 
-def _wanted(text: str) -> tuple[str, float]:
-    """Read NAME=STD.
+def _wanted(text: str, parameters: Mapping[str, Parameter]) -> tuple[str, float]:
+    """Read NAME=STD, of parameters by name.
 
     Raises:
         InputError: No such parameter, or not a standard deviation in a unit of its own.
 
     """
     name, equals, value = text.partition('=')
-    parameter = next((p for p in PARAMETERS if p.name == name.strip()), None)
+    parameter = parameters.get(name.strip())
     if not equals or parameter is None:
-        known = ', '.join(p.name for p in PARAMETERS)
+        known = ', '.join(parameters)
         raise InputError(f'--reach {text}: expected NAME=STD, NAME one of {known}.')
-    dimension = _DIMENSIONS[parameter.kind][parameter.triad == 'a']
-    std = parse(value, dimension, f'--reach {name}')
+    std = parse(value, parameter.unit.dimension, f'--reach {name}')
     if not std > 0:
         raise InputError(f'--reach {text}: a standard deviation is above zero.')
     return parameter.name, std

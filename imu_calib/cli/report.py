@@ -12,6 +12,8 @@ from ..calibration import Calibration
 from ..calibrator import Result
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu
+from ..methods import JOINT
+from ..model import NO_TERMS, terms_of
 from ..report.page import Contents, page
 from . import options
 from .calibrate import calibrate, open_offline
@@ -80,6 +82,9 @@ def _recalibrate(arguments: argparse.Namespace, calibration: Calibration) -> tup
     """
     if arguments.method is None:
         arguments.method = calibration.provenance.get('method')
+    if arguments.terms is None and arguments.method in JOINT:
+        names = [term.name for term in terms_of(calibration.parameters)]
+        arguments.terms = ','.join(names) or NO_TERMS
     with open_recording(arguments.bag) as recording:
         told, found = calibration.provenance.get('sha256'), recording.sha256()
         if told is not None and told != found:
@@ -91,10 +96,10 @@ def _recalibrate(arguments: argparse.Namespace, calibration: Calibration) -> tup
     with offline.recording:
         result = calibrate(offline)
     again = result.calibration
-    if len(again.values) != len(calibration.values) or _far_apart(again, calibration):
+    if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
             f'{arguments.bag}: does not give the numbers of {arguments.calibration}: give the '
-            '--plan, --imu, --table, --latitude and --method that it was made with.'
+            '--plan, --imu, --table, --latitude, --method and --terms that it was made with.'
         )
     return result, offline.setup.imu
 

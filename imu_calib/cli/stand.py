@@ -18,6 +18,7 @@ from ..devices import check_port, choose_baud, is_serial, load_format, too_slow
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import free
+from ..model import NO_TERMS
 from ..plan import load_plan
 from ..prediction import check_session
 from ..report.parameters import parameter_table
@@ -212,7 +213,8 @@ def _check(arguments: argparse.Namespace) -> Calibration | None:
     site = options.site_at(arguments, LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     table = None if plan.by_hand else load_table(arguments.table)
-    setup = Setup(imu, plan, table, site, arguments.method)
+    terms = options.find_terms(arguments)
+    setup = Setup(imu, plan, table, site, arguments.method, terms=terms)
     _check_session(setup)
     if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
         raise InputError(
@@ -313,6 +315,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             **doubts,
             'plan': arguments.plan,
             'method': arguments.method or '',
+            'terms': arguments.terms or NO_TERMS,
             'serial_number': arguments.serial or '',
             'journal': str(folder / resume.JOURNAL),
             'output': str(folder / resume.RESULT),

@@ -22,13 +22,14 @@ from .sensors import (
     regressors,
     terms_of,
 )
-from .terms import G_SENSITIVITIES, G_SENSITIVITY, TERMS, Term, term
+from .terms import G_SENSITIVITIES, G_SENSITIVITY, NO_TERMS, TERMS, Term, chosen, term
 
 __all__ = [
     'AXES',
     'G_SENSITIVITIES',
     'G_SENSITIVITY',
     'MOST_SKEWED',
+    'NO_TERMS',
     'PARAMETERS',
     'PARAMETER_NAMES',
     'PRODUCTS',
@@ -46,6 +47,7 @@ __all__ = [
     'Triad',
     'Unit',
     'by_name',
+    'chosen',
     'parameters_of',
     'positions',
     'regressors',

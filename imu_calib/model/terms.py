@@ -18,6 +18,9 @@ from ..units import DEG
 from .kinds import ParameterKind
 from .parameters import AXES, Parameter, Product
 
+NO_TERMS = 'none'
+"""What a person writes for the 24 parameters alone."""
+
 REFERENCE_RATE = 60 * DEG
 """Rate at which the coefficients of gyros' terms are stated, rad/s."""
 
@@ -170,6 +173,18 @@ TERMS: tuple[Term, ...] = (
 
 G_SENSITIVITIES: tuple[Parameter, ...] = G_SENSITIVITY.parameters
 """The nine that make 33."""
+
+
+def chosen(text: str) -> tuple[Term, ...]:
+    """Return the terms that a person names: 'none', or names with commas between.
+
+    Raises:
+        InputError: No such term.
+
+    """
+    if text == NO_TERMS:
+        return ()
+    return tuple(dict.fromkeys(term(name.strip()) for name in text.split(',')))
 
 
 def term(name: str) -> Term:

@@ -13,7 +13,6 @@ from ..calibration import Calibration
 from ..calibrator import Calibrator, Review, Setup
 from ..cdr import Kind, Malformed, Messages
 from ..errors import ImuCalibError, InputError
-from ..methods import estimates
 from ..methods.free.guidance import Guidance, Stage
 from ..methods.free.session import FreeCalibrator, FreeReview, calibrator_of
 from ..model import Parameter, skewed_parameters
@@ -140,7 +139,7 @@ class LiveSession:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """What the session's method estimates."""
-        return estimates(self.setup.method_name)
+        return self.setup.parameters
 
     @property
     def guidance(self) -> Guidance | None:

@@ -1,7 +1,7 @@
 """What a plan will give, before it is run: its evidence, its accuracy, its time."""
 
 from .expected import expected
-from .forecast import Forecast, check_session, forecast
+from .forecast import Forecast, check_session, forecast, listed
 from .reach import Reached, reach
 from .schedule import duration, schedule
 
@@ -12,6 +12,7 @@ __all__ = [
     'duration',
     'expected',
     'forecast',
+    'listed',
     'reach',
     'schedule',
 ]
