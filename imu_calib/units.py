@@ -52,6 +52,11 @@ class Dimension(Enum):
     ACCELERATION = _ACCELERATIONS
     TIME = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'min': 60.0, 'h': HOUR}
     FREQUENCY = {'Hz': 1.0, 'kHz': 1e3}
+    TEMPERATURE = {'K': 1.0}
+    TEMPERATURE_RATE = {'K/s': 1.0, 'K/min': 1 / 60, 'K/h': 1 / HOUR}
+    RATE_PER_KELVIN = _per('K', _RATES)
+    ACCELERATION_PER_KELVIN = _per('K', _ACCELERATIONS)
+    RATIO_PER_KELVIN = {'ppm/K': PPM, '%/K': 0.01}
     LENGTH = {'m': 1.0, 'mm': 1e-3, 'km': 1e3}
     RATIO = {'ppm': PPM, '%': 0.01}
     ANGLE_PER_PULSE = _per('pulse', _ANGLES)

@@ -589,7 +589,7 @@ def test_stamp_jitter_moves_stamps_but_neither_order_nor_samples():
 def test_frames_come_back_as_they_were_sent():
     counts = np.array([[1, -2, 2**31 - 1], [0, 5, -6]], dtype=float)
     block = ImuBlock(np.array([123456789012, 123466789012]), counts, counts[::-1])
-    data = pack(block, np.array([25.126, -3.0]), first=2**32 - 1)
+    data = pack(block, np.array([25.126, -3.0]), counter=2**32 - 1)
     assert data[:2] == b'\xaa\x55'
     assert len(data) == 2 * FRAME.itemsize == 88
     frames = unpack(data)

@@ -58,7 +58,7 @@ def crc16(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
 def pack(
     samples: ImuBlock,
     celsius: Floats,
-    first: int = 0,
+    counter: NDArray[np.intp] | int = 0,
     status: NDArray[np.uint16] | None = None,
     skew: Floats | None = None,
 ) -> bytes:
@@ -67,7 +67,7 @@ def pack(
     Args:
         samples: n samples in whole pulses or counts; stamps in the device's clock.
         celsius: (n,) temperature, degrees Celsius.
-        first: Frame counter of the first sample.
+        counter: Frame counters of the samples, (n,), or that of the first.
         status: (n,) status bits; zero if not given.
         skew: (n,) what a skewed gyro counted; the frames are `SKEWED_FRAME`s with it.
 
@@ -84,7 +84,9 @@ def pack(
             raise InputError(f'A frame holds whole numbers of 32 bits; {name} has others.')
         frames[name] = values
     frames['sync'] = SYNC
-    frames['counter'] = (first + np.arange(len(samples))) % 2**32
+    if isinstance(counter, int):
+        counter = counter + np.arange(len(samples))
+    frames['counter'] = counter % 2**32
     frames['time'] = samples.stamp
     frames['temperature'] = np.clip(np.rint(100 * celsius), -32768, 32767)
     if status is not None:

@@ -194,15 +194,15 @@ class SimulatedHardware:
         """Return the bytes on the IMU's line up to a time."""
         samples = self._imu.advance(self._table.motion(end), end)
         skew = self._skew(len(samples))
-        first = self.frames
-        self.frames += len(samples)
+        counter = self._imu.taken
+        self.frames = self._imu.made
         if self.faults.clock_jump:
             samples = replace(samples, stamp=samples.stamp + round(self.faults.clock_jump * 1e9))
         if self.faults.silence:
             self._silent_until = self.time + self.faults.silence
             self.faults.silence = 0.0
         celsius = self._options.warming.celsius(np.full(len(samples), end))
-        line = b'' if end <= self._silent_until else pack(samples, celsius, first, skew=skew)
+        line = b'' if end <= self._silent_until else pack(samples, celsius, counter, skew=skew)
         if self.faults.garbage and line:
             # In the middle of a frame, which is lost with it.
             middle = 7

@@ -92,8 +92,8 @@ class HeldHardware:
         motion = Motion(np.eye(3), AXES, np.zeros(3), np.eye(3), self._track)
         samples = self._imu.advance(motion, end)
         celsius = self._options.warming.celsius(np.full(len(samples), end))
-        line = pack(samples, celsius, self.frames)
-        self.frames += len(samples)
+        line = pack(samples, celsius, self._imu.taken)
+        self.frames = self._imu.made
         self.time = end
         self._track = self._track.since(end - _MEMORY)
         return line

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..earth import Site
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..model import SensorModel
 from ..stream import Floats, ImuBlock, SkewBlock, Stamps, Units
+from .delivery import Line
 from .motion import Motion
-from .options import ImuOptions, ThermalDrift
+from .options import ImuOptions, ThermalDrift, WarmUp
 
 
 class _Channels:
@@ -137,11 +139,19 @@ class SimulatedImu:
         """What the skewed gyro, if there is one, said of the samples of the last `advance`."""
         # Drawn last, so that a unit without it gives the bits that it always gave.
         self._skewed = self._channels(rng.spawn(1)[0], 'skewed') if model.skewed else None
+        self.taken: NDArray[np.intp] = np.empty(0, np.intp)
+        """Which samples were delivered at the last `advance`, counted from the start; some twice."""
         self._gyro = self._channels(gyros, 'gyro')
         self._accel = self._channels(accels, 'accel')
         self._device_period = 1 / rate
+        self._line = Line(self.options.delivery, self._device_period, rng.spawn(1)[0])
         self._phase = float(phase.uniform())
         self._next = 0
+
+    @property
+    def made(self) -> int:
+        """How many samples there were since the start, delivered or not."""
+        return self._next
 
     @property
     def period(self) -> float:
@@ -157,38 +167,43 @@ class SimulatedImu:
 
         """
         last = max(math.floor(until / self.period - self._phase), self._next)
-        ticks = np.arange(self._next, last + 1, dtype=np.float64) + self._phase
-        self._next = last
+        first, self._next = self._next, last
+        ticks = np.arange(first, last + 1, dtype=np.float64) + self._phase
         edges = ticks * self.period
-        stamps = self._stamps(ticks[1:])
+        stamps = self._stamps(ticks[1:], first)
         if len(ticks) == 1:
             self.skewed = None
+            self.taken = np.empty(0, np.intp)
             return ImuBlock(stamps, np.empty((0, 3)), np.empty((0, 3)), self.options.frame_id)
         widths = np.diff(edges)
         angle, velocity = motion.increments(edges, self.site, np.array(self.options.lever))
         gyro, accel = self._respond(angle / widths[:, None], velocity / widths[:, None], edges)
+        values = [
+            self._gyro.deliver(gyro, widths, self.period),
+            self._accel.deliver(accel, widths, self.period),
+        ]
         if self._skewed is not None and self.model.skewed is not None:
             # Channels come in threes: the other two carry the same rate and are not looked at.
             mean = self.model.skewed.predict(angle / widths[:, None])[:, :1]
             delivered = self._skewed.deliver(np.repeat(mean, 3, axis=1), widths, self.period)
-            self.skewed = SkewBlock(stamps, delivered[:, 0])
-        return ImuBlock(
-            stamps,
-            self._gyro.deliver(gyro, widths, self.period),
-            self._accel.deliver(accel, widths, self.period),
-            self.options.frame_id,
-        )
+            values.append(delivered[:, :1])
+        rows, held = self._line.pass_on(first, np.hstack(values))
+        self.taken, stamps = first + rows, stamps[rows]
+        if self._skewed is not None:
+            self.skewed = SkewBlock(stamps, held[:, 6])
+        return ImuBlock(stamps, held[:, :3], held[:, 3:6], self.options.frame_id)
 
     def device_stamps(self, times: Floats) -> Stamps:
         """Return what the device's clock says, (n,) ns, at (n,) times in s since the epoch."""
         return self._from_device_seconds(times * (1 + self.options.clock_rate_error))
 
-    def _stamps(self, ticks: Floats) -> Stamps:
+    def _stamps(self, ticks: Floats, first: int) -> Stamps:
         elapsed = ticks * self._device_period
         if self.options.imu_stamp_jitter:
             limit = 0.45 * self._device_period
             jitter = self.options.imu_stamp_jitter * self._jitter.standard_normal(len(ticks))
             elapsed = elapsed + np.clip(jitter, -limit, limit)
+        elapsed = self._line.arrivals(first, elapsed)
         return self._from_device_seconds(elapsed)
 
     def _from_device_seconds(self, elapsed: Floats) -> Stamps:
@@ -197,10 +212,19 @@ class SimulatedImu:
 
     def _respond(self, rate: Floats, force: Floats, edges: Floats) -> tuple[Floats, Floats]:
         gyro, accel = self.model.predict(rate, force)
-        drift, warming = self.options.thermal_drift, self.options.warming
-        if drift == ThermalDrift() or (warming.offset == 0 and warming.rise == 0):
+        drift, warming, fading = (
+            self.options.thermal_drift,
+            self.options.warming,
+            self.options.warm_up,
+        )
+        middle = (edges[1:] + edges[:-1]) / 2
+        if fading != WarmUp():
+            left = np.exp(-middle / fading.time_constant)[:, None]
+            gyro = gyro + left * fading.gyro_bias
+            accel = accel + left * fading.accel_bias
+        if drift == ThermalDrift() or not (warming.offset or warming.rise or warming.ramp):
             return gyro, accel
-        excess = warming.excess((edges[1:] + edges[:-1]) / 2)[:, None]
+        excess = warming.excess(middle)[:, None]
         inputs = gyro - self.model.gyro.bias, accel - self.model.accel.bias
         return (
             gyro + excess * (inputs[0] * np.asarray(drift.gyro_scale) + drift.gyro_bias),

@@ -48,6 +48,70 @@ class Ringing:
 
 
 @dataclass(frozen=True, eq=False)
+class Shaking:
+    """A floor that shakes all the time: tones about and along the body axes.
+
+    Like ringing, they are courses of an angle and of a velocity about zero; the swing of gravity
+    with the angle is left out.
+
+    Attributes:
+        frequency: (m,) Hz.
+        angle: (m, 3) amplitudes about the body axes, rad.
+        velocity: (m, 3) amplitudes along the body axes, m/s.
+        phase: (m,) at time zero, rad.
+
+    """
+
+    frequency: Floats
+    angle: Floats
+    velocity: Floats
+    phase: Floats
+
+    def change(self, edges: Floats) -> tuple[Floats, Floats]:
+        """Return by how much angle and velocity, (n, 3) each, change between (n + 1,) times."""
+        swing = np.sin(2 * math.pi * self.frequency * edges[:, None] + self.phase)
+        change = np.diff(swing, axis=0)
+        return change @ self.angle, change @ self.velocity
+
+
+@dataclass(frozen=True)
+class Link:
+    """How the angle of an axis follows a column q of the track: zero + gain q + harmonics of q.
+
+    The harmonics are cos[n - 1] cos(n q) + sin[n - 1] sin(n q), n = 1, 2.
+
+    Attributes:
+        column: Of the track.
+        gain: 1 for the axis of a joint, 0 for an error that comes with the joint's angle.
+        cos: rad, once and twice per turn.
+        sin: rad, likewise.
+
+    """
+
+    column: int
+    gain: float = 1.0
+    cos: tuple[float, float] = (0.0, 0.0)
+    sin: tuple[float, float] = (0.0, 0.0)
+
+    def angle(self, q: Floats) -> Floats:
+        """Return the angle at values q of the column, rad."""
+        angle = self.gain * q
+        for n, (c, s) in enumerate(zip(self.cos, self.sin, strict=True), start=1):
+            if c or s:
+                angle = angle + c * np.cos(n * q) + s * np.sin(n * q)
+        return angle
+
+    def slopes(self, q: Floats) -> tuple[Floats, Floats]:
+        """Return the first and the second derivative of the angle by q."""
+        first, second = np.full_like(q, self.gain), np.zeros_like(q)
+        for n, (c, s) in enumerate(zip(self.cos, self.sin, strict=True), start=1):
+            if c or s:
+                first += n * (s * np.cos(n * q) - c * np.sin(n * q))
+                second -= n * n * (c * np.cos(n * q) + s * np.sin(n * q))
+        return first, second
+
+
+@dataclass(frozen=True, eq=False)
 class Motion:
     """The true motion of a unit: R_nb = base R(axis_1, angle_1) ... R(axis_k, angle_k) mount.
 
@@ -58,6 +122,8 @@ class Motion:
         mount: (3, 3) columns are the body axes in the last joint's frame.
         track: True angles, k columns.
         ringing: Oscillations of the mounting on top.
+        shaking: Of the floor, on top; None where it stands still.
+        links: How each axis follows the columns of the track; empty where axis k follows column k.
 
     """
 
@@ -67,13 +133,15 @@ class Motion:
     mount: Floats
     track: Track
     ringing: tuple[Ringing, ...] = ()
+    shaking: Shaking | None = None
+    links: tuple[Link, ...] = ()
 
     def attitude(self, times: Floats) -> Floats:
         """Return R_nb (n, 3, 3) at (n,) times, without the ringing."""
-        angles, _ = self.track.at(times)
+        angles = self._angles(self.track.at(times)[0].T)
         rows = self.base[None]
         for k, axis in enumerate(self.axes):
-            rows = _turn(rows, axis, (angles[:, k] + self.zeros[k])[:, None])
+            rows = _turn(rows, axis, (angles[k] + self.zeros[k])[:, None])
         return np.broadcast_to(rows @ self.mount, (len(times), 3, 3))
 
     def increments(self, edges: Floats, site: Site, lever: Floats) -> tuple[Floats, Floats]:
@@ -153,6 +221,8 @@ class Motion:
             lever: (3,) m.
 
         """
+        rates, accelerations = self._rates(angles, rates, acceleration)
+        angles = self._angles(angles)
         earth = (site.earth_rate @ self.base)[None]
         up = (site.specific_force @ self.base)[None]
         spin = np.zeros((1, 3))
@@ -161,9 +231,9 @@ class Motion:
             moves = rates is not None and bool(rates[k].any())
             angle = (angles[k] if moves else angles[k, :1]) + self.zeros[k]
             earth, up, spin, spin_up = (_turn(v, axis, angle) for v in (earth, up, spin, spin_up))
-            if rates is not None and acceleration is not None and moves:
+            if rates is not None and accelerations is not None and moves:
                 own = rates[k][:, None] * axis
-                spin_up = spin_up + np.cross(spin, own) + acceleration[k] * axis
+                spin_up = spin_up + np.cross(spin, own) + accelerations[k][:, None] * axis
                 spin = spin + own
         earth, up, spin, spin_up = (v @ self.mount for v in (earth, up, spin, spin_up))
         if rates is not None and lever.any():
@@ -173,12 +243,37 @@ class Motion:
         shape = (angles.shape[1], 3)
         return np.broadcast_to(earth + spin, shape), np.broadcast_to(up, shape)
 
+    def _angles(self, columns: Floats) -> Floats:
+        """Return the angles (k, n) about the axes for (c, n) values of the track."""
+        if not self.links:
+            return columns
+        return np.array([link.angle(columns[link.column]) for link in self.links])
+
+    def _rates(
+        self, columns: Floats, rates: Floats | None, acceleration: Floats | None
+    ) -> tuple[Floats | None, Floats | None]:
+        """Return rates and accelerations (k, n) about the axes by those of the columns."""
+        if rates is None or acceleration is None:
+            return None, None
+        if not self.links:
+            return rates, np.broadcast_to(acceleration[:, None], rates.shape)
+        found = []
+        for link in self.links:
+            first, second = link.slopes(columns[link.column])
+            rate = rates[link.column]
+            found.append((first * rate, first * acceleration[link.column] + second * rate**2))
+        return np.array([rate for rate, _ in found]), np.array([change for _, change in found])
+
     def _add_ringing(self, edges: Floats, angle: Floats, velocity: Floats) -> None:
         for ring in self.ringing:
             if ring.time < edges[-1] and edges[0] < ring.time + 40 * ring.decay:
                 change = np.diff(ring.course(edges))[:, None]
                 angle += change * ring.angle
                 velocity += change * ring.velocity
+        if self.shaking is not None:
+            turned, moved = self.shaking.change(edges)
+            angle += turned
+            velocity += moved
 
 
 def _turn(rows: Floats, axis: Floats, angle: Floats) -> Floats:

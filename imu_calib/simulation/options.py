@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -10,6 +11,7 @@ import numpy as np
 from ..stream import Floats
 from ..turntable import TURN
 from ..units import ARCSEC
+from .true_table import TrueTable
 
 Channels: TypeAlias = float | tuple[float, float, float]
 """One figure for three channels, or one for each."""
@@ -32,6 +34,14 @@ class TableOptions:
         setpoint_timeout: The table stops when no setpoint has come for so long, s.
         setpoint_age: A setpoint is refused whose stamp is further than this from now, s.
         wrapped: Angles are read within -180 to 180 deg instead of continuously.
+        true: Axes, zeros, wobble and encoders as they truly are; None: as described.
+        encoder_noise: Standard deviation of one reading, rad.
+        arrival: Standard deviation by which a joint stops wrong, unseen by its encoder until it
+            moves again, whole turns included, rad.
+        stop_tilt: Standard deviation by which the whole table leans about east and about north,
+            anew after every motion, rad.
+        stop_heading: The same about up, rad.
+        acceleration: Of all joints, if it is below their limits, rad/s^2.
 
     """
 
@@ -44,17 +54,24 @@ class TableOptions:
     setpoint_timeout: float = 0.5
     setpoint_age: float = 0.5
     wrapped: bool = False
+    true: TrueTable | None = None
+    encoder_noise: float = 0.0
+    arrival: float = 0.0
+    stop_tilt: float = 0.0
+    stop_heading: float = 0.0
+    acceleration: float = math.inf
 
 
 @dataclass(frozen=True)
 class Warming:
-    """Temperature of the unit: reference + offset + rise * (1 - exp(-t / time_constant)).
+    """Temperature of the unit: reference + offset + ramp * t + rise * (1 - exp(-t / time_constant)).
 
     Attributes:
         reference: At which the sensor model holds, degrees Celsius.
         offset: At the start above the reference, K.
         rise: In the long run above the start, K.
         time_constant: s.
+        ramp: K/s.
 
     """
 
@@ -62,6 +79,7 @@ class Warming:
     offset: float = 0.0
     rise: float = 0.0
     time_constant: float = 600.0
+    ramp: float = 0.0
 
     def celsius(self, times: Floats) -> Floats:
         """Return the (n,) temperature at (n,) times, degrees Celsius."""
@@ -69,7 +87,8 @@ class Warming:
 
     def excess(self, times: Floats) -> Floats:
         """Return the (n,) temperature above the reference at (n,) times, K."""
-        return np.asarray(self.offset - self.rise * np.expm1(-times / self.time_constant))
+        risen = self.offset - self.rise * np.expm1(-times / self.time_constant)
+        return np.asarray(risen + self.ramp * times if self.ramp else risen)
 
 
 @dataclass(frozen=True)
@@ -90,6 +109,46 @@ class ThermalDrift:
     accel_scale: Channels = 0.0
 
 
+@dataclass(frozen=True)
+class WarmUp:
+    """Biases that fade as bias * exp(-t / time_constant), whatever a thermometer shows.
+
+    Attributes:
+        gyro_bias: At the start, of all channels alike or of each, rad/s.
+        accel_bias: At the start, m/s^2.
+        time_constant: s.
+
+    """
+
+    gyro_bias: Channels = 0.0
+    accel_bias: Channels = 0.0
+    time_constant: float = 600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delivery:
+    """What happens to samples on their way from the sensors to whoever records them.
+
+    Attributes:
+        bunch: So many samples are sent and stamped together, when the last of them is there.
+        late: Share of the samples that are held up, and with them those that queue behind.
+        delay: Mean time for which such a sample is held up, exponentially distributed, s.
+        lost: Share of the samples that never arrive, each by itself.
+        twice: Share of the samples that arrive twice, stamp and all.
+        frozen_every: Mean time from one freeze to the next, s; infinite for none.
+        frozen_for: For so long the device repeats its last sample, with new stamps, s.
+
+    """
+
+    bunch: int = 1
+    late: float = 0.0
+    delay: float = 0.0
+    lost: float = 0.0
+    twice: float = 0.0
+    frozen_every: float = math.inf
+    frozen_for: float = 0.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImuOptions:
     """What the simulated IMU does beyond its data sheet and its sensor model.
@@ -108,6 +167,8 @@ class ImuOptions:
         clock_offset: Device clock minus host clock at the start, s.
         clock_rate_error: How much faster the device clock runs, relative (50e-6 is 50 ppm).
         imu_stamp_jitter: Standard deviation of the stamps, s; at most 0.45 of a sample.
+        warm_up: Biases that fade.
+        delivery: What happens to samples on their way.
         frame_id: Of the samples.
 
     """
@@ -125,6 +186,8 @@ class ImuOptions:
     clock_offset: float = 0.0
     clock_rate_error: float = 0.0
     imu_stamp_jitter: float = 0.0
+    warm_up: WarmUp = field(default_factory=WarmUp)
+    delivery: Delivery = field(default_factory=Delivery)
     frame_id: str = 'imu_link'
 
 
@@ -164,6 +227,24 @@ class Vibration:
     decay: float = 0.2
 
 
+@dataclass(frozen=True)
+class Shake:
+    """How the floor shakes all the time: tones of random phase within a band.
+
+    Attributes:
+        rate: Root mean square of the angular rate about each axis, rad/s.
+        force: Root mean square of the specific force along each axis, m/s^2.
+        lowest: Hz.
+        highest: Hz.
+
+    """
+
+    rate: float = 0.0
+    force: float = 0.0
+    lowest: float = 5.0
+    highest: float = 40.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class StandOptions(TableOptions, ImuOptions):
     """Everything about a simulated stand besides plan, table, IMU, model and site.
@@ -179,6 +260,7 @@ class StandOptions(TableOptions, ImuOptions):
         temperature_rate: Hz.
         block_length: No block holds more than so long, s.
         vibration: After each arrival.
+        shake: Of the floor.
         knock: None, or one knock.
 
     """
@@ -192,6 +274,7 @@ class StandOptions(TableOptions, ImuOptions):
     temperature_rate: float = 1.0
     block_length: float = 10.0
     vibration: Vibration = field(default_factory=Vibration)
+    shake: Shake = field(default_factory=Shake)
     knock: Knock | None = None
 
 

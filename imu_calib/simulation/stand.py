@@ -26,8 +26,8 @@ from ..stream import (
 )
 from ..turntable import Table
 from .imu import SimulatedImu
-from .motion import Motion, Ringing
-from .options import Knock, StandOptions
+from .motion import Motion, Ringing, Shaking
+from .options import Knock, Shake, StandOptions
 from .profile import Track, side_by_side, trapezoid
 from .table import SimulatedTable
 
@@ -36,6 +36,8 @@ JOINT_TOPIC = 'turntable/joint_states'
 IMU_TOPIC = 'imu/pulses'
 TEMPERATURE_TOPIC = 'imu/temperature'
 SKEW_TOPIC = 'imu/skew'
+
+_TONES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +165,9 @@ class SimulatedStand:
             rings.append(Ringing(visit.rest, angle, velocity, vibration.frequency, vibration.decay))
         if vibration.rate or vibration.force:
             motion = replace(motion, ringing=tuple(rings))
+        shake = self.options.shake
+        if shake.rate or shake.force:
+            motion = replace(motion, shaking=_shaking(shake, rng.spawn(1)[0]))
         return motion if self.options.knock is None else _knocked(motion, self.options.knock)
 
     def _sender(self, step: Step) -> Callable[[int], Setpoint]:
@@ -249,6 +254,17 @@ def instants(begin: float, end: float, rate: float, phase: float) -> Floats:
     ticks = np.arange(first, math.ceil(end * rate - phase) + 1, dtype=np.float64)
     times = (ticks + phase) / rate
     return times[(times >= begin) & (times < end)]
+
+
+def _shaking(shake: Shake, rng: np.random.Generator) -> Shaking:
+    """Draw the tones of a floor: as many as make the sum look like noise within the band."""
+    frequency = rng.uniform(shake.lowest, shake.highest, _TONES)
+    swing = 2 * math.pi * frequency[:, None]
+    # The directions are random, the root mean square about each axis is as stated.
+    sizes = rng.standard_normal((2, _TONES, 3))
+    sizes /= np.sqrt((sizes**2).sum(axis=1, keepdims=True) / 2)
+    angle, velocity = shake.rate * sizes[0] / swing, shake.force * sizes[1] / swing
+    return Shaking(frequency, angle, velocity, rng.uniform(0, 2 * math.pi, _TONES))
 
 
 def _knocked(motion: Motion, knock: Knock) -> Motion:

@@ -10,11 +10,12 @@ import numpy as np
 
 from ..errors import InputError
 from ..stream import Floats, Mode, Setpoint
-from ..turntable import TURN, Table, rotation
+from ..turntable import TURN, Joint, Table, rotation
 from ..units import DEG
-from .motion import Motion
+from .motion import Link, Motion
 from .options import TableOptions
 from .profile import Track, braking, side_by_side, trapezoid
+from .true_table import TableSizes, TrueTable
 
 _STANDS = 1e-7
 """A goal closer than this is no move, rad: the rounding of a table's inverse kinematics."""
@@ -97,13 +98,15 @@ class SimulatedTable:
         self.options = options or TableOptions()
         self.epoch = epoch
         count = len(table.joints)
-        streams = (rng or np.random.default_rng()).spawn(3)
-        self._errors, self._servo_errors, self._rate_errors = streams
+        streams = (rng or np.random.default_rng()).spawn(6)
+        self._errors, self._servo_errors, self._rate_errors = streams[:3]
+        self._arrivals, self._stops, self._readings = streams[3:]
         self._encoders, self._truths = slice(0, count), slice(count, 2 * count)
         self._fastest = np.array([joint.max_rate for joint in table.joints])
         encoder = np.zeros(count) if start is None else np.array(start, dtype=float)
-        true = encoder + self._draw(self._errors, self.options.positioning_error)
+        true = encoder + self._hidden()
         self._track = Track.standing(0.0, np.concatenate([encoder, true]))
+        self._base = Track.standing(0.0, self._base_error())
         self._order = _Order(encoder, encoder, true, self._fastest)
         self._setpoint: Setpoint | None = None
         self._deadline = math.inf
@@ -162,7 +165,11 @@ class SimulatedTable:
     def read(self, times: Floats) -> tuple[Floats, Floats]:
         """Return encoder angles (n, k) in rad and rates (n, k) in rad/s at (n,) times."""
         self._reach(times)
-        return self._read(times)
+        angles, rates = self._read(times)
+        noise = self.options.encoder_noise
+        if noise:
+            angles = self._rounded(angles + noise * self._readings.standard_normal(angles.shape))
+        return angles, rates
 
     def angles(self, times: Floats) -> Floats:
         """Return the true joint angles (n, k) at (n,) times, rad."""
@@ -176,17 +183,27 @@ class SimulatedTable:
         tilt = np.array([*self.options.tilt, 0.0])
         size = float(np.linalg.norm(tilt))
         level = rotation(tilt / size, size) if size else np.eye(3)
+        base = level @ rotation(np.array([0.0, 0.0, 1.0]), azimuth or 0.0)
+        track = self._track.columns(self._truths)
+        if self.options.true is None and not self._leans:
+            axes = np.array([joint.axis for joint in self.table.joints])
+            zeros = np.array([joint.zero for joint in self.table.joints])
+            return Motion(base, axes, zeros, self.table.mount, track)
+        true = self.options.true or TrueTable.drawn(self.table, TableSizes(), 0)
+        axes, zeros, links = true.axes_and_links(3)
         return Motion(
-            level @ rotation(np.array([0.0, 0.0, 1.0]), azimuth or 0.0),
-            np.array([joint.axis for joint in self.table.joints]),
-            np.array([joint.zero for joint in self.table.joints]),
+            base,
+            np.vstack([np.eye(3), axes]),
+            np.concatenate([np.zeros(3), zeros]),
             self.table.mount,
-            self._track.columns(self._truths),
+            side_by_side([self._base, track]),
+            links=(*(Link(k) for k in range(3)), *links),
         )
 
     def forget(self, before: float) -> None:
         """Drop the past before a time (s since the epoch), so that a live table can run on."""
         self._track = self._track.since(before)
+        self._base = self._base.since(before)
 
     def _pass(self, time: float) -> None:
         if time < self._time:
@@ -203,13 +220,32 @@ class SimulatedTable:
 
     def _read(self, times: Floats) -> tuple[Floats, Floats]:
         values, rates = self._track.at(times)
-        angles = values[:, self._encoders]
+        return self._rounded(values[:, self._encoders]), rates[:, self._encoders]
+
+    def _rounded(self, angles: Floats) -> Floats:
+        """Return angles as the encoders deliver them."""
         step = self.options.encoder_resolution
         if step:
             angles = np.rint(angles / step) * step
         if self.options.wrapped:
             angles = angles - TURN * np.rint(angles / TURN)
-        return angles, rates[:, self._encoders]
+        return angles
+
+    @property
+    def _leans(self) -> bool:
+        return bool(self.options.stop_tilt or self.options.stop_heading)
+
+    def _hidden(self) -> Floats:
+        """Draw by how much joints that stop are off what their encoders read, rad."""
+        hidden = self._draw(self._errors, self.options.positioning_error)
+        if self.options.arrival:
+            hidden = hidden + self.options.arrival * self._arrivals.standard_normal(len(hidden))
+        return hidden
+
+    def _base_error(self) -> Floats:
+        """Draw how the table leans about its base's x and y, and turns about z, at a stop, rad."""
+        sizes = np.array([self.options.stop_tilt] * 2 + [self.options.stop_heading])
+        return np.asarray(sizes * self._stops.standard_normal(3) if self._leans else sizes)
 
     def _draw(self, stream: np.random.Generator, bound: float) -> Floats:
         return bound * stream.uniform(-1.0, 1.0, len(self.table.joints))
@@ -259,7 +295,7 @@ class SimulatedTable:
 
     def _aim(self, goal: Floats, before: _Order) -> _Order:
         """Aim at a position; a joint with that goal already keeps its place and its error."""
-        hidden = self._draw(self._errors, self.options.positioning_error)
+        hidden = self._hidden()
         servo = self._draw(self._servo_errors, self.options.servo_error)
         stays = np.abs(goal - before.goal) < _STANDS
         encoder = np.where(stays, before.encoder, goal + servo)
@@ -278,7 +314,7 @@ class SimulatedTable:
         goal = before.goal.copy()
         goal[j] += math.copysign(TURN * (setpoint.turns + 1), rates[j])
         self.table.check(goal, rates, where)
-        run_up = rates[j] ** 2 / self.table.joints[j].max_acceleration
+        run_up = rates[j] ** 2 / self._acceleration(self.table.joints[j])
         if run_up > TURN * (1 + 1e-9):
             raise InputError(
                 f'{where}: joint {self.table.names[j]} needs {run_up / DEG:.4g} deg to start and '
@@ -289,6 +325,8 @@ class SimulatedTable:
         cruise[j] = min(abs(rates[j]) * (1 + error), cruise[j])
         servo = self._draw(self._servo_errors, self.options.servo_error)
         hidden = before.true - before.encoder
+        if self.options.arrival:
+            hidden = np.where(rates != 0, self._hidden(), hidden)
         encoder = np.where(rates != 0, goal + servo, before.encoder)
         return _Order(goal, encoder, encoder + hidden, cruise)
 
@@ -327,10 +365,26 @@ class SimulatedTable:
                 truths.append(Track.standing(start, np.array([true])))
                 continue
             rate = float(self._order.cruise[k])
-            move = trapezoid(start, origin, target, rate, joint.max_acceleration)
+            move = trapezoid(start, origin, target, rate, self._acceleration(joint))
             moves.append(move)
             truths.append(move.mapped(true, float(self._order.true[k])))
         self._track = self._track.followed_by(side_by_side(moves + truths))
+        if self._leans and self._track.end > start:
+            self._base = self._base.followed_by(self._leaning(start, self._track.end))
+
+    def _leaning(self, start: float, end: float) -> Track:
+        """Return how the table leans from how it stands to another error, evenly on the way."""
+        value, target = self._base.at(np.array([start]))[0][0], self._base_error()
+        still = np.zeros(3)
+        return Track(
+            np.array([start, end]),
+            np.array([value, target]),
+            np.array([(target - value) / (end - start), still]),
+            np.array([still, still]),
+        )
+
+    def _acceleration(self, joint: Joint) -> float:
+        return min(joint.max_acceleration, self.options.acceleration)
 
     def _stop_joints(self, time: float) -> None:
         """Brake, if the table moves; the order stays, so that a repeated setpoint finishes it."""
@@ -339,7 +393,7 @@ class SimulatedTable:
         values, rates = (x[0] for x in self._track.at(np.array([time])))
         count = len(self.table.joints)
         stops = [
-            braking(time, values[k::count], rates[k::count], joint.max_acceleration)
+            braking(time, values[k::count], rates[k::count], self._acceleration(joint))
             for k, joint in enumerate(self.table.joints)
         ]
         encoders, truths = ([stop.columns(slice(c, c + 1)) for stop in stops] for c in (0, 1))

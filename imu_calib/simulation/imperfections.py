@@ -1,0 +1,253 @@
+"""A file that says what is wrong with a simulated stand: table, stamps, samples, floor, warmth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from ..config import Section
+from ..errors import InputError
+from ..share import named_file
+from ..turntable import Table
+from ..units import Dimension
+from .options import (
+    Channels,
+    Delivery,
+    Shake,
+    StandOptions,
+    ThermalDrift,
+    Vibration,
+    Warming,
+    WarmUp,
+)
+from .true_table import TableSizes, TrueTable
+
+
+def load_imperfections(
+    name: str | Path, options: StandOptions, table: Table | None, seed: int
+) -> StandOptions:
+    """Read a file of imperfections on top of options; what it leaves out stays as it is.
+
+    Args:
+        name: Shipped (by name) or the user's (by path).
+        options: Of the stand without them.
+        table: As it is described; None where a unit is held by hand.
+        seed: Of what is drawn once for a table: the same seed gives the same table.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    section = Section.load(named_file('imperfections', name))
+    readers: dict[str, Callable[[Section, StandOptions], StandOptions]] = {
+        'table': lambda part, o: _table(part, o, table, seed),
+        'joint_states': _joint_states,
+        'stamps': _stamps,
+        'samples': _samples,
+        'mounting': _mounting,
+        'temperature': _temperature,
+    }
+    for key, read in readers.items():
+        if not section.has(key):
+            continue
+        if table is None and key in {'table', 'joint_states', 'mounting'}:
+            raise InputError(
+                f'{section.key(key)}: found an imperfection of a table, '
+                'expected none: the unit is held by hand.'
+            )
+        part = section.section(key)
+        options = read(part, options)
+        part.finish()
+    section.finish()
+    return options
+
+
+def _table(
+    part: Section, options: StandOptions, table: Table | None, seed: int
+) -> StandOptions:
+    sizes = TableSizes(
+        zeros=_size(part, 'zeros'),
+        orthogonality=_size(part, 'orthogonality'),
+        wobble=_harmonics(part, 'wobble'),
+        encoder=_harmonics(part, 'encoder'),
+    )
+    options = replace(
+        options,
+        servo_error=_size(part, 'servo', options.servo_error),
+        rate_error=_size(part, 'rate', options.rate_error, Dimension.RATIO),
+        acceleration=_size(
+            part, 'acceleration', options.acceleration, Dimension.ANGULAR_ACCELERATION
+        ),
+    )
+    if options.acceleration <= 0:
+        raise InputError(f'{part.key("acceleration")}: expected above 0.')
+    if part.has('tilt'):
+        tilt = part.section('tilt')
+        both = (
+            tilt.quantity('east', Dimension.ANGLE, 0.0),
+            tilt.quantity('north', Dimension.ANGLE, 0.0),
+        )
+        tilt.finish()
+        options = replace(options, tilt=both)
+    if part.has('arrivals'):
+        arrivals = part.section('arrivals')
+        options = replace(
+            options,
+            # The file says it all: not the table's description as well.
+            positioning_error=0.0,
+            arrival=_size(arrivals, 'joints'),
+            stop_tilt=_size(arrivals, 'tilt'),
+            stop_heading=_size(arrivals, 'heading'),
+        )
+        arrivals.finish()
+    if table is None or sizes == TableSizes():
+        return options
+    return replace(options, true=TrueTable.drawn(table, sizes, seed))
+
+
+def _joint_states(part: Section, options: StandOptions) -> StandOptions:
+    return replace(
+        options,
+        encoder_noise=_size(part, 'noise'),
+        encoder_resolution=_size(part, 'resolution', options.encoder_resolution),
+        joint_stamp_jitter=_size(part, 'jitter', 0.0, Dimension.TIME),
+        joint_state_rate=_size(part, 'rate', options.joint_state_rate, Dimension.FREQUENCY),
+    )
+
+
+def _stamps(part: Section, options: StandOptions) -> StandOptions:
+    delivery = replace(
+        options.delivery,
+        bunch=_whole(part, 'bunch', 1),
+        late=_share(part, 'late'),
+        delay=_size(part, 'delay', 0.0, Dimension.TIME),
+    )
+    return replace(
+        options,
+        imu_stamp_jitter=_size(part, 'jitter', 0.0, Dimension.TIME),
+        clock_rate_error=part.quantity('clock_rate', Dimension.RATIO, options.clock_rate_error),
+        clock_offset=part.quantity('clock_offset', Dimension.TIME, options.clock_offset),
+        delivery=delivery,
+    )
+
+
+def _samples(part: Section, options: StandOptions) -> StandOptions:
+    delivery = replace(options.delivery, lost=_share(part, 'lost'), twice=_share(part, 'twice'))
+    if part.has('frozen'):
+        frozen = part.section('frozen')
+        delivery = replace(
+            delivery,
+            frozen_every=_size(frozen, 'every', None, Dimension.TIME),
+            frozen_for=_size(frozen, 'for', None, Dimension.TIME),
+        )
+        frozen.finish()
+    return replace(options, delivery=delivery)
+
+
+def _mounting(part: Section, options: StandOptions) -> StandOptions:
+    if part.has('ringing'):
+        s, usual = part.section('ringing'), Vibration()
+        ringing = Vibration(
+            _size(s, 'rate', 0.0, Dimension.RATE),
+            _size(s, 'force', 0.0, Dimension.ACCELERATION),
+            _size(s, 'frequency', usual.frequency, Dimension.FREQUENCY),
+            _size(s, 'decay', usual.decay, Dimension.TIME),
+        )
+        s.finish()
+        options = replace(options, vibration=ringing)
+    if part.has('floor'):
+        s, still = part.section('floor'), Shake()
+        shake = Shake(
+            _size(s, 'rate', 0.0, Dimension.RATE),
+            _size(s, 'force', 0.0, Dimension.ACCELERATION),
+            _size(s, 'lowest', still.lowest, Dimension.FREQUENCY),
+            _size(s, 'highest', still.highest, Dimension.FREQUENCY),
+        )
+        s.finish()
+        options = replace(options, shake=shake)
+    return options
+
+
+def _temperature(part: Section, options: StandOptions) -> StandOptions:
+    usual = options.warming
+    warming = Warming(
+        usual.reference,
+        part.quantity('offset', Dimension.TEMPERATURE, usual.offset),
+        part.quantity('rise', Dimension.TEMPERATURE, usual.rise),
+        _size(part, 'time_constant', usual.time_constant, Dimension.TIME),
+        part.quantity('ramp', Dimension.TEMPERATURE_RATE, usual.ramp),
+    )
+    drift, fading = options.thermal_drift, options.warm_up
+    if part.has('gyro') or part.has('accelerometer'):
+        gyro, accel = (
+            part.section(key) if part.has(key) else Section({}, part.key(key))
+            for key in ('gyro', 'accelerometer')
+        )
+        drift = ThermalDrift(
+            _channels(gyro, 'bias', Dimension.RATE_PER_KELVIN),
+            _channels(gyro, 'scale_factor', Dimension.RATIO_PER_KELVIN),
+            _channels(accel, 'bias', Dimension.ACCELERATION_PER_KELVIN),
+            _channels(accel, 'scale_factor', Dimension.RATIO_PER_KELVIN),
+        )
+        gyro.finish()
+        accel.finish()
+    if part.has('warm_up'):
+        s = part.section('warm_up')
+        fading = WarmUp(
+            _channels(s, 'gyro', Dimension.RATE),
+            _channels(s, 'accelerometer', Dimension.ACCELERATION),
+            _size(s, 'time_constant', fading.time_constant, Dimension.TIME),
+        )
+        s.finish()
+    return replace(options, warming=warming, thermal_drift=drift, warm_up=fading)
+
+
+def _size(
+    part: Section,
+    key: str,
+    default: float | None = 0.0,
+    dimension: Dimension = Dimension.ANGLE,
+) -> float:
+    """Return a quantity that cannot be negative."""
+    value = part.quantity(key, dimension, default)
+    if value < 0:
+        raise InputError(f'{part.key(key)}: found {part.raw(key)}, expected 0 or more.')
+    return value
+
+
+def _share(part: Section, key: str) -> float:
+    share = _size(part, key, 0.0, Dimension.RATIO)
+    if share > 1:
+        raise InputError(f'{part.key(key)}: found {part.raw(key)}, expected 100 % or less.')
+    return share
+
+
+def _whole(part: Section, key: str, default: int) -> int:
+    value = part.number(key, default)
+    if value < 1 or not value.is_integer():
+        raise InputError(f'{part.key(key)}: found {value:g}, expected a whole number above 0.')
+    return int(value)
+
+
+def _harmonics(part: Section, key: str) -> tuple[float, float]:
+    if not part.has(key):
+        return 0.0, 0.0
+    s = part.section(key)
+    pair = _size(s, 'once'), _size(s, 'twice')
+    s.finish()
+    return pair
+
+
+def _channels(part: Section, key: str, dimension: Dimension) -> Channels:
+    """Return one figure for all channels, or a list of three."""
+    if not part.has(key) or not isinstance(part.raw(key), list):
+        return part.quantity(key, dimension, 0.0)
+    values = part.items(key)
+    if len(values) != 3:
+        raise InputError(f'{part.key(key)}: found {len(values)} figures, expected 3 or one.')
+    three = [
+        Section({'value': v}, f'{part.key(key)}[{i}]').quantity('value', dimension)
+        for i, v in enumerate(values)
+    ]
+    return three[0], three[1], three[2]
