@@ -48,7 +48,8 @@ def named_file(kind: str, name: str | Path) -> Path:
     """Return the YAML file that a name or a path of the user means.
 
     Args:
-        kind: Folder below config: 'plans', 'imus', 'tables', 'truths' or 'devices'.
+        kind: Folder below config: 'plans', 'imus', 'tables', 'truths', 'devices' or
+            'imperfections'.
         name: A shipped name ('twelve_position'), or a path to a file of the user's.
 
     Raises:

@@ -26,6 +26,23 @@ _SKEW = 'imu/skew'
 _TEMPERATURE = 'imu/temperature'
 
 
+TRUE_TABLE = 'true_table.yaml'
+"""Beside a simulated recording: the table as it truly is, where it is not as described."""
+
+
+def add_imperfections_option(parser: argparse._ActionsContainer) -> None:
+    """Add what is wrong with a simulated stand."""
+    parser.add_argument(
+        '--imperfections',
+        metavar='NAME|FILE',
+        help='what is wrong with the stand: axes, wobble, zeros and encoders of the table in '
+        'arcsec, arrivals, ramps in deg/s^2, stamps in ms, samples lost or sent twice in %%, '
+        'frozen counts in s, ringing, a floor that shakes, temperature, warm-up of the biases '
+        f'(shipped: {shipped("imperfections")}; docs/simulation.md; default: nothing). The table '
+        f'as it then truly is goes to {TRUE_TABLE}',
+    )
+
+
 def add_site_options(parser: argparse.ArgumentParser) -> None:
     """Add --latitude, --height and --gravity, with their standard deviations."""
     parser.add_argument(
@@ -372,12 +389,17 @@ def _named(
 
 
 def shipped(kind: str) -> str:
-    """List the names that ship of a kind of file: 'plans', 'imus' or 'devices'."""
+    """List the names that ship of a kind of file, as for `named_file`."""
     folder = named_file(kind, _ANY[kind]).parent
     return ', '.join(sorted(path.stem for path in folder.glob('*.yaml')))
 
 
-_ANY = {'plans': 'twelve_position', 'imus': 'si', 'devices': 'simulated'}
+_ANY = {
+    'plans': 'twelve_position',
+    'imus': 'si',
+    'devices': 'simulated',
+    'imperfections': 'laboratory',
+}
 
 
 def output_path(text: str) -> Path:

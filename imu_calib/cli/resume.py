@@ -31,6 +31,7 @@ _FILES = {
     'table': 'tables',
     'device': 'devices',
     'truth': 'truths',
+    'imperfections': 'imperfections',
 }
 """Options that name a file, and of which kind."""
 

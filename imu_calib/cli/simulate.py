@@ -11,14 +11,12 @@ import numpy as np
 
 from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
-from ..earth import Site
 from ..errors import InputError
-from ..imu import ImuSpec, load_imu
+from ..imu import load_imu
 from ..methods import check_plan
-from ..model import SensorModel
 from ..plan import Plan, load_plan
 from ..session import describe
-from ..simulation import ImuOptions, SimulatedStand, StandOptions
+from ..simulation import SimulatedStand, StandOptions, load_imperfections
 from ..simulation.hand import as_planned
 from ..simulation.stand import IMU_TOPIC
 from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, SkewBlock, Stamps
@@ -63,6 +61,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
     )
+    options.add_imperfections_option(parser)
     parser.add_argument('--seed', type=int, default=0, help='same seed, same bits (default: 0)')
     parser.add_argument(
         '--compression', choices=('', 'lz4', 'zstd'), default='', help='of the recording'
@@ -79,18 +78,19 @@ def run(arguments: argparse.Namespace) -> None:
     truth = options.load_truth(arguments.truth, imu)
     plan = load_plan(arguments.plan)
     check_plan(plan.method, plan, site)
-    table = None if plan.by_hand else arguments.table or _TABLE
+    named = None if plan.by_hand else arguments.table or _TABLE
     blocks: Iterator[tuple[str, Block]]
+    table = None if named is None else load_table(named)
+    imperfect = _options(table, arguments)
     if table is None:
         _refuse_table(plan, arguments)
         held = as_planned(plan, np.random.default_rng([arguments.seed, 1]))
-        imu_options = ImuOptions(bias_instability=arguments.bias_instability)
-        read = held.blocks(imu, truth.model, site, imu_options, arguments.seed)
+        read = held.blocks(imu, truth.model, site, imperfect, arguments.seed)
         duration, blocks = held.duration, ((IMU_TOPIC, block) for block in read)
     else:
-        stand = _stand(plan, load_table(table), imu, truth.model, site, arguments)
+        stand = SimulatedStand(plan, table, imu, truth.model, site, imperfect, arguments.seed)
         duration, blocks = stand.duration, stand.blocks()
-    data = describe(arguments.plan, arguments.imu, table, site, arguments.serial or '')
+    data = describe(arguments.plan, arguments.imu, named, site, arguments.serial or '')
     target = Path(arguments.output)
     with (
         RecordingWriter(target, data, arguments.compression) as writer,
@@ -103,27 +103,24 @@ def run(arguments: argparse.Namespace) -> None:
             start = int(stamp[0]) if start is None else start
             show(int(stamp[-1]) - start, round(duration * 1e9))
     truth.save(target / 'truth.yaml')
-    OUTPUT.print(
-        f'{duration:.0f} s of plan {plan.name} written to {target}, '
-        f'the true parameters to {target / "truth.yaml"}'
-    )
+    written = f'the true parameters to {target / "truth.yaml"}'
+    if table is not None and imperfect.true is not None:
+        imperfect.true.save(target / options.TRUE_TABLE, table)
+        written += f', the true table to {target / options.TRUE_TABLE}'
+    OUTPUT.print(f'{duration:.0f} s of plan {plan.name} written to {target}, {written}')
 
 
-def _stand(
-    plan: Plan,
-    table: Table,
-    imu: ImuSpec,
-    model: SensorModel,
-    site: Site,
-    arguments: argparse.Namespace,
-) -> SimulatedStand:
-    stand = StandOptions(
+def _options(table: Table | None, arguments: argparse.Namespace) -> StandOptions:
+    """Return the options of the simulated stand, or of the unit that is held by hand."""
+    stated = StandOptions(
         azimuth=(arguments.azimuth or 0.0) * DEG,
         # A uniform error of this half width has the standard deviation that the table states.
-        positioning_error=math.sqrt(3) * table.positioning,
+        positioning_error=0.0 if table is None else math.sqrt(3) * table.positioning,
         bias_instability=arguments.bias_instability,
     )
-    return SimulatedStand(plan, table, imu, model, site, stand, arguments.seed)
+    if arguments.imperfections is None:
+        return stated
+    return load_imperfections(arguments.imperfections, stated, table, arguments.seed)
 
 
 def _refuse_table(plan: Plan, arguments: argparse.Namespace) -> None:

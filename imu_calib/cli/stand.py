@@ -22,6 +22,7 @@ from ..model import NO_TERMS
 from ..plan import load_plan
 from ..prediction import check_session
 from ..report.parameters import parameter_table
+from ..simulation import StandOptions, load_imperfections
 from ..turntable import load_table
 from . import by_hand, options, resume
 from .processes import Outcome, Processes, free_port, private_network
@@ -85,6 +86,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     simulated.add_argument(
         '--sample-rate', type=float, default=0.0, metavar='HZ', help="default: the IMU's own"
     )
+    options.add_imperfections_option(simulated)
     simulated.add_argument('--seed', type=int, default=0, help='same seed, same errors')
     simulated.add_argument(
         '--speed',
@@ -180,6 +182,7 @@ def _run(
     calibration = Calibration.load(folder / resume.RESULT)
     if truth is not None:
         truth.save(folder / 'truth.yaml')
+        _save_true_table(arguments, folder)
     OUTPUT.print(parameter_table(calibration, truth))
     seconds = time.monotonic() - began
     OUTPUT.print(
@@ -187,6 +190,16 @@ def _run(
         f'{seconds:.0f} s; recording: {folder / resume.JOURNAL}, result: {folder / resume.RESULT}'
     )
     sentence_list('Worth knowing', calibration.findings)
+
+
+def _save_true_table(arguments: argparse.Namespace, folder: Path) -> None:
+    """Write how the simulated table differs from its description, if it does."""
+    if not arguments.imperfections or load_plan(arguments.plan).by_hand:
+        return
+    table = load_table(arguments.table)
+    read = load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)
+    if read.true is not None:
+        read.true.save(folder / options.TRUE_TABLE, table)
 
 
 def _session(
@@ -222,7 +235,11 @@ def _check(arguments: argparse.Namespace) -> Calibration | None:
             f'free positions alone (plan {free.NAME}).'
         )
     if arguments.port:
+        if arguments.imperfections:
+            raise InputError('--imperfections: of simulated hardware; leave it out with --port.')
         return None
+    if arguments.imperfections:
+        load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)
     return options.load_truth(arguments.truth, imu)
 
 
@@ -335,6 +352,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
                 **site,
                 'imu': arguments.imu,
                 'truth': arguments.truth,
+                'imperfections': arguments.imperfections or '',
                 'sample_rate': arguments.sample_rate,
                 'seed': arguments.seed,
                 'start': arguments.start,
@@ -352,6 +370,7 @@ def _parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[s
             **site,
             'truth': arguments.truth,
             'azimuth': arguments.azimuth,
+            'imperfections': arguments.imperfections or '',
             'sample_rate': arguments.sample_rate,
             'seed': arguments.seed,
             'start': arguments.start,

@@ -19,7 +19,7 @@ from ..imu import load_imu
 from ..methods.free.guidance import direction
 from ..middleware import messages
 from ..share import named_file
-from ..simulation import ImuOptions, StandOptions, switched_on
+from ..simulation import StandOptions, load_imperfections, switched_on
 from ..simulation.held import HeldHardware
 from ..units import DEG
 from . import qos
@@ -77,12 +77,16 @@ class HandNode(ros.Node):
         rate = declare(self, 'sample_rate', 0.0, 'of the IMU, Hz; 0: its own', lower=0.0)
         seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
         start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
+        wrong = declare(self, 'imperfections', '', 'name or file of what is wrong; empty: nothing')
+        options = StandOptions(bias_instability=wander, sample_rate=rate or None)
+        if wrong:
+            options = load_imperfections(wrong, options, None, seed)
         self._epoch = round(start * 1e9) + StandOptions.start_time
         return HeldHardware(
             imu,
             Calibration.load(named_file('truths', truth)).model,
             Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity),
-            ImuOptions(bias_instability=wander, sample_rate=rate or None),
+            options,
             seed=switched_on(seed, start),
             epoch=self._epoch,
         )

@@ -21,7 +21,7 @@ from ..errors import ImuCalibError, InputError
 from ..imu import load_imu
 from ..middleware import messages
 from ..share import named_file
-from ..simulation import StandOptions, switched_on
+from ..simulation import StandOptions, load_imperfections, switched_on
 from ..simulation.hardware import SimulatedHardware
 from ..stream import Mode, Setpoint
 from ..turntable import load_table
@@ -125,6 +125,9 @@ class StandNode(ros.Node):
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
         model = Calibration.load(named_file('truths', truth)).model
         seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
+        wrong = declare(self, 'imperfections', '', 'name or file of what is wrong; empty: nothing')
+        if wrong:
+            options = load_imperfections(wrong, options, table, seed)
         self._epoch = options.start_time
         return SimulatedHardware(table, imu, model, site, options, switched_on(seed, start))
 

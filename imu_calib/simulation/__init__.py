@@ -1,31 +1,44 @@
 """Simulated hardware: a turntable, an IMU on it, and a stand that runs a plan with both."""
 
+from .imperfections import load_imperfections, read_imperfections
 from .imu import SimulatedImu
 from .options import (
+    Delivery,
     ImuOptions,
     Knock,
+    Shake,
     StandOptions,
     TableOptions,
     ThermalDrift,
     Vibration,
     Warming,
+    WarmUp,
     switched_on,
 )
 from .stand import SimulatedStand, simulate
 from .table import SimulatedTable, TableState
+from .true_table import TableSizes, TrueJoint, TrueTable
 
 __all__ = [
+    'Delivery',
     'ImuOptions',
     'Knock',
+    'Shake',
     'SimulatedImu',
     'SimulatedStand',
     'SimulatedTable',
     'StandOptions',
     'TableOptions',
+    'TableSizes',
     'TableState',
     'ThermalDrift',
+    'TrueJoint',
+    'TrueTable',
     'Vibration',
+    'WarmUp',
     'Warming',
+    'load_imperfections',
+    'read_imperfections',
     'simulate',
     'switched_on',
 ]

@@ -27,10 +27,21 @@ from .true_table import TableSizes, TrueTable
 def load_imperfections(
     name: str | Path, options: StandOptions, table: Table | None, seed: int
 ) -> StandOptions:
-    """Read a file of imperfections on top of options; what it leaves out stays as it is.
+    """Read a file of imperfections, shipped (by name) or the user's (by path).
+
+    Args and errors as for `read_imperfections`.
+    """
+    section = Section.load(named_file('imperfections', name))
+    return read_imperfections(section, options, table, seed)
+
+
+def read_imperfections(
+    section: Section, options: StandOptions, table: Table | None, seed: int
+) -> StandOptions:
+    """Read imperfections on top of options; what they leave out stays as it is.
 
     Args:
-        name: Shipped (by name) or the user's (by path).
+        section: Their YAML mapping.
         options: Of the stand without them.
         table: As it is described; None where a unit is held by hand.
         seed: Of what is drawn once for a table: the same seed gives the same table.
@@ -39,7 +50,6 @@ def load_imperfections(
         InputError: File, key, what was found and what was expected.
 
     """
-    section = Section.load(named_file('imperfections', name))
     readers: dict[str, Callable[[Section, StandOptions], StandOptions]] = {
         'table': lambda part, o: _table(part, o, table, seed),
         'joint_states': _joint_states,
@@ -63,9 +73,7 @@ def load_imperfections(
     return options
 
 
-def _table(
-    part: Section, options: StandOptions, table: Table | None, seed: int
-) -> StandOptions:
+def _table(part: Section, options: StandOptions, table: Table | None, seed: int) -> StandOptions:
     sizes = TableSizes(
         zeros=_size(part, 'zeros'),
         orthogonality=_size(part, 'orthogonality'),
@@ -224,7 +232,7 @@ def _share(part: Section, key: str) -> float:
 
 
 def _whole(part: Section, key: str, default: int) -> int:
-    value = part.number(key, default)
+    value = part.number(key, float(default))
     if value < 1 or not value.is_integer():
         raise InputError(f'{part.key(key)}: found {value:g}, expected a whole number above 0.')
     return int(value)

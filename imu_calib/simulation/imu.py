@@ -140,7 +140,7 @@ class SimulatedImu:
         # Drawn last, so that a unit without it gives the bits that it always gave.
         self._skewed = self._channels(rng.spawn(1)[0], 'skewed') if model.skewed else None
         self.taken: NDArray[np.intp] = np.empty(0, np.intp)
-        """Which samples were delivered at the last `advance`, counted from the start; some twice."""
+        """Numbers of the samples that the last `advance` delivered, counted from the start."""
         self._gyro = self._channels(gyros, 'gyro')
         self._accel = self._channels(accels, 'accel')
         self._device_period = 1 / rate

@@ -64,7 +64,7 @@ class TableOptions:
 
 @dataclass(frozen=True)
 class Warming:
-    """Temperature of the unit: reference + offset + ramp * t + rise * (1 - exp(-t / time_constant)).
+    """Temperature: reference + offset + ramp * t + rise * (1 - exp(-t / time_constant)).
 
     Attributes:
         reference: At which the sensor model holds, degrees Celsius.
