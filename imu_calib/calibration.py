@@ -71,8 +71,9 @@ class Calibration:
     parameters: tuple[Parameter, ...] = PARAMETERS
 
     def __post_init__(self) -> None:
-        """Refuse a covariance of other parameters."""
+        """Refuse a covariance of other parameters than the model's."""
         assert self.covariance.shape == (len(self.parameters),) * 2
+        assert set(self.model.parameters) <= set(self.parameters)
 
     @property
     def std(self) -> Floats:

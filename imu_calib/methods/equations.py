@@ -199,21 +199,7 @@ class Equations:
 
     @cached_property
     def _headings(self) -> Floats:
-        """Attitudes that whole turns go through at equal steps, (t, 8, 3, 3): body from table.
-
-        Those of the second half are the first half's with the level axes reversed to the last bit:
-        what a whole turn cancels vanishes, and does not stay as rounding that seems observed.
-        """
-        ups, _, _ = self._turning
-        angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
-        cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
-        result = np.zeros((len(ups), _HEADINGS, 3, 3))
-        for k, up in enumerate(ups):
-            first, second = _level_axes(up)
-            half = np.stack([cosine * first + sine * second, cosine * second - sine * first], -1)
-            result[k, :, :, :2] = np.concatenate([half, -half])
-            result[k, :, :, 2] = up
-        return result
+        return headings(self._turning[0])
 
     def _inputs(self, state: Floats) -> tuple[Surroundings, Floats, Floats, Floats, Floats]:
         """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 8, 3).
@@ -236,7 +222,7 @@ class Equations:
         _, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
-        turned = _whole(model.predict(turning, felt)[0])
+        turned = whole(model.predict(turning, felt)[0])
         return np.asarray(np.concatenate([at_rest.ravel(), turned.ravel()]))
 
     def jacobian(self, state: Floats) -> Floats:
@@ -246,13 +232,13 @@ class Equations:
         s, t, n = len(rate), len(turning), self.sensors
         at_rest, turned = np.zeros((s, 6, self.size)), np.zeros((t, 3, self.size))
         at_rest[:, :, :n] = model.derivatives(rate, force, self.parameters)
-        turned[:, :, :n] = _whole(model.derivatives(turning, felt, self.parameters))[:, :3]
+        turned[:, :, :n] = whole(model.derivatives(turning, felt, self.parameters))[:, :3]
         world = np.vstack([around.rate_slopes, around.force_slopes])
         at_rest[:, :, n : n + 3] = model.slopes(rate, force) @ _both(self._to_body) @ world
         slopes = model.slopes(turning, felt)[..., :3, :]
-        turned[:, :, n : n + 3] = _whole(slopes @ _both(self._headings) @ world)
+        turned[:, :, n : n + 3] = whole(slopes @ _both(self._headings) @ world)
         ups, rates, timed = self._turning
-        answers = np.einsum('tij,tj->ti', _whole(slopes[..., :3]), ups)
+        answers = np.einsum('tij,tj->ti', whole(slopes[..., :3]), ups)
         turned[:, :, -1] = -answers * (np.where(timed, rates, 0.0) / (1 + state[-1]) ** 2)[:, None]
         return np.vstack([at_rest.reshape(6 * s, self.size), turned.reshape(3 * t, self.size)])
 
@@ -303,8 +289,8 @@ class Equations:
         _, rate, force, turning, felt = self._inputs(state)
         s = len(rate)
         ups = np.vstack([self._attitudes[:, 2], self._turning[0]])
-        rates = np.vstack([rate, _whole(turning)])
-        forces = np.vstack([force, _whole(felt)])
+        rates = np.vstack([rate, whole(turning)])
+        forces = np.vstack([force, whole(felt)])
         slopes = self.model(state).slopes(rates, forces)
         groups = self._groups(ups)
         count = int(groups.max(initial=-1)) + 1
@@ -361,8 +347,29 @@ class Equations:
         return columns[:, :-1], columns[:, -1]
 
 
-def _whole(values: Floats) -> Floats:
-    """Return the mean (t, ...) over the headings of whole turns, (t, 8, ...)."""
+def headings(ups: Floats) -> Floats:
+    """Return the attitudes that whole turns go through at equal steps, (t, 8, 3, 3): to body axes.
+
+    Those of the second half are the first half's with the level axes reversed to the last bit: what
+    a whole turn cancels vanishes, and does not stay as rounding that seems observed.
+
+    Args:
+        ups: (t, 3) up in body axes.
+
+    """
+    angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
+    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    result = np.zeros((len(ups), _HEADINGS, 3, 3))
+    for k, up in enumerate(ups):
+        first, second = _level_axes(up)
+        half = np.stack([cosine * first + sine * second, cosine * second - sine * first], -1)
+        result[k, :, :, :2] = np.concatenate([half, -half])
+        result[k, :, :, 2] = up
+    return result
+
+
+def whole(values: Floats) -> Floats:
+    """Return the mean (t, ...) over the `headings` of whole turns, (t, 8, ...)."""
     half = _HEADINGS // 2
     return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _HEADINGS)
 

@@ -77,10 +77,10 @@ def _compensated(
 
     Source: Luo 2018, eqs. (2-190) to (2-193).
     """
-    inverse = np.linalg.inv(sensors.triad.response)
-    inputs = (outputs - sensors.triad.bias - forces @ sensors.g.T) @ inverse.T
-    jacobian = inverse @ sensors.jacobian(inputs, forces, len(factor)) @ factor
-    noise = np.einsum('ij,mj,kj->mik', inverse, variances, inverse)
+    inputs = sensors.compensate(outputs, forces)
+    inverse = np.linalg.inv(sensors.slopes(inputs, forces))
+    jacobian = inverse @ sensors.jacobian(inputs, forces) @ factor
+    noise = np.einsum('mij,mj,mkj->mik', inverse, variances, inverse)
     return inputs, noise + jacobian @ np.swapaxes(jacobian, 1, 2)
 
 

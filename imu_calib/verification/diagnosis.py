@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from ..errors import NotObservable
-from ..model import G_SENSITIVITIES, PARAMETERS, Parameter, ParameterKind, Triad
+from ..model import TERMS, Parameter, ParameterKind, SensorModel, Term
 from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
 from .equations import Fit, Sensors, System
@@ -26,9 +27,25 @@ _DETERMINED = 0.3
 _LARGEST_ROTATION = 3 * DEG
 _NO_SENSE = 1.0 * DEG
 _WIDE = 0.2
-_WIDE_BIAS = {True: 0.05, False: 0.5}
+_WIDE_BIAS = {'g': 0.05, 'a': 0.5}
 _WIDE_G = 1e-3
 _ALL_BUT_ZERO = 1e-9
+_FREED = {
+    ParameterKind.BIAS: (
+        'the biases are others',
+        'They have moved: another temperature, or time.',
+    ),
+    ParameterKind.SCALE_FACTOR_ERROR: (
+        'the scale factors are others',
+        'They have moved: temperature, or time.',
+    ),
+    ParameterKind.MISALIGNMENT: (
+        'the misalignments are others',
+        "The unit or its axes have moved, or the table's arrivals are off by as much "
+        '(positioning in its YAML).',
+    ),
+}
+"""What is said where parameters of a kind, let go of, explain a session; of terms their words."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +86,8 @@ def new_parameters(system: System) -> Fit:
     The outputs are taken as the recording describes them.
     """
     own = replace(system, reading=1.0)
-    return own.fit(Sensors(Triad(), np.zeros((3, 3))), _wide(system))
+    ideal = Sensors.of(SensorModel(), system.parameters, gyros=system.gyros)
+    return own.fit(ideal, _wide(system))
 
 
 def with_true_noise(system: System) -> System:
@@ -199,21 +217,15 @@ def _freed(system: System, sensors: Sensors, factor: Floats) -> list[_Tried]:
     """Let go of some parameters, or of the mount: what has moved since the calibration."""
     wide = _wide(system)
     tried = []
-    for when, why, columns in (
-        ('the biases are others', 'They have moved: another temperature, or time.', range(9, 12)),
-        ('the scale factors are others', 'They have moved: temperature, or time.', range(3)),
-        (
-            'the misalignments are others',
-            'The unit or its axes have moved, or the '
-            "table's arrivals are off by as much (positioning in its YAML).",
-            range(3, 9),
-        ),
-    ):
-        fit = system.fit(sensors, np.hstack([factor, wide[:, list(columns)]]))
-        mine = _parameters(system)
+    mine = system.parameters
+    for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
+        when, why = _FREED.get(kind) or _freed_term(kind)
+        columns = [k for k, p in enumerate(mine) if p.kind is kind]
+        fit = system.fit(sensors, np.hstack([factor, wide[:, columns]]))
         moved = [Moved(mine[k], float(fit.delta[k]), float(fit.std[k])) for k in columns]
         far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
         tried.append(_Tried(Diagnosis(why, far), when, fit, len(columns)))
+    tried += [_added(system, sensors, factor, term) for term in TERMS if _lacks(system, term)]
     if system.observed.with_attitudes:
         fit = system.fit(sensors, factor, mount_free=True)
         angle = float(np.linalg.norm(fit.mounted))
@@ -227,11 +239,31 @@ def _freed(system: System, sensors: Sensors, factor: Floats) -> list[_Tried]:
     return tried
 
 
+def _lacks(system: System, term: Term) -> bool:
+    of_gyros = term.triad == 'g'
+    return of_gyros is system.gyros and term.kind not in {p.kind for p in system.parameters}
+
+
+def _added(system: System, sensors: Sensors, factor: Floats, term: Term) -> _Tried:
+    """Add a term that the calibration was made without."""
+    parameters = (*system.parameters, *term.parameters)
+    larger = replace(system, parameters=parameters)
+    known, count = len(system.parameters), len(term.parameters)
+    wide = block_diag(factor, _wide(larger)[known:, known:])
+    fit = larger.fit(replace(sensors, parameters=parameters), wide)
+    moved = [
+        Moved(p, float(d), float(s))
+        for p, d, s in zip(term.parameters, fit.delta[known:], fit.std[known:], strict=True)
+    ]
+    far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
+    why = f'The calibration was made without it: calibrate with --terms {term.name}.'
+    return _Tried(Diagnosis(why, far), f'{term.name} is in the model', fit, count)
+
+
 def _another_unit(system: System, sensors: Sensors, factor: Floats, name: str) -> Diagnosis:
     """Compare with parameters fitted anew, since no single mistake explains the data."""
     fit = new_parameters(system)
-    file = np.concatenate([sensors.triad.vector(), sensors.g.ravel()])[: system.size]
-    mine = _parameters(system)
+    file, mine = sensors.values, system.parameters
     wide = np.diag(_wide(system))
     determined = np.flatnonzero(fit.std < _DETERMINED * wide)
     moved = []
@@ -251,15 +283,19 @@ def _another_unit(system: System, sensors: Sensors, factor: Floats, name: str) -
     )
 
 
-def _parameters(system: System) -> tuple[Parameter, ...]:
-    mine = PARAMETERS[:12] if system.gyros else PARAMETERS[12:]
-    return (*mine, *G_SENSITIVITIES)[: system.size]
-
-
 def _wide(system: System) -> Floats:
     """Return a prior that says little, (p, p): standard deviations of any unit's parameters."""
-    sizes = {
-        ParameterKind.BIAS: _WIDE_BIAS[system.gyros],
-        ParameterKind.G_SENSITIVITY: _WIDE_G,
-    }
-    return np.diag([sizes.get(p.kind, _WIDE) for p in _parameters(system)])
+    return np.diag([_width(p) for p in system.parameters])
+
+
+def _width(parameter: Parameter) -> float:
+    if parameter.kind is ParameterKind.BIAS:
+        return _WIDE_BIAS[parameter.triad]
+    if parameter.kind is ParameterKind.G_SENSITIVITY:
+        return _WIDE_G
+    return parameter.unit.limit or _WIDE
+
+
+def _freed_term(kind: ParameterKind) -> tuple[str, str]:
+    words = kind.value.words
+    return f'the {words} is another', 'It has moved, or is that of another unit.'

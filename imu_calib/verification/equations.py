@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from ..earth import EARTH_RATE
-from ..model import SensorModel, Triad
+from ..methods.equations import headings, whole
+from ..model import AXES, Parameter, SensorModel, Triad
 from ..stream import Floats
 from ..turntable import rotation
 from .observed import Observed
@@ -34,38 +35,81 @@ _SAME_UP = 0.99
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """A triad with its g-sensitivity, which is zero for accelerometers."""
+    """One triad of a model, with all that the model adds to its channels.
 
-    triad: Triad
-    g: Floats
+    Attributes:
+        model: The whole model.
+        gyros: Gyros or accelerometers.
+        parameters: The triad's, in the order of vectors.
+
+    """
+
+    model: SensorModel
+    gyros: bool
+    parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, model: SensorModel, *, gyros: bool) -> Sensors:
-        """Take one triad of a model."""
-        if gyros:
-            return cls(model.gyro, model.g_sensitivity)
-        return cls(model.accel, np.zeros((3, 3)))
+    def of(cls, model: SensorModel, parameters: tuple[Parameter, ...], *, gyros: bool) -> Sensors:
+        """Take one triad of a model; skewed gyros are not among its three."""
+        return cls(model, gyros, of_triad(parameters, gyros=gyros))
+
+    @property
+    def triad(self) -> Triad:
+        """The linear part but for g-sensitivity."""
+        return self.model.gyro if self.gyros else self.model.accel
+
+    @property
+    def values(self) -> Floats:
+        """(p,) values of the parameters."""
+        return self.model.values(self.parameters)
+
+    def with_triad(self, triad: Triad) -> Sensors:
+        """Return the sensors with another linear part."""
+        if self.gyros:
+            return replace(self, model=replace(self.model, gyro=triad))
+        return replace(self, model=replace(self.model, accel=triad))
+
+    def with_values(self, parameters: tuple[Parameter, ...], values: Floats) -> Sensors:
+        """Return the sensors with other values of some parameters."""
+        return replace(self, model=self.model.with_values(parameters, values))
 
     def moved(self, delta: Floats) -> Sensors:
-        """Add (12,) or, with g-sensitivity, (21,) parameters in their usual order."""
-        g = self.g + delta[12:].reshape(3, 3) if len(delta) > 12 else self.g
-        return Sensors(Triad.from_vector(self.triad.vector() + delta[:12]), g)
+        """Add (p,) to the parameters."""
+        return self.with_values(self.parameters, self.values + delta)
 
-    def jacobian(self, inputs: Floats, forces: Floats, size: int) -> Floats:
-        """Return what the outputs change by with each parameter, (m, 3, size)."""
-        count = len(inputs)
-        result = np.zeros((count, 3, size))
-        column = 3
-        for i in range(3):
-            result[:, i, i] = inputs[:, i]
-            result[:, i, 9 + i] = 1.0
-            for j in range(3):
-                if j != i:
-                    result[:, i, column] = inputs[:, j]
-                    column += 1
-                if size > 12:
-                    result[:, i, 12 + 3 * i + j] = forces[:, j]
-        return result
+    def predict(self, inputs: Floats, forces: Floats) -> Floats:
+        """Return what the triad reads, (..., 3), at its inputs and the specific forces."""
+        return self.model.predict(*self._both(inputs, forces))[0 if self.gyros else 1]
+
+    def compensate(self, outputs: Floats, forces: Floats) -> Floats:
+        """Return the inputs (m, 3) that outputs mean where the forces are known."""
+        if not self.gyros:
+            return self.model.compensate(np.zeros_like(outputs), outputs)[1]
+        felt = self.model.predict(np.zeros_like(forces), forces)[1]
+        return self.model.compensate(outputs, felt)[0]
+
+    def jacobian(self, inputs: Floats, forces: Floats) -> Floats:
+        """Return what the outputs change by with each parameter, (..., 3, p)."""
+        both = self._both(inputs, forces)
+        return self.model.derivatives(*both, self.parameters)[..., self._own, :]
+
+    def slopes(self, inputs: Floats, forces: Floats) -> Floats:
+        """Return what the outputs change by with the inputs, (..., 3, 3)."""
+        return self.model.slopes(*self._both(inputs, forces))[..., self._own, self._own]
+
+    @property
+    def _own(self) -> slice:
+        return slice(0, 3) if self.gyros else slice(3, 6)
+
+    def _both(self, inputs: Floats, forces: Floats) -> tuple[Floats, Floats]:
+        # What accelerometers answer does not depend on rates.
+        return (inputs, forces) if self.gyros else (np.zeros_like(inputs), inputs)
+
+
+def of_triad(parameters: tuple[Parameter, ...], *, gyros: bool) -> tuple[Parameter, ...]:
+    """Return the parameters of the three gyros, or of the accelerometers."""
+    letter = 'g' if gyros else 'a'
+    return tuple(p for p in parameters if p.triad == letter and p.row < len(AXES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +190,8 @@ class System:
         gyros: Gyros or accelerometers.
         reading: Factor by which the outputs are to be multiplied.
         forces: (s, 3) specific forces at rest in body axes.
+        parameters: Of the triad.
         inflation: Factors on the noise of rests and of turns.
-        size: Number of parameters: 12, or 21 with g-sensitivity.
         wander: Standard deviation of the biases from rest to rest, rad/s or m/s^2.
 
     """
@@ -156,8 +200,8 @@ class System:
     gyros: bool
     reading: float
     forces: Floats
+    parameters: tuple[Parameter, ...]
     inflation: tuple[float, float] = (1.0, 1.0)
-    size: int = 12
     wander: float = 0.0
 
     def inflated(self, ratios: tuple[float, float]) -> System:
@@ -220,6 +264,8 @@ class System:
         to_body = world.mount @ to_body.reshape(-1, 3, 3)
         inputs, forces = to_body @ world.vector, to_body @ seen.site.specific_force
         outputs, variances = self.outputs, self.variances
+        predicted = sensors.predict(inputs, forces)
+        jacobian = sensors.jacobian(inputs, forces)
         ups = to_body[:, :, 2]
         at_rest = np.ones(len(inputs), dtype=bool)
         if self.gyros and seen.turns:
@@ -227,14 +273,16 @@ class System:
             rates = np.array([t.rate for t in seen.turns])
             errors = np.array([t.rate_error for t in seen.turns]) * rates * self.inflation[1]
             along = (up @ sensors.triad.response.T * errors[:, None]) ** 2
+            turned, spun = headings(up), (up * rates[:, None])[:, None]
+            turning = turned @ seen.site.earth_rate + spun, turned @ seen.site.specific_force
+            predicted = np.vstack([predicted, whole(sensors.predict(*turning))])
+            jacobian = np.vstack([jacobian, whole(sensors.jacobian(*turning))])
             inputs = np.vstack([inputs, up * (rates + seen.site.up_rate)[:, None]])
-            forces = np.vstack([forces, up * seen.site.gravity])
             outputs = np.vstack([outputs, [t.output * self.reading for t in seen.turns]])
             variances = np.vstack([variances, self.turn_variances + along])
             ups = np.vstack([ups, up])
             at_rest = np.concatenate([at_rest, np.zeros(len(up), dtype=bool)])
         response = sensors.triad.response
-        predicted = inputs @ response.T + sensors.triad.bias + forces @ sensors.g.T
         free = np.einsum('ij,mjk->mik', response, to_body) @ self._unknown(
             world, level_known=level_known
         )
@@ -249,7 +297,7 @@ class System:
             (outputs - predicted).ravel(),
             outputs.ravel(),
             np.sqrt(variances).ravel(),
-            sensors.jacobian(inputs, forces, self.size).reshape(-1, self.size),
+            jacobian.reshape(-1, len(self.parameters)),
             np.concatenate([free, unseen]).reshape(3 * len(inputs), -1),
             prior.reshape(3 * len(inputs), -1),
             np.repeat(~at_rest, 3),
@@ -267,13 +315,10 @@ class System:
 
     def _lengths(self, sensors: Sensors) -> Rows:
         """Compare lengths, and what of the rate lies along gravity: no attitude is needed."""
-        inverse = np.linalg.inv(sensors.triad.response)
-        free = self.outputs - sensors.triad.bias - self.forces @ sensors.g.T
-        seen = free @ inverse.T
-        jacobian = -np.einsum(
-            'ij,mjk->mik', inverse, sensors.jacobian(seen, self.forces, self.size)
-        )
-        noise = np.einsum('ij,mj,kj->mik', inverse, self.variances, inverse)
+        seen = sensors.compensate(self.outputs, self.forces)
+        inverse = np.linalg.inv(sensors.slopes(seen, self.forces))
+        jacobian = -inverse @ sensors.jacobian(seen, self.forces)
+        noise = np.einsum('mij,mj,mkj->mik', inverse, self.variances, inverse)
         magnitude = self.magnitude
         # The mean of a squared length is the square of the mean and the noise.
         trace = np.trace(noise, axis1=1, axis2=2)
@@ -307,7 +352,7 @@ class System:
             mount_free: Whether the unit may sit otherwise in its mount, by a small rotation.
 
         """
-        delta = np.zeros(self.size)
+        delta = np.zeros(len(self.parameters))
         mounted = np.zeros(3)
         world = self.world
         at_once = not self.gyros or self.observed.north_known or not self.observed.with_attitudes

@@ -8,7 +8,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from ..model import AXES, Triad
+from ..model import AXES, G_SENSITIVITY, Triad, terms_of
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
 from .equations import Sensors
@@ -56,6 +56,7 @@ def mistakes(sensors: Sensors, *, gyros: bool) -> Iterator[Hypothesis]:
 
     """
     yield from _matrices(sensors, gyros=gyros)
+    yield from _terms(sensors)
     yield from _biases(sensors)
     yield from _units(sensors, gyros=gyros)
     yield from _axes(sensors)
@@ -63,12 +64,11 @@ def mistakes(sensors: Sensors, *, gyros: bool) -> Iterator[Hypothesis]:
 
 def _with(sensors: Sensors, matrix: Floats | None = None, bias: Floats | None = None) -> Sensors:
     triad = sensors.triad
-    return Sensors(
+    return sensors.with_triad(
         Triad(
             triad.error_matrix if matrix is None else matrix,
             triad.bias if bias is None else bias,
-        ),
-        sensors.g,
+        )
     )
 
 
@@ -104,17 +104,21 @@ def _matrices(sensors: Sensors, *, gyros: bool) -> Iterator[Hypothesis]:
         'The matrix of the correction was written the wrong way round.',
         _with(sensors, -matrix.T),
     )
-    if sensors.g.any():
-        triad = sensors.triad
-        for when, g in (
-            ('is transposed', sensors.g.T),
-            ('has the opposite sign', -sensors.g),
-            ('is left out', np.zeros((3, 3))),
-        ):
+
+
+def _terms(sensors: Sensors) -> Iterator[Hypothesis]:
+    for term in terms_of(sensors.parameters):
+        values = sensors.model.values(term.parameters)
+        if not values.any():
+            continue
+        changes = [('has the opposite sign', -values), ('is left out', np.zeros_like(values))]
+        if term is G_SENSITIVITY:
+            changes.insert(0, ('is transposed', values.reshape(3, 3).T.ravel()))
+        for when, changed in changes:
             yield Hypothesis(
-                f'the g-sensitivity {when}',
+                f'the {term.kind.value.words} {when}',
                 'It was written or applied in another convention.',
-                Sensors(triad, g),
+                sensors.with_values(term.parameters, changed),
             )
 
 

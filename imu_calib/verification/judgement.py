@@ -17,11 +17,12 @@ from scipy.special import ndtri
 from ..calibration import Calibration
 from ..earth import Site
 from ..gravity import gravity_covariance, same_place, without_gravity
+from ..model import ParameterKind, positions
 from ..stream import Floats
 from ..units import DEG
 from .comparison import Compared, compare
 from .diagnosis import Diagnosis, diagnose, with_true_noise
-from .equations import Fit, Sensors, System
+from .equations import Fit, Sensors, System, of_triad
 from .observed import Observed
 
 DOUBT, REJECTION = 1e-2, 1e-6
@@ -150,17 +151,16 @@ class _Trial:
     @classmethod
     def of(cls, calibration: Calibration, observed: Observed, *, gyros: bool) -> _Trial:
         reading = observed.reading(calibration.imu)
-        with_g = gyros and calibration.has_g
         system = with_true_noise(
             System(
                 observed,
                 gyros,
                 reading[0] if gyros else reading[1],
                 _forces(calibration, observed, reading[1]),
-                size=21 if with_g else 12,
+                of_triad(calibration.parameters, gyros=gyros),
             )
         )
-        sensors = Sensors.of(calibration.model, gyros=gyros)
+        sensors = Sensors.of(calibration.model, calibration.parameters, gyros=gyros)
         factor = _factor(calibration, system)
         return cls(system, sensors, factor, system.fit(sensors, factor))
 
@@ -206,10 +206,10 @@ def _forces(calibration: Calibration, observed: Observed, reading: float) -> Flo
 
 def _factor(calibration: Calibration, system: System) -> Floats:
     """Return a factor of the parameters' covariance, bias instability and gravity included."""
-    mine = np.r_[0:12, 24:33][: system.size] if system.gyros else np.arange(12, 24)
+    mine = positions(system.parameters, calibration.parameters)
     covariance = _with_both_gravities(calibration, system.observed.site)[np.ix_(mine, mine)]
     spec = system.observed.imu.gyro if system.gyros else system.observed.imu.accel
-    bias = np.arange(9, 12)
+    bias = [k for k, p in enumerate(system.parameters) if p.kind is ParameterKind.BIAS]
     covariance[bias, bias] += spec.bias_instability**2
     size = np.sqrt(np.diag(covariance))
     size = np.where(size > 0, size, 1.0)
