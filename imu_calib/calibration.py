@@ -13,16 +13,20 @@ from .config import Section
 from .errors import InputError
 from .imu import ImuSpec, TriadSpec
 from .model import (
-    G_SENSITIVITIES,
-    G_SENSITIVITY,
+    AXES,
     MOST_SKEWED,
     PARAMETERS,
+    TERMS,
+    TRIADS,
     Parameter,
     SensorModel,
     Skewed,
+    Term,
     Triad,
     parameters_of,
     positions,
+    skewed_parameters,
+    terms_of,
 )
 from .plausibility import check_plausible
 from .stream import Floats, Units
@@ -112,9 +116,9 @@ class Calibration:
             'imu': self.imu.id,
             'serial_number': self.serial_number,
             'units': self.imu.units.value,
-            'gyro': self._gyro_document(std.gyro),
+            'gyro': self._triad_document('g', self.imu.gyro, self.model.gyro, std.gyro),
             'accelerometer': (
-                _triad_document(self.imu.accel, self.model.accel, std.accel)
+                self._triad_document('a', self.imu.accel, self.model.accel, std.accel)
                 if self.has_accelerometers
                 else _spec_document(self.imu.accel)
             ),
@@ -135,32 +139,41 @@ class Calibration:
         return head + yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=200)
 
     def _head_of_further(self) -> str:
-        further = ''
-        if self.has_g:
-            further += '# To the gyros add g_sensitivity times specific force.\n'
+        further = ''.join(
+            f'# To channel i of the {TRIADS[term.triad]} add {term.formula}.\n'
+            for term in terms_of(self.parameters)
+        )
         if not self.has_accelerometers:
             further += '# The accelerometers were not calibrated.\n'
         return further
 
-    @property
-    def has_g(self) -> bool:
-        """Whether the g-sensitivities were estimated."""
-        return set(G_SENSITIVITIES) <= set(self.parameters)
-
-    def _gyro_document(self, std: Triad) -> dict[str, Any]:
-        document = _triad_document(self.imu.gyro, self.model.gyro, std)
-        if self.has_g:
-            nine = self.std[positions(G_SENSITIVITIES, self.parameters)].reshape(3, 3)
-            document['g_sensitivity'] = _rows(self.model.g_sensitivity)
-            document['std']['g_sensitivity'] = _rows(nine)
-        return document
+    def _triad_document(
+        self, letter: str, spec: TriadSpec, triad: Triad, std: Triad
+    ) -> dict[str, Any]:
+        """Return a triad's section: the linear part, and what the terms add to it."""
+        terms = [term for term in terms_of(self.parameters) if term.triad == letter]
+        return {
+            **_spec_document(spec),
+            'error_matrix': _rows(triad.error_matrix),
+            'bias': _row(triad.bias),
+            **{term.name: _shaped(self.model.values(term.parameters)) for term in terms},
+            'std': {
+                'error_matrix': _rows(std.error_matrix),
+                'bias': _row(std.bias),
+                **{
+                    term.name: _shaped(self.std[positions(term.parameters, self.parameters)])
+                    for term in terms
+                },
+            },
+        }
 
     def _skewed_document(self) -> dict[str, Any]:
         skewed = self.model.skewed
         if skewed is None:
             return {}
         spec = self.imu.skewed or self.imu.gyro
-        std = self.std[-4 * len(skewed.bias) :].reshape(-1, 4)
+        mine = skewed_parameters(len(skewed.bias))
+        std = self.std[positions(mine, self.parameters)].reshape(-1, 4)
         return {
             'skewed_gyro': {
                 **_spec_document(spec),
@@ -218,18 +231,26 @@ class Calibration:
             units = Units(section.text('units'))
         except ValueError:
             raise InputError(f'{section.key("units")}: found {section.text("units")!r}.') from None
-        gyros = section.section('gyro')
-        g = _matrix(gyros, 'g_sensitivity', (3, 3)) if gyros.has('g_sensitivity') else None
+        gyros, accels = section.section('gyro'), section.section('accelerometer')
+        terms = {**_read_terms(gyros, 'g'), **_read_terms(accels, 'a')}
         gyro_spec, gyro = _read_triad(gyros)
-        accel_spec, accel = _read_triad(section.section('accelerometer'))
+        accel_spec, accel = _read_triad(accels)
         skewed_spec, skewed = _read_skewed(section)
         if gyro is None:
             raise InputError(f'{gyros.where}: the keys error_matrix and bias are missing.')
+        of_accels = [term.name for term in terms if term.triad == 'a']
+        if accel is None and of_accels:
+            raise InputError(
+                f'{accels.where}: found {", ".join(of_accels)}, but the keys error_matrix and bias '
+                'are missing.'
+            )
         spec = ImuSpec(section.text('imu'), units, None, gyro_spec, accel_spec, skewed_spec)
         channels = 0 if skewed is None else len(skewed.bias)
-        parameters = parameters_of([] if g is None else [G_SENSITIVITY], skewed=channels)
+        parameters = parameters_of(tuple(terms), skewed=channels)
         covariance = _read_covariance(section, parameters, accelerometers=accel is not None)
-        model = SensorModel(gyro, accel or Triad(), np.zeros((3, 3)) if g is None else g, skewed)
+        model = SensorModel(gyro, accel or Triad(), skewed=skewed)
+        for term, values in terms.items():
+            model = model.with_values(term.parameters, values)
         residuals = _read_residuals(section)
         findings = section.raw('findings') if section.has('findings') else []
         provenance = section.raw('provenance') if section.has('provenance') else {}
@@ -294,13 +315,15 @@ def _spec_document(spec: TriadSpec) -> dict[str, Any]:
     return document
 
 
-def _triad_document(spec: TriadSpec, triad: Triad, std: Triad) -> dict[str, Any]:
-    return {
-        **_spec_document(spec),
-        'error_matrix': _rows(triad.error_matrix),
-        'bias': _row(triad.bias),
-        'std': {'error_matrix': _rows(std.error_matrix), 'bias': _row(std.bias)},
-    }
+def _shape(term: Term) -> tuple[int, ...]:
+    """Return how a term's coefficients stand in a file: one for each channel, or a row of them."""
+    count = len(term.parameters) // len(AXES)
+    return (len(AXES),) if count == 1 else (len(AXES), count)
+
+
+def _shaped(values: Floats) -> list[Any]:
+    """Return coefficients as they stand in a file."""
+    return _row(values) if len(values) == len(AXES) else _rows(values.reshape(len(AXES), -1))
 
 
 def _residual_document(row: ResidualRow) -> dict[str, Any]:
@@ -329,6 +352,12 @@ def _read_covariance(
     else:
         covariance[np.ix_(known, known)] = 0.0
     return covariance
+
+
+def _read_terms(section: Section, letter: str) -> dict[Term, Floats]:
+    """Read the coefficients of the terms that a triad's section states."""
+    mine = [term for term in TERMS if term.triad == letter and section.has(term.name)]
+    return {term: _matrix(section, term.name, _shape(term)).ravel() for term in mine}
 
 
 def _read_triad(section: Section) -> tuple[TriadSpec, Triad | None]:

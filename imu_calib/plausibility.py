@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import InputError
+from .model import TRIADS, ParameterKind
 from .stream import Floats, Units
-from .units import DEG, STANDARD_GRAVITY
+from .units import DEG
 
 if TYPE_CHECKING:
     from .calibration import Calibration
@@ -21,12 +22,6 @@ of another unit, another range or another unit of measure; the worst of the ship
 _TILT = 30 * DEG
 """Angle between an input axis and its body axis. Beyond it a channel belongs to another axis;
 data sheets of MEMS units state up to 2 deg of misalignment."""
-
-_GYRO_BIAS = 100 * DEG
-_ACCEL_BIAS = STANDARD_GRAVITY
-_G_SENSITIVITY = 10 * DEG / STANDARD_GRAVITY
-"""Five times and more what data sheets of the cheapest units state (MPU-9150: zero-rate output
-20 deg/s, zero-g output 0.15 g; gyros react to acceleration by some 0.1 deg/s per g)."""
 
 _ROUNDING = 1e-9
 """How far below zero an eigenvalue of a correlation matrix may come by rounding; double precision
@@ -55,7 +50,7 @@ def check_plausible(calibration: Calibration, name: str) -> None:
     _check_response(model.accel.response, 'accelerometer', name)
     if model.skewed is not None:
         _check_lengths(model.skewed.response, 'skewed gyro', name)
-    _check_biases(calibration, name)
+    _check_limits(calibration, name)
     _check_covariance(calibration, name)
 
 
@@ -89,23 +84,23 @@ def _check_lengths(response: Floats, what: str, name: str) -> None:
             )
 
 
-def _check_biases(calibration: Calibration, name: str) -> None:
-    model, imu = calibration.model, calibration.imu
-    limits = [(np.abs(model.g_sensitivity).max(), _G_SENSITIVITY, 'g-sensitivity', 'rad/s/(m/s^2)')]
-    if imu.units is not Units.COUNTS:
-        limits += [
-            (np.abs(model.gyro.bias).max(), min(_GYRO_BIAS, imu.gyro.range), 'gyro bias', 'rad/s'),
-            (
-                np.abs(model.accel.bias).max(),
-                min(_ACCEL_BIAS, imu.accel.range),
-                'accelerometer bias',
-                'm/s^2',
-            ),
-        ]
-    for found, limit, what, unit in limits:
-        if found > limit:
+def _check_limits(calibration: Calibration, name: str) -> None:
+    """Refuse what exceeds the limit of its kind, and biases beyond the range."""
+    imu = calibration.imu
+    ranges = {'g': imu.gyro.range, 'a': imu.accel.range}
+    for parameter, value in zip(calibration.parameters, calibration.values.tolist(), strict=True):
+        limit = parameter.unit.limit
+        words = parameter.kind.value.words
+        if parameter.kind is ParameterKind.BIAS:
+            # A converter may count from any offset.
+            limit = (
+                None if imu.units is Units.COUNTS else min(limit or np.inf, ranges[parameter.triad])
+            )
+            words = f'{TRIADS[parameter.triad]} bias'
+        if limit is not None and abs(value) > limit:
             raise InputError(
-                f'{name}: {what}: found {found:.4g} {unit}, expected at most {limit:.4g} {unit}.'
+                f'{name}: {words}: found {abs(value):.4g} {parameter.unit.si}, expected at most '
+                f'{limit:.4g} {parameter.unit.si} ({parameter.name}).'
             )
 
 

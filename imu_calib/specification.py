@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 
 from .config import Section
 from .errors import InputError
-from .model import Parameter, ParameterKind
-from .units import Dimension
+from .model import TRIADS, Parameter, ParameterKind
 
 COVERAGE = 2.0
 """Standard deviations to either side of a value within which the truth is taken to lie (95 %)."""
@@ -41,43 +41,23 @@ def judge(value: float, std: float, limit: float) -> Verdict:
 
 
 @dataclass(frozen=True)
-class TriadLimits:
-    """Largest amounts of a triad's parameters, in SI units; None where nothing is specified.
+class Specification:
+    """The limits of a unit.
 
     Attributes:
-        scale_factor_error: Dimensionless.
-        misalignment: rad.
-        bias: rad/s or m/s^2.
-        g_sensitivity: (rad/s)/(m/s^2), of gyros alone.
+        limits: Largest amounts, SI units, by kind of parameter and triad ('g' or 'a'); nothing is
+            specified of others.
 
     """
 
-    scale_factor_error: float | None = None
-    misalignment: float | None = None
-    bias: float | None = None
-    g_sensitivity: float | None = None
-
-
-@dataclass(frozen=True)
-class Specification:
-    """The limits of a unit."""
-
-    gyro: TriadLimits = TriadLimits()
-    accel: TriadLimits = TriadLimits()
+    limits: Mapping[tuple[ParameterKind, str], float] = field(default_factory=dict)
 
     def limit(self, parameter: Parameter) -> float | None:
         """Return the largest amount of a parameter, SI; None where nothing is specified.
 
         A skewed gyro's bias has the gyros' limit; its response depends on how it is built in.
         """
-        triad = self.gyro if parameter.triad == 'g' else self.accel
-        return {
-            ParameterKind.SCALE_FACTOR_ERROR: triad.scale_factor_error,
-            ParameterKind.MISALIGNMENT: triad.misalignment,
-            ParameterKind.BIAS: triad.bias,
-            ParameterKind.G_SENSITIVITY: triad.g_sensitivity,
-            ParameterKind.RESPONSE: None,
-        }[parameter.kind]
+        return self.limits.get((parameter.kind, parameter.triad))
 
 
 def read_specification(section: Section) -> Specification:
@@ -87,32 +67,21 @@ def read_specification(section: Section) -> Specification:
         InputError: File, key, what was found and what was expected.
 
     """
-    limits = Specification(
-        _read_limits(section, 'gyro', Dimension.RATE),
-        _read_limits(section, 'accelerometer', Dimension.ACCELERATION),
-    )
+    limits: dict[tuple[ParameterKind, str], float] = {}
+    for triad, name in TRIADS.items():
+        if not section.has(name):
+            continue
+        mine = section.section(name)
+        for kind in ParameterKind:
+            row = kind.value
+            if triad not in row.units or kind is ParameterKind.RESPONSE or not mine.has(row.key):
+                continue
+            limit = mine.quantity(row.key, row.units[triad].dimension)
+            if not limit > 0:
+                raise InputError(
+                    f'{mine.key(row.key)}: found {mine.text(row.key)}, expected above 0.'
+                )
+            limits[kind, triad] = limit
+        mine.finish()
     section.finish()
-    return limits
-
-
-def _read_limits(parent: Section, name: str, bias: Dimension) -> TriadLimits:
-    if not parent.has(name):
-        return TriadLimits()
-    section = parent.section(name)
-    limits = TriadLimits(
-        _limit(section, 'scale_factor_error', Dimension.RATIO),
-        _limit(section, 'misalignment', Dimension.ANGLE),
-        _limit(section, 'bias', bias),
-        _limit(section, 'g_sensitivity', Dimension.G_SENSITIVITY) if name == 'gyro' else None,
-    )
-    section.finish()
-    return limits
-
-
-def _limit(section: Section, key: str, dimension: Dimension) -> float | None:
-    if not section.has(key):
-        return None
-    limit = section.quantity(key, dimension)
-    if not limit > 0:
-        raise InputError(f'{section.key(key)}: found {section.text(key)}, expected above 0.')
-    return limit
+    return Specification(limits)

@@ -75,7 +75,12 @@ def test_a_mirrored_axis_is_refused():
 def test_g_sensitivity_is_limited():
     model = replace(truth().model, g_sensitivity=np.full((3, 3), 0.02))
     with pytest.raises(InputError, match=r'g-sensitivity: found 0.02'):
-        check_plausible(replace(truth(), model=model), 'file')
+        check_plausible(
+            replace(
+                truth(), model=model, covariance=np.zeros((33, 33)), parameters=model.parameters
+            ),
+            'file',
+        )
 
 
 def test_a_skewed_gyro_is_limited():

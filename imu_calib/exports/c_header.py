@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from textwrap import indent
 
 import numpy as np
 
+from ..errors import NotObservable
+from ..imu import ImuSpec
+from ..model import AXES, Product, SensorModel, terms_of
 from ..stream import Floats, Units
+from ..units import DEG, STANDARD_GRAVITY
 from .exported import Exported, Source, always_left_out
+
+_EXACT = 1e-17
+_CONTRACTION = 0.5
+_WIDEST_RATE, _WIDEST_FORCE = 2000 * DEG, 16 * STANDARD_GRAVITY
+"""Range of a unit that states none or a wider one: that of common MEMS units."""
 
 _OUTPUT = {
     Units.PULSES: ('pulses counted in one sample interval', ' / seconds'),
@@ -59,8 +70,76 @@ def export(source: Source) -> Exported:
         constants=constants,
         per_interval=per_interval,
         unused='' if per_interval else '    (void)seconds;\n',
+        **_with_terms(model, imu, per_interval),
     )
-    return Exported(text, tuple(always_left_out(calibration)))
+    return Exported(text, tuple(always_left_out(calibration, 'c')))
+
+
+def _with_terms(model: SensorModel, imu: ImuSpec, per_interval: str) -> dict[str, str]:
+    """Return the parts of the header that depend on terms which are not linear.
+
+    Raises:
+        NotObservable: They outgrow the linear part within the range.
+
+    """
+    if model.linear:
+        body = _BODY.format(per_interval=per_interval, of_accel='', of_gyro='')
+        return {'formula': '', 'terms': '', 'more': '', 'body': body}
+    body = _BODY.format(
+        per_interval=per_interval, of_accel=' - accel_terms[i]', of_gyro=' - gyro_terms[i]'
+    )
+    slope, ends = _slope(model, imu)
+    rounds = 1 + int(np.ceil(np.log(_EXACT) / np.log(slope)))
+    names = ', '.join(term.name for term in terms_of(model.parameters) if not term.linear)
+    sums = [['0'] for _ in range(2 * len(AXES))]
+    for term in terms_of(model.parameters):
+        values = model.values(term.parameters)
+        for (parameter, product), value in zip(term.products, values, strict=True):
+            if value and not term.linear:
+                sums[parameter.channel].append(_product(product, float(value)))
+    lines = [
+        f'    {"gyro" if k < len(AXES) else "accel"}[{k % len(AXES)}] = {" + ".join(parts)};'
+        for k, parts in enumerate(sums)
+    ]
+    return {
+        'formula': f' *   Both less what {names} add to the outputs at (rate, force): repeated.\n',
+        'terms': _TERMS.format(lines='\n'.join(lines), slope=slope, ends=ends, rounds=rounds),
+        'more': _MORE,
+        'body': _REPEATED.format(body=indent(body, '    ')),
+    }
+
+
+def _slope(model: SensorModel, imu: ImuSpec) -> tuple[float, str]:
+    """Return by how much a round makes an error smaller at the ends of the range, and the ends.
+
+    Raises:
+        NotObservable: Not by half.
+
+    """
+    rate, force = (
+        min(spec.range, widest)
+        for spec, widest in ((imu.gyro, _WIDEST_RATE), (imu.accel, _WIDEST_FORCE))
+    )
+    # Slopes of products of amounts are largest where all inputs are; signs may add them up.
+    most = model.with_values(model.parameters, np.abs(model.values(model.parameters)))
+    ends = np.repeat([rate, force], len(AXES))
+    linear = replace(model, terms={}).slopes(np.zeros(3), np.zeros(3))
+    slope = float((np.abs(np.linalg.inv(linear)) @ most.extra_slopes(ends)).sum(axis=1).max())
+    words = f'{rate / DEG:.4g} deg/s and {force / STANDARD_GRAVITY:.4g} g'
+    if slope > _CONTRACTION:
+        raise NotObservable(
+            f'The terms {", ".join(model.terms)} outgrow the responses at {words}: the header '
+            "could not take them off. State the unit's range, or calibrate without them (--terms)."
+        )
+    return max(slope, float(np.finfo(float).tiny)), words
+
+
+def _product(product: Product, value: float) -> str:
+    """Write one product of inputs and its coefficient."""
+    inputs = [f'{name}[{k}]' for name in ('rate', 'force') for k in range(len(AXES))]
+    factors = [inputs[k] for k in product.factors]
+    factors += [f'IMU_CALIB_ABS({inputs[k]})' for k in product.absolute]
+    return ' * '.join([_number(value * product.scale), *factors])
 
 
 def _comment(text: str) -> str:
@@ -91,7 +170,7 @@ _TEMPLATE = """\
  * Raw values: {what}.
  *   force = accel_matrix * (raw_accel * ACCEL_SCALE{per_interval} - accel_bias)
  *   rate  = gyro_matrix * (raw_gyro * GYRO_SCALE{per_interval} - gyro_bias - g_sensitivity * force)
- * Matrices are stored row by row and multiply column vectors from the left. rad/s and m/s^2.
+{formula} * Matrices are stored row by row and multiply column vectors from the left. SI units.
  *
  * Usage:
  *   #include "imu_calib.h"       define IMU_CALIB_FLOAT before it for single precision
@@ -110,7 +189,7 @@ typedef double imu_calib_real;
 
 {constants}
 
-/* seconds: the sample interval; it counts for pulses alone. */
+{terms}/* seconds: the sample interval; it counts for pulses alone. */
 static inline void imu_calib_compensate(const imu_calib_real raw_gyro[3],
                                         const imu_calib_real raw_accel[3],
                                         imu_calib_real seconds, imu_calib_real rate[3],
@@ -118,17 +197,24 @@ static inline void imu_calib_compensate(const imu_calib_real raw_gyro[3],
 {{
     imu_calib_real free_accel[3], free_gyro[3];
     int i, j;
+{more}
+{unused}{body}}}
 
-{unused}    for (i = 0; i < 3; ++i)
+#endif
+"""
+
+_BODY = """\
+    for (i = 0; i < 3; ++i)
         free_accel[i] =
-            raw_accel[i] * IMU_CALIB_ACCEL_SCALE{per_interval} - imu_calib_accel_bias[i];
+            raw_accel[i] * IMU_CALIB_ACCEL_SCALE{per_interval} - imu_calib_accel_bias[i]{of_accel};
     for (i = 0; i < 3; ++i) {{
         force[i] = 0;
         for (j = 0; j < 3; ++j)
             force[i] += imu_calib_accel_matrix[i][j] * free_accel[j];
     }}
     for (i = 0; i < 3; ++i) {{
-        free_gyro[i] = raw_gyro[i] * IMU_CALIB_GYRO_SCALE{per_interval} - imu_calib_gyro_bias[i];
+        free_gyro[i] =
+            raw_gyro[i] * IMU_CALIB_GYRO_SCALE{per_interval} - imu_calib_gyro_bias[i]{of_gyro};
         for (j = 0; j < 3; ++j)
             free_gyro[i] -= imu_calib_g_sensitivity[i][j] * force[j];
     }}
@@ -137,7 +223,31 @@ static inline void imu_calib_compensate(const imu_calib_real raw_gyro[3],
         for (j = 0; j < 3; ++j)
             rate[i] += imu_calib_gyro_matrix[i][j] * free_gyro[j];
     }}
+"""
+
+_TERMS = """\
+#define IMU_CALIB_ABS(x) ((x) < 0 ? -(x) : (x))
+/* Rounds of taking the terms off: each leaves {slope:.2g} of an error at most, at {ends}. */
+#define IMU_CALIB_ROUNDS {rounds}
+
+/* What the terms add to the outputs, rad/s and m/s^2. */
+static inline void imu_calib_terms(const imu_calib_real rate[3], const imu_calib_real force[3],
+                                   imu_calib_real gyro[3], imu_calib_real accel[3])
+{{
+    (void)rate;
+    (void)force;
+{lines}
 }}
 
-#endif
+"""
+
+_MORE = """\
+    imu_calib_real gyro_terms[3] = {0, 0, 0}, accel_terms[3] = {0, 0, 0};
+    int k;
+"""
+
+_REPEATED = """\
+    for (k = 0; k < IMU_CALIB_ROUNDS; ++k) {{
+{body}        imu_calib_terms(rate, force, gyro_terms, accel_terms);
+    }}
 """

@@ -10,6 +10,7 @@ import numpy as np
 from ..calibration import Calibration
 from ..errors import InputError
 from ..imu import ImuSpec
+from ..model import Carried
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,17 +54,51 @@ class Exported:
     left_out: tuple[str, ...] = ()
 
 
-def always_left_out(calibration: Calibration, *, skewed: bool = True) -> list[str]:
-    """Say what few formats can carry."""
-    sentences = ['The covariance of the parameters is left out.']
+def left_out(calibration: Calibration, export: str) -> list[str]:
+    """Say which parameters a format cannot carry, and refuse a file that is wrong without them.
+
+    Args:
+        calibration: To be exported.
+        export: Name of the format.
+
+    Raises:
+        InputError: Names the parameters, and what to do.
+
+    """
+    kinds = dict.fromkeys(p.kind for p in calibration.parameters)
+    refused = [kind for kind in kinds if kind.value.exports[export] is Carried.REFUSED]
+    if refused:
+        names = ', '.join(p.name for p in calibration.parameters if p.kind in refused)
+        words = ' and '.join(kind.value.words for kind in refused)
+        raise InputError(
+            f'The format {export} has no {words} ({names}), and without it the other parameters '
+            'are wrong: calibrate without it (--terms), or export another format.'
+        )
+    return [
+        f'The {kind.value.words} is left out.'
+        for kind in kinds
+        if kind.value.exports[export] is Carried.LEFT_OUT
+    ]
+
+
+def always_left_out(calibration: Calibration, export: str) -> list[str]:
+    """Say what few formats can carry.
+
+    Args:
+        calibration: To be exported.
+        export: Name of the format.
+
+    Raises:
+        InputError: The format cannot carry parameters without which the others are wrong.
+
+    """
+    sentences = ['The covariance of the parameters is left out.', *left_out(calibration, export)]
     temperature = calibration.provenance.get('temperature')
     if isinstance(temperature, dict) and np.isfinite(float(temperature.get('mean', np.nan))):
         sentences.append(
             f'The parameters hold at {float(temperature["mean"]):.1f} degrees Celsius; the file '
             'does not say so.'
         )
-    if skewed and calibration.model.skewed is not None:
-        sentences.append('The skewed gyro is left out.')
     if not calibration.has_accelerometers:
         sentences.append('The accelerometers were not calibrated: theirs are those of ideal ones.')
     return sentences

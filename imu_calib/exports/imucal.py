@@ -55,7 +55,7 @@ def export(source: Source) -> Exported:
     }
     sentences = [
         f"Input: accelerometers in '{acc_unit}', gyros in '{gyr_unit}'; output: m/s^2 and deg/s.",
-        *always_left_out(calibration),
+        *always_left_out(calibration, 'imucal'),
     ]
     if imu.units is Units.PULSES:
         sentences.append(

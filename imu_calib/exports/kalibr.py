@@ -63,7 +63,7 @@ def export(source: Source) -> Exported:
         },
     }
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=10**6)
-    sentences = [*bounds, *always_left_out(calibration)]
+    sentences = [*bounds, *always_left_out(calibration, 'kalibr')]
     if calibration.imu.units is not Units.SI:
         sentences.append(
             f'The topic has to carry rad/s and m/s^2: {calibration.imu.units.value} times the '

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import yaml
 
-from .exported import Exported, Source
+from .exported import Exported, Source, left_out
 
 
 def export(source: Source) -> Exported:
@@ -19,5 +19,8 @@ def export(source: Source) -> Exported:
     )
     return Exported(
         head + yaml.safe_dump(document, sort_keys=False, width=10**6),
-        ('The file names the calibration by its path: it has to be there on the robot.',),
+        (
+            *left_out(source.calibration, 'ros'),
+            'The file names the calibration by its path: it has to be there on the robot.',
+        ),
     )

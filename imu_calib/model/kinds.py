@@ -80,8 +80,10 @@ _NONLINEAR = 0.05
 of the accelerometers, 0.2 % of the gyros)."""
 
 _BY_FORCE = 10 * DEG / STANDARD_GRAVITY
-"""Five times and more what gyros of the cheapest units react by (some 0.1 deg/s per g, and a zero
-rate output within 20 deg/s)."""
+_GYRO_BIAS = 100 * DEG
+_ACCEL_BIAS = STANDARD_GRAVITY
+"""Five times and more what data sheets of the cheapest units state (MPU-9150: zero-rate output
+20 deg/s, zero-g output 0.15 g; gyros react to acceleration by some 0.1 deg/s per g)."""
 
 _RATIO = Unit('1', 'ppm', PPM, Dimension.RATIO)
 _NONLINEARITY = Unit('1', 'ppm', PPM, Dimension.RATIO, _NONLINEAR)
@@ -118,8 +120,8 @@ class ParameterKind(Enum):
         'bias',
         0,
         {
-            'g': Unit('rad/s', 'deg/h', DEG_H, Dimension.RATE, 100 * DEG),
-            'a': Unit('m/s^2', 'ug', MICRO_G, Dimension.ACCELERATION, STANDARD_GRAVITY),
+            'g': Unit('rad/s', 'deg/h', DEG_H, Dimension.RATE, _GYRO_BIAS),
+            'a': Unit('m/s^2', 'ug', MICRO_G, Dimension.ACCELERATION, _ACCEL_BIAS),
         },
         _EVERYWHERE,
     )

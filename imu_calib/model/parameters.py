@@ -72,6 +72,19 @@ class Product:
         """How many factors are specific forces."""
         return sum(k >= len(AXES) for k in (*self.factors, *self.absolute))
 
+    def words(self, axis: str = '') -> str:
+        """Return it for people, its constant factor a number.
+
+        Args:
+            axis: Stands for the axis of every input; empty: as it is.
+
+        """
+        names = [f'{"wf"[k // len(AXES)]}_{axis or AXES[k % len(AXES)]}' for k in range(6)]
+        factors = [*(names[k] for k in self.factors), *(f'|{names[k]}|' for k in self.absolute)]
+        if self.scale != 1:
+            factors.insert(0, f'{self.scale:.9g}')
+        return ' '.join(factors)
+
     def value(self, inputs: Floats) -> Floats:
         """Return the product, (...), at (..., 6) inputs."""
         result = np.full(inputs.shape[:-1], self.scale)

@@ -48,6 +48,14 @@ class Term:
         return tuple(parameter for parameter, _ in self.products)
 
     @property
+    def formula(self) -> str:
+        """What it adds to channel i, for people: the coefficients are those of files."""
+        if len(self.products) == len(AXES):
+            return f'{self.name}[i] {self.products[0][1].words("i")}'
+        each = [product.words() for _, product in self.products[: len(self.products) // 3]]
+        return ' + '.join(f'{self.name}[i][{k}] {words}' for k, words in enumerate(each))
+
+    @property
     def linear(self) -> bool:
         """Whether the outputs stay linear in the inputs with it."""
         return all(len(p.factors) == 1 and not p.absolute for _, p in self.products)

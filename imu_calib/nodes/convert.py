@@ -15,10 +15,13 @@ from ..model import (
     G_SENSITIVITIES,
     G_SENSITIVITY,
     PARAMETER_NAMES,
+    Parameter,
     SensorModel,
     Skewed,
     Triad,
+    by_name,
     parameters_of,
+    terms_of,
 )
 from ..plausibility import check_plausible
 from ..sequencing import State
@@ -66,6 +69,10 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
     sensitivity = calibration.model.g_sensitivity
     message.has_g_sensitivity = set(G_SENSITIVITIES) <= set(calibration.parameters)
     message.g_sensitivity = sensitivity.ravel().tolist()
+    further = _in_no_field(calibration.parameters)
+    message.term_parameters = [parameter.name for parameter in further]
+    message.term_values = calibration.model.values(further).tolist()
+    message.term_units = [parameter.unit.si for parameter in further]
     skewed = calibration.model.skewed
     if skewed is not None:
         message.has_skew = True
@@ -102,9 +109,7 @@ def calibration_of(message: Any) -> Calibration:
     if message.has_skew:
         response = np.array([message.skew_response], dtype=float)
         skewed = Skewed(response, np.array([message.skew_bias]))
-    parameters = parameters_of(
-        [G_SENSITIVITY] if message.has_g_sensitivity else [], skewed=1 if message.has_skew else 0
-    )
+    parameters = _parameters(message)
     names, size = [p.name for p in parameters], len(parameters)
     covariance = np.array(message.covariance, dtype=float)
     if units is None or list(message.parameter_names) != names or covariance.size != size**2:
@@ -125,9 +130,10 @@ def calibration_of(message: Any) -> Calibration:
         TriadSpec(float(message.gyro_scale_factor), range=_limit(message.gyro_range)),
         TriadSpec(float(message.accel_scale_factor), range=_limit(message.accel_range)),
     )
+    model = SensorModel(Triad.from_vector(vector[:12]), accel, sensitivity, skewed)
     calibration = Calibration(
         spec,
-        SensorModel(Triad.from_vector(vector[:12]), accel, sensitivity, skewed),
+        model.with_values(_in_no_field(parameters), np.array(message.term_values, dtype=float)),
         covariance.reshape(size, size),
         provenance=_provenance(message),
         serial_number=message.serial_number,
@@ -135,6 +141,44 @@ def calibration_of(message: Any) -> Calibration:
     )
     check_plausible(calibration, f'The calibration of {message.imu_id or "no name"}')
     return calibration
+
+
+def _in_no_field(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """Return the parameters that the message has no fields of their own for."""
+    terms = [term for term in terms_of(parameters) if term is not G_SENSITIVITY]
+    return tuple(p for term in terms for p in term.parameters)
+
+
+def _parameters(message: Any) -> tuple[Parameter, ...]:
+    """Return the parameters of a calibration by what the message says that it has.
+
+    Raises:
+        InputError: It has parameters that this version does not know, in other units, or not all
+            of a term.
+
+    """
+    try:
+        further = by_name(message.term_parameters)
+    except KeyError as error:
+        raise InputError(
+            f'A calibration of {message.imu_id or "no name"} cannot be used: it has the parameter '
+            f'{error.args[0]!r}, which this version does not know.'
+        ) from None
+    terms = (*terms_of(further), *([G_SENSITIVITY] if message.has_g_sensitivity else []))
+    parameters = parameters_of(terms, skewed=1 if message.has_skew else 0)
+    units = [parameter.unit.si for parameter in further]
+    if (
+        further != _in_no_field(parameters)
+        or list(message.term_units) != units
+        or len(message.term_values) != len(further)
+    ):
+        raise InputError(
+            f'A calibration of {message.imu_id or "no name"} cannot be used: found the terms '
+            f'{", ".join(message.term_parameters)} in {", ".join(message.term_units)} with '
+            f'{len(message.term_values)} values, expected '
+            f'{", ".join(p.name for p in _in_no_field(parameters))} in {", ".join(units)}.'
+        )
+    return parameters
 
 
 def final_status(calibration: Calibration) -> int:

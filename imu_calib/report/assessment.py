@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from ..calibration import Calibration
-from ..model import Parameter, ParameterKind
+from ..model import TERMS, Parameter, ParameterKind
 from ..specification import COVERAGE, Specification, Verdict, judge
 from .html import table
 from .parameters import decimals, engineering
@@ -19,17 +19,12 @@ from .svg import drawing, number, tag
 _WIDTH, _HEIGHT = 150.0, 16.0
 _SHOWN = 1.4
 _PLAIN = 5
-_NAMES = {
-    ParameterKind.SCALE_FACTOR_ERROR: 'scale-factor error',
-    ParameterKind.MISALIGNMENT: 'misalignment',
-    ParameterKind.BIAS: 'bias',
-    ParameterKind.G_SENSITIVITY: 'g-sensitivity',
-    ParameterKind.RESPONSE: 'response',
-}
-_GROUPS = (
-    ('Gyros', 'g', False),
-    ('Accelerometers', 'a', False),
-    ('g-sensitivity of the gyros', 'g', True),
+_OF_TERMS = {term.kind for term in TERMS}
+_LINEAR = frozenset(ParameterKind) - _OF_TERMS
+_GROUPS: tuple[tuple[str, str, Collection[ParameterKind]], ...] = (
+    ('Gyros', 'g', _LINEAR),
+    ('Accelerometers', 'a', _LINEAR),
+    *((f'{t.kind.value.words} ({t.name})', t.triad, {t.kind}) for t in TERMS),
 )
 
 
@@ -94,12 +89,9 @@ def worst(assessed: Sequence[Assessed]) -> Verdict | None:
 def tables(assessed: Sequence[Assessed]) -> str:
     """Return one table per group of parameters."""
     parts = []
-    for title, triad, sensitive in _GROUPS:
+    for title, triad, kinds in _GROUPS:
         rows = [
-            _row(a)
-            for a in assessed
-            if a.parameter.triad == triad
-            and (a.parameter.kind is ParameterKind.G_SENSITIVITY) is sensitive
+            _row(a) for a in assessed if a.parameter.triad == triad and a.parameter.kind in kinds
         ]
         if rows:
             headings = ['', 'kind', 'value', f'\u00b1 {COVERAGE:g} std', 'unit', 'limit', '', '']
@@ -124,7 +116,7 @@ def _row(assessed: Assessed) -> list[str]:
         verdict = badge(assessed.verdict)
     return [
         tag('b', assessed.parameter.name),
-        _NAMES[assessed.parameter.kind],
+        assessed.parameter.kind.value.words,
         f'{value:.{places}f}'.replace('-', '\u2212'),
         f'{COVERAGE * std:.{places}f}',
         escape(shown.unit.replace('ug', '\u00b5g')),

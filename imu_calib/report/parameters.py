@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +10,11 @@ from rich.table import Table
 
 from ..calibration import Calibration
 from ..errors import InputError
-from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel, Skewed, Triad
+from ..model import AXES, PARAMETERS, TERMS, Parameter, ParameterKind, positions
 from ..stream import Units
-from ..units import ARCMIN, ARCSEC, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
+from ..units import ARCSEC, PPM, STANDARD_GRAVITY
+
+_OF_TERMS = {term.kind for term in TERMS}
 
 
 @dataclass(frozen=True)
@@ -25,15 +27,7 @@ class Shown:
 
 def engineering(parameter: Parameter) -> Shown:
     """Return the unit in which engineers write a parameter."""
-    if parameter.kind is ParameterKind.SCALE_FACTOR_ERROR:
-        return Shown('ppm', PPM)
-    if parameter.kind is ParameterKind.MISALIGNMENT:
-        return Shown('arcmin', ARCMIN)
-    if parameter.kind is ParameterKind.RESPONSE:
-        return Shown('', 1.0)
-    if parameter.kind is ParameterKind.G_SENSITIVITY:
-        return Shown('(deg/h)/g', DEG_H / STANDARD_GRAVITY)
-    return Shown('deg/h', DEG_H) if parameter.triad == 'g' else Shown('ug', MICRO_G)
+    return Shown(parameter.unit.shown, parameter.unit.scale)
 
 
 def decimals(deviation: float) -> int:
@@ -75,10 +69,7 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
     for k, parameter in enumerate(parameters):
         if not np.isfinite(deviations[k]):
             continue
-        if (parameter.triad, parameter.row > 2) != (last.triad, last.row > 2) or (
-            ParameterKind.G_SENSITIVITY in {parameter.kind, last.kind}
-            and parameter.kind is not last.kind
-        ):
+        if _section(parameter) != _section(last):
             table.add_section()
         last = parameter
         shown = engineering(parameter)
@@ -91,6 +82,12 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
             row += [f'{true:.{places}f}', ratio]
         table.add_row(*row)
     return table
+
+
+def _section(parameter: Parameter) -> tuple[object, ...]:
+    """Return what parameters of one section of a table have in common."""
+    kind = parameter.kind if parameter.kind in _OF_TERMS else None
+    return parameter.triad, parameter.row >= len(AXES), kind
 
 
 def comparison_table(calibrations: Sequence[Calibration], names: Sequence[str]) -> Table:
@@ -106,9 +103,10 @@ def comparison_table(calibrations: Sequence[Calibration], names: Sequence[str]) 
         left = heading in {'Table 1', 'here', 'unit'}
         table.add_column(heading, justify='left' if left else 'right')
     first, second = calibrations = [calibrations[0], in_scale_of(calibrations[1], calibrations[0])]
-    deviations = np.sqrt(first.std[:24] ** 2 + second.std[:24] ** 2)
+    deviations = np.hypot(*(c.std[positions(PARAMETERS, c.parameters)] for c in calibrations))
     rows = sorted(
-        range(24), key=lambda k: (PARAMETERS[k].triad != 'g', _table_order(PARAMETERS[k]))
+        range(len(PARAMETERS)),
+        key=lambda k: (PARAMETERS[k].triad != 'g', _table_order(PARAMETERS[k])),
     )
     for k in rows:
         if not np.isfinite(deviations[k]):
@@ -133,17 +131,16 @@ def comparison_table(calibrations: Sequence[Calibration], names: Sequence[str]) 
 
 
 def _add_further(table: Table, first: Calibration, second: Calibration) -> None:
-    """Add the g-sensitivities and the skewed gyros that both have."""
+    """Add the terms and the skewed gyros that both have."""
     values = [dict(zip(c.parameters, c.values, strict=True)) for c in (first, second)]
     stds = [dict(zip(c.parameters, c.std, strict=True)) for c in (first, second)]
-    askew = False
-    table.add_section()
-    for parameter in first.parameters[len(PARAMETERS) :]:
-        if parameter not in values[1]:
+    last = PARAMETERS[-1]
+    for parameter in first.parameters:
+        if parameter in PARAMETERS or parameter not in values[1]:
             continue
-        if parameter.row > 2 and not askew:
+        if _section(parameter) != _section(last):
             table.add_section()
-            askew = True
+        last = parameter
         shown = engineering(parameter)
         deviation = float(np.hypot(stds[0][parameter], stds[1][parameter]))
         places = decimals(deviation / shown.scale)
@@ -162,8 +159,8 @@ def _add_further(table: Table, first: Calibration, second: Calibration) -> None:
 def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
     """Return a calibration as it reads with the nominal scale factors of another.
 
-    The same unit with twice the nominal scale factor answers twice as much: I + M, bias and
-    g-sensitivity double.
+    The same unit with twice the nominal scale factor answers twice as much: I + M, bias and the
+    coefficients of terms double.
 
     Raises:
         InputError: The streams are not of the same units.
@@ -178,28 +175,24 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
     accel = its.accel.scale_factor / mine.accel.scale_factor
     if gyro == accel == 1.0:
         return calibration
-    model = calibration.model
-    factors = np.array([gyro if p.triad == 'g' else accel for p in calibration.parameters])
-    skewed = model.skewed
-    if skewed is not None:
-        share = (its.skewed or its.gyro).scale_factor / (mine.skewed or mine.gyro).scale_factor
-        skewed = Skewed(skewed.response * share, skewed.bias * share)
-        factors[-4 * len(skewed.bias) :] = share
+    askew = 1.0
+    if calibration.model.skewed is not None:
+        askew = (its.skewed or its.gyro).scale_factor / (mine.skewed or mine.gyro).scale_factor
+    parameters = calibration.parameters
+    factors = np.array([_factor_of(p, {'g': gyro, 'a': accel}, askew) for p in parameters])
+    # A scale-factor error is what a response has beyond one.
+    one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
+    values = (one + calibration.values) * factors - one
     return replace(
         calibration,
         imu=replace(its, id=mine.id),
-        model=SensorModel(
-            _scaled(model.gyro, gyro),
-            _scaled(model.accel, accel),
-            model.g_sensitivity * gyro,
-            skewed,
-        ),
+        model=calibration.model.with_values(parameters, values),
         covariance=calibration.covariance * np.outer(factors, factors),
     )
 
 
-def _scaled(triad: Triad, factor: float) -> Triad:
-    return Triad(triad.response * factor - np.eye(3), triad.bias * factor)
+def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) -> float:
+    return askew if parameter.row >= len(AXES) else triads[parameter.triad]
 
 
 def unmatched(first: Calibration, second: Calibration) -> tuple[list[str], list[str]]:
