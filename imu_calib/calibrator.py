@@ -15,7 +15,7 @@ from .earth import Site
 from .errors import Contradiction, InputError, NotObservable
 from .gravity import gravity_covariance, with_gravity
 from .imu import ImuSpec
-from .methods import check_plan, closed_form_beside, default_method, estimates, method
+from .methods import JOINT, check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
 from .methods.evidence import Evidence, noise
 from .methods.information import reached
@@ -40,7 +40,7 @@ class Setup:
 
     Attributes:
         imu: What the numbers of the Imu stream mean.
-        plan: What is run.
+        plan: What is run; `plan.UNPLANNED` where nobody knows, and joint states tell the attitudes.
         table: The table whose joint states come in; None when the IMU stands alone.
         site: Gravity and Earth rate.
         method: Name of the solver; None takes the joint estimate where it applies, else the plan's
@@ -72,6 +72,11 @@ class Setup:
 
         """
         return estimates(self.method_name, self.terms)
+
+    @property
+    def plan_alone(self) -> bool:
+        """Whether the method is a closed form, which knows the plan's positions alone."""
+        return self.method_name not in JOINT
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,12 +198,17 @@ class Calibrator:
         """Return the standard deviations of what is determined already, NaN for the rest."""
         parameters = tuple(p for p in self._setup.parameters if p.row < len(AXES))
         try:
-            noise_alone = reached(self._evidence(labelled, session), parameters)
+            noise_alone = reached(self._evidence(self._used(labelled), session), parameters)
         except NotObservable:
             return {}
         doubt = self._setup.site.gravity_doubt
         share = np.diag(gravity_covariance(SensorModel(), parameters, doubt))
         return dict(zip(parameters, np.sqrt(noise_alone**2 + share), strict=True))
+
+    def _used(self, labelled: Labelled) -> Labelled:
+        """Return what the method works on."""
+        setup = self._setup
+        return labelled.of_plan(setup.plan) if setup.plan_alone else labelled
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
         setup = self._setup
@@ -214,7 +224,9 @@ class Calibrator:
             np.repeat([setup.imu.gyro.bias_instability, setup.imu.accel.bias_instability], 3),
         )
 
-    def _estimate(self, evidence: Evidence) -> tuple[Solution, Comparison | None]:
+    def _estimate(
+        self, evidence: Evidence, labelled: Labelled, session: Segmented
+    ) -> tuple[Solution, Comparison | None]:
         """Solve; a joint estimate with the closed form of the plan beside it.
 
         What a closed form finds contradictory is refused: a joint estimate could weigh half of
@@ -230,7 +242,7 @@ class Calibrator:
             return self._solver(evidence), None
         closed: Solution | NotObservable
         try:
-            closed = method(name)(evidence)
+            closed = method(name)(self._evidence(labelled.of_plan(self._setup.plan), session))
         except Contradiction:
             raise
         except NotObservable as error:
@@ -249,16 +261,16 @@ class Calibrator:
     def _solve(self, session: Segmented) -> Result:
         setup = self._setup
         labelled = label(session, setup.plan, setup.table)
-        if not labelled.segments and not labelled.turns:
+        used = self._used(labelled)
+        if not used.segments and not used.turns:
             raise NotObservable(_nothing_found(session, labelled, setup))
-        evidence = self._evidence(labelled, session)
+        evidence = self._evidence(used, session)
+        lost = _what_was_lost(setup, evidence, labelled, session)
         try:
-            solution, comparison = self._estimate(evidence)
+            solution, comparison = self._estimate(evidence, labelled, session)
         except NotObservable as error:
-            why = _what_was_lost(evidence, labelled, session)
-            raise type(error)(' '.join([str(error), *why])) from None
+            raise type(error)(' '.join([str(error), *lost])) from None
         contradiction = comparison.finding() if comparison is not None else []
-        lost = _what_was_lost(evidence, labelled, session)
         findings = (*solution.findings, *contradiction, *lost)
         calibration = Calibration(
             setup.imu,
@@ -283,33 +295,43 @@ def _nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
     if not session.duration:
         told = ' '.join(f'{loss}.' for loss in session.losses)
         return f'None of {session.samples} IMU samples can be used. {told}'
+    looked_for = 'Neither a rest nor a whole turn'
+    if setup.plan.is_stated:
+        looked_for = f'None of the positions of plan {setup.plan.name}'
     text = (
-        f'None of the positions of plan {setup.plan.name} was found in {session.samples} IMU '
-        f'samples ({session.duration:.0f} s): nothing can be determined.'
+        f'{looked_for} was found in {session.samples} IMU samples ({session.duration:.0f} s): '
+        'nothing can be determined.'
     )
     reasons = sorted({r.reason for r in labelled.rejected})
     loose = len(session.segments)
-    if loose:
+    if loose and setup.plan.is_stated:
         text += f' {loose} stretches at rest fit no position of the plan.'
     sentences = [*(f'Left out: {reason}' for reason in reasons[:3]), *session.losses]
     return ' '.join([text, *(f'{sentence}.' for sentence in sentences)])
 
 
-def _what_was_lost(evidence: Evidence, labelled: Labelled, session: Segmented) -> list[str]:
-    """Say what of the session was not used, and what of the plan is missing."""
+def _what_was_lost(
+    setup: Setup, evidence: Evidence, labelled: Labelled, session: Segmented
+) -> list[str]:
+    """Say what of the session was not used or fits no plan, and what of the plan is missing."""
     sentences = []
     missing = evidence.missing()
     if missing:
         sentences.append(f'Missing from the recording: position {", ".join(missing)}.')
+    if setup.plan.is_stated:
+        sentences += _beside_plan(setup, labelled)
     found = {segment.position for segment in labelled.segments}
-    alike: dict[tuple[bool, str], list[str]] = {}
+    alike: dict[tuple[bool, bool, str], list[str]] = {}
     for rejected in labelled.rejected:
         again = '; it was measured again' if rejected.position in found else ''
         reason = rejected.reason + ('' if rejected.turn else again)
-        alike.setdefault((rejected.turn, reason), []).append(rejected.position or '(unknown)')
-    for (turn, reason), names in alike.items():
+        at = f'{(rejected.start - (session.start or 0)) * 1e-9:.0f} s'
+        known = rejected.position is not None
+        alike.setdefault((known, rejected.turn, reason), []).append(rejected.position or at)
+    for (known, turn, reason), names in alike.items():
         what = 'a turn is left out' if turn else 'left out'
-        sentences.append(f'Position {", ".join(dict.fromkeys(names))}: {what}, {reason}.')
+        place = 'Position' if known else 'At'
+        sentences.append(f'{place} {", ".join(dict.fromkeys(names))}: {what}, {reason}.')
     sentences += [
         f'Position {segment.position}: {note}.'
         for segment in labelled.segments
@@ -317,6 +339,18 @@ def _what_was_lost(evidence: Evidence, labelled: Labelled, session: Segmented) -
     ]
     sentences += [f'{loss}.' for loss in (*labelled.notes, *session.losses)]
     return list(dict.fromkeys(sentences))
+
+
+def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
+    """Say which rests fit no position of the plan, and what becomes of them."""
+    of_plan = labelled.of_plan(setup.plan).segments
+    names = [str(s.position) for s in labelled.segments if s not in of_plan]
+    if not names:
+        return []
+    becomes = f'{setup.method_name} uses them all the same'
+    if setup.plan_alone:
+        becomes = f"{setup.method_name}, which knows the plan's positions alone, leaves them out"
+    return [f'Rests that fit no position of plan {setup.plan.name}: {"; ".join(names)}: {becomes}.']
 
 
 def _provenance(
@@ -342,7 +376,7 @@ def _provenance(
         'recorded': _date(session.start),
         'method': setup.method_name,
         'terms': [term.name for term in setup.terms],
-        'plan': setup.plan.name,
+        'plan': setup.plan.name or None,
         'table': setup.table.name if setup.table is not None else None,
         'latitude_deg': setup.site.latitude / DEG,
         'gravity': setup.site.gravity,

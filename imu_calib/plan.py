@@ -108,6 +108,11 @@ class Plan:
     positions: tuple[Position, ...]
     by_hand: bool = False
 
+    @property
+    def is_stated(self) -> bool:
+        """Whether anybody said what was run: `UNPLANNED` has no positions."""
+        return bool(self.positions)
+
     def position(self, name: str) -> Position:
         """Return a position by its id.
 
@@ -191,6 +196,11 @@ class Plan:
     def _sense(self, table: Table, joint: int, angles: Floats) -> float:
         up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
         return math.copysign(1.0, float(table.joint_axis(joint, angles) @ up))
+
+
+UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
+"""Stands for the plan of a session that followed none, or one that nobody stated: the joint states
+tell the attitudes, and rests and turns are named after them."""
 
 
 def load_plan(name: str | Path) -> Plan:

@@ -67,7 +67,7 @@ def open_offline(arguments: argparse.Namespace) -> Offline:
         imu = replace(imu, skewed=None)
     setup = Setup(
         imu,
-        options.find_plan(arguments, data, where),
+        options.find_plan(arguments, data, where, streams),
         table if streams.joints is not None else None,
         options.find_site(arguments, data, where),
         arguments.method,

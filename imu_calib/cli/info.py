@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections import Counter
 
 from rich.table import Table as Rows
 
 from ..bags import open_recording
 from ..calibrator import Setup
 from ..errors import ImuCalibError
-from ..segmentation.labelling import label
+from ..plan import Plan
+from ..segmentation.alone import up_seen
+from ..segmentation.labelling import Labelled, label
+from ..segmentation.naming import heading, up_words
 from ..segmentation.segmenter import Segmenter
 from ..segmentation.session import Segmented
 from ..session import COMPENSATED
+from ..turntable import TURN
 from ..units import DEG, DEG_H, STANDARD_GRAVITY
 from . import options
 from .calibrate import Offline, open_offline
@@ -22,6 +25,10 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 _SAME_UP = 0.999
 """Cosine of 2.6 deg: turns about axes that are closer are of the same position. A judgement: the
 positions of a rate test are 90 deg apart."""
+
+_WORDS = {'topic', 'type', 'up', 'position'}
+_PASSING = 'on the way'
+_UNUSED = 'not used'
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -35,9 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(arguments: argparse.Namespace) -> None:
     """Print topics, then segments where plan, IMU and site are known."""
     with open_recording(arguments.bag) as recording:
-        rows = Rows(box=None, pad_edge=False, header_style='bold')
-        for heading in ('topic', 'type', 'messages', 'rate, Hz'):
-            rows.add_column(heading, justify='left' if heading in {'topic', 'type'} else 'right')
+        rows = _table('topic', 'type', 'messages', 'rate, Hz')
         seconds = 0.0
         if recording.start_ns is not None and recording.end_ns is not None:
             seconds = (recording.end_ns - recording.start_ns) * 1e-9
@@ -71,45 +76,98 @@ def _segment(offline: Offline) -> Segmented:
 
 def _show_segments(session: Segmented, setup: Setup) -> None:
     labelled = label(session, setup.plan, setup.table)
-    rows = Rows(box=None, pad_edge=False, header_style='bold')
-    headings = (
-        'position',
-        'at, s',
-        'for, s',
-        'missing',
-        'fx, g',
-        'fy, g',
-        'fz, g',
-        'wx',
-        'wy',
-        'wz, deg/h',
-    )
-    for heading in headings:
-        rows.add_column(heading, justify='left' if heading == 'position' else 'right')
-    zero = min((s.start for s in labelled.segments), default=0)
-    for segment in labelled.segments:
-        s = segment.statistics
-        rows.add_row(
-            str(segment.position),
-            f'{(segment.start - zero) * 1e-9:.1f}',
-            f'{s.duration:.1f}',
-            str(s.missing),
-            *(f'{v / STANDARD_GRAVITY:.4f}' for v in s.mean[3:]),
-            *(f'{v / DEG_H:.2f}' for v in s.mean[:3]),
-        )
+    zero = session.start or 0
     OUTPUT.print()
-    OUTPUT.print(rows)
-    turns = Counter((t.position, round(t.rate() / DEG, 2)) for t in labelled.turns)
-    listed = ', '.join(f'{rate:+g} deg/s at {name}' for name, rate in turns)
-    OUTPUT.print(f'\nwhole turns: {listed or "none"}', markup=False)
+    OUTPUT.print(_rests(session, labelled, setup.plan, zero))
+    OUTPUT.print()
+    OUTPUT.print(_outputs(session))
+    if labelled.turns:
+        OUTPUT.print()
+        OUTPUT.print(_turns(labelled, setup.plan, zero))
+    else:
+        OUTPUT.print('\nno whole turns')
+    if setup.plan.is_stated:
+        _show_missing(labelled, setup.plan)
+    else:
+        OUTPUT.print('\nno plan: rests and turns are named by their attitudes')
+    left_out = [
+        f'{r.position or f"at {(r.start - zero) * 1e-9:.1f} s"}: {r.reason}'
+        for r in labelled.rejected
+    ]
+    sentence_list('Left out', [*left_out, *labelled.notes])
+
+
+def _table(*headings: str) -> Rows:
+    """Begin a table: words are flush left, numbers flush right."""
+    rows = Rows(box=None, pad_edge=False, header_style='bold')
+    for heading in headings:
+        rows.add_column(heading, justify='left' if heading in _WORDS else 'right', no_wrap=True)
+    return rows
+
+
+def _rests(session: Segmented, labelled: Labelled, plan: Plan, zero: int) -> Rows:
+    """List every rest: when, how long, how the unit stood, and what the plan calls it."""
+    rows = _table('rest', 'at, s', 'for, s', 'missing', 'up', 'heading, deg', 'position')
+    names = {s.start: str(s.position) for s in labelled.segments}
+    known = {p.id for p in plan.positions}
+    passing = {s.start for s in labelled.passing}
+    by_plan = {s.start: s.attitude for s in labelled.segments}
+    for k, segment in enumerate(session.segments):
+        attitude = segment.attitude if segment.attitude is not None else by_plan.get(segment.start)
+        name = names.get(segment.start)
+        if name is None:
+            name = _PASSING if segment.start in passing else _UNUSED
+        elif name not in known:
+            name = '-'
+        rows.add_row(
+            str(k + 1),
+            f'{(segment.start - zero) * 1e-9:.1f}',
+            f'{segment.statistics.duration:.1f}',
+            str(segment.statistics.missing),
+            up_words(up_seen(segment) if attitude is None else attitude[2]),
+            '-' if attitude is None else f'{heading(attitude) / DEG:.2f}',
+            name,
+        )
+    return rows
+
+
+def _outputs(session: Segmented) -> Rows:
+    """List what the sensors read at every rest."""
+    rows = _table('rest', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h')
+    for k, segment in enumerate(session.segments):
+        mean = segment.statistics.mean
+        rows.add_row(
+            str(k + 1),
+            *(f'{v / STANDARD_GRAVITY:.4f}' for v in mean[3:]),
+            *(f'{v / DEG_H:.2f}' for v in mean[:3]),
+        )
+    return rows
+
+
+def _turns(labelled: Labelled, plan: Plan, zero: int) -> Rows:
+    """List every measurement of whole turns: when, about what, how fast, how many."""
+    rows = _table('turn', 'at, s', 'for, s', 'up', 'rate, deg/s', 'turns', 'position')
+    known = {p.id for p in plan.positions}
+    for k, turn in enumerate(labelled.turns):
+        rows.add_row(
+            str(k + 1),
+            f'{(turn.start - zero) * 1e-9:.1f}',
+            f'{turn.statistics.duration:.1f}',
+            up_words(turn.up),
+            f'{turn.rate() / DEG:+.3f}',
+            f'{abs(turn.angle) / TURN:.0f}',
+            turn.position if turn.position in known else '-',
+        )
+    return rows
+
+
+def _show_missing(labelled: Labelled, plan: Plan) -> None:
     found = {s.position for s in labelled.segments}
-    missing = [p.id for p in setup.plan.positions if p.dwell > 0 and p.id not in found]
+    missing = [p.id for p in plan.positions if p.dwell > 0 and p.id not in found]
     missing += [
         f'the turns at {p.id}'
-        for p in setup.plan.positions
+        for p in plan.positions
         if p.rate_test and not any(t.up @ p.up > _SAME_UP for t in labelled.turns)
     ]
-    text = f'missing of plan {setup.plan.name}: {", ".join(missing)}' if missing else 'complete'
-    OUTPUT.print(f'plan {setup.plan.name}: {text}')
-    left_out = [f'{r.position or "?"}: {r.reason}' for r in labelled.rejected]
-    sentence_list('Left out', [*left_out, *labelled.notes])
+    text = f'missing of plan {plan.name}: {", ".join(missing)}' if missing else 'complete'
+    OUTPUT.print(f'\nplan {plan.name}: {text}')

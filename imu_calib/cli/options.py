@@ -16,11 +16,14 @@ from ..earth import HEIGHT_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
 from ..model import NO_TERMS, TERMS, Term, chosen
-from ..plan import Plan, load_plan, read_plan
+from ..plan import UNPLANNED, Plan, load_plan, read_plan
 from ..session import SERIAL_NUMBER, described_imu, described_site, imu_key
 from ..share import named_file
 from ..turntable import Table, load_table, read_table
 from ..units import DEG
+
+NO_PLAN = 'none'
+"""What --plan says where no plan was run, or the recording's own is not to be used."""
 
 _SKEW = 'imu/skew'
 _TEMPERATURE = 'imu/temperature'
@@ -119,7 +122,12 @@ def find_terms(arguments: argparse.Namespace) -> tuple[Term, ...]:
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
     """Add what says how a recording is to be read."""
-    parser.add_argument('--plan', metavar='NAME|FILE', help='the plan that was run')
+    parser.add_argument(
+        '--plan',
+        metavar='NAME|FILE',
+        help="the plan that was run (default: the recording's own, else none); "
+        f'{NO_PLAN}: no plan, joint states tell the attitudes',
+    )
     parser.add_argument('--imu', metavar='NAME|FILE', help="what the IMU's numbers mean")
     parser.add_argument('--table', metavar='NAME|FILE', help='the turntable (default: three_axis)')
     parser.add_argument(
@@ -158,13 +166,39 @@ class Streams:
         return named
 
 
-def find_plan(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> Plan:
-    """Return the plan of the command line, or the one that the recording carries."""
+def find_plan(
+    arguments: argparse.Namespace, data: Mapping[str, str], where: str, streams: Streams
+) -> Plan:
+    """Return the plan of a recording; none is needed where joint states tell the attitudes.
+
+    Raises:
+        InputError: There is neither, or the file is broken.
+
+    """
+    if (plan := stated_plan(arguments, data, where)) is not None:
+        return plan
+    if streams.joints is not None:
+        return UNPLANNED
+    raise InputError(
+        f'{where} does not say which plan was run: give --plan ({shipped("plans")}). '
+        'None is needed where joint states of a table tell the attitudes; here are none.'
+    )
+
+
+def stated_plan(arguments: argparse.Namespace, data: Mapping[str, str], where: str) -> Plan | None:
+    """Return the plan of the command line, or the one that the recording carries; None without.
+
+    Raises:
+        InputError: The file is broken.
+
+    """
+    if arguments.plan == NO_PLAN:
+        return None
     if arguments.plan is not None:
         return load_plan(arguments.plan)
     if 'imu_calib.plan' in data:
         return read_plan(Section.parse(data['imu_calib.plan'], f'{where}: its plan'))
-    raise InputError(f'{where} does not say which plan was run: give --plan ({shipped("plans")}).')
+    return None
 
 
 def find_imu(

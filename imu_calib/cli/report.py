@@ -85,6 +85,8 @@ def _recalibrate(arguments: argparse.Namespace, calibration: Calibration) -> tup
     if arguments.terms is None and arguments.method in JOINT:
         names = [term.name for term in terms_of(calibration.parameters)]
         arguments.terms = ','.join(names) or NO_TERMS
+    if arguments.plan is None and calibration.provenance.get('plan', '') is None:
+        arguments.plan = options.NO_PLAN
     with open_recording(arguments.bag) as recording:
         told, found = calibration.provenance.get('sha256'), recording.sha256()
         if told is not None and told != found:

@@ -19,6 +19,7 @@ from ..compensation.thermal import (
 )
 from ..errors import InputError, NotObservable
 from ..imu import ImuSpec
+from ..plan import UNPLANNED
 from ..report.verification import (
     limits_line,
     moved_table,
@@ -79,9 +80,7 @@ def _verify(
     data, where = recording.custom_data, str(recording.path)
     streams = options.find_streams(arguments, recording)
     # What nobody says is left out: a plan gives names, a table attitudes.
-    plan = None
-    if arguments.plan is not None or 'imu_calib.plan' in data:
-        plan = options.find_plan(arguments, data, where)
+    plan = options.stated_plan(arguments, data, where) or UNPLANNED
     stated = options.stated_imu(arguments, data, where, streams.imu)
     imu, says = (_described(first_of(loaded)), where) if stated is None else stated
     if not arguments.another_unit:

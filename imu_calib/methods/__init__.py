@@ -126,11 +126,16 @@ def check_plan(name: str, plan: Plan, site: Site) -> None:
     """Refuse a plan that its method cannot solve, before anybody runs it.
 
     Raises:
-        InputError: No such method.
+        InputError: No such method, or one that needs a plan where there is none.
         NotObservable: Names the parameters that the plan cannot tell apart.
 
     """
     method(name)
+    if not plan.is_stated and name not in JOINT:
+        raise InputError(
+            f'Method {name} needs the plan that was run, and none is stated; without a plan there '
+            f'are {", ".join(JOINT)}.'
+        )
     # What a closed form cannot tell apart, no estimate from the same plan tells well.
     for held in (name, closed_form_beside(name, plan)):
         if held in _CHECKS:

@@ -36,7 +36,7 @@ class Evidence:
     Attributes:
         segments: Stretches at rest with position and attitude.
         turns: Whole turns about the vertical.
-        plan: What was run.
+        plan: What was run; `plan.UNPLANNED` where nobody knows.
         site: Gravity and Earth rate.
         clock: Table against IMU.
         azimuth: Heading of the table's zero against north, rad; None when unknown.

@@ -26,7 +26,8 @@ from .converge import least_squares
 from .equations import LEVELLED, Equations, Nuisance
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess import Excess, excess
-from .information import ALONG, Information, before, told, undetermined, unobserved
+from .information import Information, before, told, undetermined, unobserved
+from .lacking import advice, lost
 
 _STARTS = 8
 _ITERATIONS = 30
@@ -172,24 +173,19 @@ def _turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
 
 
 def check_observable(equations: Equations) -> None:
-    """Refuse a session that leaves parameters open, or misses a rate test of its plan.
+    """Refuse a session that leaves parameters open, or lacks a rate test.
 
     Raises:
         NotObservable: Names the parameters and what is missing.
 
     """
     evidence = equations.evidence
-    information = before(replace(equations, parameters=PARAMETERS))
-    lost = ~told(information)
-    tests = [np.abs(p.up) for p in evidence.plan.positions if p.rate_test is not None]
-    for axis in range(3):
-        if not any(up[axis] > ALONG for up in tests):
-            continue
-        # The Earth's rate alone tells them to a percent: not what a rate test is made for.
-        if not any(abs(turn.up[axis]) > ALONG for turn in evidence.turns):
-            lost |= [p.triad == 'g' and p.column == axis for p in PARAMETERS]
-    if lost.any():
-        raise NotObservable(unobserved(evidence, lost))
+    plain = replace(equations, parameters=PARAMETERS)
+    open_ones = lost(plain)
+    if open_ones.any():
+        text = unobserved(evidence, open_ones)
+        # A plan says itself what is missing of it.
+        raise NotObservable(text if evidence.plan.is_stated else f'{text} {advice(plain)}')
     if equations.parameters != PARAMETERS:
         _check_terms(equations)
 
@@ -203,11 +199,11 @@ def _check_terms(equations: Equations) -> None:
     """
     parameters = equations.parameters
     known = told(before(equations), parameters)
-    lost = [p for p, sure in zip(parameters, known, strict=True) if not sure]
-    if not lost:
+    missing = [p for p, sure in zip(parameters, known, strict=True) if not sure]
+    if not missing:
         return
-    terms = terms_of(lost) or terms_of(parameters)
-    raise NotObservable(' '.join(undetermined(equations.evidence, term, lost) for term in terms))
+    terms = terms_of(missing) or terms_of(parameters)
+    raise NotObservable(' '.join(undetermined(equations.evidence, term, missing) for term in terms))
 
 
 def _start(equations: Equations) -> Floats:

@@ -165,7 +165,9 @@ def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
     left = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}
     turned = [np.abs(turn.up) for turn in evidence.turns]
     stood = [np.abs(attitude[2]) for attitude in evidence.attitudes()]
-    reasons = (('g', turned, 'no position turns {}'), ('a', stood, 'no position has {} vertical'))
+    place = 'position' if evidence.plan.is_stated else 'rest'
+    about = 'no position turns {}' if evidence.plan.is_stated else 'no turn is about {}'
+    reasons = (('g', turned, about), ('a', stood, f'no {place} has {{}} vertical'))
     for triad, seen, reason in reasons:
         for column, axis in enumerate(AXES):
             names = [

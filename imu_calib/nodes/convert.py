@@ -54,7 +54,7 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
     message = _empty(calibration.imu, status, text, frame_id, stamp)
     message.serial_number = calibration.serial_number
     where = calibration.provenance
-    message.plan = str(where['plan'])
+    message.plan = str(where['plan'] or '')
     message.method = str(where['method'])
     message.gravity = float(where['gravity'])
     message.latitude = math.radians(float(where['latitude_deg']))
@@ -201,7 +201,7 @@ def _provenance(message: Any) -> dict[str, Any]:
     known = all(math.isfinite(value) for value in temperature.values())
     return {
         'method': message.method,
-        'plan': message.plan,
+        'plan': message.plan or None,
         'random_walk': [float(value) for value in message.random_walk],
         'highest_rate': _known(message.highest_rate),
         'temperature': temperature if known else None,

@@ -1,4 +1,8 @@
-"""Segments get their names: by setpoint, by joint angles, or by the order of the plan alone."""
+"""Segments get their names: by setpoint, by joint angles, or by the order of the plan alone.
+
+What joint states tell the attitude of, and no position of the plan names, is evidence all the
+same: it gets a name of its own (`naming`).
+"""
 
 from __future__ import annotations
 
@@ -8,20 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
-from ..plan import Plan, Position
+from ..plan import Plan
 from ..stream import Floats, Mode, Setpoint
 from ..turntable import TURN, Table
 from ..units import DEG
+from .alone import SHORT_DWELL, UP_TOLERANCE, by_order, join, turn_without_encoder, up_seen
+from .naming import attitude_words, unique, up_words
 from .segment import Segment, Turn
-from .session import FreeMotion, Rejected, Segmented, Slip
+from .session import Rejected, Segmented, Slip
+from .statistics import BLOCK_SECONDS
 
 _ARRIVAL_TOLERANCE = 0.2 * DEG
 _ATTITUDE_TOLERANCE = 1.0 * DEG
-_UP_TOLERANCE = 20 * DEG
-_SHORT_DWELL = 0.25
-_WHOLE_TURN = 0.15
-_BY_HAND_TURN = 0.3
-_ALONG_UP = 0.8
 _PART = ('', 'what lies after it is', 'what lies before it is', 'what lies between is')
 
 
@@ -34,6 +36,7 @@ class Labelled:
         turns: Whole turns, in order.
         rejected: Stretches that were not used, and why.
         notes: What else of the session was left out, in sentences.
+        passing: Stops on the way from one rest to another, which are not used.
 
     """
 
@@ -41,17 +44,28 @@ class Labelled:
     turns: tuple[Turn, ...]
     rejected: tuple[Rejected, ...]
     notes: tuple[str, ...] = ()
+    passing: tuple[Segment, ...] = ()
+
+    def of_plan(self, plan: Plan) -> Labelled:
+        """Return the rests and turns at positions of a plan, which a closed form works on."""
+        known = {p.id for p in plan.positions}
+        return replace(
+            self,
+            segments=tuple(s for s in self.segments if s.position in known),
+            turns=tuple(t for t in self.turns if t.position in known),
+        )
 
 
 def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     """Name the segments of a session after the plan's positions.
 
     Setpoints say it where they were recorded; else the joint angles do; else, with only the IMU,
-    the order of the plan does.
+    the order of the plan does. Where joint angles tell the attitudes, what fits no position gets
+    a name of its own.
 
     Args:
         session: What the streams contain.
-        plan: What was run.
+        plan: What was run; `plan.UNPLANNED` where nobody knows.
         table: The table whose joint angles the segments carry; None with the IMU alone.
 
     Raises:
@@ -60,27 +74,119 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     """
     clock = session.clock
     offset = 0.0 if np.isnan(clock.offset) else clock.offset
-    setpoints = _Setpoints(session.setpoints, offset)
-    if session.setpoints:
+    setpoints = _Setpoints(session.setpoints if plan.is_stated else (), offset)
+    rejected: list[Rejected] = []
+    segments: list[Segment] = list(session.segments)
+    if plan.is_stated and session.setpoints:
         _check_plan([s for s in session.setpoints if s.mode is not Mode.HOLD], plan)
-        segments, rejected = _by_setpoint(session.segments, setpoints, plan, table)
-    elif table is not None:
-        segments, rejected = _by_attitude(session.segments, plan), []
-    else:
-        segments, rejected = _by_order(session.segments, plan)
+        segments, rejected = _by_setpoint(segments, setpoints, plan, table)
+    elif plan.is_stated and table is not None:
+        segments = _by_attitude(segments, plan)
+    elif plan.is_stated:
+        segments, rejected = by_order(segments, plan)
     turns = [_named_turn(turn, setpoints, plan) for turn in session.turns]
-    whole = _join(session.motions, session.segments)
-    turns += [t for m in whole if (t := _turn_without_encoder(m, plan)) is not None]
+    whole = join(session.motions, session.segments)
+    turns += [t for m in whole if (t := turn_without_encoder(m, plan)) is not None]
     named = [
         replace(r, position=setpoints.position((r.start + r.end) / 2))
         for r in session.rejected
         if setpoints.counts((r.start + r.end) / 2)
     ]
     labelled = Labelled(tuple(segments), tuple(turns), (*named, *rejected))
-    return _in_one_mount(labelled, session.slips, setpoints) if session.slips else labelled
+    if table is not None:
+        labelled = _with_own_names(labelled, plan)
+    elif plan.is_stated:
+        # Nobody tells the attitude of what the plan does not name.
+        named_by_plan = tuple(s for s in labelled.segments if s.position is not None)
+        labelled = replace(labelled, segments=named_by_plan)
+    if not session.slips:
+        return labelled
+    return _in_one_mount(labelled, session.slips, setpoints, session.start or 0)
 
 
-def _in_one_mount(labelled: Labelled, slips: Sequence[Slip], setpoints: _Setpoints) -> Labelled:
+def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
+    """Name rests and turns that the plan does not name after their attitudes.
+
+    Left out are stops on the way, and rests in which the unit cannot have sat in its mount: the
+    accelerometers show another direction of up than the encoders, while at most other rests they
+    show the same.
+    """
+    segments = [s for s in labelled.segments if s.attitude is not None]
+    brief = _brief(segments)
+    beside = np.array([_beside_encoders(s) for s in segments])
+    in_mount = np.count_nonzero(beside < UP_TOLERANCE) > len(beside) / 2
+    kept: list[Segment] = []
+    passing: list[Segment] = []
+    rejected = list(labelled.rejected)
+    for segment, off in zip(segments, beside.tolist(), strict=True):
+        if segment.position is not None:
+            kept.append(segment)
+        elif segment.statistics.duration < brief:
+            passing.append(segment)
+        elif in_mount and off >= UP_TOLERANCE:
+            reason = (
+                f'the accelerometers see up {off / DEG:.0f} deg off where the encoders have it, '
+                'and agree with them at most other rests'
+            )
+            rejected.append(Rejected(segment.start, segment.end, reason))
+        else:
+            kept.append(segment)
+    own = [
+        attitude_words(s.attitude) for s in kept if s.position is None and s.attitude is not None
+    ]
+    names = iter(unique(own, (p.id for p in plan.positions)))
+    return replace(
+        labelled,
+        segments=tuple(s if s.position else replace(s, position=next(names)) for s in kept),
+        turns=_turns_with_own_names(labelled.turns),
+        rejected=tuple(rejected),
+        passing=tuple(passing),
+    )
+
+
+def _turns_with_own_names(turns: Sequence[Turn]) -> tuple[Turn, ...]:
+    """Name turns that the plan does not name after the axis that is up.
+
+    Of turns at one rate about one axis all but the first get a number too.
+    """
+    rates: dict[str, list[Turn]] = {}
+    for turn in turns:
+        if turn.position is None:
+            rates.setdefault(f'{turn.rate() / DEG:.3g}', []).append(turn)
+    names = {
+        turn.start: name
+        for alike in rates.values()
+        for turn, name in zip(alike, unique(up_words(t.up) for t in alike), strict=True)
+    }
+    return tuple(t if t.position else replace(t, position=names[t.start]) for t in turns)
+
+
+def _brief(segments: Sequence[Segment]) -> float:
+    """Return how short a rest must be to count as a stop on the way, s.
+
+    Rests differ by what a session is for: what matters is how long most of them last. A pause
+    between two motions tells too little beside them to be worth a name and equations. Half of
+    the time at rest is spent in rests that last as long as the usual one or longer, where no rest
+    counts for more time than a block: neither many pauses nor one long warm-up are the usual.
+    """
+    if not segments:
+        return 0.0
+    durations = np.sort([s.statistics.duration for s in segments])
+    spent = np.cumsum(np.minimum(durations, BLOCK_SECONDS))
+    usual = float(durations[np.searchsorted(spent, spent[-1] / 2)])
+    return min(BLOCK_SECONDS, SHORT_DWELL * usual)
+
+
+def _beside_encoders(segment: Segment) -> float:
+    """Return the angle between up by the accelerometers and by the encoders, rad."""
+    if segment.attitude is None:
+        return 0.0
+    return float(np.arccos(np.clip(up_seen(segment) @ segment.attitude[2], -1, 1)))
+
+
+def _in_one_mount(
+    labelled: Labelled, slips: Sequence[Slip], setpoints: _Setpoints, zero: int
+) -> Labelled:
     """Keep what was measured while the unit sat in its mount in one and the same way.
 
     A knock changes every misalignment against the table: what lies before it and after it are two
@@ -95,8 +201,7 @@ def _in_one_mount(labelled: Labelled, slips: Sequence[Slip], setpoints: _Setpoin
     ]
     best = int(np.argmax(sizes))
     words = ', '.join(
-        f'by {slip.angle / DEG:.3f} deg at position {setpoints.position(slip.instant) or "?"}'
-        for slip in slips
+        f'by {slip.angle / DEG:.3f} deg {_place(slip.instant, setpoints, zero)}' for slip in slips
     )
     return replace(
         labelled,
@@ -107,6 +212,12 @@ def _in_one_mount(labelled: Labelled, slips: Sequence[Slip], setpoints: _Setpoin
             f'differ, so only {_PART[(best > 0) + 2 * (best < len(slips))]} used',
         ),
     )
+
+
+def _place(instant: int, setpoints: _Setpoints, zero: int) -> str:
+    """Say where something happened: at a position, or when, counted from the recording's start."""
+    position = setpoints.position(instant)
+    return f'at position {position}' if position else f'after {(instant - zero) * 1e-9:.0f} s'
 
 
 def _check_plan(setpoints: Sequence[Setpoint], plan: Plan) -> None:
@@ -149,23 +260,32 @@ class _Setpoints:
 def _by_setpoint(
     segments: Sequence[Segment], setpoints: _Setpoints, plan: Plan, table: Table | None
 ) -> tuple[list[Segment], list[Rejected]]:
+    """Name the rests to which a setpoint brought the table.
+
+    Returns:
+        All rests but those that are rejected; those without a position fit none.
+
+    """
     named: list[Segment] = []
     rejected: list[Rejected] = []
     known = {p.id: p for p in plan.positions}
     for segment in segments:
         setpoint = setpoints.at((segment.start + segment.end) / 2)
         if setpoint is None or setpoint.mode is not Mode.POSITION or setpoint.dwell <= 0:
+            named.append(segment)
             continue
         reason = _off_setpoint(segment, setpoint, table)
         if setpoint.position not in known:
             reason = f'plan {plan.name} has no position {setpoint.position}'
-        if reason:
+        if reason and segment.attitude is not None:
+            named.append(replace(segment, notes=(*segment.notes, reason)))
+        elif reason:
             rejected.append(Rejected(segment.start, segment.end, reason, setpoint.position))
-            continue
-        attitude = segment.attitude
-        if attitude is None:
-            attitude = known[setpoint.position].attitude
-        named.append(replace(segment, position=setpoint.position, attitude=attitude))
+        else:
+            attitude = segment.attitude
+            if attitude is None:
+                attitude = known[setpoint.position].attitude
+            named.append(replace(segment, position=setpoint.position, attitude=attitude))
     return named, rejected
 
 
@@ -179,20 +299,19 @@ def _off_setpoint(segment: Segment, setpoint: Setpoint, table: Table | None) -> 
         miss = float(segment.angles[table.names.index(name)]) - target
         miss -= TURN * round(miss / TURN)
         if abs(miss) > _ARRIVAL_TOLERANCE:
-            return f'joint {name} stands {miss / DEG:.3g} deg off its setpoint'
+            where = f'its setpoint of position {setpoint.position}'
+            return f'joint {name} stands {miss / DEG:.3g} deg off {where}'
     return ''
 
 
 def _by_attitude(segments: Sequence[Segment], plan: Plan) -> list[Segment]:
+    """Name the rests that stand at a position long enough; the others stay without one."""
     named = []
     for segment in segments:
-        if segment.attitude is None:
-            continue
         position = min(plan.positions, key=lambda p, s=segment: _apart(s.attitude, p.attitude))  # type: ignore[misc]
-        if _apart(segment.attitude, position.attitude) > _ATTITUDE_TOLERANCE:
-            continue
-        if segment.statistics.duration >= _SHORT_DWELL * position.dwell:
-            named.append(replace(segment, position=position.id))
+        near = _apart(segment.attitude, position.attitude) <= _ATTITUDE_TOLERANCE
+        enough = segment.statistics.duration >= SHORT_DWELL * position.dwell
+        named.append(replace(segment, position=position.id) if near and enough else segment)
     return named
 
 
@@ -203,141 +322,9 @@ def _apart(a: Floats | None, b: Floats) -> float:
     return float(np.arccos(np.clip((np.trace(a.T @ b) - 1) / 2, -1, 1)))
 
 
-def _by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segment], list[Rejected]]:
-    """Match the rests to the plan by the axis that is up, in order."""
-    ups = [_up(segment) for segment in segments]
-    positions = [p for p in plan.positions if p.dwell > 0]
-    pairs = _align(segments, ups, positions)
-    named: list[Segment] = []
-    rejected: list[Rejected] = []
-    taken = {p for _, p in pairs}
-    for index, place in pairs:
-        position = positions[place]
-        group = _alike(positions, place)
-        lost = [positions[k].id for k in group if k not in taken]
-        segment = segments[index]
-        if lost and len(group) > 1:
-            names = ', '.join(positions[k].id for k in group)
-            reason = (
-                f'only some of positions {names} were found, and the IMU alone cannot tell which'
-            )
-            rejected.append(Rejected(segment.start, segment.end, reason, position.id))
-            continue
-        named.append(replace(segment, position=position.id, attitude=position.attitude))
-    return named, rejected
-
-
-def _up(segment: Segment) -> Floats:
-    force = segment.statistics.mean[3:]
-    return np.asarray(force / np.linalg.norm(force))
-
-
-def _align(
-    segments: Sequence[Segment], ups: Sequence[Floats], positions: Sequence[Position]
-) -> list[tuple[int, int]]:
-    """Find the longest common subsequence of rests and positions, long rests first."""
-    n, m = len(segments), len(positions)
-    score = np.zeros((n + 1, m + 1))
-    gain = np.full((n, m), -np.inf)
-    for i in range(n):
-        for j in range(m):
-            if ups[i] @ positions[j].up > np.cos(_UP_TOLERANCE):
-                share = segments[i].statistics.duration / positions[j].dwell
-                if share >= _SHORT_DWELL:
-                    gain[i, j] = 1 + min(share, 1.0)
-    for i in range(n - 1, -1, -1):
-        for j in range(m - 1, -1, -1):
-            score[i, j] = max(score[i + 1, j], score[i, j + 1], gain[i, j] + score[i + 1, j + 1])
-    pairs = []
-    i = j = 0
-    while i < n and j < m:
-        if score[i, j] == gain[i, j] + score[i + 1, j + 1]:
-            pairs.append((i, j))
-            i, j = i + 1, j + 1
-        elif score[i, j] == score[i + 1, j]:
-            i += 1
-        else:
-            j += 1
-    return pairs
-
-
-def _alike(positions: Sequence[Position], place: int) -> list[int]:
-    """List the neighbours in the plan that have the same axis up."""
-    group = [place]
-    for step in (-1, 1):
-        k = place + step
-        while 0 <= k < len(positions) and positions[k].up @ positions[place].up > 1 - 1e-6:
-            group.append(k)
-            k += step
-    return sorted(group)
-
-
 def _named_turn(turn: Turn, setpoints: _Setpoints, plan: Plan) -> Turn:
     name = setpoints.position((turn.start + turn.end) / 2)
     if name is None:
         tests = [p for p in plan.positions if p.rate_test and p.up @ turn.up > 1 - 1e-3]
         name = tests[0].id if tests else None
     return replace(turn, position=name)
-
-
-def _join(motions: Sequence[FreeMotion], segments: Sequence[Segment]) -> list[FreeMotion]:
-    """Join motions about one axis with nothing but a short pause between: one turn in pieces."""
-    starts = np.array([s.start for s in segments], dtype=np.int64)
-    joined: list[FreeMotion] = []
-    for motion in motions:
-        last = joined[-1] if joined else None
-        if (
-            last is not None
-            and not np.any((starts >= last.end) & (starts <= motion.start))
-            and last.turned @ motion.turned
-            > _ALONG_UP * np.prod([np.linalg.norm(m.turned) for m in (last, motion)])
-        ):
-            joined[-1] = _sum(last, motion)
-        else:
-            joined.append(motion)
-    return joined
-
-
-def _sum(first: FreeMotion, second: FreeMotion) -> FreeMotion:
-    """Add two pieces of a turn: angles, integrals and times; the pause between has no part."""
-    a, b = first.statistics, second.statistics
-    duration = a.duration + b.duration
-    share = np.array([a.duration, b.duration]) / duration
-    mean = share[0] * a.mean + share[1] * b.mean
-    statistics = replace(
-        a,
-        samples=a.samples + b.samples,
-        duration=duration,
-        mean=mean,
-        end_points=mean,
-        walk_gain=np.full(6, 1 / duration),
-        quantum=share[0] ** 2 * a.quantum + share[1] ** 2 * b.quantum,
-    )
-    phase = np.exp(1j * np.linalg.norm(first.turned))
-    level = complex(share[0] * first.level + share[1] * phase * second.level)
-    return FreeMotion(first.start, second.end, statistics, first.turned + second.turned, level)
-
-
-def _turn_without_encoder(motion: FreeMotion, plan: Plan) -> Turn | None:
-    """Take a motion for whole turns when the plan has such and the gyros come close to it."""
-    for position in plan.positions:
-        if position.rate_test is None:
-            continue
-        along = float(motion.turned @ position.up)
-        if abs(along) < _ALONG_UP * float(np.linalg.norm(motion.turned)):
-            continue
-        whole = position.rate_test.turns if plan.by_hand else round(abs(along) / TURN)
-        tolerance = _BY_HAND_TURN if plan.by_hand else _WHOLE_TURN
-        if whole >= 1 and abs(abs(along) / TURN - whole) < tolerance:
-            angle = float(np.copysign(whole * TURN, along))
-            return Turn(
-                motion.start,
-                motion.end,
-                motion.statistics,
-                angle,
-                None,
-                position.up,
-                position.id,
-                level=abs(motion.level),
-            )
-    return None

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
+from ..units import DEG
 from .motion import Motion, averaged
 from .plateau import WholeTurns, find_turns, why_none
 from .segment import Statistics, Turn
@@ -20,6 +21,8 @@ MARGIN_NS = 1_000_000_000
 """How much is looked at before and after a motion, ns."""
 
 _VERTICAL = 1e-4
+"""An axis leans when its cosine is smaller than one by more: 0.8 deg."""
+
 _TURN_AND_RUN_UP = 1.25 * TURN
 _STEADY = 0.05
 _ENDS = 20
@@ -58,8 +61,7 @@ def read_turns(seen: Around, motion: Motion, table: Table, offset_ns: int) -> li
     if not found and np.ptp(motion.position, axis=0).max() > _TURN_AND_RUN_UP:
         start, end = motion.start + offset_ns, motion.end + offset_ns
         return [Rejected(start, end, why_none(motion), turn=True)]
-    read = (_read_turn(seen, turns, motion, table, offset_ns) for turns in found)
-    return [turn for turn in read if turn is not None]
+    return [_read_turn(seen, turns, motion, table, offset_ns) for turns in found]
 
 
 def read_free_motion(seen: Around, motion: Motion) -> list[FreeMotion | Rejected]:
@@ -90,14 +92,16 @@ def _mean_phase(samples: Samples, turned: Floats) -> complex:
 
 def _read_turn(
     seen: Around, turns: WholeTurns, motion: Motion, table: Table, offset_ns: int
-) -> Turn | Rejected | None:
+) -> Turn | Rejected:
     angles, up_error = _held(motion, turns)
     up = table.attitude(angles).T @ np.array([0.0, 0.0, 1.0])
     sense = float(table.joint_axis(turns.joint, angles) @ up)
-    if abs(sense) < 1 - _VERTICAL:
-        return None
     start = turns.start + offset_ns
     end = start + turns.seconds * 1e9
+    if abs(sense) < 1 - _VERTICAL:
+        leans = float(np.arccos(abs(sense))) / DEG
+        reason = f'its axis leans {leans:.3g} deg off the vertical, about which turns are used'
+        return Rejected(int(start), int(end), reason, turn=True)
     inside = _around(seen.samples, start, end)
     part = seen.samples.at(inside)
     reason = _unusable(seen, inside, start, end)

@@ -11,7 +11,7 @@ from ..errors import NotObservable
 from ..imu import ImuSpec, TriadSpec
 from ..methods.evidence import Evidence, noise
 from ..plan import Plan
-from ..segmentation.labelling import Labelled, label
+from ..segmentation.labelling import label
 from ..segmentation.session import Segmented
 from ..stream import Floats, Units
 from ..turntable import Table
@@ -22,7 +22,7 @@ class Rest:
     """A stretch at rest.
 
     Attributes:
-        name: Position of the plan, or a number.
+        name: Position of the plan, attitude, or a number.
         at: When it began, s after the first.
         output: (6,) mean output, rad/s and m/s^2 by the recording's own description of the IMU.
         variance: (6,) its variance.
@@ -42,7 +42,7 @@ class Spin:
     """Whole turns about the vertical, measured by an encoder.
 
     Attributes:
-        name: Position of the plan, or a number.
+        name: Position of the plan, axis that is up, or a number.
         output: (3,) mean gyro output, rad/s.
         variance: (3,) its variance.
         up: (3,) up in body axes.
@@ -117,7 +117,7 @@ class Observed:
 
 
 def observe(
-    session: Segmented, imu: ImuSpec, site: Site, plan: Plan | None, table: Table | None
+    session: Segmented, imu: ImuSpec, site: Site, plan: Plan, table: Table | None
 ) -> Observed:
     """Collect what a session offers.
 
@@ -125,7 +125,8 @@ def observe(
         session: What the streams contain.
         imu: How the recording describes its IMU.
         site: Gravity and Earth rate.
-        plan: What was run; None where nobody knows: rests are then numbered.
+        plan: What was run; `plan.UNPLANNED` where nobody knows: rests are then named by their
+            attitudes, or numbered where nobody tells those either.
         table: The table whose joint states came in; None with the IMU alone.
 
     Raises:
@@ -133,11 +134,8 @@ def observe(
         NotObservable: Neither rests nor turns were found.
 
     """
-    labelled = (
-        label(session, plan, table)
-        if plan is not None
-        else Labelled(session.segments, session.turns, session.rejected)
-    )
+    with_angles = any(s.attitude is not None for s in session.segments) or bool(session.turns)
+    labelled = label(session, plan, table if with_angles or plan.is_stated else None)
     if not labelled.segments and not labelled.turns:
         raise NotObservable(
             f'Neither rests nor whole turns were found in {session.samples} IMU samples '
@@ -145,9 +143,7 @@ def observe(
         )
     walk = noise(labelled.segments, imu)
     # The attitudes of a plan that a person holds by hand are good to degrees, no more.
-    known = not (plan is not None and plan.by_hand) and all(
-        s.attitude is not None for s in labelled.segments
-    )
+    known = not plan.by_hand and all(s.attitude is not None for s in labelled.segments)
     start = labelled.segments[0].start if labelled.segments else 0
     rests = tuple(
         Rest(
@@ -159,9 +155,7 @@ def observe(
         )
         for k, segment in enumerate(labelled.segments)
     )
-    evidence = Evidence(
-        labelled.segments, labelled.turns, plan or _NO_PLAN, site, session.clock, None, walk
-    )
+    evidence = Evidence(labelled.segments, labelled.turns, plan, site, session.clock, None, walk)
     clock, clock_std = evidence.clock_rate()
     turns = tuple(
         Spin(
@@ -191,6 +185,3 @@ def observe(
         clock_std=clock_std,
         notes=(*labelled.notes, *session.losses),
     )
-
-
-_NO_PLAN = Plan(name='', title='', source='', method='', positions=())

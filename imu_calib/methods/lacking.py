@@ -1,0 +1,150 @@
+"""What a session lacks: parameters that it leaves open, and the rests and turns that would do.
+
+Whatever a plan says of its positions, observability is a matter of the attitudes and axes that a
+session has: one more rest or turn of each kind is tried, in the equations of the session itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model import PARAMETERS
+from ..segmentation.naming import attitude_words, up_words
+from ..segmentation.segment import Segment, Turn
+from ..stream import Floats
+from ..turntable import TURN, rotation
+from .equations import Equations
+from .evidence import UP, Evidence
+from .information import ALONG, before, told
+
+_RATE = TURN / 36
+"""Rate of a turn that is tried, rad/s: ten degrees a second, as rate tests begin with."""
+
+_MOST = 9
+"""Rests and turns that are proposed at most: six ups and downs and a turn about each axis are all
+that the 24 parameters of any unit need."""
+
+_UNSEEN = 1e-6
+"""Stands for the information of a direction of the state of which nothing is known, where
+directions are compared by their logarithms."""
+
+Addition = tuple[str, Segment | Turn]
+
+
+def lost(equations: Equations) -> NDArray[np.bool_]:
+    """Say of the 24 parameters, which are those of the equations, whether a session lacks them."""
+    return ~told(before(equations)) | without_turns(equations.evidence)
+
+
+def without_turns(evidence: Evidence) -> NDArray[np.bool_]:
+    """Say of the 24 parameters whether they are responses of gyros that lack their rate test.
+
+    The Earth's rate alone tells them to a percent: not what a rate test is made for. A plan says
+    about which axes it has such; without a plan they must tell all three responses. Directions
+    about which next to nothing turns are the eigenvectors of the sum of u u^T over all turns,
+    u their axes in the body.
+    """
+    axes = np.array([turn.up for turn in evidence.turns]).reshape(-1, 3)
+    if evidence.plan.is_stated:
+        tests = [np.abs(p.up) for p in evidence.plan.positions if p.rate_test is not None]
+        wanted = np.any(np.array(tests).reshape(-1, 3) > ALONG, axis=0)
+        open_axes = wanted & ~np.any(np.abs(axes) > ALONG, axis=0)
+    else:
+        squares, directions = np.linalg.eigh(axes.T @ axes)
+        unturned = directions[:, squares < ALONG**2]
+        open_axes = np.linalg.norm(unturned, axis=1) > ALONG
+    return np.array(
+        [p.triad == 'g' and p.column is not None and open_axes[p.column] for p in PARAMETERS]
+    )
+
+
+def advice(equations: Equations) -> str:
+    """Say which rests and turns would determine what a session leaves open; empty if none would.
+
+    The next one is always that which leaves the fewest parameters open and, among those, tells
+    most of all others. What only several tell together is said of them together.
+    """
+    if not equations.evidence.segments:
+        return ''
+    additions = _additions(equations.evidence)
+    scale = np.linalg.norm(_all_of(equations, additions).whitened(equations.nominal())[0], axis=0)
+    scale[scale == 0] = 1.0
+    pending: list[str] = []
+    said: list[str] = []
+    open_now = lost(equations)
+    for _ in range(_MOST):
+        tried = [(_with(equations, thing), words) for words, thing in additions]
+        scores = [(int(lost(t).sum()), -_information(t, scale)) for t, _ in tried]
+        best = min(range(len(scores)), key=lambda k: scores[k])
+        equations, words = tried[best]
+        pending.append(words)
+        still_open = lost(equations)
+        told_now = [
+            p.name
+            for p, was, is_open in zip(PARAMETERS, open_now, still_open, strict=True)
+            if was and not is_open
+        ]
+        if told_now:
+            said.append(f'{" and ".join(pending)} ({", ".join(told_now)})')
+            pending, open_now = [], still_open
+        if not open_now.any():
+            break
+    return f'It would take {"; ".join(said)}.' if said else ''
+
+
+def _additions(evidence: Evidence) -> list[Addition]:
+    """List rests with each axis up and down at four headings, and turns about each axis.
+
+    They last as long as the session's own rests do.
+    """
+    durations = [s.statistics.duration for s in evidence.segments]
+    like = evidence.segments[int(np.argsort(durations)[len(durations) // 2])]
+    found: list[Addition] = []
+    for up in (*np.eye(3), *-np.eye(3)):
+        for quarter in range(4):
+            attitude = _upright(up, quarter)
+            rest = replace(like, attitude=attitude, attitude_error=0.0)
+            found.append((f'a rest with {attitude_words(attitude)}', rest))
+    seconds = like.statistics.duration
+    for axis in np.eye(3):
+        turn = Turn(like.start, like.end, like.statistics, _RATE * seconds, seconds, axis)
+        found.append((f'whole turns at a steady rate with {up_words(axis)}', turn))
+    return found
+
+
+def _upright(up: Floats, quarter: int) -> Floats:
+    """Return an attitude (3, 3) with a body axis up, turned by quarters about the vertical."""
+    side = np.roll(np.abs(up), 1)
+    body = np.array([side, np.cross(up, side), up])
+    return np.asarray(rotation(UP, quarter * TURN / 4) @ body)
+
+
+def _with(equations: Equations, thing: Segment | Turn) -> Equations:
+    evidence = equations.evidence
+    if isinstance(thing, Segment):
+        more = replace(evidence, segments=(*evidence.segments, thing))
+    else:
+        more = replace(evidence, turns=(*evidence.turns, thing))
+    return replace(equations, evidence=more)
+
+
+def _all_of(equations: Equations, additions: list[Addition]) -> Equations:
+    for _, thing in additions:
+        equations = _with(equations, thing)
+    return equations
+
+
+def _information(equations: Equations, scale: Floats) -> float:
+    """Return by how much a session's equations narrow the state down, as a logarithm.
+
+    Args:
+        equations: The session.
+        scale: (n,) what a unit of each entry of the state is worth, so that units do not matter.
+
+    """
+    jacobian = equations.whitened(equations.nominal())[0]
+    values = np.linalg.svd(jacobian / scale, compute_uv=False)
+    return float(np.log(values + _UNSEEN).sum())

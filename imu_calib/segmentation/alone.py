@@ -1,0 +1,159 @@
+"""Names for what the IMU alone saw: rests by the order of the plan, whole turns by the gyros."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..plan import Plan, Position
+from ..stream import Floats
+from ..turntable import TURN
+from ..units import DEG
+from .segment import Segment, Turn
+from .session import FreeMotion, Rejected
+
+SHORT_DWELL = 0.25
+"""Share of a dwell below which a rest is none of the plan's."""
+
+UP_TOLERANCE = 20 * DEG
+"""How far up by raw accelerometers may be from what it should be: biases and misalignments of the
+worst units are some degrees."""
+
+_WHOLE_TURN = 0.15
+_BY_HAND_TURN = 0.3
+_ALONG_UP = 0.8
+
+
+def by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segment], list[Rejected]]:
+    """Match the rests to the plan by the axis that is up, in order."""
+    ups = [up_seen(segment) for segment in segments]
+    positions = [p for p in plan.positions if p.dwell > 0]
+    pairs = _align(segments, ups, positions)
+    named: list[Segment] = []
+    rejected: list[Rejected] = []
+    taken = {p for _, p in pairs}
+    for index, place in pairs:
+        position = positions[place]
+        group = _alike(positions, place)
+        lost = [positions[k].id for k in group if k not in taken]
+        segment = segments[index]
+        if lost and len(group) > 1:
+            names = ', '.join(positions[k].id for k in group)
+            reason = (
+                f'only some of positions {names} were found, and the IMU alone cannot tell which'
+            )
+            rejected.append(Rejected(segment.start, segment.end, reason, position.id))
+            continue
+        named.append(replace(segment, position=position.id, attitude=position.attitude))
+    return named, rejected
+
+
+def up_seen(segment: Segment) -> Floats:
+    """Return up in body axes as the accelerometers see it, (3,), their errors included."""
+    force = segment.statistics.mean[3:]
+    return np.asarray(force / np.linalg.norm(force))
+
+
+def _align(
+    segments: Sequence[Segment], ups: Sequence[Floats], positions: Sequence[Position]
+) -> list[tuple[int, int]]:
+    """Find the longest common subsequence of rests and positions, long rests first."""
+    n, m = len(segments), len(positions)
+    score = np.zeros((n + 1, m + 1))
+    gain = np.full((n, m), -np.inf)
+    for i in range(n):
+        for j in range(m):
+            if ups[i] @ positions[j].up > np.cos(UP_TOLERANCE):
+                share = segments[i].statistics.duration / positions[j].dwell
+                if share >= SHORT_DWELL:
+                    gain[i, j] = 1 + min(share, 1.0)
+    for i in range(n - 1, -1, -1):
+        for j in range(m - 1, -1, -1):
+            score[i, j] = max(score[i + 1, j], score[i, j + 1], gain[i, j] + score[i + 1, j + 1])
+    pairs = []
+    i = j = 0
+    while i < n and j < m:
+        if score[i, j] == gain[i, j] + score[i + 1, j + 1]:
+            pairs.append((i, j))
+            i, j = i + 1, j + 1
+        elif score[i, j] == score[i + 1, j]:
+            i += 1
+        else:
+            j += 1
+    return pairs
+
+
+def _alike(positions: Sequence[Position], place: int) -> list[int]:
+    """List the neighbours in the plan that have the same axis up."""
+    group = [place]
+    for step in (-1, 1):
+        k = place + step
+        while 0 <= k < len(positions) and positions[k].up @ positions[place].up > 1 - 1e-6:
+            group.append(k)
+            k += step
+    return sorted(group)
+
+
+def join(motions: Sequence[FreeMotion], segments: Sequence[Segment]) -> list[FreeMotion]:
+    """Join motions about one axis with nothing but a short pause between: one turn in pieces."""
+    starts = np.array([s.start for s in segments], dtype=np.int64)
+    joined: list[FreeMotion] = []
+    for motion in motions:
+        last = joined[-1] if joined else None
+        if (
+            last is not None
+            and not np.any((starts >= last.end) & (starts <= motion.start))
+            and last.turned @ motion.turned
+            > _ALONG_UP * np.prod([np.linalg.norm(m.turned) for m in (last, motion)])
+        ):
+            joined[-1] = _sum(last, motion)
+        else:
+            joined.append(motion)
+    return joined
+
+
+def _sum(first: FreeMotion, second: FreeMotion) -> FreeMotion:
+    """Add two pieces of a turn: angles, integrals and times; the pause between has no part."""
+    a, b = first.statistics, second.statistics
+    duration = a.duration + b.duration
+    share = np.array([a.duration, b.duration]) / duration
+    mean = share[0] * a.mean + share[1] * b.mean
+    statistics = replace(
+        a,
+        samples=a.samples + b.samples,
+        duration=duration,
+        mean=mean,
+        end_points=mean,
+        walk_gain=np.full(6, 1 / duration),
+        quantum=share[0] ** 2 * a.quantum + share[1] ** 2 * b.quantum,
+    )
+    phase = np.exp(1j * np.linalg.norm(first.turned))
+    level = complex(share[0] * first.level + share[1] * phase * second.level)
+    return FreeMotion(first.start, second.end, statistics, first.turned + second.turned, level)
+
+
+def turn_without_encoder(motion: FreeMotion, plan: Plan) -> Turn | None:
+    """Take a motion for whole turns when the plan has such and the gyros come close to it."""
+    for position in plan.positions:
+        if position.rate_test is None:
+            continue
+        along = float(motion.turned @ position.up)
+        if abs(along) < _ALONG_UP * float(np.linalg.norm(motion.turned)):
+            continue
+        whole = position.rate_test.turns if plan.by_hand else round(abs(along) / TURN)
+        tolerance = _BY_HAND_TURN if plan.by_hand else _WHOLE_TURN
+        if whole >= 1 and abs(abs(along) / TURN - whole) < tolerance:
+            angle = float(np.copysign(whole * TURN, along))
+            return Turn(
+                motion.start,
+                motion.end,
+                motion.statistics,
+                angle,
+                None,
+                position.up,
+                position.id,
+                level=abs(motion.level),
+            )
+    return None
