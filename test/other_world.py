@@ -61,6 +61,15 @@ class Unit:
     arm: Vector = NOTHING
 
 
+@dataclass(frozen=True)
+class Stop:
+    """Where a program brings the joints, rad, and at which rates it turns one before the dwell."""
+
+    angles: Vector
+    rates: tuple[float, ...] = ()
+    turning: int = 0
+
+
 @dataclass(frozen=True, kw_only=True)
 class World:
     """Where the session takes place, and what the table does and shows.
@@ -80,6 +89,7 @@ class World:
         stamp_jitter: Standard deviation of a stamp of the IMU, s.
         clock: By how much the IMU's clock is fast, a ratio.
         offset: By how much it is ahead at the start, s.
+        program: What the table does; the twelve positions if empty.
 
     """
 
@@ -97,6 +107,7 @@ class World:
     stamp_jitter: float = 0.0
     clock: float = 0.0
     offset: float = 0.0
+    program: tuple[Stop, ...] = ()
 
 
 @dataclass
@@ -198,10 +209,19 @@ def attitude(angles: Vector, world: World) -> Matrix:
     return times(base, table)
 
 
+def twelve(world: World) -> tuple[Stop, ...]:
+    """The twelve positions, with rate tests at three of them."""
+    return tuple(
+        Stop(joints_of(axes), world.rates if k in TURNED_AT else ())
+        for k, axes in enumerate(TWELVE)
+    )
+
+
 def schedule(world: World) -> list[Motion]:
-    """All motions of the twelve positions, rate tests included, in order."""
+    """All motions of the program, rate tests included, in order."""
     motions: list[Motion] = []
-    now, at = 2.0, joints_of(TWELVE[0])
+    program = world.program or twelve(world)
+    now, at = 2.0, program[0].angles
 
     def move(joint: int, way: float, rate: float) -> None:
         nonlocal now, at
@@ -209,19 +229,17 @@ def schedule(world: World) -> list[Motion]:
         motions.append(motion)
         now, at = motion.end + 1.5, motion.angles(motion.end)
 
-    for k, axes in enumerate(TWELVE):
-        goal = joints_of(axes)
+    for stop in program:
         for joint in range(3):
-            way = goal[joint] - at[joint]
+            way = stop.angles[joint] - at[joint]
             way -= 2 * math.pi * round(way / (2 * math.pi))
             if abs(way) > 1e-9:
                 move(joint, way, world.slew)
-        if k in TURNED_AT:
-            for rate in world.rates:
-                ramps = rate * rate / world.acceleration
-                turn = 2 * math.pi * math.ceil(world.turns + ramps / (2 * math.pi) - 1e-9)
-                move(0, turn, rate)
-                move(0, -turn, rate)
+        for rate in stop.rates:
+            ramps = rate * rate / world.acceleration
+            turn = 2 * math.pi * math.ceil(world.turns + ramps / (2 * math.pi) - 1e-9)
+            move(stop.turning, turn, rate)
+            move(stop.turning, -turn, rate)
         now += world.dwell
     return motions
 

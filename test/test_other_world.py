@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from other_world import DEG, Matrix, Unit, Vector, World, record
+from other_world import DEG, Matrix, Stop, Unit, Vector, World, record
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.plan import load_plan
+from imu_calib.plan import UNPLANNED, Plan, load_plan
 from imu_calib.stream import Floats, ImuBlock, JointBlock, Units
 from imu_calib.turntable import load_table
 
@@ -63,7 +63,7 @@ def by_its_clock(unit: Unit, world: World) -> Unit:
     return replace(unit, accel_m=tuple(rows), accel_d=tuple(d * slow for d in unit.accel_d))
 
 
-def calibrated(world: World, unit: Unit, seed: int = 0) -> Calibration:
+def calibrated(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Calibration:
     spec = ImuSpec(
         'other',
         Units.PULSES,
@@ -72,7 +72,8 @@ def calibrated(world: World, unit: Unit, seed: int = 0) -> Calibration:
         TriadSpec(unit.accel_pulse, unit.accel_walk),
     )
     site = Site.at(world.latitude, 0.0, world.gravity)
-    setup = Setup(spec, load_plan('twelve_position'), load_table('three_axis'), site)
+    plan = load_plan('twelve_position') if plan is None else plan
+    setup = Setup(spec, plan, load_table('three_axis'), site)
     recording = record(world, unit, seed)
     calibrator = Calibrator(setup)
     stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)
@@ -119,3 +120,46 @@ def test_no_parameter_is_further_off_than_stated(name: str, grade: str) -> None:
     assert np.abs(off).max() < 4.5, np.round(off, 1)
     # Nor are they wide: chi-square of 24 is below 4.3 with a probability of 1e-6.
     assert (off**2).sum() > 4.3
+
+
+def stop(outer: float, middle: float, inner: float, *rates: float, turning: int = 0) -> Stop:
+    angles = (outer * DEG, middle * DEG, inner * DEG)
+    return Stop(angles, tuple(rate * DEG for rate in rates), turning)
+
+
+@pytest.fixture(scope='module')
+def unplanned() -> tuple[Calibration, World]:
+    """Nine attitudes that no plan names, half of them leaning, and an axis turned while level."""
+    program = (
+        stop(10, 90, 0, 30, 50),
+        stop(100, 90, 180),
+        stop(200, 45, 30),
+        stop(200, 0, 0, 30, 50),
+        stop(-70, 180, 45),
+        stop(-20, 90, 90, 30, 50),
+        stop(60, 90, 270, 40, turning=2),
+        stop(150, 135, 60),
+        stop(250, 225, 200),
+    )
+    world = World(azimuth=23 * DEG, dwell=20.0, program=program)
+    return calibrated(world, MEDIUM, plan=UNPLANNED), world
+
+
+def test_a_program_without_a_plan_is_no_further_off_than_stated(
+    unplanned: tuple[Calibration, World],
+) -> None:
+    calibration, world = unplanned
+    off = errors(calibration, by_its_clock(MEDIUM, world))
+    # One session: chance passes 4.5 deviations once in 6000 times, and 4.3 once in a million.
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    assert (off**2).sum() > 4.3
+    assert calibration.provenance['segments'] == len(world.program)
+    assert calibration.provenance['turns'] == 12
+
+
+def test_turns_about_a_level_axis_are_left_out_and_said(
+    unplanned: tuple[Calibration, World],
+) -> None:
+    told = [f for f in unplanned[0].findings if 'a turn is left out' in f]
+    assert len(told) == 1
+    assert 'its axis leans 90 deg off the vertical' in told[0]

@@ -100,8 +100,8 @@ def _show_segments(session: Segmented, setup: Setup) -> None:
 def _table(*headings: str) -> Rows:
     """Begin a table: words are flush left, numbers flush right."""
     rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for heading in headings:
-        rows.add_column(heading, justify='left' if heading in _WORDS else 'right', no_wrap=True)
+    for text in headings:
+        rows.add_column(text, justify='left' if text in _WORDS else 'right')
     return rows
 
 
@@ -125,7 +125,7 @@ def _rests(session: Segmented, labelled: Labelled, plan: Plan, zero: int) -> Row
             f'{segment.statistics.duration:.1f}',
             str(segment.statistics.missing),
             up_words(up_seen(segment) if attitude is None else attitude[2]),
-            '-' if attitude is None else f'{heading(attitude) / DEG:.2f}',
+            '-' if attitude is None else f'{round(heading(attitude) / DEG, 2) % 360:.2f}',
             name,
         )
     return rows

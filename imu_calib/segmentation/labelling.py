@@ -262,6 +262,9 @@ def _by_setpoint(
 ) -> tuple[list[Segment], list[Rejected]]:
     """Name the rests to which a setpoint brought the table.
 
+    Setpoints are repeated as long as somebody leads the table: before the first the session has
+    not begun, and the unit may yet be warming up or be screwed down.
+
     Returns:
         All rests but those that are rejected; those without a position fit none.
 
@@ -271,7 +274,9 @@ def _by_setpoint(
     known = {p.id: p for p in plan.positions}
     for segment in segments:
         setpoint = setpoints.at((segment.start + segment.end) / 2)
-        if setpoint is None or setpoint.mode is not Mode.POSITION or setpoint.dwell <= 0:
+        if setpoint is None:
+            continue
+        if setpoint.mode is not Mode.POSITION or setpoint.dwell <= 0:
             named.append(segment)
             continue
         reason = _off_setpoint(segment, setpoint, table)
