@@ -198,12 +198,21 @@ class Calibrator:
         """Return the standard deviations of what is determined already, NaN for the rest."""
         parameters = tuple(p for p in self._setup.parameters if p.row < len(AXES))
         try:
-            noise_alone = reached(self._evidence(self._used(labelled), session), parameters)
+            noise_alone = reached(self.evidence(labelled, session), parameters)
         except NotObservable:
             return {}
         doubt = self._setup.site.gravity_doubt
         share = np.diag(gravity_covariance(SensorModel(), parameters, doubt))
         return dict(zip(parameters, np.sqrt(noise_alone**2 + share), strict=True))
+
+    def evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
+        """Return a labelled session as what the method works on.
+
+        Raises:
+            NotObservable: Neither the data nor the IMU's description tells the noise.
+
+        """
+        return self._evidence(self._used(labelled), session)
 
     def _used(self, labelled: Labelled) -> Labelled:
         """Return what the method works on."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import SITE, Named, calibrate, paper_imu, session, stand, truth
+from sessions import SITE, Named, calibrate, paper_imu, quick_plan, session, stand, truth
 
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
@@ -115,7 +115,7 @@ def test_the_file_says_that_there_was_no_plan() -> None:
 
 
 def test_the_twelve_positions_need_no_plan() -> None:
-    plan = load_plan('twelve_position')
+    plan = quick_plan('twelve_position', 20.0)
     blocks = [b for b in session(plan, seed=5) if not isinstance(b[1], SetpointBlock)]
     # The same rests and turns under other names: the same equations.
     planned, unplanned = calibrate(blocks, plan), calibrate(blocks, UNPLANNED)
@@ -135,7 +135,7 @@ def test_rests_at_other_headings_than_the_plan_has_count() -> None:
 
 
 def test_a_closed_form_knows_the_positions_of_the_plan_alone() -> None:
-    plan = load_plan('six_position')
+    plan = quick_plan('six_position', 20.0)
     table = replace(TABLE, azimuth=0.0)
     other = replace(plan.positions[0], id='other', attitude=at(45, 45, 45))
     longer = replace(plan, positions=(*plan.positions, other))
@@ -316,7 +316,7 @@ def test_info_lists_every_rest_and_every_turn(
         ['+60.000', '1'],
         ['-60.000', '1'],
     ]
-    assert 'no plan' in out
+    assert 'no plan: the attitudes and turns determine all 24 parameters' in out
 
 
 def test_info_fits_eighty_columns(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,8 +7,10 @@ import argparse
 from rich.table import Table as Rows
 
 from ..bags import open_recording
-from ..calibrator import Setup
-from ..errors import ImuCalibError
+from ..calibrator import Calibrator, Setup
+from ..errors import ImuCalibError, NotObservable
+from ..methods.equations import Equations
+from ..methods.fit import check_observable
 from ..plan import Plan
 from ..segmentation.alone import up_seen
 from ..segmentation.labelling import Labelled, label
@@ -89,12 +91,23 @@ def _show_segments(session: Segmented, setup: Setup) -> None:
     if setup.plan.is_stated:
         _show_missing(labelled, setup.plan)
     else:
-        OUTPUT.print('\nno plan: rests and turns are named by their attitudes')
+        OUTPUT.print(f'\nno plan: {_what_is_told(session, labelled, setup)}', markup=False)
     left_out = [
         f'{r.position or f"at {(r.start - zero) * 1e-9:.1f} s"}: {r.reason}'
         for r in labelled.rejected
     ]
     sentence_list('Left out', [*left_out, *labelled.notes])
+
+
+def _what_is_told(session: Segmented, labelled: Labelled, setup: Setup) -> str:
+    """Say whether a session without a plan determines all parameters, or what it lacks."""
+    try:
+        parameters = setup.parameters
+        evidence = Calibrator(setup).evidence(labelled, session)
+        check_observable(Equations(evidence, parameters))
+    except NotObservable as error:
+        return f'the attitudes decide. {error}'
+    return f'the attitudes and turns determine all {len(parameters)} parameters'
 
 
 def _table(*headings: str) -> Rows:

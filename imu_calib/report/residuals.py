@@ -17,6 +17,7 @@ from .svg import Axis, Panel, drawing, label, legend
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 _LABELS = 24
+_LETTER = 6.4
 _EXPECTED = 3.0
 _LEAST_RANGE = 3.5
 
@@ -35,6 +36,12 @@ class Residuals:
     positions: tuple[str, ...]
     value: Floats
     std: Floats | None
+
+    @property
+    def numbered(self) -> bool:
+        """Whether the names are too long to stand side by side below a plot."""
+        room = (_WIDTH - _LEFT - 12) / min(max(len(self.positions), 1), _LABELS)
+        return max(map(len, self.positions), default=0) * _LETTER > room
 
     @property
     def normalised(self) -> Floats | None:
@@ -103,8 +110,9 @@ def _panel(
         panel.level(_EXPECTED)
         panel.level(-_EXPECTED)
     every = -(-count // _LABELS)
-    for k, name in enumerate(residuals.positions):
+    for k, position in enumerate(residuals.positions):
         if k % every == 0:
+            name = str(k + 1) if residuals.numbered else position
             at = panel.across(k + 0.5)
             bottom = top + _HEIGHT + 15
             panel.parts.append(label(name, at, bottom, class_='tick', text_anchor='middle'))
@@ -121,6 +129,9 @@ def _panel(
 def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
     """Say how large the residuals are, and how many stand out."""
     parts = []
+    if residuals.numbered:
+        named = '; '.join(f'{k + 1} {name}' for k, name in enumerate(residuals.positions))
+        parts.append(paragraph(f'Rests in order of time: {named}.', 'note'))
     if rms is not None and len(rms) == 6:
         cells = [
             '-' if not isinstance(v, (int, float)) else three_digits(float(v) / scale)
