@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ideal import mean_of
 from sessions import SITE, Named, calibrate, paper_imu, quick_plan, session, stand, truth
 
 from imu_calib.bags import RecordingWriter
@@ -18,7 +19,11 @@ from imu_calib.cli.main import main
 from imu_calib.cli.simulate import serialised
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.plan import UNPLANNED, Plan, Position, RateTest, load_plan
+from imu_calib.segmentation.clock import fit_clock
+from imu_calib.segmentation.labelling import label
 from imu_calib.segmentation.naming import attitude_words, heading, unique, up_words
+from imu_calib.segmentation.segment import Segment
+from imu_calib.segmentation.session import Segmented
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, ImuBlock, SetpointBlock
 from imu_calib.turntable import TURN, load_table, rotation
@@ -219,6 +224,61 @@ def test_a_method_of_a_plan_is_refused_without_one(method: str) -> None:
         Calibrator(Setup(paper_imu(), UNPLANNED, TABLE, SITE, method))
 
 
+def test_setpoints_that_the_plan_does_not_name_lead_to_rests_that_count() -> None:
+    plan = y_at_other_headings()
+    known = tuple(p for p in plan.positions if p.id != '7')
+    result = calibrate(session(plan, stand(azimuth=17 * DEG)), replace(plan, positions=known))
+    assert len(result.labelled.segments) == 12
+    findings = ' '.join(result.calibration.findings)
+    assert 'Rests that fit no position of plan twelve_position: Y down, heading 0 deg' in findings
+    assert 'Position Y down, heading 0 deg: plan twelve_position has no position 7.' in findings
+    assert np.abs(errors(result)).max() < 4.5
+
+
+def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
+    """The table was told to go two degrees further at position 10, and stopped before."""
+    plan = y_at_other_headings()
+
+    def told(named: Named) -> Named:
+        topic, block = named
+        if not isinstance(block, SetpointBlock):
+            return named
+        further = (
+            replace(s, angles=(s.angles[0] + 2 * DEG, *s.angles[1:])) if s.position == '10' else s
+            for s in block.setpoints
+        )
+        return topic, SetpointBlock(tuple(further))
+
+    result = calibrate(map(told, session(plan, stand(azimuth=17 * DEG))), plan)
+    names = [s.position for s in result.labelled.segments]
+    assert names[9] == 'Z up, heading 180 deg'
+    findings = ' '.join(result.calibration.findings)
+    assert 'Missing from the recording: position 10.' in findings
+    assert 'joint outer stands -2 deg off its setpoint of position 10' in findings
+    assert np.abs(errors(result)).max() < 4.5
+
+
+@pytest.mark.parametrize(
+    ('durations', 'passing'),
+    [
+        ([30.0] * 12 + [1.2] * 19, 19),
+        # Beside a long warm-up short rests are the usual ones.
+        ([600.0] + [5.0] * 20, 0),
+        # A block of ten seconds tells its own noise: no stop on the way, beside however long rests.
+        ([120.0] * 6 + [11.0, 9.0], 1),
+        ([2.0] * 6, 0),
+    ],
+)
+def test_what_a_stop_on_the_way_is(durations: list[float], passing: int) -> None:
+    output = np.array([0.0, 0, 0, 0, 0, SITE.gravity])
+    rests = tuple(
+        Segment(k * 10**12, k * 10**12 + 1, mean_of(output, seconds), np.eye(3))
+        for k, seconds in enumerate(durations)
+    )
+    found = Segmented(rests, (), (), (), (), (), (), fit_clock([]), 1, 1.0, 0)
+    assert len(label(found, UNPLANNED, TABLE).passing) == passing
+
+
 def test_stops_on_the_way_are_no_rests() -> None:
     plan = program(random_angles(), (0, 1, 2))
     stops = tuple(
@@ -289,7 +349,7 @@ def test_report_and_verify_take_a_calibration_without_a_plan(
     page = bag.parent / 'report.html'
     assert main(['report', made, str(bag), *SAID, '-o', str(page)]) == 0
     text = page.read_text(encoding='utf-8')
-    assert 'X up, heading 10 deg' in text
+    assert 'Rests in order of time: 1 X up, heading 10 deg; 2 Y up' in text
     assert main(['verify', str(bag), '--calibration', made, *SAID]) == 0
     out = capsys.readouterr().out
     assert 'X up, heading 10 deg' in out
