@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
@@ -333,7 +333,7 @@ def _scatter(
     if count <= estimated:
         return 1.0, False
     freedom = count - estimated
-    return square / freedom, bool(chdtrc(freedom, square) < _SIGNIFICANT)
+    return square / freedom, bool(scipy.special.chdtrc(freedom, square) < _SIGNIFICANT)
 
 
 def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Residual, ...]:

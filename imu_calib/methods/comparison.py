@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from ..model import Parameter, positions
 from ..stream import Floats
@@ -71,7 +71,7 @@ class Comparison:
         """Whether any parameter differs by more than chance makes one in a thousand sessions."""
         if self.refusal:
             return False
-        return self.furthest[1] > float(-ndtri(_ONE_IN / 2 / len(self.parameters)))
+        return self.furthest[1] > float(-scipy.special.ndtri(_ONE_IN / 2 / len(self.parameters)))
 
     def sentence(self) -> str:
         """Say how far the two are apart, and what the joint estimate gains."""
@@ -90,7 +90,7 @@ class Comparison:
         """Say what a person should know of it: that the two contradict each other, or nothing."""
         if not self.disagrees:
             return []
-        limit = float(-ndtri(_ONE_IN / 2 / len(self.parameters)))
+        limit = float(-scipy.special.ndtri(_ONE_IN / 2 / len(self.parameters)))
         names = ', '.join(
             f'{p.name} ({off:+.1f})'
             for p, off in zip(self.parameters, self.difference, strict=True)

@@ -16,8 +16,8 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
@@ -342,7 +342,7 @@ class Equations:
         factor = np.linalg.cholesky(self.covariance(state))
         columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
         if len(columns):
-            columns = solve_triangular(factor, columns, lower=True, check_finite=False)
+            columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
         columns = np.vstack([columns, self.prior_rows(state)])
         return columns[:, :-1], columns[:, -1]
 

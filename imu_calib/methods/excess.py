@@ -21,9 +21,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.special import logsumexp
 
 from ..segmentation.segment import Statistics
 from ..stream import Floats
@@ -108,7 +107,10 @@ class _Triad:
         factor = np.linalg.cholesky(covariance)
         columns = np.column_stack([self.jacobian, self.left])
         columns = np.vstack(
-            [solve_triangular(factor, columns, lower=True, check_finite=False), self.prior]
+            [
+                scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False),
+                self.prior,
+            ]
         )
         full, triangle = np.linalg.qr(columns[:, :-1], mode='complete')
         free = full[:, triangle.shape[1] :]
@@ -117,7 +119,7 @@ class _Triad:
         slopes = self.slope_left / np.sqrt(self.slope_variances)
         z = np.concatenate([free.T @ columns[:, -1], slopes])
         rows = len(self.left)
-        back = solve_triangular(factor, np.eye(rows), lower=True, check_finite=False)
+        back = scipy.linalg.solve_triangular(factor, np.eye(rows), lower=True, check_finite=False)
         project = np.zeros((rows + len(slopes), len(z)))
         project[:rows, : free.shape[1]] = back.T @ free[:rows]
         project[rows:, free.shape[1] :] = np.diag(1 / np.sqrt(self.slope_variances))
@@ -126,8 +128,10 @@ class _Triad:
         if self.stated > 0:
             root = np.linalg.cholesky(np.eye(len(z)) + beforehand)
             volume -= np.log(np.diag(root)).sum()
-            z = solve_triangular(root, z, lower=True, check_finite=False)
-            project = solve_triangular(root, project.T, lower=True, check_finite=False).T
+            z = scipy.linalg.solve_triangular(root, z, lower=True, check_finite=False)
+            project = scipy.linalg.solve_triangular(
+                root, project.T, lower=True, check_finite=False
+            ).T
         found = []
         for time in _TIMES:
             kernel = self.spread(self.wandering.kernel(time)) * self.typical
@@ -232,16 +236,19 @@ def _posterior(triad: _Triad, candidates: Floats) -> _Weights:
     pairs = [triad.weigh(float(arrival)) for arrival in candidates]
     calm = np.array([pair[0] for pair in pairs]) + _LOG_ODDS
     beyond = np.array([pair[1] for pair in pairs])
-    known = float(logsumexp(calm[0]))
+    known = float(scipy.special.logsumexp(calm[0]))
     some, none = np.zeros_like(beyond), np.zeros_like(calm)
-    if max(float(beyond.max()), float(logsumexp(calm, axis=1).max())) < known + _CALLED_FOR:
+    if (
+        max(float(beyond.max()), float(scipy.special.logsumexp(calm, axis=1).max()))
+        < known + _CALLED_FOR
+    ):
         none[0] = np.exp(calm[0] - known)
         return _Weights(none, some)
     still, moved = slice(0, 1), slice(1, None)
     for part in (still, moved):
         some[part] = beyond[part] - np.log(max(1, beyond[part].size))
     none[still], none[moved] = -np.inf, calm[moved] - np.log(max(1, len(calm) - 1))
-    total = float(logsumexp(np.concatenate([none.ravel(), some.ravel()])))
+    total = float(scipy.special.logsumexp(np.concatenate([none.ravel(), some.ravel()])))
     return _Weights(np.exp(none - total), np.exp(some - total))
 
 

@@ -14,9 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtrc, chdtri
 
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
@@ -155,7 +154,7 @@ def _turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations,
         for channel in range(3):
             rows = 6 * len(evidence.segments) + 3 * np.flatnonzero(axes == axis) + channel
             freedom, square = float(free[rows].sum()), float(left[rows] @ left[rows])
-            if freedom >= 1 and chdtrc(freedom, square) < _UNLIKE:
+            if freedom >= 1 and scipy.special.chdtrc(freedom, square) < _UNLIKE:
                 equations = _weighed_down(equations, rows, square / freedom)
                 largest = max(largest, square / freedom)
     return equations, largest
@@ -311,7 +310,7 @@ def _outlier(
     worst = set()
     for equations in (plain, weighted):
         squares = _falls(equations, state, candidates)
-        if squares.max() > chdtri(3, _SUSPECT):
+        if squares.max() > scipy.special.chdtri(3, _SUSPECT):
             worst.add(int(np.argmax(squares)))
     best: Outlier | None = None
     for index in worst:
@@ -320,7 +319,7 @@ def _outlier(
         others = _weighted(plain, excess(without, _fit(without, state)))
         here = _fit(others, state)
         square, freedom = _fall(others, here, rows)
-        limit = chdtri(max(freedom, 1), _OUTLYING)
+        limit = scipy.special.chdtri(max(freedom, 1), _OUTLYING)
         if freedom and square > limit and (best is None or square > best.square):
             best = Outlier(name, rows, square)
     return best
@@ -344,9 +343,9 @@ def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[
 
 def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
     """Return C^-1 (outputs less prediction) and C^-1 less what the state takes up."""
-    factor = cho_factor(equations.covariance(state), lower=True)
+    factor = scipy.linalg.cho_factor(equations.covariance(state), lower=True)
     jacobian, left = equations.jacobian(state), equations.outputs - equations.predict(state)
-    inverse = cho_solve(factor, np.eye(len(left)))
+    inverse = scipy.linalg.cho_solve(factor, np.eye(len(left)))
     # Next to outputs without noise the others may seem to observe nothing: they take up nothing.
     taken = np.nan_to_num(Information.of(equations.whitened(state)[0]).covariance)
     weighed = inverse @ jacobian

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from ..model import Term, parameters_of
 from ..stream import Floats
@@ -94,7 +94,7 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     for k, turn in enumerate(evidence.turns):
         free[rest + 3 * k : rest + 3 * k + 3, 2] = response @ turn.up
     factor = np.linalg.cholesky(plain.covariance(state))
-    free = solve_triangular(factor, free, lower=True)
+    free = scipy.linalg.solve_triangular(factor, free, lower=True)
     jacobian, left = plain.whitened(state)
     # The heading is one of the three that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
+import scipy
 
 from ..errors import NotObservable
 from ..model import AXES
@@ -90,7 +90,7 @@ class RateTest:
                 square += float(left @ left)
                 freedom += len(mine) - _UNKNOWNS_OF_A_LINE
         noisy = bool(self.variances.max() > SMALLEST_VARIANCE)
-        if not freedom or not noisy or chdtrc(freedom, square) > _SIGNIFICANT:
+        if not freedom or not noisy or scipy.special.chdtrc(freedom, square) > _SIGNIFICANT:
             return None
         return max(1.0, square / freedom)
 

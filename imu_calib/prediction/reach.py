@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
@@ -159,7 +159,7 @@ def _shorter(
     while (left(start) > 0).any() and start.max() < np.log(LONGEST):
         start = np.minimum(start + 0.2, np.log(LONGEST))
     total = float(np.exp(start).sum())
-    solved = minimize(  # type: ignore[call-overload, unused-ignore]
+    solved = scipy.optimize.minimize(  # type: ignore[call-overload, unused-ignore]
         lambda logs: float(np.exp(logs).sum()) / total,
         start,
         jac=lambda logs: np.exp(logs) / total,

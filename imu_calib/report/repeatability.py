@@ -8,7 +8,7 @@ from datetime import datetime
 from html import escape
 
 import numpy as np
-from scipy.special import chdtrc
+import scipy
 
 from ..calibration import Calibration
 from ..errors import InputError
@@ -62,7 +62,7 @@ class Repeated:
         """
         weights = 1 / np.maximum(self.std, 1e-300) ** 2
         mean = weights @ self.value / weights.sum()
-        return float(chdtrc(len(self.value) - 1, weights @ (self.value - mean) ** 2))
+        return float(scipy.special.chdtrc(len(self.value) - 1, weights @ (self.value - mean) ** 2))
 
     @property
     def drift(self) -> tuple[float, float] | None:

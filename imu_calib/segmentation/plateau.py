@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.polynomial import legendre
-from scipy.special import chdtrc
 
 from ..stream import Floats
 from ..units import DEG
@@ -378,7 +378,7 @@ def _variance(left: Floats, white: float) -> float:
     means = left[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
     freedom = _BLOCKS - 2
     ratio = length * float(means @ means) / freedom / white
-    return white * ratio if chdtrc(freedom, freedom * ratio) < _SIGNIFICANT else white
+    return white * ratio if scipy.special.chdtrc(freedom, freedom * ratio) < _SIGNIFICANT else white
 
 
 def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from ..earth import Site
 from ..imu import ImuSpec
@@ -119,7 +119,9 @@ def one_turn_each(
         acceleration: rad/s^2.
 
     """
-    turns = Rotation.from_matrix(attitudes[:-1].transpose(0, 2, 1) @ attitudes[1:]).as_rotvec()
+    turns = scipy.spatial.transform.Rotation.from_matrix(
+        attitudes[:-1].transpose(0, 2, 1) @ attitudes[1:]
+    ).as_rotvec()
     axes, tracks, holds, now = [], [], [], 0.0
     for k, hold in enumerate(seconds):
         holds.append((now, now + float(hold)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from ..earth import EARTH_RATE
 from ..stream import Floats
@@ -148,6 +148,8 @@ def _two(
     """Compare an angle that has two components: chi-square with two degrees of freedom."""
     square = float(vector @ np.linalg.solve(spread, vector))
     # Far out the chance is no number any more, and the square root comes close enough.
-    ratio = float(-ndtri(np.exp(-square / 2) / 2)) if square < 1000 else np.sqrt(square)
+    ratio = (
+        float(-scipy.special.ndtri(np.exp(-square / 2) / 2)) if square < 1000 else np.sqrt(square)
+    )
     std = float(np.sqrt(np.trace(spread) / 2))
     return Compared(name, at, rate, quantity, float(np.linalg.norm(vector)), std, float(ratio))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.special import chdtrc
+import scipy
 
 from ..errors import NotObservable
 from ..model import TERMS, Parameter, ParameterKind, SensorModel, Term
@@ -108,7 +107,7 @@ def with_true_noise(system: System) -> System:
         return system
     for _ in range(2):
         fit = new_parameters(system)
-        if chdtrc(max(fit.freedom, 1), fit.square) > _EXCESS:
+        if scipy.special.chdtrc(max(fit.freedom, 1), fit.square) > _EXCESS:
             break
         system = system.inflated(fit.ratios)
     if system.gyros:
@@ -249,7 +248,7 @@ def _added(system: System, sensors: Sensors, factor: Floats, term: Term) -> _Tri
     parameters = (*system.parameters, *term.parameters)
     larger = replace(system, parameters=parameters)
     known, count = len(system.parameters), len(term.parameters)
-    wide = block_diag(factor, _wide(larger)[known:, known:])
+    wide = scipy.linalg.block_diag(factor, _wide(larger)[known:, known:])
     fit = larger.fit(replace(sensors, parameters=parameters), wide)
     moved = [
         Moved(p, float(d), float(s))

@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from ..earth import EARTH_RATE
 from ..methods.equations import headings, whole
@@ -178,7 +178,7 @@ class Fit:
     @property
     def chance(self) -> float:
         """Probability of a chi-square so large where all is well."""
-        return float(chdtrc(self.freedom, self.square)) if self.freedom > 0 else 1.0
+        return float(scipy.special.chdtrc(self.freedom, self.square)) if self.freedom > 0 else 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from ..calibration import Calibration
 from ..earth import Site
@@ -115,7 +115,7 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
 
 def _limit(chance: float, count: int) -> float:
     """Return the limit that the largest of some standard normal numbers exceeds by chance."""
-    return float(-ndtri(chance / (2 * count)))
+    return float(-scipy.special.ndtri(chance / (2 * count)))
 
 
 def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:

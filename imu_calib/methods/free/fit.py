@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
+import scipy
 
 from ...earth import Site
 from ...errors import NotObservable
@@ -227,7 +227,7 @@ def _scatter(system: System, model: SensorModel, ups: Floats) -> Floats:
         mine = groups == group
         freedom = float(mine.sum() - taken[mine].sum())
         square = float(left[mine] @ left[mine])
-        if freedom > 1 and chdtrc(freedom, square) < _SIGNIFICANT:
+        if freedom > 1 and scipy.special.chdtrc(freedom, square) < _SIGNIFICANT:
             result[group] = np.sqrt(square / freedom)
     return result
 
