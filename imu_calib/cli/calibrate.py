@@ -21,11 +21,8 @@ from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'calibrate', help='a recording to 24 parameters', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
     options.add_session_options(parser)
     parser.add_argument(

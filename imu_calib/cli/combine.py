@@ -11,11 +11,8 @@ from . import options
 from .terminal import OUTPUT
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'combine', help='several temperatures to one calibration', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('files', nargs='+', metavar='FILE', help='calibration files of one unit')
     parser.add_argument('-o', '--output', required=True, metavar='FILE', help='file to write')
     parser.add_argument(

@@ -12,11 +12,8 @@ from ..report.parameters import comparison_table, unmatched
 from .terminal import OUTPUT
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'compare', help='two calibrations side by side', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('first', help='calibration.yaml')
     parser.add_argument('second', help='calibration.yaml')
     parser.set_defaults(run=run)

@@ -37,11 +37,8 @@ _WORDS = {
 }
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'compensate', help='apply a calibration to a recording', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration, single or combined'

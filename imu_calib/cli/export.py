@@ -15,11 +15,8 @@ from . import options
 from .terminal import OUTPUT, sentence_list
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'export', help='a calibration for other software', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('calibration', metavar='FILE', help='calibration.yaml')
     parser.add_argument(
         '--format',

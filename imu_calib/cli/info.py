@@ -33,9 +33,8 @@ _PASSING = 'on the way'
 _UNUSED = 'not used'
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser('info', help='what is in a recording', description=__doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
     options.add_session_options(parser)
     parser.set_defaults(run=run)

@@ -6,50 +6,51 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 
 from .. import __version__
 from ..errors import ImuCalibError, InputError
-from . import (
-    calibrate,
-    combine,
-    compare,
-    compensate,
-    export,
-    info,
-    montecarlo,
-    plans,
-    report,
-    simulate,
-    stand,
-    verify,
-)
 from .terminal import ERRORS
 
 _INTERRUPTED = 130
 
+COMMANDS = {
+    'stand': 'run a stand live',
+    'simulate': 'write a simulated recording',
+    'calibrate': 'a recording to 24 parameters',
+    'report': 'a calibration to an HTML report',
+    'verify': 'a calibration against another recording',
+    'compensate': 'apply a calibration to a recording',
+    'export': 'a calibration for other software',
+    'combine': 'several temperatures to one calibration',
+    'compare': 'two calibrations side by side',
+    'plans': 'list plans, lay one out, predict what it gives',
+    'montecarlo': 'repeat a simulated session with seeds',
+    'info': 'what is in a recording',
+}
+"""What each does; the module of its name does it."""
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser with all subcommands."""
+
+def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
+    """Return the parser of all subcommands, with the options of those that are needed.
+
+    Loading a subcommand takes longer than most of them run.
+
+    Args:
+        argv: The command line; None adds the options of every subcommand.
+
+    """
     parser = argparse.ArgumentParser(
         prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.'
     )
     parser.add_argument('--version', action='version', version=f'imu-calib {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    for module in (
-        stand,
-        simulate,
-        calibrate,
-        report,
-        verify,
-        compensate,
-        export,
-        combine,
-        compare,
-        plans,
-        montecarlo,
-        info,
-    ):
-        module.add_parser(commands)
+    for name, words in COMMANDS.items():
+        command = commands.add_parser(name, help=words)
+        if argv is None or name in argv:
+            module = import_module(f'.{name}', __package__)
+            command.description = module.__doc__
+            module.add_options(command)
     return parser
 
 
@@ -58,7 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     0: done. 1: the data cannot give the answer. 2: wrong usage or unreadable input.
     """
-    arguments = build_parser().parse_args(argv)
+    argv = sys.argv[1:] if argv is None else argv
+    arguments = build_parser(argv).parse_args(argv)
     try:
         arguments.run(arguments)
     except ImuCalibError as error:

@@ -39,11 +39,8 @@ _HEADINGS = (
 )
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'montecarlo', help='repeat a simulated session with seeds', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
     parser.add_argument('--runs', type=int, default=100, help='default: %(default)s')
     parser.add_argument('--seed', type=int, default=0, help='of the first run (default: 0)')

@@ -38,11 +38,8 @@ _IN_THE_HAND = (
 _LEANING = 'What a hold leans comes on top: E_a errs by half of it, D_a by g times a sixth.'
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'plans', help='list plans, lay one out, predict what it gives', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument(
         'plan', nargs='?', metavar='NAME|FILE', help='lay this plan out, step by step'
     )

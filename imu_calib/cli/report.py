@@ -22,11 +22,8 @@ from .terminal import OUTPUT
 _ALIKE = 0.1
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'report', help='a calibration to an HTML report', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('calibration', metavar='CALIBRATION', help='calibration.yaml')
     parser.add_argument(
         'bag',

@@ -31,11 +31,8 @@ LUOYANG = 34.65
 """Latitude of the site of Cao 2022, deg."""
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'simulate', help='write a simulated recording', description=__doc__
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
     parser.add_argument(

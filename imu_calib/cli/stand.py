@@ -38,9 +38,8 @@ _START = 30.0
 """Longest wait for the nodes to find each other, s."""
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser('stand', help='run a stand live', description=__doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
     parser.add_argument('plan', metavar='PLAN', nargs='?', help='name of a plan, or a file')
     parser.add_argument(
         '--resume',

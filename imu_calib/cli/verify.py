@@ -37,14 +37,9 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 _OTHER_TEMPERATURE = 5.0
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the subcommand."""
-    parser = commands.add_parser(
-        'verify',
-        help='a calibration against another recording',
-        description=__doc__,
-        epilog='Exit codes: 0 accepted, 1 rejected, 2 wrong usage or unreadable input.',
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
+    parser.epilog = 'Exit codes: 0 accepted, 1 rejected, 2 wrong usage or unreadable input.'
     parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
