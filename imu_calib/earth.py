@@ -13,6 +13,9 @@ from .stream import Floats
 EARTH_RATE = 7.292115e-5
 """Rotation of the Earth, rad/s (WGS 84)."""
 
+LUOYANG = 34.65
+"""Latitude of the site of Cao 2022, deg: simulated stands are there by default."""
+
 NORMAL_GRAVITY = 'normal gravity (WGS 84)'
 MEASURED = 'measured'
 """Where the gravity of a site comes from."""

@@ -14,7 +14,7 @@ from loopback import patience, until
 from imu_calib import middleware as ros
 from imu_calib.bags import open_recording
 from imu_calib.calibration import Calibration
-from imu_calib.cli import calibrate, main, stand
+from imu_calib.cli import calibrate, main, stand_session
 from imu_calib.cli.processes import Processes, private_network
 from imu_calib.middleware import messages
 from imu_calib.nodes import qos
@@ -53,7 +53,9 @@ class Stand:
     def __init__(self, folder, *options, plan=None, nodes=NODES, **changed):
         self.folder = folder / 'stand'
         arguments = ['stand', str(plan or short_plan(folder)), '-o', str(self.folder), *options]
-        self.parameters = stand._parameters(main.build_parser().parse_args(arguments), self.folder)
+        self.parameters = stand_session.parameters(
+            main.build_parser().parse_args(arguments), self.folder
+        )
         for name, more in changed.items():
             self.parameters[name] |= more
         self.folder.mkdir()

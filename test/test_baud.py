@@ -11,7 +11,7 @@ from loopback import CHECKOUT, until
 from test_devices import SIMULATED, described
 from test_imu_node import bench  # noqa: F401 - a fixture
 
-from imu_calib.cli import main, stand
+from imu_calib.cli import main, stand_session
 from imu_calib.cli.processes import Outcome
 from imu_calib.devices import choose_baud, load_format, read_format, too_slow
 from imu_calib.errors import InputError
@@ -47,8 +47,10 @@ def started(monkeypatch):
             given[node] = parameters
             print(f'start {node}')
 
-    monkeypatch.setattr(stand, 'Processes', Recorder)
-    monkeypatch.setattr(stand, '_follow', lambda *_: Outcome(False, 'The test ends here.', 0.0))
+    monkeypatch.setattr(stand_session, 'Processes', Recorder)
+    monkeypatch.setattr(
+        stand_session, '_follow', lambda *_: Outcome(False, 'The test ends here.', 0.0)
+    )
     return given
 
 

@@ -9,7 +9,8 @@ import pytest
 import yaml
 from loopback import CHECKOUT, environment
 
-from imu_calib.cli import main, stand
+from imu_calib.cli import main, stand_session
+from imu_calib.cli.processes import free_port
 from imu_calib.errors import ImuCalibError
 from imu_calib.turntable import load_table, rotation
 
@@ -47,7 +48,7 @@ def declared(monkeypatch, tmp_path):
             return declare(node, name, default, text, **more)
 
         monkeypatch.setattr(module, 'declare', note)
-        port = stand.free_port()
+        port = free_port()
         given = {
             'imu_node': {'port': f'socket://127.0.0.1:{port}'},
             'calibrator_node': {'latitude': 30.0},
@@ -101,7 +102,7 @@ def test_parameter_files_hold_what_the_nodes_declare(declared, name):
 
 def test_a_launched_stand_waits_as_long_as_that_of_the_command_line(tmp_path):
     arguments = main.build_parser().parse_args(['stand', 'twelve_position'])
-    expected = stand._parameters(arguments, tmp_path)['turntable_node']
+    expected = stand_session.parameters(arguments, tmp_path)['turntable_node']
     text = (CHECKOUT / 'config' / 'nodes' / 'simulated_stand.yaml').read_text()
     given = yaml.safe_load(text)['/**/turntable_node']['ros__parameters']
     timeouts = {key for key in expected if key.endswith('_timeout')}

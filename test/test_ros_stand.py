@@ -23,7 +23,7 @@ from loopback import CHECKOUT, environment, patience, until
 from test_interop import SETUP, has_wheel, without_ros
 
 from imu_calib.calibration import Calibration
-from imu_calib.cli import main, stand
+from imu_calib.cli import main, stand_session
 from imu_calib.cli.processes import free_port, private_network
 from imu_calib.share import named_file
 
@@ -398,7 +398,7 @@ def test_what_cannot_be_launched_is_refused_before_the_first_node(name, given, s
 def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):
     folder = tmp_path / 'stand'
     words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--latitude', str(LATITUDE)]
-    parameters = stand._parameters(main.build_parser().parse_args(words), folder)
+    parameters = stand_session.parameters(main.build_parser().parse_args(words), folder)
     folder.mkdir()
     net = Network(tmp_path)
     library = next((PACKAGE / 'lib').glob('python3*/site-packages'))

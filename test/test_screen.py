@@ -275,7 +275,7 @@ def said(words, level, text, part='imu_node: stream', value='0'):
 def test_a_sentence_is_shown_once_and_its_end_too(capsys, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)
-    words = Words({'imu_node'}, real=True)
+    words = Words(real=True)
     said(words, 1, 'It has not come yet.')
     assert not capsys.readouterr().err
     said(words, 2, 'It is broken.')
@@ -301,7 +301,7 @@ def test_a_sentence_is_shown_once_and_its_end_too(capsys, monkeypatch):
 def test_a_port_that_breaks_later_ends_nothing(capsys, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)
-    words = Words({'imu_node'}, real=True)
+    words = Words(real=True)
     said(words, 0, 'It is open.', part='imu_node: port', value='4400')
     said(words, 2, 'It broke.', part='imu_node: port', value='4400')
     now += 60.0

@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..units import ARCMIN, PPM
 from .processes import Outcome, Processes
 from .terminal import ERRORS, OUTPUT
+from .words import Words
 
 _START = 30.0
 _SHOWN = 6
@@ -24,7 +25,7 @@ _BAR = 24
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 
-def follow(processes: Processes) -> Outcome:
+def follow(processes: Processes, words: Words) -> Outcome:
     """Show a person what to do until the session ends.
 
     Raises:
@@ -34,7 +35,7 @@ def follow(processes: Processes) -> Outcome:
     from .monitor import watching
 
     with (
-        watching(processes) as monitor,
+        watching(processes, words) as monitor,
         Live(console=ERRORS, refresh_per_second=8, transient=True) as display,
     ):
         deadline = time.monotonic() + _START

@@ -143,12 +143,12 @@ class Monitor:
 
 
 @contextmanager
-def watching(processes: Processes) -> Iterator[Monitor]:
+def watching(processes: Processes, words: Words) -> Iterator[Monitor]:
     """Join the network of a stand's nodes with a monitor; leave it at the end of the block."""
     os.environ.update(processes.environment)
     ros.init(args=[])
-    # A network of its own is that of simulated hardware.
-    monitor = Monitor(Words(processes.names, real=not processes.environment))
+    words.nodes = processes.names
+    monitor = Monitor(words)
     try:
         yield monitor
     finally:

@@ -12,6 +12,7 @@ from rich.table import Table as Rows
 
 from ..calibration import Calibration
 from ..calibrator import Setup
+from ..earth import LUOYANG
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import METHODS, method
@@ -23,7 +24,6 @@ from ..simulation import StandOptions
 from ..turntable import load_table
 from ..units import DEG
 from . import options
-from .plans import LUOYANG
 from .plot import draw_normalised, plot_path
 from .terminal import OUTPUT, progress_bar, sentence_list
 

@@ -7,8 +7,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..bags import Recording, Topic
 from ..calibration import Calibration
 from ..cdr import Kind
 from ..config import Section
@@ -21,6 +21,10 @@ from ..session import SERIAL_NUMBER, described_imu, described_site, imu_key
 from ..share import named_file
 from ..turntable import Table, load_table, read_table
 from ..units import DEG
+
+if TYPE_CHECKING:
+    # Costs more to load than most commands need.
+    from ..bags import Recording, Topic
 
 NO_PLAN = 'none'
 """What --plan says where no plan was run, or the recording's own is not to be used."""

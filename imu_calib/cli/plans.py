@@ -11,6 +11,7 @@ from rich.table import Table as Rows
 
 from ..calibration import Calibration
 from ..calibrator import Setup
+from ..earth import LUOYANG
 from ..errors import InputError, NotObservable
 from ..imu import load_imu
 from ..methods import METHODS, check_plan, closed_form_beside, free
@@ -24,9 +25,6 @@ from ..turntable import Table, load_table
 from ..units import DEG, PPM, parse
 from . import options
 from .terminal import OUTPUT
-
-LUOYANG = 34.65
-"""Latitude of the site of Cao 2022, deg."""
 
 _ON_A_TABLE = (
     'Predicted standard deviations: by the method named, and the least that the session '

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..bags import RecordingWriter
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
+from ..earth import LUOYANG
 from ..errors import InputError
 from ..imu import load_imu
 from ..methods import check_plan
@@ -26,9 +27,6 @@ from . import options
 from .terminal import OUTPUT, progress_bar
 
 _TABLE = 'three_axis'
-
-LUOYANG = 34.65
-"""Latitude of the site of Cao 2022, deg."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -13,14 +13,15 @@ from .terminal import ERRORS
 
 _STANDS = 1.0
 """A sentence that stands for so long is no passing one, s: at the start every node lacks something
-for a moment, and a device may send a greeting before its frames."""
+for a moment."""
 
 _STARTS = 5.0
 """The same where all hardware is simulated: there is nothing that somebody could have forgotten,
 only a machine that is busy with the start."""
 
-_NEEDED = frozenset({'imu_node: port', 'imu_node: format'})
-"""Without these nothing comes of a session; a silent device may still begin to send."""
+_NEEDED = {'imu_node: port': 0.5, 'imu_node: format': 0.0}
+"""Without these nothing comes of a session, once it has stood for so long, s: another program may
+just be letting go of the port. A silent device may still begin to send."""
 
 _ENDS_IT = frozenset({'turntable_node: plan', 'calibrator_node: calibration'})
 """What these say in trouble ends the command, which then says it itself."""
@@ -55,13 +56,15 @@ class Words:
     """Takes /diagnostics in, and shows what a person should know on the standard error output.
 
     Args:
-        nodes: Names of the nodes that are listened to: others may be in the domain.
         real: Whether there is hardware that could be missing.
+
+    Attributes:
+        nodes: Names of the nodes that are listened to: others may be in the domain.
 
     """
 
-    def __init__(self, nodes: Collection[str], *, real: bool) -> None:
-        self._nodes = nodes
+    def __init__(self, *, real: bool) -> None:
+        self.nodes: Collection[str] = ('imu_node',)
         self._real = real
         self._patience = _STANDS if real else _STARTS
         self._parts: dict[str, _Part] = {}
@@ -69,19 +72,30 @@ class Words:
 
     def take(self, message: Any) -> None:
         """Take a diagnostic_msgs/DiagnosticArray."""
-        now = time.monotonic()
         for status in message.status:
-            if status.name.partition(': ')[0] not in self._nodes or status.name in _ENDS_IT:
-                continue
-            level = _Level(min(status.level[0], _Level.ERROR))
-            before = self._parts.get(status.name)
-            if before is None or before.level is not level:
-                shown = '' if before is None else before.shown
-                self._parts[status.name] = _Part(level, status.message, now, shown)
-            else:
-                before.text = status.message
-            if status.name == 'imu_node: port':
-                self._came |= any(v.key == 'bytes' and v.value != '0' for v in status.values)
+            came = any(v.key == 'bytes' and v.value != '0' for v in status.values)
+            self.note(status.name, status.level[0], status.message, came=came)
+
+    def note(self, name: str, level: int, text: str, *, came: bool = False) -> None:
+        """Take what is said of one part of a node.
+
+        Args:
+            name: For instance 'imu_node: stream'.
+            level: As in diagnostic_msgs/DiagnosticStatus.
+            text: A sentence.
+            came: Whether bytes have come from the device.
+
+        """
+        if name.partition(': ')[0] not in self.nodes or name in _ENDS_IT:
+            return
+        level = _Level(min(level, _Level.ERROR))
+        before = self._parts.get(name)
+        if before is None or before.level is not level:
+            shown = '' if before is None else before.shown
+            self._parts[name] = _Part(level, text, time.monotonic(), shown)
+        else:
+            before.text = text
+        self._came |= came
 
     def show(self) -> None:
         """Show what is new.
@@ -98,8 +112,10 @@ class Words:
             if part.level is _Level.OK and (not part.shown or stands < _STANDS):
                 continue
             lost = self._real and part.level is _Level.ERROR and name in _NEEDED
-            if lost and stands >= _STANDS and not (self._came and name == 'imu_node: port'):
-                raise NothingComes(part.text)
+            if lost and not (self._came and name == 'imu_node: port'):
+                if stands >= _NEEDED[name]:
+                    raise NothingComes(part.text)
+                continue
             if part.text != part.shown:
                 node = name.partition(': ')[0]
                 style = _STYLES[part.level]

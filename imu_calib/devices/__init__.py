@@ -7,10 +7,12 @@ from .delays import Drift
 from .device_clock import DeviceClock, Jump
 from .format import FrameFormat, load_format, read_format
 from .health import Health, Severity, Word
-from .source import Chunk, Source, State, check_port, is_serial
+from .reception import GAP_TIMEOUT, Reception
+from .source import Chunk, Source, State, check_port, is_serial, steady_time
 
 __all__ = [
     'CATALOGUE',
+    'GAP_TIMEOUT',
     'Baud',
     'Checksums',
     'Chunk',
@@ -22,6 +24,7 @@ __all__ = [
     'FrameFormat',
     'Health',
     'Jump',
+    'Reception',
     'Samples',
     'Severity',
     'Source',
@@ -34,5 +37,6 @@ __all__ = [
     'is_serial',
     'load_format',
     'read_format',
+    'steady_time',
     'too_slow',
 ]

@@ -8,8 +8,9 @@ from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
 from ..units import STANDARD_GRAVITY
 
-_SPAN_NS = 1_000_000_000
-"""What is looked at: the first second."""
+_SPAN_NS = 500_000_000
+"""What is looked at: the first half second. A judgement: five pieces, of which two may be knocks,
+and a person who waits at the screen is told before anything moves."""
 
 _PIECE_NS = 100_000_000
 """Averaged piece by piece: a table at 400 deg/s turns by 40 deg in one, which takes 2 % off the
@@ -21,7 +22,7 @@ the units that are mistaken for each other: g and m/s^2 (9.8), g and mg (1000)."
 
 
 class Gravity:
-    """Looks at the first second of samples.
+    """Looks at the first half second of samples.
 
     Args:
         imu: What the numbers are said to mean; None: nothing is judged.
@@ -33,6 +34,11 @@ class Gravity:
         self._accel: list[Floats] = []
         self._elapsed: list[Stamps] = []
         self._verdict: str | None = None if imu is not None else ''
+
+    @property
+    def judged(self) -> bool:
+        """Whether there is nothing more to look at."""
+        return self._verdict is not None
 
     def take(self, accel: Floats, elapsed: Stamps) -> str:
         """Take samples in; say in a sentence why the numbers cannot be what the file says.

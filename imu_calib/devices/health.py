@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from enum import IntEnum
 
 import numpy as np
@@ -21,6 +22,12 @@ _RATE_SPAN = 2.0
 _RATE_TOLERANCE = 0.02
 _DRIFT_TOLERANCE = 500.0
 _STRANGE = 20
+"""Frames' worth of bytes in which there is a frame, if it is the device that was described."""
+
+_GREETING = 0.5
+"""What a device may send before its frames takes no longer, s. A judgement: 5 kB at 115200 bit/s,
+ten times what a boot loader prints."""
+
 _PATIENCE = 0.25
 _NS = 1_000_000_000
 
@@ -70,6 +77,8 @@ class Health:
         self._nominal = nominal
         self._gap_timeout = gap_timeout
         self._bytes = 0
+        self._first_bytes: float | None = None
+        self._last_bytes: float | None = None
         self._heard: int | None = None
         self._heard_steady = 0.0
         self._begun: int | None = None
@@ -97,6 +106,10 @@ class Health:
 
         """
         self._bytes += received
+        if received:
+            self._last_bytes = steady
+            if self._first_bytes is None:
+                self._first_bytes = steady
         if len(samples) == 0:
             return
         self._misfit = self._gravity.take(samples.accel, elapsed)
@@ -131,6 +144,16 @@ class Health:
             self._rate = count * _NS / (time - begin)
             self._rate_from = time, 0
 
+    @property
+    def heard(self) -> bool:
+        """Whether a frame has come."""
+        return self._heard is not None
+
+    @property
+    def judged(self) -> bool:
+        """Whether it has been looked at what the accelerometers say."""
+        return self._gravity.judged
+
     def silent(self, now: int, steady: float) -> bool:
         """Say whether no frame has come for too long.
 
@@ -152,10 +175,12 @@ class Health:
         """Return what is to be said now."""
         if self._begun is None:
             self._begun = now
+        if self._last_bytes is None:
+            self._last_bytes = steady
         self._note_events(counts, steady)
         return [
             self._port(state),
-            self._what_comes(),
+            self._what_comes(state, steady),
             self._stream(state, counts, clock, now, steady),
             self._clock(clock, steady),
             *self._status(steady),
@@ -214,7 +239,8 @@ class Health:
         if self._heard is None:
             return self._before_the_first(now)
         if self.silent(now, steady) and not state.ended:
-            return Severity.ERROR, f'No frame has come since {self._heard / _NS:.3f} s.'
+            heard = datetime.fromtimestamp(self._heard / _NS)
+            return Severity.ERROR, f'No frame has come since {heard:%H:%M:%S}.'
         order = ('gap', 'bad', 'skipped', 'unusable', 'lost', 'repeated')
         texts = [self._events[name][0] for name in order if name in self._events]
         if texts:
@@ -226,26 +252,40 @@ class Health:
 
     def _before_the_first(self, now: int) -> tuple[Severity, str]:
         begun = now if self._begun is None else self._begun
-        if now - begun > self._gap_timeout * _NS:
+        late = (now - begun) / _NS - self._gap_timeout
+        if self._bytes and late > _GREETING:
+            return Severity.ERROR, 'Bytes come, but no frame yet.'
+        if not self._bytes and late > 0:
             return Severity.ERROR, (
-                f'No frame has come since the start at {begun / _NS:.3f} s. Is the device on, '
-                'connected, and set to send by itself?'
+                'No frame has come since the start. Is the device on, connected, and set to send '
+                'by itself?'
             )
         return Severity.WARN, 'The first frame has not come yet.'
 
-    def _what_comes(self) -> Word:
+    def _what_comes(self, state: State, steady: float) -> Word:
         """Say whether it is what the files of device and IMU describe."""
-        if self._heard is None and self._bytes >= _STRANGE * self._format.length:
+        if self._heard is None and (what := self._strange(state, steady)):
             return Word(
                 'format',
                 Severity.ERROR,
-                f'Bytes come, but no frame of the format {self._format.name}: this is another '
+                f'{what} no frame of the format {self._format.name}: this is another '
                 'device, it is set up otherwise, or the baud rate is another one. Check the '
                 "device's file, and at its top how the device is to be set up.",
             )
         if self._misfit:
             return Word('format', Severity.ERROR, self._misfit)
         return Word('format', Severity.OK, f'Frames of the format {self._format.name} are read.')
+
+    def _strange(self, state: State, steady: float) -> str:
+        """Say what comes where no frame will; nothing where one may."""
+        first, last = self._first_bytes, self._last_bytes
+        enough = self._bytes >= _STRANGE * self._format.length
+        if first is not None and enough and steady - first >= _GREETING:
+            return 'Bytes come, but'
+        # What was read a moment ago may not have been taken yet.
+        if state.ended and last is not None and steady - last >= _GREETING:
+            return f'{state.text} It holds'
+        return ''
 
     def _clock(self, clock: DeviceClock, steady: float) -> Word:
         drift = clock.drift

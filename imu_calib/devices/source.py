@@ -37,6 +37,8 @@ _ADVICE = {
     'lists the serial ports that are there.',
     errno.EACCES: 'this user may not open it. Join the group that owns it '
     '(sudo usermod -aG dialout $USER) and log in anew.',
+    errno.ENOTTY: 'this is no serial port. Name the one where the IMU is; ls -l /dev/serial/by-id '
+    'lists those that are there.',
     errno.EBUSY: 'another program holds it. End that one.',
     errno.ECONNREFUSED: 'nothing listens there. Switch the device on, and check host and port.',
     errno.EHOSTUNREACH: 'the host does not answer. Check address, cable and network.',
@@ -110,6 +112,8 @@ class Source:
         now: The host's time, ns; called in the reading thread.
         baud: Of a serial port.
         capacity: Bytes that may wait.
+        restarts: Whether closing a serial port lowers its control lines, as it usually does: some
+            devices restart when the next one who opens it raises them.
 
     Attributes:
         url: As given.
@@ -121,9 +125,15 @@ class Source:
     """
 
     def __init__(
-        self, url: str, now: Callable[[], int], baud: int = DEFAULT, capacity: int = _CAPACITY
+        self,
+        url: str,
+        now: Callable[[], int],
+        baud: int = DEFAULT,
+        capacity: int = _CAPACITY,
+        *,
+        restarts: bool = True,
     ) -> None:
-        self._kind, self._where = _parse(url, baud)
+        self._kind, self._where = _parse(url, baud, restarts)
         self.url = url
         self._now = now
         self._capacity = capacity
@@ -228,7 +238,7 @@ def check_port(url: str) -> None:
         InputError: The URL is none, the device or file is not there, or may not be read.
 
     """
-    kind, _ = _parse(url, baud=50)
+    kind, _ = _parse(url, baud=50, restarts=True)
     if kind is not _Serial or '://' in url or not url.startswith('/'):
         return
     if not Path(url).exists():
@@ -239,7 +249,7 @@ def check_port(url: str) -> None:
 
 def _does_not_open(url: str, error: Exception) -> str:
     """Say that a port does not open, why, and what to do."""
-    number = getattr(error, 'errno', None) or 0
+    number = _number(error)
     if isinstance(error, socket.gaierror):
         reason = 'the name of the host is not known. Check it, or give the address.'
     elif isinstance(error, TimeoutError):
@@ -247,6 +257,18 @@ def _does_not_open(url: str, error: Exception) -> str:
     else:
         reason = _ADVICE.get(_ALIKE.get(number, number)) or _reason(error)
     return f'{url} does not open: {reason}'
+
+
+def _number(error: BaseException | None) -> int:
+    """Return the errno of an error, or of the one that pyserial made it of; 0 without one."""
+    if error is None:
+        return 0
+    if isinstance(number := getattr(error, 'errno', None), int):
+        return number
+    first = error.args[0] if error.args else None
+    if type(error).__module__ == 'termios' and isinstance(first, int):
+        return first
+    return _number(error.__context__)
 
 
 def _reason(error: Exception) -> str:
@@ -324,10 +346,11 @@ class _Udp(_Socket):
 class _Serial:
     """A serial port, or whatever else pyserial opens."""
 
-    def __init__(self, url: str, baud: int) -> None:
+    def __init__(self, url: str, baud: int, restarts: bool) -> None:
         import serial
 
         self._port: Any = serial.serial_for_url(url, baudrate=baud, timeout=_POLL)
+        _lower_at_close(self._port, restarts)
         # What has waited there since somebody else closed it would arrive far too late.
         self._port.reset_input_buffer()
 
@@ -337,6 +360,19 @@ class _Serial:
 
     def close(self) -> None:
         self._port.close()
+
+
+def _lower_at_close(port: Any, lower: bool) -> None:
+    """Have the system lower the control lines of a serial port when it is closed, or not to."""
+    try:
+        import termios
+    except ImportError:
+        return
+    # A port of the network, or one without such lines.
+    with contextlib.suppress(termios.error, OSError, TypeError, AttributeError):
+        mode = termios.tcgetattr(port.fileno())
+        mode[2] = mode[2] | termios.HUPCL if lower else mode[2] & ~termios.HUPCL
+        termios.tcsetattr(port.fileno(), termios.TCSANOW, mode)
 
 
 class _File:
@@ -364,7 +400,7 @@ def is_serial(url: str) -> bool:
     return bool(_SERIAL_NAME.match(url)) or _is_device(Path(url))
 
 
-def _parse(url: str, baud: int) -> tuple[Callable[..., Line], tuple[Any, ...]]:
+def _parse(url: str, baud: int, restarts: bool) -> tuple[Callable[..., Line], tuple[Any, ...]]:
     """Return what opens a URL, and its arguments."""
     if not url:
         raise InputError(
@@ -382,7 +418,7 @@ def _parse(url: str, baud: int) -> tuple[Callable[..., Line], tuple[Any, ...]]:
             raise InputError(
                 f'{url}: pyserial is missing: python3-serial on Ubuntu, pyserial on PyPI.'
             )
-        return _Serial, (url, baud)
+        return _Serial, (url, baud, restarts)
     path = Path(url).expanduser()
     if not path.is_file():
         raise InputError(f'{url}: there is no such file or device.')

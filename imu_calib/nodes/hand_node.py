@@ -13,7 +13,7 @@ from typing import Any
 
 from .. import middleware as ros
 from ..calibration import Calibration
-from ..earth import Site
+from ..earth import LUOYANG, Site
 from ..errors import ImuCalibError
 from ..imu import load_imu
 from ..methods.free.guidance import direction
@@ -31,7 +31,6 @@ from .parameters import declare
 _STEP = 0.1
 _REST = 0.0005
 _PATIENCE = 5.0
-_LUOYANG = 34.65
 
 
 class HandNode(ros.Node):
@@ -70,7 +69,7 @@ class HandNode(ros.Node):
     def _read_hardware(self) -> HeldHardware:
         imu = load_imu(declare(self, 'imu', 'mems_counts', 'name or file of the IMU'))
         truth = declare(self, 'truth', 'mems_counts', "name or file of the unit's true parameters")
-        latitude = declare(self, 'latitude', _LUOYANG, 'deg, negative in the south')
+        latitude = declare(self, 'latitude', LUOYANG, 'deg, negative in the south')
         height = declare(self, 'height', 0.0, 'm above the ellipsoid')
         gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
         wander = declare(self, 'bias_instability', False, 'whether the biases wander')

@@ -9,17 +9,15 @@ import numpy as np
 
 from ..cdr import PULSES, RATES, encode_imu, encode_temperatures
 from ..devices import (
+    GAP_TIMEOUT,
     Baud,
     Chunk,
-    Decoder,
-    DeviceClock,
-    Health,
+    Reception,
     Samples,
     Source,
     choose_baud,
     is_serial,
     load_format,
-    too_slow,
 )
 from ..imu import load_imu
 from ..middleware import Clock, ClockType, Node, messages, publish_all
@@ -51,21 +49,19 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             self, 'sample_rate', 0.0, "Nominal, Hz; 0: the IMU's own.", lower=0.0, upper=1e5
         )
         gap_timeout = declare(
-            self, 'gap_timeout', 0.5, 'Longest time without a frame, s.', lower=0.01
+            self, 'gap_timeout', GAP_TIMEOUT, 'Longest time without a frame, s.', lower=0.01
         )
-        nominal = rate or imu.sample_rate
-        # Simulated time comes in steps, far too coarse to judge the device's clock by it.
         self._simulated = bool(self.get_parameter('use_sim_time').value)
-        self._decoder = Decoder(self._format)
-        self._line = DeviceClock(
-            self._format.time,
-            self._format.counter,
-            None if nominal is None else 1 / nominal,
-            tolerance=None if self._simulated else 0.05,
+        self._reception = Reception(
+            self._format,
+            imu,
+            rate,
+            gap_timeout=gap_timeout,
+            baud=baud,
             live=self._source.live,
+            simulated=self._simulated,
         )
-        caution = '' if baud is None else too_slow(baud.rate, self._format, nominal)
-        self._health = Health(self._format, nominal, gap_timeout, caution, imu)
+        self._line = self._reception.clock
         self._covariances = RATES if imu.units is Units.SI else PULSES
         self._diagnostics = Diagnostics(self, imu.id)
         self._pulses = self._open_stream('imu/pulses')
@@ -81,7 +77,6 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._held: list[tuple[Samples, Stamps]] = []
         self._waiting: list[Chunk] = []
-        self._received = 0
         self._second = 0
         self._started = self._silent = False
         self._reported_at = 0.0
@@ -134,7 +129,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         return (
             self._source.empty
             and not self._waiting
-            and self._health.silent(self._now(), self._seconds())
+            and self._reception.health.silent(self._now(), self._seconds())
         )
 
     def _work(self) -> None:
@@ -175,15 +170,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
 
     def _take(self, chunks: list[Chunk]) -> None:
         """Decode bytes; their samples wait until the clock's offset is known."""
-        data = b''.join(chunk.data for chunk in chunks)
-        samples = self._decoder.feed(data)
-        now = self._now()
-        ends = self._received + np.cumsum([len(chunk.data) for chunk in chunks], dtype=np.int64)
-        self._received += len(data)
-        times = np.array([(chunk.arrival, chunk.steady) for chunk in chunks], np.int64)
-        arrival, steady = times[np.searchsorted(ends, samples.end)].T
-        elapsed = self._line.feed(samples.time, samples.counter, arrival, steady)
-        self._health.take(samples, elapsed, len(data), now, self._seconds())
+        samples, elapsed = self._reception.take(chunks, self._now(), self._seconds())
         if len(samples):
             self._held.append((samples, elapsed + self._line.set_by))
 
@@ -224,10 +211,7 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         if steady - self._reported_at < _REPORT_PERIOD and silent == self._silent:
             return
         self._reported_at, self._silent = steady, silent
-        words = self._health.words(
-            self._source.state, self._decoder.counts, self._line, now, steady
-        )
-        for word in words:
+        for word in self._reception.words(self._source.state, now, steady):
             self._diagnostics.report(word.part, Level(word.severity), word.text, **word.figures)
 
 

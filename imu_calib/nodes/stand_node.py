@@ -16,7 +16,7 @@ from typing import Any
 from .. import middleware as ros
 from ..calibration import Calibration
 from ..cdr import Messages, decode_setpoints, encode_joints
-from ..earth import Site
+from ..earth import LUOYANG, Site
 from ..errors import ImuCalibError, InputError
 from ..imu import load_imu
 from ..middleware import messages
@@ -37,7 +37,6 @@ _AHEAD = 0.25
 _ALIVE = 2.0
 _REST = 0.0005
 _PATIENCE = 5.0
-_LUOYANG = 34.65
 
 
 class StandNode(ros.Node):
@@ -101,7 +100,7 @@ class StandNode(ros.Node):
         truth = declare(
             self, 'truth', 'cao2022_table1', "name or file of the unit's true parameters"
         )
-        latitude = declare(self, 'latitude', _LUOYANG, 'deg, negative in the south')
+        latitude = declare(self, 'latitude', LUOYANG, 'deg, negative in the south')
         height = declare(self, 'height', 0.0, 'm above the ellipsoid')
         gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
         azimuth = declare(self, 'azimuth', 0.0, "true heading of the table's zero, deg")

@@ -1,0 +1,267 @@
+"""A session of `imu-calib stand`: the nodes that run it, from their start to the result."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..calibration import Calibration
+from ..calibrator import Setup
+from ..earth import LUOYANG, Site
+from ..errors import InputError, NotObservable
+from ..imu import ImuSpec, load_imu
+from ..methods import free
+from ..model import NO_TERMS
+from ..plan import Plan, load_plan
+from ..prediction import check_session
+from ..report.parameters import parameter_table
+from ..simulation import StandOptions, load_imperfections
+from ..turntable import Table, load_table
+from . import by_hand, options, resume
+from .processes import Outcome, Processes, free_port, private_network
+from .stand import complete
+from .terminal import OUTPUT, progress_bar, sentence_list
+from .words import NothingComes, Words
+
+_ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
+_START = 30.0
+"""Longest wait for the nodes to find each other, s."""
+
+
+def check(
+    arguments: argparse.Namespace, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
+) -> None:
+    """Refuse a session that could give nothing, or that nothing here can run.
+
+    Raises:
+        ImuCalibError: There is no middleware for the nodes.
+        InputError: The table cannot run the plan, there is no such method, or nobody to hold it.
+        NotObservable: Says what cannot be determined, and for want of what.
+
+    """
+    # Which runtime there is, is asked here alone: the other commands need none.
+    from . import monitor  # noqa: F401
+
+    terms = options.find_terms(arguments)
+    setup = Setup(imu, plan, table, site, arguments.method, terms=terms)
+    _check_session(setup)
+    if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
+        raise InputError(
+            f'Plan {plan.name} is for a hand: give --port, where the IMU is. Simulated hands hold '
+            f'free positions alone (plan {free.NAME}).'
+        )
+    if arguments.imperfections:
+        load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)
+
+
+def _check_session(setup: Setup) -> None:
+    """Refuse what the method could not solve; say who tells north where that is missing."""
+    try:
+        check_session(setup)
+    except NotObservable as error:
+        table = setup.table
+        if table is None or table.azimuth is not None:
+            raise
+        check_session(replace(setup, table=replace(table, azimuth=0.0)))
+        raise NotObservable(
+            f'{error} Here the file of the table says where north is (azimuth: 12.3 deg); that of '
+            f'{table.name} does not.'
+        ) from None
+
+
+@contextmanager
+def signals() -> Iterator[None]:
+    """Have SIGTERM and SIGHUP end the session as Ctrl-C does: the table first."""
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def run(
+    arguments: argparse.Namespace,
+    folder: Path,
+    truth: Calibration | None,
+    claim: int,
+    words: Words,
+) -> None:
+    """Run a session that can be run, and print what came out.
+
+    Args:
+        arguments: The command line.
+        folder: Of the stand; it exists.
+        truth: Of a simulated unit.
+        claim: File descriptor that the nodes inherit.
+        words: Shows what the nodes say.
+
+    Raises:
+        InputError: A node does not start, or nothing comes from the IMU.
+        NotObservable: The session gives no calibration; says why.
+
+    """
+    environment = {} if arguments.port else private_network()
+    given = parameters(arguments, folder)
+    began = time.monotonic()
+    if environment:
+        joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
+        OUTPUT.print(f'to look on: export {joined}', markup=False)
+    try:
+        with Processes(folder, environment, (claim,)) as processes:
+            outcome = _session(arguments, processes, given, words)
+    except NothingComes:
+        if not arguments.resume:
+            # Nothing was recorded: the same command is to work once the device is there.
+            shutil.rmtree(folder)
+        raise
+    finally:
+        if resume.unfinished(folder):
+            name = arguments.resume or arguments.output
+            arguments.last_word = f'To go on with it: {resume.command(name)}'
+    if not outcome.finished:
+        raise NotObservable(outcome.text)
+    calibration = Calibration.load(folder / resume.RESULT)
+    if truth is not None:
+        truth.save(folder / 'truth.yaml')
+        _save_true_table(arguments, folder)
+    OUTPUT.print(parameter_table(calibration, truth))
+    seconds = time.monotonic() - began
+    OUTPUT.print(
+        f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '
+        f'{seconds:.0f} s; recording: {folder / resume.JOURNAL}, result: {folder / resume.RESULT}'
+    )
+    sentence_list('Worth knowing', calibration.findings)
+
+
+def _save_true_table(arguments: argparse.Namespace, folder: Path) -> None:
+    """Write how the simulated table differs from its description, if it does."""
+    if not arguments.imperfections or load_plan(arguments.plan).by_hand:
+        return
+    table = load_table(arguments.table)
+    read = load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)
+    if read.true is not None:
+        read.true.save(folder / options.TRUE_TABLE, table)
+
+
+def _session(
+    arguments: argparse.Namespace,
+    processes: Processes,
+    given: dict[str, dict[str, Any]],
+    words: Words,
+) -> Outcome:
+    """Start the nodes, and watch them until the session ends."""
+    for node in _ORDER:
+        if node in given:
+            processes.start(node, given[node])
+    if load_plan(arguments.plan).by_hand:
+        return by_hand.follow(processes, words)
+    return _follow(processes, words)
+
+
+def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the parameters of every node that is to run."""
+    complete(arguments)
+    simulated = not arguments.port
+    stated = ('height', 'gravity', 'height_std', 'gravity_std')
+    doubts = {name: v for name in stated if (v := getattr(arguments, name)) is not None}
+    doubts['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
+    site = {name: value for name, value in doubts.items() if not name.endswith('_std')}
+    clock = {'use_sim_time': simulated}
+    port = free_port() if simulated else 0
+    described = {'imu': arguments.imu, 'table': arguments.table}
+    nodes: dict[str, dict[str, Any]] = {
+        'imu_node': {
+            **clock,
+            'imu': arguments.imu,
+            'device': arguments.device or _frames(arguments),
+            'sample_rate': arguments.sample_rate,
+            'port': arguments.port or f'socket://127.0.0.1:{port}',
+            'baud': arguments.baud or 0,
+        },
+        'calibrator_node': {
+            **clock,
+            **described,
+            **doubts,
+            'plan': arguments.plan,
+            'method': arguments.method or '',
+            'terms': arguments.terms or NO_TERMS,
+            'serial_number': arguments.serial or '',
+            'journal': str(folder / resume.JOURNAL),
+            'output': str(folder / resume.RESULT),
+        },
+        'turntable_node': {
+            **clock,
+            'plan': arguments.plan,
+            'table': arguments.table,
+            'autostart': True,
+            'resume': bool(arguments.resume),
+        },
+    }
+    if load_plan(arguments.plan).by_hand:
+        del nodes['turntable_node'], nodes['calibrator_node']['table']
+        if simulated:
+            nodes['hand_node'] = {
+                **site,
+                'imu': arguments.imu,
+                'truth': arguments.truth,
+                'imperfections': arguments.imperfections or '',
+                'sample_rate': arguments.sample_rate,
+                'seed': arguments.seed,
+                'start': arguments.start,
+                'speed': arguments.speed,
+                'port': port,
+            }
+        return nodes
+    if simulated:
+        # Simulated time stands still while a busy machine catches up: that is no silence.
+        nodes['turntable_node'] |= {'watchdog_timeout': 10.0, 'calibrator_timeout': 10.0}
+        # A stop that was pressed on this table is no word on the next one.
+        nodes['turntable_node']['state_folder'] = str(folder / 'state')
+        nodes['stand_node'] = {
+            **described,
+            **site,
+            'truth': arguments.truth,
+            'azimuth': arguments.azimuth,
+            'imperfections': arguments.imperfections or '',
+            'sample_rate': arguments.sample_rate,
+            'seed': arguments.seed,
+            'start': arguments.start,
+            'speed': arguments.speed,
+            'port': port,
+        }
+    return nodes
+
+
+def _frames(arguments: argparse.Namespace) -> str:
+    """Name the frames of the simulated IMU: those of a skewed gyro hold its count as well."""
+    skewed = load_imu(arguments.imu).skewed is not None
+    return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
+
+
+def _follow(processes: Processes, words: Words) -> Outcome:
+    """Watch the session until it ends, with a progress bar."""
+    from .monitor import watching
+
+    with watching(processes, words) as monitor, progress_bar('starting') as show:
+        deadline = time.monotonic() + _START
+        while True:
+            monitor.spin(0.1)
+            processes.check()
+            done = round(monitor.duration)
+            show(done, done + round(monitor.remaining), monitor.text)
+            if monitor.outcome is not None:
+                return Outcome(*monitor.outcome, monitor.duration)
+            if monitor.stopped:
+                return Outcome(False, f'The table has stopped. {monitor.stopped}', monitor.duration)
+            if not monitor.begun and time.monotonic() > deadline:
+                raise InputError(f'The stand does not start: {monitor.text}.')
