@@ -307,9 +307,3 @@ def test_a_port_that_breaks_later_ends_nothing(capsys, monkeypatch):
     now += 60.0
     words.show()
     assert capsys.readouterr().err == 'imu_node: It broke.\n'
-
-
-def test_what_nobody_asked_for_does_not_hold_the_screen_up():
-    # Half a second of every command, of the calibrator's start too.
-    code = 'import sys, imu_calib.cli.main; sys.exit("scipy.stats" in sys.modules)'
-    assert subprocess.run([sys.executable, '-c', code], cwd=CHECKOUT, check=False).returncode == 0

@@ -173,7 +173,7 @@ class Health:
         self, state: State, counts: Counts, clock: DeviceClock, now: int, steady: float
     ) -> list[Word]:
         """Return what is to be said now."""
-        if self._begun is None:
+        if self._begun is None and (state.open or state.ended):
             self._begun = now
         if self._last_bytes is None:
             self._last_bytes = steady
@@ -251,6 +251,7 @@ class Health:
         return Severity.OK, 'Frames come in.'
 
     def _before_the_first(self, now: int) -> tuple[Severity, str]:
+        # A port that does not open yet says so itself.
         begun = now if self._begun is None else self._begun
         late = (now - begun) / _NS - self._gap_timeout
         if self._bytes and late > _GREETING:

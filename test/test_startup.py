@@ -1,0 +1,244 @@
+"""What a command loads, and when: what is wrong with a device is said before the rest loads."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+import termios
+import threading
+import time
+import tty
+
+import pytest
+from loopback import CHECKOUT, until
+from test_devices import NS, frame
+
+from imu_calib.cli import listening, main, stand_session
+from imu_calib.cli.words import NothingComes, Words
+from imu_calib.devices import Reception, Severity, Source, choose_baud, load_format
+from imu_calib.devices.source import Chunk, State
+from imu_calib.imu import load_imu
+
+SIMULATED = load_format('simulated')
+FOG = load_imu('fog_medium')
+OPEN = State(True, False, 'It is open.')
+ENDED = State(False, True, 'It was read to its end.')
+
+SLOW = ('scipy.special', 'scipy.linalg', 'scipy.optimize', 'scipy.stats', 'matplotlib')
+"""A quarter of a second of every command each, and none is used before something is solved."""
+
+RUNTIME = ('cyclonedds', 'rclpy')
+COMMANDS = sorted(main.COMMANDS)
+
+
+def loaded(code, *arguments):
+    """Run code in a Python of its own; return the modules that it has loaded."""
+    told = 'import json, sys\n' + code + '\nprint("\\n" + json.dumps(sorted(sys.modules)))'
+    done = subprocess.run(
+        [sys.executable, '-c', told, *map(str, arguments)],
+        cwd=CHECKOUT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def among(modules, names):
+    return [name for name in names if name in modules]
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+def test_a_command_loads_no_numerics_before_it_has_something_to_solve(command):
+    code = 'from imu_calib.cli.main import build_parser; build_parser([sys.argv[1]])'
+    modules = loaded(code, command)
+    assert f'imu_calib.cli.{command}' in modules
+    assert not among(modules, (*SLOW, *RUNTIME))
+
+
+def test_help_and_wrong_usage_load_no_command():
+    code = """from imu_calib.cli.main import main
+for words in ([], ['--help'], ['--version'], ['nonsense']):
+    try:
+        main(words)
+    except SystemExit:
+        pass
+"""
+    assert not among(loaded(code), ['numpy', *(f'imu_calib.cli.{name}' for name in COMMANDS)])
+
+
+def test_every_command_of_the_help_has_its_options():
+    # Each is looked up by its name: a misspelt one would be found by its user.
+    for command in COMMANDS:
+        with pytest.raises(SystemExit) as ended:
+            main.main([command, '--help'])
+        assert ended.value.code == 0
+
+
+def test_the_estimators_load_what_they_use():
+    code = 'import imu_calib.calibrator, imu_calib.prediction, imu_calib.verification'
+    assert not among(loaded(code), SLOW)
+
+
+REFUSED = """from imu_calib.cli.main import main
+assert main(sys.argv[1:]) == 2"""
+
+
+def strange(tmp_path, kind):
+    """A port at which no session can be run."""
+    file = tmp_path / 'bytes'
+    if kind == 'missing':
+        return '/dev/ttyUSB9'
+    if kind == 'no serial port':
+        return '/dev/null'
+    if kind == 'garbage':
+        file.write_bytes(bytes(range(256)) * 16)
+    else:
+        # In mg, which the file takes for pulses of 0.01 m/s.
+        pulses = [0, 0, 0, 0, 0, 1000]
+        file.write_bytes(b''.join(frame(k, k * NS // 200, pulses) for k in range(200)))
+    return str(file)
+
+
+@pytest.mark.parametrize('kind', ['missing', 'no serial port', 'garbage', 'gravity'])
+def test_a_device_that_cannot_do_is_refused_before_anything_is_loaded(tmp_path, kind):
+    words = ['stand', 'twelve_position', '-o', tmp_path / 'stand', '--latitude', '48']
+    words += ['--port', strange(tmp_path, kind), '--device', 'simulated']
+    modules = loaded(REFUSED, *words)
+    assert 'imu_calib.cli.listening' in modules
+    assert not among(modules, (*SLOW, *RUNTIME, 'imu_calib.calibrator', 'imu_calib.bags'))
+    assert not (tmp_path / 'stand').exists()
+
+
+@pytest.fixture
+def port():
+    """A serial port: our end, and the name of the other."""
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    yield ours, os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+class LoadedHere(Exception):
+    """The session would be loaded now."""
+
+
+def test_silence_is_said_before_the_session_is_loaded(tmp_path, port, capsys, monkeypatch):
+    def check(*_):
+        raise LoadedHere(capsys.readouterr().err)
+
+    monkeypatch.setattr(stand_session, 'check', check)
+    words = ['stand', 'twelve_position', '--port', port[1], '--device', 'simulated']
+    with pytest.raises(LoadedHere, match=r'imu_node: No frame has come since the start\. Is the'):
+        main.main([*words, '--latitude', '48', '-o', str(tmp_path / 'stand')])
+
+
+def listen(port, words):
+    listening.listen(port, SIMULATED, FOG, choose_baud(None, SIMULATED), words)
+
+
+def test_what_was_said_of_a_silent_device_is_said_once_and_its_end_too(port, capsys, monkeypatch):
+    now = time.monotonic()
+    words = Words(real=True)
+    listen(port[1], words)
+    shown = capsys.readouterr().err
+    assert shown.startswith('imu_node: No frame has come since the start. Is the device on')
+    text = shown.removeprefix('imu_node: ').rstrip()
+    # imu_node begins anew.
+    words.note('imu_node: stream', 1, 'The first frame has not come yet.')
+    words.note('imu_node: stream', 2, text)
+    words.show()
+    words.note('imu_node: stream', 0, 'Frames come in.')
+    words.show()
+    monkeypatch.setattr(time, 'monotonic', lambda: now + 60.0)
+    words.show()
+    assert capsys.readouterr().err == 'imu_node: Frames come in.\n'
+
+
+def test_frames_as_described_are_nothing_to_be_said(port, capsys):
+    over = threading.Event()
+
+    def send():
+        k = 0
+        while not over.wait(0.005):
+            os.write(port[0], frame(k, k * NS // 200, [0, 0, 0, 0, 0, 5]))
+            k += 1
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        listen(port[1], Words(real=True))
+    finally:
+        over.set()
+        thread.join()
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize('restarts', [False, True])
+def test_a_port_that_is_handed_on_keeps_its_control_lines(port, restarts):
+    source = Source(port[1], time.time_ns, restarts=restarts)
+    source.start()
+    assert until(lambda: source.state.open)
+    lowered = termios.tcgetattr(port[0])[2] & termios.HUPCL
+    source.stop()
+    assert bool(lowered) is restarts
+
+
+def told(reception, steady, state=OPEN):
+    """What is said of the format."""
+    words = reception.words(state, int(steady * NS), steady)
+    return next(word for word in words if word.part == 'format')
+
+
+def test_a_greeting_is_no_other_device():
+    reception = Reception(SIMULATED, FOG)
+    told(reception, 10.0)
+    reception.take([Chunk(b'U' * 44 * 40, 10 * NS, 10 * NS)], 10 * NS, 10.0)
+    assert told(reception, 10.4).severity is Severity.OK
+    reception.take([Chunk(frame(0, 0, [0] * 6), 10 * NS, 10 * NS)], 10 * NS, 10.4)
+    assert told(reception, 60.0).severity is Severity.OK
+
+
+def test_bytes_without_a_frame_are_another_device_after_a_greeting():
+    reception = Reception(SIMULATED, FOG)
+    told(reception, 9.0)
+    reception.take([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.0)
+    assert told(reception, 10.6).severity is Severity.OK
+    reception.take([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.7)
+    word = told(reception, 10.7)
+    assert word.severity is Severity.ERROR
+    assert word.text.startswith('Bytes come, but no frame of the format simulated')
+
+
+@pytest.mark.parametrize('data', [b'', b'U' * 100])
+def test_a_recording_without_a_frame_is_one_of_another_device(data):
+    reception = Reception(SIMULATED, FOG)
+    told(reception, 10.0)
+    if data:
+        reception.take([Chunk(data, 10 * NS, 10 * NS)], 10 * NS, 10.1)
+    assert told(reception, 10.3, ENDED).severity is Severity.OK
+    word = told(reception, 10.7, ENDED)
+    assert word.severity is Severity.ERROR
+    assert word.text.startswith('It was read to its end. It holds no frame of the format simulated')
+
+
+def test_a_port_that_is_none_is_told_in_words(capsys):
+    with pytest.raises(NothingComes, match=r'/dev/null does not open: this is no serial port\. '):
+        listen('/dev/null', Words(real=True))
+    assert not capsys.readouterr().err
+
+
+def test_a_port_that_does_not_open_yet_is_not_called_silent():
+    reception = Reception(SIMULATED, FOG)
+
+    def stream(steady, state):
+        words = reception.words(state, int(steady * NS), steady)
+        return next(word for word in words if word.part == 'stream')
+
+    shut = State(False, False, 'It does not open.')
+    assert stream(10.0, shut).severity is Severity.WARN
+    assert stream(20.0, shut).severity is Severity.WARN
+    assert stream(20.1, OPEN).severity is Severity.WARN
+    assert stream(20.7, OPEN).severity is Severity.ERROR
