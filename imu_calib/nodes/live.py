@@ -8,6 +8,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+# The core loads these when it first solves something, and then a table would wait.
+import scipy.linalg
+import scipy.special  # noqa: F401
+
 from ..bags import Journal
 from ..calibration import Calibration
 from ..calibrator import Calibrator, Review, Setup
