@@ -30,6 +30,7 @@ from .model import (
 )
 from .plausibility import check_plausible
 from .stream import Floats, Units
+from .yaml_text import SafeDumper, dump
 
 _FORMAT = 1
 
@@ -136,7 +137,7 @@ class Calibration:
             '# Outputs times scale_factor = (I + error_matrix) input + bias.\n'
             + self._head_of_further()
         )
-        return head + yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=200)
+        return head + dump(document, _Dumper, width=200)
 
     def _head_of_further(self) -> str:
         further = ''.join(
@@ -286,11 +287,11 @@ def write_whole(path: Path, text: str) -> None:
         raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(SafeDumper):
     """Keys on lines of their own, rows of numbers on one line, floats to the last bit."""
 
 
-def _flow_list(dumper: yaml.SafeDumper, data: list[Any]) -> yaml.Node:
+def _flow_list(dumper: SafeDumper, data: list[Any]) -> yaml.Node:
     numbers = all(isinstance(v, (int, float)) for v in data)
     names = all(isinstance(v, str) and ' ' not in v for v in data)
     return dumper.represent_sequence('tag:yaml.org,2002:seq', data, flow_style=numbers or names)

@@ -9,6 +9,7 @@ import yaml
 
 from .errors import InputError
 from .units import Dimension, parse
+from .yaml_text import load
 
 
 class Section:
@@ -45,7 +46,7 @@ class Section:
     def parse(cls, text: str, where: str) -> Section:
         """Read the mapping at the top of a YAML text."""
         try:
-            return cls(yaml.safe_load(text), where)
+            return cls(load(text), where)
         except yaml.YAMLError as error:
             raise InputError(f'{where}: not YAML: {" ".join(str(error).split())}') from None
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from .config import Section
 from .errors import InputError
 from .share import named_file
 from .specification import Specification, read_specification
 from .stream import Units
 from .units import Dimension
+from .yaml_text import dump
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ def imu_text(spec: ImuSpec) -> str:
             document[name]['range'] = f'{triad.range!r} {unit}'
         if triad.pulse:
             document[name]['pulse'] = f'{triad.pulse!r} {pulse}/pulse'
-    return yaml.safe_dump(document, sort_keys=False, width=200)
+    return dump(document, width=200)
 
 
 def read_imu(section: Section) -> ImuSpec:

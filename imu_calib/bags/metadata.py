@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from .. import yaml_text
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
@@ -54,7 +56,7 @@ def read_metadata(folder: Path) -> Metadata:
     if not path.is_file():
         return Metadata(problem=f'{NAME} is missing')
     try:
-        content = yaml.load(path.read_text(encoding='utf-8'), Loader=_LOADER)
+        content = yaml_text.load(path.read_text(encoding='utf-8'))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         return Metadata(problem=f'{NAME} is not YAML ({" ".join(str(error).split())[:120]})')
     information = content.get(_KEY) if isinstance(content, dict) else None
@@ -72,7 +74,7 @@ def read_metadata(folder: Path) -> Metadata:
 def custom_data_of(text: str) -> dict[str, str]:
     """Return the custom data in the metadata that rosbag2 writes into its storage files."""
     try:
-        content = yaml.load(text, Loader=_LOADER)
+        content = yaml_text.load(text)
     except yaml.YAMLError:
         return {}
     return _strings(content.get('custom_data')) if isinstance(content, dict) else {}
@@ -89,9 +91,6 @@ def _strings(pairs: Any) -> dict[str, str]:
     if not isinstance(pairs, dict):
         return {}
     return {str(key): str(value) for key, value in pairs.items()}
-
-
-_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
 
 def qos_profile(*, transient_local: bool = False) -> dict[str, Any]:
@@ -113,7 +112,7 @@ def qos_profile(*, transient_local: bool = False) -> dict[str, Any]:
 def offered_profiles(text: str) -> list[dict[str, Any]]:
     """Return the QoS profiles that a recorder wrote as YAML; none where that is no list."""
     try:
-        profiles = yaml.load(text, Loader=_LOADER)
+        profiles = yaml_text.load(text)
     except yaml.YAMLError:
         return []
     if not isinstance(profiles, list) or not all(isinstance(p, dict) for p in profiles):
@@ -123,7 +122,7 @@ def offered_profiles(text: str) -> list[dict[str, Any]]:
 
 def dump(value: Any) -> str:
     """Write a value as YAML, in the order it has."""
-    return yaml.safe_dump(value, sort_keys=False, default_flow_style=False)
+    return yaml_text.dump(value, default_flow_style=False)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import yaml
 
 from ..calibration import Calibration, write_whole
 from ..config import Section
@@ -17,6 +16,7 @@ from ..errors import InputError
 from ..gravity import gravity_deviation, without_gravity
 from ..imu import ImuSpec
 from ..stream import Floats
+from ..yaml_text import dump, load
 
 _FORMAT = 1
 _APART = 0.5
@@ -106,7 +106,7 @@ class ThermalCalibration:
 
     def to_yaml(self) -> str:
         """Return the file's text: the calibrations one below the other, each as in its own file."""
-        documents = [yaml.safe_load(c.to_yaml()) for c in self.calibrations]
+        documents = [load(c.to_yaml()) for c in self.calibrations]
         first = self.calibrations[0]
         head: dict[str, Any] = {
             'format': _FORMAT,
@@ -118,10 +118,8 @@ class ThermalCalibration:
             '# Calibrations of one IMU at several temperatures, coldest first, SI units.\n'
             '# In between each parameter lies on straight lines, or on a polynomial.\n'
         )
-        text += yaml.safe_dump(head, sort_keys=False)
-        text += yaml.safe_dump(
-            {'calibrations': documents}, sort_keys=False, default_flow_style=None, width=200
-        )
+        text += dump(head)
+        text += dump({'calibrations': documents}, default_flow_style=None, width=200)
         return text
 
     def save(self, path: Path) -> None:
