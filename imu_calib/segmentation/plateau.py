@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 
 from ..stream import Floats
 from ..units import DEG
@@ -208,42 +209,71 @@ def _turning(motion: Motion) -> int:
 
 
 def _seeds(time: Floats, angle: Floats) -> list[tuple[int, int]]:
-    """List half turns that are straight, as index ranges, the straightest first.
-
-    Where the joint states come so slowly that half a turn has too few of them, it is more.
-    """
+    """List half turns that are straight, as index ranges, the straightest first."""
+    ranges = _half_turns(angle)
+    cells = np.minimum(ranges[:, 1] - ranges[:, 0], _CELLS)
     found: list[tuple[float, int, int]] = []
-    for first in np.unique(np.linspace(0, len(time) - 1, _SEEDS).astype(int)).tolist():
-        far = np.abs(angle[first:] - angle[first]) >= _SEED
-        half_turn = int(np.argmax(far))
-        last = first + max(half_turn, _FEWEST)
-        if not far[half_turn] or last > len(time):
-            break
-        bend, limit = _bend(time[first:last], angle[first:last])
-        if bend < limit:
-            found.append((bend, first, last))
+    for count in np.unique(cells).tolist():
+        alike = ranges[cells == count]
+        bend, limit = _bends(time, angle, alike, count)
+        straight = bend < limit
+        found += zip(bend[straight].tolist(), *alike[straight].T.tolist(), strict=True)
     return [(first, last) for _, first, last in sorted(found)]
 
 
-def _bend(time: Floats, angle: Floats) -> tuple[float, float]:
+def _half_turns(angle: Floats) -> NDArray[np.intp]:
+    """Return the index ranges in which half a turn is made, (n, 2).
+
+    Where the joint states come so slowly that half a turn has too few of them, it is more.
+    """
+    found: list[tuple[int, int]] = []
+    for first in np.unique(np.linspace(0, len(angle) - 1, _SEEDS).astype(int)).tolist():
+        far = np.abs(angle[first:] - angle[first]) >= _SEED
+        half_turn = int(np.argmax(far))
+        last = first + max(half_turn, _FEWEST)
+        if not far[half_turn] or last > len(angle):
+            break
+        found.append((first, last))
+    return np.array(found, dtype=np.intp).reshape(-1, 2)
+
+
+def _bends(
+    time: Floats, angle: Floats, ranges: NDArray[np.intp], cells: int
+) -> tuple[Floats, Floats]:
     """Return how far angles are from a line, rad, and how far those of a plateau may seem to be.
 
     The square and the cubic part of a fit by Legendre's polynomials, against what the scatter
     about that fit makes of them. No ramp bends half a turn by less than a ten-thousandth: at
     90 deg/s that is 0.05 deg/s^2.
+
+    Args:
+        time: Of all angles of the motion, s.
+        angle: rad.
+        ranges: (n, 2) first index and the one after the last, of n parts of the motion.
+        cells: In how many the angles of each part are averaged: no more than the part has.
+
+    Returns:
+        (n,) and (n,).
+
     """
-    edges = np.unique(np.linspace(0, len(time), min(len(time), _CELLS) + 1).astype(int))
-    count = np.diff(edges)
-    x, y = (np.add.reduceat(v, edges[:-1]) / count for v in (time, angle))
-    x = (2 * x - x[0] - x[-1]) / (x[-1] - x[0])
+    first, last = ranges.T
+    edges = first[:, None] + np.arange(cells + 1) * (last - first)[:, None] // cells
+    # What `reduceat` adds up between the end of one part and the beginning of the next is no cell.
+    x, y = (
+        np.add.reduceat(np.append(v, 0.0), edges.ravel()).reshape(edges.shape)[:, :-1]
+        / np.diff(edges)
+        for v in (time, angle)
+    )
+    x = (2 * x - x[:, :1] - x[:, -1:]) / (x[:, -1:] - x[:, :1])
     design = legendre.legvander(x, _DEGREE)
     basis, triangle = np.linalg.qr(design)
-    inverse = np.linalg.inv(triangle) @ basis.T
-    parts = inverse @ y
-    left = y - design @ parts
-    scatter = float(np.sqrt(left @ left / max(1, len(x) - _DEGREE - 1)))
-    bend = float(np.hypot(*parts[2:]))
-    return bend, _BENT * scatter * float(np.linalg.norm(inverse[2:])) + _BENT_AT_MOST * _SEED
+    inverse = np.linalg.inv(triangle) @ basis.swapaxes(1, 2)
+    parts = np.einsum('ijk,ik->ij', inverse, y)
+    left = y - np.einsum('ijk,ik->ij', design, parts)
+    scatter = np.sqrt((left**2).sum(axis=1) / max(1, cells - _DEGREE - 1))
+    bend = np.hypot(parts[:, 2], parts[:, 3])
+    seeming = np.sqrt((inverse[:, 2:] ** 2).sum(axis=(1, 2)))
+    return bend, _BENT * scatter * seeming + _BENT_AT_MOST * _SEED
 
 
 def _grown(time: Floats, angle: Floats, first: int, last: int) -> tuple[int, int, Plateau | None]:
