@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -104,7 +104,7 @@ def decode_setpoints(messages: Messages, malformed: Malformed | None = None) -> 
 
     A setpoint is repeated ten times a second with a new stamp: each content is decoded once.
     """
-    known: dict[tuple[bytes, bytes], Setpoint | str] = {}
+    known: dict[tuple[bytes, bytes], tuple[Any, ...] | str] = {}
     setpoints: list[Setpoint] = []
     for payload in messages.payloads():
         # The stamp is the only field that a repetition changes.
@@ -115,7 +115,7 @@ def decode_setpoints(messages: Messages, malformed: Malformed | None = None) -> 
         if isinstance(first, str):
             _leave_out(first, malformed)
         else:
-            setpoints.append(replace(first, stamp=LayoutReader(payload).stamp()))
+            setpoints.append(Setpoint(LayoutReader(payload).stamp(), *first))
     return [SetpointBlock(tuple(setpoints))] if setpoints else []
 
 
@@ -260,29 +260,28 @@ def _temperature_block(layout: Layout, rows: Bytes) -> TemperatureBlock:
     return TemperatureBlock(layout.stamps(rows), layout.column(rows, 'temperature')[:, 0])
 
 
-def _setpoint(payload: bytes) -> Setpoint | str:
-    """Decode one setpoint, or say what is wrong with it."""
+def _setpoint(payload: bytes) -> tuple[Any, ...] | str:
+    """Decode the fields of a setpoint that follow its stamp, or say what is wrong with it."""
     try:
         reader = LayoutReader(payload)
-        stamp = reader.stamp()
+        reader.stamp()
         reader.string()
         plan, step, position = reader.string(), int(reader.number('I')), reader.string()
-        setpoint = Setpoint(
-            stamp=stamp,
-            plan=plan,
-            step=step,
-            position=position,
-            mode=_mode(reader.number('B')),
-            joints=reader.strings(),
-            angles=reader.floats(),
-            rates=reader.floats(),
-            turns=float(reader.number('d')),
-            dwell=float(reader.number('d')),
+        content = (
+            plan,
+            step,
+            position,
+            _mode(reader.number('B')),
+            reader.strings(),
+            reader.floats(),
+            reader.floats(),
+            float(reader.number('d')),
+            float(reader.number('d')),
         )
         reader.finish()
     except CdrError as error:
         return str(error)
-    return setpoint
+    return content
 
 
 def _mode(value: int) -> Mode:

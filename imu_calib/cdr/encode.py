@@ -255,6 +255,8 @@ def encode_temperatures(
 def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
     """Encode imu_calib_msgs/TurntableSetpoint.
 
+    A setpoint is repeated ten times a second with a new stamp: each content is encoded once.
+
     Args:
         block: Setpoints to encode.
         frame_id: Frame of the header.
@@ -266,10 +268,25 @@ def encode_setpoints(block: SetpointBlock, frame_id: str = '') -> Messages:
         CdrError: A stamp does not fit the header.
 
     """
-    return Messages.join([_setpoint(setpoint, frame_id) for setpoint in block.setpoints])
+    known: dict[tuple[object, ...], _Template] = {}
+    payloads = []
+    for setpoint in block.setpoints:
+        content = _content(setpoint)
+        template = known.get(content)
+        if template is None:
+            template = known[content] = _setpoint(setpoint, frame_id)
+        payloads.append(template.repeat(np.array([setpoint.stamp], np.int64)).tobytes())
+    return Messages.join(payloads)
 
 
-def _setpoint(setpoint: Setpoint, frame_id: str) -> bytes:
+def _content(setpoint: Setpoint) -> tuple[object, ...]:
+    """Return what tells a setpoint from others but for its stamp; -0.0 is another number than 0."""
+    numbers = setpoint.angles, setpoint.rates, setpoint.turns, setpoint.dwell
+    words = setpoint.plan, setpoint.step, setpoint.position, setpoint.mode, setpoint.joints
+    return *words, repr(numbers)
+
+
+def _setpoint(setpoint: Setpoint, frame_id: str) -> _Template:
     template = _Template()
     template.string(frame_id)
     template.string(setpoint.plan)
@@ -281,5 +298,4 @@ def _setpoint(setpoint: Setpoint, frame_id: str) -> bytes:
     template.sequence(setpoint.rates)
     template.doubles([setpoint.turns])
     template.doubles([setpoint.dwell])
-    rows = template.repeat(np.array([setpoint.stamp], np.int64))
-    return rows.tobytes()
+    return template
