@@ -19,6 +19,7 @@ Source: methods.md, section 11 (weights from the data, drift within and between 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -123,7 +124,8 @@ class _Triad:
         project = np.zeros((rows + len(slopes), len(z)))
         project[:rows, : free.shape[1]] = back.T @ free[:rows]
         project[rows:, free.shape[1] :] = np.diag(1 / np.sqrt(self.slope_variances))
-        beforehand = project.T @ self.spread(self.stated_kernel()) @ project
+        stated, *beyond = self.kernels
+        beforehand = project.T @ stated @ project
         calm = volume + _likelihoods(beforehand, z, _SHARES)
         if self.stated > 0:
             root = np.linalg.cholesky(np.eye(len(z)) + beforehand)
@@ -133,10 +135,16 @@ class _Triad:
                 root, project.T, lower=True, check_finite=False
             ).T
         found = []
-        for time in _TIMES:
-            kernel = self.spread(self.wandering.kernel(time)) * self.typical
+        for kernel in beyond:
             found.append(volume + _likelihoods(project.T @ kernel @ project, z, _RATIOS))
         return calm, np.array(found)
+
+    @cached_property
+    def kernels(self) -> list[Floats]:
+        """Covariances of the rows: by the wandering stated, and by unit ratios of each time."""
+        stated = self.spread(self.stated_kernel())
+        beyond = [self.spread(self.wandering.kernel(time)) for time in _TIMES]
+        return [stated, *(kernel * self.typical for kernel in beyond)]
 
     def stated_kernel(self) -> Floats:
         """Return the covariance of means and slopes by the wandering that is stated."""
