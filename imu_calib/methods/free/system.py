@@ -118,13 +118,19 @@ class System:
         )
 
     def _level_rates(self, paths: Mapping[int, _Path], ups: Floats) -> list[Floats]:
-        """Return for each hold the (3, 2) level Earth rates that one unit of north stands for."""
+        """Return for each hold the (3, 2) level Earth rates that one unit of north stands for.
+
+        Turns lead what stands still among the stars. What stands still on the Earth goes round
+        with it: of that the vertical rate turns a level direction.
+        """
         size = self.site.north_rate / np.sqrt(2)
         found: list[Floats] = []
         for k, up in enumerate(ups):
             first = level_axes(up)[0]
             if k - 1 in paths:
-                first = paths[k - 1].whole @ found[-1][:, 0]
+                path = paths[k - 1]
+                first = path.whole @ found[-1][:, 0]
+                first = first + path.seconds * self.site.up_rate * np.cross(up, first)
                 first = first - up * (up @ first)
                 first = first / (np.linalg.norm(first) or 1.0)
             found.append(np.column_stack([first, np.cross(up, first)]))
@@ -173,19 +179,21 @@ class _Path:
         angles: (n, 3) turned in each interval, rad.
         whole: (3, 3) takes what stands still from its start to its end.
         carried: (n, 3, 3) takes an error of the outputs to its end.
+        seconds: How long it took.
 
     """
 
     angles: Floats
     whole: Floats
     carried: Floats
+    seconds: float
 
     @classmethod
     def of(cls, swing: Swing, model: SensorModel) -> _Path:
         inverse = np.linalg.inv(model.gyro.response)
         angles = (swing.increments - model.gyro.bias * swing.period) @ inverse.T
         whole, after = turned(angles)
-        return cls(angles, whole, after @ inverse)
+        return cls(angles, whole, after @ inverse, swing.seconds)
 
 
 def check_observable(system: System, model: SensorModel, ups: Floats) -> None:
