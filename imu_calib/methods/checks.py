@@ -248,8 +248,10 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     world = EARTH_RATE if channels.start == 0 else evidence.site.gravity
     variances = evidence.variances()[:, channels] + (evidence.positioning * world) ** 2
     if channels.start == 0 and evidence.plan.by_hand:
-        # In the hand every hold has a heading of its own.
-        level = 1 - evidence.attitudes()[:, 2] ** 2
+        # In the hand every hold has a heading of its own: a level rate of unknown direction, of
+        # which each channel sees what its input axis has of the level.
+        ups = evidence.attitudes()[:, 2]
+        level = (triad.response**2).sum(axis=1) - (ups @ triad.response.T) ** 2
         variances += level * evidence.site.north_rate**2 / 2
     variances = np.maximum(variances, SMALLEST_VARIANCE)
     inputs = np.einsum('ij,skj->sik', triad.response, evidence.attitudes())

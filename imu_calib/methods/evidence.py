@@ -62,9 +62,9 @@ class Evidence:
         return np.array([s.statistics.mean for s in self.segments]).reshape(-1, 6)
 
     def variances(self) -> Floats:
-        """Return the variances of the mean outputs at rest, (s, 6)."""
+        """Return the variances of the mean outputs at rest, (s, 6): no less than of rounding."""
         rows = [s.variance(self.walk, self.site.gravity) for s in self.segments]
-        return np.array(rows).reshape(-1, 6)
+        return np.maximum(np.array(rows).reshape(-1, 6), SMALLEST_VARIANCE)
 
     def attitudes(self) -> Floats:
         """Return R_nb of the stretches at rest, (s, 3, 3), in the frame of the table's azimuth."""
@@ -75,7 +75,7 @@ class Evidence:
 
         A position measured several times is averaged first, each time by its variance.
         """
-        precision = 1 / np.maximum(self.variances(), SMALLEST_VARIANCE)
+        precision = 1 / self.variances()
         names = [s.position for s in self.segments]
         total = np.array(
             [precision[[other == name for other in names]].sum(axis=0) for name in names]

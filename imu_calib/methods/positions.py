@@ -52,6 +52,7 @@ def solve_gyros(evidence: Evidence, bias: BiasEquation) -> tuple[Triad, Floats, 
     test = RateTest.of(evidence)
     triad, covariance, condition = _gyros(evidence, test, bias, test.outputs)
     for _ in range(_PASSES):
+        test = RateTest.of(evidence, triad.response)
         outputs = test.outputs - test.off_axis @ triad.response.T
         triad, covariance, condition = _gyros(evidence, test, bias, outputs)
     # All three scale factors share the error of the clocks' rate.

@@ -42,8 +42,12 @@ class RateTest:
     off_axis: Floats
 
     @classmethod
-    def of(cls, evidence: Evidence) -> RateTest:
+    def of(cls, evidence: Evidence, response: Floats | None = None) -> RateTest:
         """Collect the turns of a session.
+
+        Args:
+            evidence: The session.
+            response: (3, 3) of the gyros as far as it is known, for the variances.
 
         Raises:
             NotObservable: An axis about which nothing turned.
@@ -56,7 +60,7 @@ class RateTest:
             axes.append(axis)
             inputs.append(sign * (rate + evidence.site.up_rate))
             off.append((rate + evidence.site.up_rate) * (turn.up - sign * np.eye(3)[axis]))
-            variance = turn.variance(evidence.walk, evidence.site.north_rate)
+            variance = turn.variance(evidence.walk, evidence.site.north_rate, response)
             # An error of the encoder's rate shows in the channel that turns, and there alone.
             variance[axis] += (turn.rate_error * rate) ** 2
             variances.append(variance)

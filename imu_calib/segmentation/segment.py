@@ -131,16 +131,20 @@ class Turn:
     each: Floats | None = None
     level: float = 0.0
 
-    def variance(self, walk: Floats, north_rate: float) -> Floats:
+    def variance(self, walk: Floats, north_rate: float, response: Floats | None = None) -> Floats:
         """Return the variances of the gyros' means, (3,): noise, level Earth rate, error of `up`.
 
         Args:
             walk: (6,) random-walk coefficients.
             north_rate: Level Earth rate, rad/s; its direction is not used.
+            response: (3, 3) of the gyros: each sees what its input axis has of the level; that of
+                ideal ones if nobody knows.
 
         """
+        rows = np.eye(3) if response is None else response
+        level = (rows**2).sum(axis=1) - (rows @ self.up) ** 2
         across = (self.level * north_rate) ** 2 / 2 + (self.up_error * self.rate()) ** 2
-        return np.asarray(self.statistics.variance(walk)[:3] + across * (1 - self.up**2))
+        return np.asarray(self.statistics.variance(walk)[:3] + across * level)
 
     def rate(self, clock_rate: float = 0.0) -> float:
         """Return the rate about up, rad/s, per second of the IMU's clock.
