@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ..earth import EARTH_RATE
 from ..methods.equations import headings, whole
+from ..methods.evidence import SMALLEST_VARIANCE
 from ..model import AXES, Parameter, SensorModel, Triad
 from ..stream import Floats
 from ..turntable import rotation
@@ -29,7 +30,6 @@ from .observed import Observed
 
 _PASSES = 6
 _CONVERGED = 1e-3
-_SMALLEST = 1e-24
 _SAME_UP = 0.99
 
 
@@ -182,6 +182,38 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
+class Leaning:
+    """How far off the directions of up are that the accelerometers show.
+
+    Attributes:
+        columns: (s, 3, c) for errors of their parameters of one standard deviation.
+        noise: (s, 3, 3) covariances by their noise at each rest.
+
+    """
+
+    columns: Floats
+    noise: Floats
+
+    @classmethod
+    def of(cls, accelerometers: Sensors, factor: Floats, forces: Floats, noise: Floats) -> Leaning:
+        """Turn errors of the accelerometers into errors of up, to first order.
+
+        Args:
+            accelerometers: The triad.
+            factor: (12, c) of the covariance of its parameters.
+            forces: (s, 3) specific forces at rest in body axes.
+            noise: (s, 3) variances of the outputs.
+
+        """
+        inverse = np.linalg.inv(accelerometers.slopes(forces, forces))
+        size = np.linalg.norm(forces, axis=1)[:, None, None]
+        up = forces[:, :, None] / size
+        level = (np.eye(3) - up @ np.swapaxes(up, 1, 2)) @ inverse / size
+        columns = level @ accelerometers.jacobian(forces, forces) @ factor
+        return cls(columns, np.einsum('mij,mj,mkj->mik', level, noise, level))
+
+
+@dataclass(frozen=True, eq=False)
 class System:
     """The equations of one triad in one session.
 
@@ -193,6 +225,7 @@ class System:
         parameters: Of the triad.
         inflation: Factors on the noise of rests and of turns.
         wander: Standard deviation of the biases from rest to rest, rad/s or m/s^2.
+        leaning: Of up, where gyros are held against what the accelerometers show of it.
 
     """
 
@@ -203,6 +236,7 @@ class System:
     parameters: tuple[Parameter, ...]
     inflation: tuple[float, float] = (1.0, 1.0)
     wander: float = 0.0
+    leaning: Leaning | None = None
 
     def inflated(self, ratios: tuple[float, float]) -> System:
         """Return the system with its noise widened."""
@@ -234,7 +268,7 @@ class System:
         mine = slice(0, 3) if self.gyros else slice(3, 6)
         rests = np.array([r.variance[mine] for r in self.observed.rests]).reshape(-1, 3)
         noise = (rests * self.inflation[0] ** 2 + self.wander**2) * self.reading**2
-        return np.asarray(np.maximum(noise, _SMALLEST * self.magnitude**2))
+        return np.asarray(np.maximum(noise, SMALLEST_VARIANCE * max(1.0, self.magnitude) ** 2))
 
     @property
     def turn_variances(self) -> Floats:
@@ -243,19 +277,21 @@ class System:
         factor = (self.inflation[1] * self.reading) ** 2
         # Rounding is a share of the output: a turn's is that of its rate.
         rates = np.array([t.rate for t in self.observed.turns])[:, None]
-        return np.asarray(np.maximum(noise * factor, _SMALLEST * (EARTH_RATE + np.abs(rates)) ** 2))
+        least = SMALLEST_VARIANCE * np.maximum(1.0, np.abs(rates)) ** 2
+        return np.asarray(np.maximum(noise * factor, least))
 
-    def rows(self, sensors: Sensors, world: World, *, level_known: bool) -> Rows:
+    def rows(self, sensors: Sensors, world: World, step: Floats, *, level_known: bool) -> Rows:
         """Set the equations up around a model.
 
         Args:
             sensors: The model.
             world: The vector that is seen at rest.
+            step: (size, k) by which the model has been moved or, at first, may have to be.
             level_known: Whether the length of its level part is settled (gyros alone).
 
         """
         if not self.observed.with_attitudes:
-            return self._lengths(sensors)
+            return self._lengths(sensors, step)
         return self._outputs(sensors, world, level_known=level_known)
 
     def _outputs(self, sensors: Sensors, world: World, *, level_known: bool) -> Rows:
@@ -313,25 +349,34 @@ class System:
         east, north, _ = world.vector
         return np.array([[-north], [east], [0.0]])
 
-    def _lengths(self, sensors: Sensors) -> Rows:
+    def _lengths(self, sensors: Sensors, step: Floats) -> Rows:
         """Compare lengths, and what of the rate lies along gravity: no attitude is needed."""
         seen = sensors.compensate(self.outputs, self.forces)
         inverse = np.linalg.inv(sensors.slopes(seen, self.forces))
         jacobian = -inverse @ sensors.jacobian(seen, self.forces)
         noise = np.einsum('mij,mj,mkj->mik', inverse, self.variances, inverse)
         magnitude = self.magnitude
+        # What a step leaves to second order: the further it went, the less its end is the minimum.
+        bent = np.einsum('mip,pk->mik', jacobian, step)
+        bent = np.einsum('mik,mik->m', bent, bent) / magnitude
         # The mean of a squared length is the square of the mean and the noise.
         trace = np.trace(noise, axis1=1, axis2=2)
         excess = (np.einsum('mi,mi->m', seen, seen) - trace - magnitude**2) / (2 * magnitude)
         spread = 4 * np.einsum('mi,mij,mj->m', seen, noise, seen)
         spread += 2 * np.einsum('mij,mji->m', noise, noise)
-        residuals, sigmas = [-excess], [np.sqrt(spread) / (2 * magnitude)]
+        prior = np.zeros((len(seen) * (2 if self.gyros else 1), 0))
+        residuals, sigmas = [-excess], [np.hypot(np.sqrt(spread) / (2 * magnitude), bent)]
         jacobians = [np.einsum('mi,mip->mp', seen, jacobian) / magnitude]
         if self.gyros:
             up = self.forces / np.linalg.norm(self.forces, axis=1)[:, None]
             residuals.append(self.observed.site.up_rate - np.einsum('mi,mi->m', seen, up))
-            sigmas.append(np.sqrt(np.einsum('mi,mij,mj->m', up, noise, up)))
+            spread = np.einsum('mi,mij,mj->m', up, noise, up)
             jacobians.append(np.einsum('mi,mip->mp', up, jacobian))
+            if self.leaning is not None:
+                spread += np.einsum('mi,mij,mj->m', seen, self.leaning.noise, seen)
+                prior = np.einsum('mi,mic->mc', seen, self.leaning.columns)
+                prior = np.vstack([np.zeros_like(prior), prior])
+            sigmas.append(np.hypot(np.sqrt(spread), bent))
         count = sum(len(r) for r in residuals)
         return Rows(
             np.concatenate(residuals),
@@ -339,7 +384,7 @@ class System:
             np.concatenate(sigmas),
             np.vstack(jacobians),
             np.zeros((count, 0)),
-            np.zeros((count, 0)),
+            prior,
             np.zeros(count, dtype=bool),
         )
 
@@ -356,15 +401,20 @@ class System:
         mounted = np.zeros(3)
         world = self.world
         at_once = not self.gyros or self.observed.north_known or not self.observed.with_attitudes
-        before = np.inf
-        for attempt in range(_PASSES):
+        before, step = np.inf, factor
+        # Lengths are no straight lines: the noise is taken for what a step leaves to second order,
+        # until the steps are small.
+        approach = 0 if self.observed.with_attitudes else _PASSES
+        for attempt in range(approach + _PASSES):
             now = sensors.moved(delta)
             level_known = at_once or attempt > 0
-            rows = self.rows(now, world, level_known=level_known)
+            bent = step if attempt < approach else np.zeros_like(step)
+            rows = self.rows(now, world, bent, level_known=level_known)
             extra = rows.free
             if mount_free:
                 extra = np.hstack([extra, self._mount_columns(now, world, len(rows.residual))])
             solved = _Solved.of(rows, factor, extra, rows.residual + rows.jacobian @ delta)
+            step = (factor @ solved.scaled - delta)[:, None]
             delta = factor @ solved.scaled
             count = rows.free.shape[1]
             world = self._step(world, solved.free[:count], level_known=level_known)
@@ -372,7 +422,9 @@ class System:
                 mounted = mounted + solved.free[count:]
                 world = World(world.vector, _turned(mounted))
             # What is hopeless need not converge: it is told from what explains the session.
-            if attempt and abs(before - solved.square) < _CONVERGED * (1 + solved.square):
+            if attempt > approach and abs(before - solved.square) < _CONVERGED * (
+                1 + solved.square
+            ):
                 break
             before = solved.square
         rests = solved.ratio(~rows.turns)
@@ -392,7 +444,7 @@ class System:
         vector[:2] += change * self.magnitude
         if not level_known:
             level = float(np.hypot(vector[0], vector[1]))
-            vector[:2] *= self.observed.site.north_rate / max(level, _SMALLEST)
+            vector[:2] *= self.observed.site.north_rate / max(level, SMALLEST_VARIANCE)
         else:
             left = self.magnitude**2 - float(vector[:2] @ vector[:2])
             vector[2] = np.sqrt(max(left, 0.0))
@@ -425,25 +477,27 @@ class _Solved:
     @classmethod
     def of(cls, rows: Rows, factor: Floats, free: Floats, target: Floats) -> _Solved:
         known = np.hstack([rows.jacobian @ factor, rows.prior]) / rows.sigma[:, None]
-        free = free / rows.sigma[:, None]
-        size = np.linalg.norm(free, axis=0) if free.shape[1] else np.zeros(0)
-        size = np.where(size > 0, size, 1.0)
-        top = np.hstack([known, free / size])
+        top = np.hstack([known, free / rows.sigma[:, None]])
         below = np.eye(known.shape[1], top.shape[1])
+        # Each column to unit length: what is seen a billion times as sharply as the rest must not
+        # make the rest count as not seen.
+        size = np.linalg.norm(np.vstack([top, below]), axis=0)
+        size = np.where(size > 0, size, 1.0)
+        design = np.vstack([top, below]) / size
         wanted = np.concatenate([target / rows.sigma, np.zeros(len(below))])
-        u, s, vt = np.linalg.svd(np.vstack([top, below]), full_matrices=False)
+        u, s, vt = np.linalg.svd(design, full_matrices=False)
         good = s > s.max(initial=0.0) * 1e-13
         inverse = (vt[good].T / s[good]) @ u[:, good].T
         solution = inverse @ wanted
-        left = wanted - np.vstack([top, below]) @ solution
-        covariance = (vt[good].T / s[good] ** 2) @ vt[good]
-        k = factor.shape[1]
+        left = wanted - design @ solution
+        covariance = (vt[good].T / s[good] ** 2) @ vt[good] / np.outer(size, size)
+        k, n = factor.shape[1], known.shape[1]
         return cls(
             float(left @ left),
-            solution[:k],
-            solution[known.shape[1] :] / size,
+            solution[:k] / size[:k],
+            solution[n:] / size[n:],
             covariance[:k, :k],
-            int(np.linalg.matrix_rank(free / size)) if free.shape[1] else 0,
+            int(np.linalg.matrix_rank(top[:, n:] / size[n:])) if free.shape[1] else 0,
             left[: len(target)],
             np.einsum('ij,ij->i', u[: len(target), good], u[: len(target), good]),
         )

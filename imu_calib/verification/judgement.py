@@ -8,7 +8,7 @@ for a rejection, shared among all that is compared.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -22,7 +22,7 @@ from ..stream import Floats
 from ..units import DEG
 from .comparison import Compared, compare
 from .diagnosis import Diagnosis, diagnose, with_true_noise
-from .equations import Fit, Sensors, System, of_triad
+from .equations import Fit, Leaning, Sensors, System, of_triad
 from .observed import Observed
 
 DOUBT, REJECTION = 1e-2, 1e-6
@@ -162,6 +162,8 @@ class _Trial:
         )
         sensors = Sensors.of(calibration.model, calibration.parameters, gyros=gyros)
         factor = _factor(calibration, system)
+        if gyros and calibration.has_accelerometers and not observed.with_attitudes:
+            system = replace(system, leaning=_leaning(calibration, system))
         return cls(system, sensors, factor, system.fit(sensors, factor))
 
     @property
@@ -204,6 +206,19 @@ def _forces(calibration: Calibration, observed: Observed, reading: float) -> Flo
     return np.asarray(force * (observed.site.gravity / np.linalg.norm(force, axis=1))[:, None])
 
 
+def _leaning(calibration: Calibration, system: System) -> Leaning:
+    """Return how far off the directions of up are where they are those of the accelerometers."""
+    reading = system.observed.reading(calibration.imu)[1]
+    mine = of_triad(calibration.parameters, gyros=False)
+    beside = replace(system, gyros=False, reading=reading, parameters=mine)
+    return Leaning.of(
+        Sensors.of(calibration.model, calibration.parameters, gyros=False),
+        _factor(calibration, beside),
+        system.forces,
+        beside.variances,
+    )
+
+
 def _factor(calibration: Calibration, system: System) -> Floats:
     """Return a factor of the parameters' covariance, bias instability and gravity included."""
     mine = positions(system.parameters, calibration.parameters)
@@ -211,10 +226,12 @@ def _factor(calibration: Calibration, system: System) -> Floats:
     spec = system.observed.imu.gyro if system.gyros else system.observed.imu.accel
     bias = [k for k, p in enumerate(system.parameters) if p.kind is ParameterKind.BIAS]
     covariance[bias, bias] += spec.bias_instability**2
-    size = np.sqrt(np.diag(covariance))
-    size = np.where(size > 0, size, 1.0)
+    given = np.sqrt(np.diag(covariance))
+    size = np.where(given > 0, given, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+    # A matrix of 64-bit numbers holds its eigenvalues to so much: what is smaller is not zero.
+    rounding = len(values) * np.finfo(float).eps * values.max(initial=0.0)
+    return np.asarray(given[:, None] * vectors * np.sqrt(np.maximum(values, rounding)))
 
 
 def _with_both_gravities(calibration: Calibration, site: Site) -> Floats:
