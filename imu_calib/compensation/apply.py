@@ -95,8 +95,9 @@ class Compensation:
     The covariances add the calibration's own, propagated to first order at the rate and force of
     each sample, to the noise of one sample: N^2 / tau of the random walk N that the calibration
     measured, and of a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an
-    accumulating counter (methods.md, section 11); of an ADC's step q^2 / 12. By how much terms
-    that are not linear change the answers to these errors (their size next to one) is left out.
+    accumulating counter (methods.md, section 11); of an ADC's step q^2 / 12. Where terms are
+    not linear, rates and forces answer to these errors by their slopes at the sample; that errors
+    of forces get into rates through such terms is left out.
 
     Args:
         calibration: What to apply.
@@ -193,6 +194,8 @@ class Compensation:
         rate, force = both[:, :_AXES], both[:, _AXES:]
         covariance = _mix(self._terms(both, tau), self._covariance)
         rate_covariance, force_covariance = covariance[:, :9], covariance[:, 9:18]
+        if not self._model.linear:
+            rate_covariance, force_covariance = self._bent(both, covariance[:, :18])
         marks, parity = self._judge(raw, outputs, rate), None
         if not self._model.linear:
             marks |= ~np.isfinite(both).all(axis=1) * _BITS[Mark.NO_NUMBER]
@@ -205,6 +208,19 @@ class Compensation:
         if not self._known_force:
             force_covariance[:, 0] = -1.0
         return Compensated(rate, force, rate_covariance, force_covariance, marks, parity)
+
+    def _bent(self, both: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """Return covariances of rate and force as the terms' slopes at the samples change them."""
+        sound = np.isfinite(both).all(axis=1)
+        slopes = np.eye(6) + self._gain @ self._model.extra_slopes(both[sound])
+        result = []
+        for k, part in enumerate((slopes[:, :3, :3], slopes[:, 3:, 3:])):
+            answer = np.linalg.inv(part)
+            nine = covariance[:, 9 * k : 9 * k + 9].copy()
+            square = answer @ nine[sound].reshape(-1, 3, 3) @ np.swapaxes(answer, 1, 2)
+            nine[sound] = square.reshape(-1, 9)
+            result.append(nine)
+        return result[0], result[1]
 
     def _set_channels(self, specs: list[TriadSpec], bias: Floats) -> None:
         self._scale = np.array([spec.scale_factor for spec in specs])

@@ -22,6 +22,9 @@ _MIXED = 1e-4
 _MEANINGLESS = 0.1
 """Standard deviation of a scale factor or a misalignment (rad) that is of no use."""
 
+_USEFUL = 0.02
+"""Share of the largest coefficient of a term that any IMU may have: of ratios it leaves 0.1 %."""
+
 ALONG = 0.5
 _STRAY = 1e-3
 
@@ -112,8 +115,8 @@ def told(
 ) -> NDArray[np.bool_]:
     """Say of the parameters whether they are observed to any use.
 
-    A scale factor or a misalignment is of none that is known no better than to a tenth, a
-    coefficient of a term that is known no better than to what any IMU may have.
+    A scale factor or a misalignment is of none that is known no better than to a tenth, nor is a
+    coefficient of a term that is known no better than to a fiftieth of what any IMU may have.
     """
     deviations = _deviations(information, parameters)
     limits = np.array([_limit(p) for p in parameters])
@@ -124,7 +127,8 @@ def told(
 def _limit(parameter: Parameter) -> float:
     if parameter.kind is ParameterKind.BIAS:
         return np.inf
-    return parameter.unit.limit or _MEANINGLESS
+    limit = parameter.unit.limit
+    return _MEANINGLESS if limit is None else _USEFUL * limit
 
 
 def _deviations(information: Information, parameters: tuple[Parameter, ...]) -> Floats:

@@ -93,7 +93,7 @@ def with_true_noise(system: System) -> System:
     """Widen the noise to what the session scatters by, whatever the parameters.
 
     A session of few rests, or of lengths alone, cannot tell: the data sheet's bias instability
-    then counts.
+    then counts. What a term explains that the calibration does not have is no scatter.
 
     Raises:
         NotObservable: It scatters so much that no calibration can be judged by it.
@@ -106,7 +106,7 @@ def with_true_noise(system: System) -> System:
     if lengths_alone:
         return system
     for _ in range(2):
-        fit = new_parameters(system)
+        fit = _with_missing_terms(system)
         if scipy.special.chdtrc(max(fit.freedom, 1), fit.square) > _EXCESS:
             break
         system = system.inflated(fit.ratios)
@@ -119,6 +119,34 @@ def with_true_noise(system: System) -> System:
             'mounting or the description of the IMU are not those of the recording.'
         )
     return system
+
+
+def _with_missing_terms(system: System) -> Fit:
+    """Fit all parameters anew, with terms that the scatter calls for: they are no scatter.
+
+    A term is called for where chi-square falls by what scatter of the size that it leaves makes
+    of nothing once in a hundred thousand sessions (F test).
+    """
+    fit = new_parameters(system)
+    while scipy.special.chdtrc(max(fit.freedom, 1), fit.square) < _EXCESS:
+        tried = [
+            (new_parameters(larger), larger)
+            for term in TERMS
+            if _lacks(system, term)
+            for larger in [replace(system, parameters=(*system.parameters, *term.parameters))]
+        ]
+        if not tried:
+            break
+        best, larger = min(tried, key=lambda one: one[0].square)
+        count = len(larger.parameters) - len(system.parameters)
+        left = best.freedom - len(larger.parameters)
+        if left < 1:
+            break
+        ratio = (fit.square - best.square) / count / (best.square / left)
+        if scipy.special.fdtrc(count, left, ratio) > _EXPLAINED:
+            break
+        fit, system = best, larger
+    return fit
 
 
 def diagnose(system: System, sensors: Sensors, factor: Floats) -> Diagnosis:
