@@ -107,7 +107,7 @@ def with_true_noise(system: System) -> System:
         return system
     for _ in range(2):
         fit = _with_missing_terms(system)
-        if scipy.special.chdtrc(max(fit.freedom, 1), fit.square) > _EXCESS:
+        if not _scatters(fit):
             break
         system = system.inflated(fit.ratios)
     if system.gyros:
@@ -122,13 +122,13 @@ def with_true_noise(system: System) -> System:
 
 
 def _with_missing_terms(system: System) -> Fit:
-    """Fit all parameters anew, with terms that the scatter calls for: they are no scatter.
+    """Fit all parameters anew, with terms where they leave nothing but noise: they are no scatter.
 
-    A term is called for where chi-square falls by what scatter of the size that it leaves makes
-    of nothing once in a hundred thousand sessions (F test).
+    The next term is the one that explains most, and counts where chi-square falls by what scatter
+    of the size that it leaves makes of nothing once in a hundred thousand sessions (F test).
     """
-    fit = new_parameters(system)
-    while scipy.special.chdtrc(max(fit.freedom, 1), fit.square) < _EXCESS:
+    without = fit = new_parameters(system)
+    while _scatters(fit):
         tried = [
             (new_parameters(larger), larger)
             for term in TERMS
@@ -136,17 +136,22 @@ def _with_missing_terms(system: System) -> Fit:
             for larger in [replace(system, parameters=(*system.parameters, *term.parameters))]
         ]
         if not tried:
-            break
+            return without
         best, larger = min(tried, key=lambda one: one[0].square)
         count = len(larger.parameters) - len(system.parameters)
         left = best.freedom - len(larger.parameters)
-        if left < 1:
-            break
+        # A few rests fit many a term, whatever is wrong with them.
+        if left < 1 or best.spare < _ENOUGH:
+            return without
         ratio = (fit.square - best.square) / count / (best.square / left)
         if scipy.special.fdtrc(count, left, ratio) > _EXPLAINED:
-            break
+            return without
         fit, system = best, larger
     return fit
+
+
+def _scatters(fit: Fit) -> bool:
+    return bool(scipy.special.chdtrc(max(fit.freedom, 1), fit.square) < _EXCESS)
 
 
 def diagnose(system: System, sensors: Sensors, factor: Floats) -> Diagnosis:
