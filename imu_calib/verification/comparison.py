@@ -10,8 +10,9 @@ import numpy as np
 import scipy
 
 from ..earth import EARTH_RATE
+from ..methods.equations import whole
 from ..stream import Floats
-from .equations import Fit, Sensors, System
+from .equations import Fit, Sensors, System, turning_inputs
 
 
 class Quantity(Enum):
@@ -123,7 +124,12 @@ def _turns(system: System, sensors: Sensors, factor: Floats) -> Iterator[Compare
     if not seen.turns:
         return
     outputs = np.array([t.output for t in seen.turns]) * system.reading
-    forces = np.array([t.up for t in seen.turns]) * seen.site.gravity
+    ups, rates = np.array([t.up for t in seen.turns]), np.array([t.rate for t in seen.turns])
+    forces = ups * seen.site.gravity
+    along = ups * (rates + seen.site.up_rate)[:, None]
+    # What goes round with the unit leaves something in the mean of what is not linear.
+    meant = whole(sensors.predict(*turning_inputs(ups, rates, seen.site)))
+    outputs = outputs - (meant - sensors.predict(along, forces))
     rate, covariance = _compensated(sensors, factor, outputs, system.turn_variances, forces)
     for turn, w, c in zip(seen.turns, rate, covariance, strict=True):
         known = np.hypot(turn.rate_error * system.inflation[1], seen.clock_std) * turn.rate

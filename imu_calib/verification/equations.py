@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..earth import EARTH_RATE
+from ..earth import EARTH_RATE, Site
 from ..methods.equations import headings, whole
 from ..methods.evidence import SMALLEST_VARIANCE
 from ..model import AXES, Parameter, SensorModel, Triad
@@ -104,6 +104,20 @@ class Sensors:
     def _both(self, inputs: Floats, forces: Floats) -> tuple[Floats, Floats]:
         # What accelerometers answer does not depend on rates.
         return (inputs, forces) if self.gyros else (np.zeros_like(inputs), inputs)
+
+
+def turning_inputs(ups: Floats, rates: Floats, site: Site) -> tuple[Floats, Floats]:
+    """Return rates and specific forces at the headings of whole turns, (t, 8, 3) each.
+
+    Args:
+        ups: (t, 3) up in body axes.
+        rates: (t,) of the table about up, rad/s.
+        site: Earth rate and gravity.
+
+    """
+    turned = headings(ups)
+    spun = (ups * rates[:, None])[:, None]
+    return turned @ site.earth_rate + spun, turned @ site.specific_force
 
 
 def of_triad(parameters: tuple[Parameter, ...], *, gyros: bool) -> tuple[Parameter, ...]:
@@ -309,8 +323,7 @@ class System:
             rates = np.array([t.rate for t in seen.turns])
             errors = np.array([t.rate_error for t in seen.turns]) * rates * self.inflation[1]
             along = (up @ sensors.triad.response.T * errors[:, None]) ** 2
-            turned, spun = headings(up), (up * rates[:, None])[:, None]
-            turning = turned @ seen.site.earth_rate + spun, turned @ seen.site.specific_force
+            turning = turning_inputs(up, rates, seen.site)
             predicted = np.vstack([predicted, whole(sensors.predict(*turning))])
             jacobian = np.vstack([jacobian, whole(sensors.jacobian(*turning))])
             inputs = np.vstack([inputs, up * (rates + seen.site.up_rate)[:, None]])
