@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -63,8 +64,14 @@ class Section:
         """Return the value as YAML gives it."""
         self._known.append(name)
         if self._data.get(name) is None:
-            raise InputError(f'{self.where}: the key {name!r} is missing.')
+            raise InputError(f'{self.where}: the key {name!r} is missing{self._instead(name)}')
         return self._data[name]
+
+    def _instead(self, name: str) -> str:
+        """End a sentence on a missing key: with one that may be it, if there is one."""
+        others = [key for key in self._data if key not in self._known]
+        alike = get_close_matches(name, others, n=1)
+        return f'; is {alike[0]!r} a misspelling of it?' if alike else '.'
 
     def text(self, name: str, default: str | None = None) -> str:
         """Return a string (numbers count as their text)."""
@@ -123,8 +130,12 @@ class Section:
         """
         unknown = sorted(set(self._data) - set(self._known))
         if unknown:
-            known = ', '.join(sorted(set(self._known)))
-            raise InputError(f'{self.where}: unknown key {unknown[0]!r}; known are {known}.')
+            known = sorted(set(self._known))
+            alike = get_close_matches(unknown[0], [k for k in known if k not in self._data], n=1)
+            meant = f' Is {alike[0]!r} meant?' if alike else ''
+            raise InputError(
+                f'{self.where}: unknown key {unknown[0]!r}; known are {", ".join(known)}.{meant}'
+            )
 
 
 def _kind(value: object) -> str:

@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import sqlite3
+import struct
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -323,6 +324,24 @@ def test_an_mcap_cut_early(cli: CommandLine, recorded: Path, tmp_path: Path) -> 
     sentence = 'No position turns Y.*Missing .* position 5, 6, 7, .*bag_0.mcap is cut off at byte'
     cli.refuses(1, sentence, bag)
     cli.refuses(1, sentence, storage(bag))
+
+
+def test_messages_of_what_was_cut_off_are_counted(
+    cli: CommandLine, recorded: Path, tmp_path: Path
+) -> None:
+    whole = storage(recorded).read_bytes()
+    # The footer says where the summary begins: without it all messages are there, uncounted.
+    (summary,) = struct.unpack('<Q', whole[-28:-20])
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(whole[:summary])
+
+    def shown(bag: Path) -> list[list[str]]:
+        code, text = cli('info', bag)
+        assert code == 0
+        return [row.split()[:3] for row in text.splitlines() if row.startswith('/')]
+
+    assert all(int(count) > 0 for _, _, count in shown(recorded))
+    assert shown(cut) == shown(recorded)
 
 
 def test_an_mcap_cut_late(cli: CommandLine, recorded: Path, tmp_path: Path) -> None:

@@ -274,6 +274,21 @@ def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['plans', '--reach', 'D_gx=0.1 deg/h']) == 2
 
 
+@pytest.mark.parametrize(
+    'option', [['--method', 'joint'], ['--bias-instability'], ['--azimuth', '0']]
+)
+@pytest.mark.parametrize('plan', [[], ['six_position']])
+def test_what_counts_in_a_prediction_is_refused_without_one(
+    capsys: pytest.CaptureFixture[str], option: list[str], plan: list[str]
+) -> None:
+    assert main(['plans', *plan]) == 0
+    capsys.readouterr()
+    assert main(['plans', *plan, *option]) == 2
+    said = capsys.readouterr()
+    assert f'{option[0]} counts in what is predicted' in said.err
+    assert not said.out
+
+
 def test_the_optimised_plan_gains_what_its_page_says() -> None:
     table = load_table('three_axis')
     plain, best = load_plan('twelve_position'), load_plan('optimised_twelve')

@@ -45,7 +45,10 @@ def test_a_misspelt_key_is_named() -> None:
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        ('units: si', "the key 'id' is missing"),
+        ('units: si', r"the key 'id' is missing\.$"),
+        ('id: a\nunit: si', "'units' is missing; is 'unit' a misspelling of it"),
+        ('id: a\nunits: si\nsample_rat: 1 Hz', r"'sample_rat'; known .*\. Is 'sample_rate' meant"),
+        ('id: a\nunits: si\ncolour: red', r"unknown key 'colour'; known are [^?]*\.$"),
         ('id: a\nunits: volts', "found 'volts', expected one of pulses, counts, si"),
         ('id: a\nunits: pulses\ngyro: {}\naccelerometer: {}', "'scale_factor' is missing"),
         (

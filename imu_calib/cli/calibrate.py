@@ -10,6 +10,7 @@ from typing import Any
 from ..bags import Recording, open_recording
 from ..calibration import Calibration
 from ..calibrator import Result, Setup
+from ..earth import MEASURED
 from ..errors import NotObservable
 from ..methods import METHODS
 from ..methods.free.session import calibrator_of
@@ -131,7 +132,7 @@ def show(result: Result, truth: Calibration | None = None) -> None:
             'ug over 1000 s or so (data sheet, and what the session shows)'
         )
     OUTPUT.print(
-        f'gravity {setup["gravity"]:.6f} m/s^2 ({setup["gravity_source"]}), {_doubt(setup)}; '
+        f'gravity {setup["gravity"]:.6f} m/s^2 ({_source(setup)}), {_doubt(setup)}; '
         f'latitude {setup["latitude_deg"]:.3f} deg'
     )
     if session.temperature is not None:
@@ -153,6 +154,14 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     for line in noise_lines(result.calibration):
         OUTPUT.print(line, markup=False)
     sentence_list('Worth knowing', result.calibration.findings)
+
+
+def _source(provenance: Mapping[str, Any]) -> str:
+    """Say where gravity comes from, and that a height does not count beside a measurement."""
+    source, height = str(provenance['gravity_source']), provenance['height']
+    if source != MEASURED or height is None or provenance['height_assumed']:
+        return source
+    return f'{source}; the height of {height:g} m does not count beside it'
 
 
 def _doubt(provenance: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ import argparse
 
 from rich.table import Table as Rows
 
-from ..bags import open_recording
+from ..bags import Recording, open_recording
 from ..calibrator import Calibrator, Setup
 from ..errors import ImuCalibError, NotObservable
 from ..methods.equations import Equations
@@ -47,11 +47,11 @@ def run(arguments: argparse.Namespace) -> None:
         seconds = 0.0
         if recording.start_ns is not None and recording.end_ns is not None:
             seconds = (recording.end_ns - recording.start_ns) * 1e-9
+        counts = _counts(recording)
         for topic in recording.topics:
-            rate = f'{topic.count / seconds:.1f}' if topic.count and seconds > 0 else '-'
-            rows.add_row(
-                topic.name, topic.type, str(topic.count if topic.count is not None else '?'), rate
-            )
+            count = counts[topic.name]
+            rate = f'{count / seconds:.1f}' if count and seconds > 0 else '-'
+            rows.add_row(topic.name, topic.type, str(count), rate)
         OUTPUT.print(rows)
         OUTPUT.print(f'\n{seconds:.1f} s, {len(recording.files)} file(s)')
         if (by := recording.custom_data.get(COMPENSATED)) is not None:
@@ -65,6 +65,21 @@ def run(arguments: argparse.Namespace) -> None:
         session = _segment(offline)
     _show_segments(session, offline.setup)
     sentence_list('Lost', [*offline.recording.losses, *session.losses])
+
+
+def _counts(recording: Recording) -> Counter[str]:
+    """Return how many messages each topic has: as the recording says, else by counting them.
+
+    What was cut off has no summary, which its recorder would have written at the end.
+    """
+    counts = Counter({t.name: t.count for t in recording.topics if t.count is not None})
+    if len(counts) == len(recording.topics):
+        return counts
+    counts.clear()
+    with progress_bar('counting') as show:
+        for topic, messages, _ in recording.messages(show):
+            counts[topic.name] += len(messages)
+    return counts
 
 
 def _segment(offline: Offline) -> Segmented:

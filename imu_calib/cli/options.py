@@ -59,7 +59,8 @@ def add_site_options(parser: argparse.ArgumentParser) -> None:
         '--height',
         type=float,
         metavar='M',
-        help=f'metres above the ellipsoid (default: 0, in doubt by {HEIGHT_STD:g} m)',
+        help=f'metres above the ellipsoid (default: 0, in doubt by {HEIGHT_STD:g} m); it says what '
+        'gravity is, and does not count beside --gravity',
     )
     parser.add_argument(
         '--height-std',

@@ -26,6 +26,17 @@ from ..units import DEG, PPM, parse
 from . import options
 from .terminal import OUTPUT
 
+_OF_A_PREDICTION = (
+    'method',
+    'terms',
+    'azimuth',
+    'bias_instability',
+    'latitude',
+    'height',
+    'height_std',
+    'gravity',
+    'gravity_std',
+)
 _ON_A_TABLE = (
     'Predicted standard deviations: by the method named, and the least that the session '
     'allows (Fisher information; azimuth and tilts unknown), which the joint estimate reaches.'
@@ -81,11 +92,24 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.plan is None:
         if arguments.imu is not None:
             raise InputError('--imu predicts what one plan gives: name the plan.')
+        _refuse_without_imu(arguments)
         _list_plans(table)
     elif arguments.imu is None:
+        _refuse_without_imu(arguments)
         _lay_out(load_plan(arguments.plan), table)
     else:
         _predict(arguments, table)
+
+
+def _refuse_without_imu(arguments: argparse.Namespace) -> None:
+    """Refuse what would count in a prediction where none is asked for."""
+    stated = {name: getattr(arguments, name) for name in _OF_A_PREDICTION}
+    given = [name for name, value in stated.items() if value is not None and value is not False]
+    if given:
+        option = f'--{given[0].replace("_", "-")}'
+        raise InputError(
+            f'{option} counts in what is predicted of a plan: give PLAN and --imu, too.'
+        )
 
 
 def _predict(arguments: argparse.Namespace, table: Table) -> None:
