@@ -330,10 +330,11 @@ def test_messages_of_what_was_cut_off_are_counted(
     cli: CommandLine, recorded: Path, tmp_path: Path
 ) -> None:
     whole = storage(recorded).read_bytes()
-    # The footer says where the summary begins: without it all messages are there, uncounted.
+    # The footer says where the summary begins. Before it are 13 bytes that end the data and the
+    # index of the last chunk: without them all messages are there, uncounted.
     (summary,) = struct.unpack('<Q', whole[-28:-20])
     cut = tmp_path / 'cut.mcap'
-    cut.write_bytes(whole[:summary])
+    cut.write_bytes(whole[: summary - 20])
 
     def shown(bag: Path) -> list[list[str]]:
         code, text = cli('info', bag)
