@@ -616,7 +616,7 @@ def turn_by_40_deg(gyro: Floats, accel: Floats) -> None:
     [
         (swap, 'axes of the gyros are mirrored .*: x answers to Y, y answers to X'),
         (swap_accelerometers, 'axes of the accelerometers are swapped .*: x answers to Y, y ans'),
-        (mirror, 'axes of the gyros are mirrored against the plan: z answers to -Z'),
+        (mirror, 'axes of the gyros are mirrored against the attitudes: z answers to -Z'),
         (turn_by_40_deg, r'axes of the gyros are turned .*\[\[0.77, 0.64'),
     ],
 )

@@ -218,6 +218,14 @@ def test_a_rest_out_of_the_mount_is_left_out() -> None:
     assert np.abs(errors(result)).max() < 4.5
 
 
+def test_another_mount_than_the_table_states_is_refused() -> None:
+    """All accelerometers contradict the encoders, and the gyros too: it is the description."""
+    turned = replace(TABLE, mount=np.roll(np.eye(3), 1, axis=0))
+    blocks = recorded(program(random_angles(), (0, 1, 2)), seed=2)
+    with pytest.raises(NotObservable, match='axes of the gyros are swapped against the attitudes'):
+        calibrate(blocks, UNPLANNED, table=turned)
+
+
 @pytest.mark.parametrize('method', ['twelve_position', 'skewed', 'free_positions'])
 def test_a_method_of_a_plan_is_refused_without_one(method: str) -> None:
     with pytest.raises(InputError, match=f'Method {method} needs the plan .* joint, joint_33'):

@@ -119,8 +119,9 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     session, solution, setup = result.session, result.solution, result.calibration.provenance
     clock = session.clock
     OUTPUT.print(parameter_table(result.calibration, truth))
+    without = '' if setup['plan'] else ' without a plan'
     OUTPUT.print(
-        f'\n{setup["method"]}: {setup["segments"]} stretches at rest, {setup["turns"]} turns, '
+        f'\n{setup["method"]}{without}: {setup["segments"]} stretches at rest, {setup["turns"]} turns, '
         f'{session.samples} samples in {session.duration:.0f} s'
     )
     if result.comparison is not None:

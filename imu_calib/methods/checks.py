@@ -233,7 +233,7 @@ def check_axes(response: Floats, name: str, what: str) -> None:
     if not words:
         kind, words = 'turned', [f'{name} answer by {np.round(response, 2).tolist()}']
     raise Contradiction(
-        f'The axes of the {name} are {kind} against the plan: {", ".join(words)}. Give the '
+        f'The axes of the {name} are {kind} against the attitudes: {", ".join(words)}. Give the '
         "mounting in the table's YAML, or correct the driver."
     )
 
