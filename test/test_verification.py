@@ -58,7 +58,7 @@ def observed(seed: int = 0) -> Observed:
 
 @cache
 def by_the_imu_alone() -> Observed:
-    return observe(segmented(2, None), paper_imu(), SITE, None, None)
+    return observe(segmented(2, None), paper_imu(), SITE, UNPLANNED, None)
 
 
 def symptom(verification: Verification, *, gyros: bool) -> str:
