@@ -19,6 +19,7 @@ from imu_calib.cli.simulate import serialised
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
 from imu_calib.model import Triad
+from imu_calib.plan import UNPLANNED
 from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.segmentation.session import Segmented
 from imu_calib.session import describe
