@@ -121,8 +121,8 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     OUTPUT.print(parameter_table(result.calibration, truth))
     without = '' if setup['plan'] else ' without a plan'
     OUTPUT.print(
-        f'\n{setup["method"]}{without}: {setup["segments"]} stretches at rest, {setup["turns"]} turns, '
-        f'{session.samples} samples in {session.duration:.0f} s'
+        f'\n{setup["method"]}{without}: {setup["segments"]} stretches at rest, '
+        f'{setup["turns"]} turns, {session.samples} samples in {session.duration:.0f} s'
     )
     if result.comparison is not None:
         OUTPUT.print(result.comparison.sentence(), markup=False)
