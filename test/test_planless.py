@@ -22,7 +22,7 @@ from imu_calib.plan import UNPLANNED, Plan, Position, RateTest, load_plan
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.labelling import label
 from imu_calib.segmentation.naming import attitude_words, heading, unique, up_words
-from imu_calib.segmentation.segment import Segment
+from imu_calib.segmentation.segment import Segment, Turn
 from imu_calib.segmentation.session import Segmented
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, ImuBlock, SetpointBlock
@@ -264,6 +264,18 @@ def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
     assert 'Missing from the recording: position 10.' in findings
     assert 'joint outer stands -2 deg off its setpoint of position 10' in findings
     assert np.abs(errors(result)).max() < 4.5
+
+
+def test_turns_that_come_again_are_numbered() -> None:
+    """At one rate about one axis; those at another rate, or in the other sense, are told by it."""
+    angles = (TURN, -TURN, TURN, 2 * TURN)
+    turns = tuple(
+        Turn(k * 10**12, k * 10**12 + 1, mean_of(np.zeros(6)), angle, 36.0, np.array([0.0, 0, 1]))
+        for k, angle in enumerate(angles)
+    )
+    found = Segmented((), turns, (), (), (), (), (), fit_clock([]), 1, 1.0, 0)
+    names = [t.position for t in label(found, UNPLANNED, TABLE).turns]
+    assert names == ['Z up', 'Z up', 'Z up (2)', 'Z up']
 
 
 @pytest.mark.parametrize(
