@@ -64,6 +64,26 @@ def test_a_stream_without_noise_is_verified_in_fast_turns() -> None:
     assert verify(found('twelve_position'), observed).verdict is Verdict.PASS
 
 
+def test_clocks_that_many_turns_compare_explain_what_they_differ_by() -> None:
+    """What turns say of the clocks is not lost beside rests that are known a million times better."""
+    plan, table = quick_plan('twelve_position', 12.0), load_table('three_axis')
+    many = RateTest((150 * DEG, -150 * DEG), turns=20)
+    plan = replace(
+        plan,
+        positions=tuple(
+            replace(p, rate_test=many if p.rate_test else None) for p in plan.positions
+        ),
+    )
+    options = stand(sample_rate=50.0)
+    first = calibrate(session(plan, options, seed=1, spec=SPEC), plan, spec=SPEC).calibration
+    segmenter = Segmenter(SPEC, table)
+    for _, block in session(plan, options, seed=2, spec=SPEC):
+        segmenter.feed(block)
+    verification = verify(first, observe(segmenter.finish(), SPEC, SITE, plan, table))
+    assert verification.verdict is Verdict.PASS
+    assert not verification.findings
+
+
 def test_kalibr_is_not_given_the_rounding_of_numbers_as_a_density_of_noise() -> None:
     made = found('twelve_position')
     calibration = replace(made, provenance={**made.provenance, 'random_walk': [1e-16] * 6})

@@ -282,6 +282,7 @@ class System:
         mine = slice(0, 3) if self.gyros else slice(3, 6)
         rests = np.array([r.variance[mine] for r in self.observed.rests]).reshape(-1, 3)
         noise = (rests * self.inflation[0] ** 2 + self.wander**2) * self.reading**2
+        # Known a billion times better than turns, rests would leave what turns say to rounding.
         return np.asarray(np.maximum(noise, SMALLEST_VARIANCE * max(1.0, self.magnitude) ** 2))
 
     @property
@@ -490,27 +491,25 @@ class _Solved:
     @classmethod
     def of(cls, rows: Rows, factor: Floats, free: Floats, target: Floats) -> _Solved:
         known = np.hstack([rows.jacobian @ factor, rows.prior]) / rows.sigma[:, None]
-        top = np.hstack([known, free / rows.sigma[:, None]])
-        below = np.eye(known.shape[1], top.shape[1])
-        # Each column to unit length: what is seen a billion times as sharply as the rest must not
-        # make the rest count as not seen.
-        size = np.linalg.norm(np.vstack([top, below]), axis=0)
+        free = free / rows.sigma[:, None]
+        size = np.linalg.norm(free, axis=0) if free.shape[1] else np.zeros(0)
         size = np.where(size > 0, size, 1.0)
-        design = np.vstack([top, below]) / size
+        top = np.hstack([known, free / size])
+        below = np.eye(known.shape[1], top.shape[1])
         wanted = np.concatenate([target / rows.sigma, np.zeros(len(below))])
-        u, s, vt = np.linalg.svd(design, full_matrices=False)
+        u, s, vt = np.linalg.svd(np.vstack([top, below]), full_matrices=False)
         good = s > s.max(initial=0.0) * 1e-13
         inverse = (vt[good].T / s[good]) @ u[:, good].T
         solution = inverse @ wanted
-        left = wanted - design @ solution
-        covariance = (vt[good].T / s[good] ** 2) @ vt[good] / np.outer(size, size)
-        k, n = factor.shape[1], known.shape[1]
+        left = wanted - np.vstack([top, below]) @ solution
+        covariance = (vt[good].T / s[good] ** 2) @ vt[good]
+        k = factor.shape[1]
         return cls(
             float(left @ left),
-            solution[:k] / size[:k],
-            solution[n:] / size[n:],
+            solution[:k],
+            solution[known.shape[1] :] / size,
             covariance[:k, :k],
-            int(np.linalg.matrix_rank(top[:, n:] / size[n:])) if free.shape[1] else 0,
+            int(np.linalg.matrix_rank(free / size)) if free.shape[1] else 0,
             left[: len(target)],
             np.einsum('ij,ij->i', u[: len(target), good], u[: len(target), good]),
         )

@@ -101,7 +101,7 @@ class System:
             own = slice(2 * int(runs[second]), 2 * int(runs[second]) + 2)
             block, unmoved = self._swing(swing, paths[swing.first], ups)
             # Up itself goes round with the Earth: d up / dt = (Earth rate) x up in axes at rest.
-            moved = np.cross(level[second].T, ups[second]).T * swing.seconds
+            moved = -_cross(ups[second]) @ level[second] * swing.seconds
             block[:, len(PARAMETERS) : end][:, own] = level_axes(ups[second]) @ moved
             rest = unmoved - level_axes(ups[second]) @ moved @ north[own]
             spread = np.sqrt(swing.variance) * self.scatter[2]
@@ -130,10 +130,10 @@ class System:
             if k - 1 in paths:
                 path = paths[k - 1]
                 first = path.whole @ found[-1][:, 0]
-                first = first + path.seconds * self.site.up_rate * np.cross(up, first)
+                first = first + path.seconds * self.site.up_rate * _cross(up) @ first
                 first = first - up * (up @ first)
                 first = first / (np.linalg.norm(first) or 1.0)
-            found.append(np.column_stack([first, np.cross(up, first)]))
+            found.append(np.column_stack([first, _cross(up) @ first]))
         return [size * axes for axes in found]
 
     def _hold(
@@ -160,7 +160,7 @@ class System:
         led = path.whole @ ups[first]
         level = level_axes(ups[second])
         # An angle too much in interval i turns the vector at the end by after_i times it, backward.
-        by_angle = np.cross(level, led)
+        by_angle = level @ _cross(led)
         start, size = self.size
         block = np.zeros((2, size))
         block[:, :12] = by_angle @ _leaning(path.angles, path.carried, swing.period)
@@ -255,7 +255,13 @@ def _leaning(angles: Floats, carried: Floats, period: float) -> Floats:
 
 def level_axes(up: Floats) -> Floats:
     """Return two unit vectors (2, 3) at right angles to `up`, right-handed with it."""
-    other = np.eye(3)[int(np.argmin(np.abs(up)))]
-    first = np.cross(up, other)
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(up, first)])
+    cross = _cross(up)
+    first = cross[:, int(np.argmin(np.abs(up)))]
+    first = first / np.linalg.norm(first)
+    return np.array([first, cross @ first])
+
+
+def _cross(vector: Floats) -> Floats:
+    """Return the (3, 3) matrix that takes a vector to its cross product with (3,) `vector`."""
+    x, y, z = vector.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
