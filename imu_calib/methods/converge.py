@@ -39,6 +39,11 @@ _DAMPING = 1e-3
 """The first damping, and the least: next to columns of norm one it takes a thousandth off a step
 that is well determined (Marquardt's lambda)."""
 
+_NOTHING = 1e-4
+"""Of chi-square, by which the least damped step lowers it where the full one before led uphill: what
+is well determined has arrived, and what is not is more curved than its derivatives say. A
+hundredth of what `_SLIGHT` lets pass."""
+
 _STRONGER, _WEAKER = 10.0, 0.1
 """Factors of the damping after a step uphill and one that was taken (Marquardt's nu = 10)."""
 
@@ -60,7 +65,8 @@ def least_squares(
     end, would grow by more than one and a thousandth, which weights that follow the state do not
     make of it. Then it is damped until it does not. It ends where a step would move the prediction
     by less than a billionth of its standard deviation, or than its rounding, or where small steps
-    do not become smaller or lead uphill.
+    do not become smaller or lead uphill, or where a full step leads uphill and the least damped one
+    gains nothing.
 
     Args:
         state: Where to start.
@@ -85,6 +91,8 @@ def least_squares(
             return tried
         before = change
         ahead = system(tried)
+        if damping == _DAMPING and 0 <= _square(left) - _square(ahead[1]) < _NOTHING:
+            return tried
         if _square(ahead[1]) <= _square(left) * (1 + _UPHILL) + 1:
             state, (jacobian, left) = tried, ahead
             damping = damping * _WEAKER if damping * _WEAKER >= _DAMPING else 0.0
