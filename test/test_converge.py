@@ -67,6 +67,16 @@ def test_rounding_that_keeps_steps_from_becoming_smaller_is_no_refusal() -> None
     assert found[0] == pytest.approx(0.0, abs=3e-9)
 
 
+def test_a_weak_direction_more_curved_than_its_derivative_says_is_no_refusal() -> None:
+    # The full step lowers chi-square by 0.137^2 if one believes its derivatives, and raises it.
+    def curved(state: Floats) -> tuple[Floats, Floats]:
+        x, y = state
+        return np.array([[1e3, 1e3], [0.0, 1.0]]), -np.array([1e3 * (x + y), 0.137 + 5e3 * y**2])
+
+    found = least_squares(np.array([1e-6, 0.0]), curved, np.add, 30)
+    assert found == pytest.approx(np.zeros(2), abs=1e-3)
+
+
 def test_steps_that_shrink_slowly_and_matter_are_refused() -> None:
     # x^4 for zero: each step takes a quarter off, and thirty of them leave 0.2 deviations a step.
     def flat(state: Floats) -> tuple[Floats, Floats]:

@@ -42,7 +42,7 @@ from imu_calib.stream import Floats, Units
 
 CONFIG = share_folder() / 'config'
 DWELL, ALONE = 12.0, 200.0
-RATES = '[180 deg/s, -180 deg/s]'
+RATES = '[90 deg/s, -90 deg/s]'
 HIGHEST = 50.0
 GRAVITY = 9.797
 PLACE = ['--latitude', '34.65', '--gravity', repr(GRAVITY)]

@@ -91,8 +91,9 @@ def least_squares(
             return tried
         before = change
         ahead = system(tried)
-        if damping == _DAMPING and 0 <= _square(left) - _square(ahead[1]) < _NOTHING:
-            return tried
+        gained = _square(left) - _square(ahead[1])
+        if damping == _DAMPING and abs(gained) < _NOTHING:
+            return tried if gained > 0 else state
         if _square(ahead[1]) <= _square(left) * (1 + _UPHILL) + 1:
             state, (jacobian, left) = tried, ahead
             damping = damping * _WEAKER if damping * _WEAKER >= _DAMPING else 0.0
