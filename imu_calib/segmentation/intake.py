@@ -38,6 +38,7 @@ class Intake:
         self._table = table
         self._imu_order, self._skew_order = StampOrder(6), StampOrder(6)
         self._joint_order = StampOrder(len(table.names) if table else 0)
+        self._newest: tuple[Stamps, Floats] | None = None
         self._dropped: dict[str, tuple[int, int]] = {}
         self._of_the_table = 0
         self._strange: dict[str, int] = {}
@@ -56,7 +57,8 @@ class Intake:
         self.samples += len(stamp)
         values = np.hstack([block.gyro, block.accel])
         what = 'values that are no numbers (NaN or infinite)'
-        self._add_imu(self._imu_order.take(*self._finite(what, stamp, values)))
+        rows = self._once(*self._finite(what, stamp, values))
+        self._add_imu(self._imu_order.take(*rows))
 
     def take_skew(self, block: SkewBlock) -> None:
         """Take the skewed gyro's samples in."""
@@ -166,6 +168,20 @@ class Intake:
             return stamp, values
         self._note(what, stamp[~mask])
         return stamp[mask], values[mask]
+
+    def _once(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+        """Drop the rows that are the one before once more, stamp and all."""
+        if not len(stamp):
+            return stamp, values
+        last = (stamp[:1] - 1, values[:1]) if self._newest is None else self._newest
+        again = (np.diff(stamp, prepend=last[0]) == 0) & (
+            values == np.vstack([last[1], values[:-1]])
+        ).all(axis=1)
+        self._newest = stamp[-1:].copy(), values[-1:].copy()
+        if not again.any():
+            return stamp, values
+        self._note('having come twice', stamp[again])
+        return stamp[~again], values[~again]
 
     def _note(self, what: str, lost: Stamps) -> None:
         if len(lost):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
 from .cleaning import Sound, find_step, sound_part
+from .frozen import repeated
 from .segment import Segment, Statistics
 from .sensor import Sensor
 from .session import Rejected, Slip
@@ -18,7 +21,7 @@ _MOSTLY = 0.5
 
 def read_rest(
     sensor: Sensor,
-    stamp: Stamps,
+    samples: Samples,
     values: Floats,
     angles: Floats | None,
     attitude: Floats | None,
@@ -31,8 +34,8 @@ def read_rest(
 
     Args:
         sensor: The IMU.
-        stamp: (n,) ns.
-        values: (n, 6) as delivered.
+        samples: Of the stretch.
+        values: (n, 6) as delivered; NaN where samples were lost and are read from those around.
         angles: Joint angles during the stretch, rad; None without a table.
         attitude: (3, 3) R_nb by them; None without a table.
         attitude_error: Standard deviation of the attitude by the encoders' noise, rad.
@@ -41,9 +44,16 @@ def read_rest(
         In order of time; nothing where it was too short to tell.
 
     """
+    stamp = samples.stamp
     if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_REST:
         return []
-    samples = sensor.samples(stamp, values)
+    frozen = repeated(values, counted=sensor.counted)
+    if frozen.any():
+        seconds = frozen.sum() * samples.period
+        note = f'its samples are frozen for {seconds:.1f} s, repeating one; left out'
+        kept = samples.at(~frozen), values[~frozen]
+        rest = read_rest(sensor, *kept, angles, attitude, attitude_error)
+        return [_with_note(note, thing) for thing in rest]
     saturated = sensor.saturated(values, samples)
     if saturated.mean() > _MOSTLY:
         return [Rejected(int(stamp[0]), int(stamp[-1]), 'the sensor is saturated')]
@@ -51,9 +61,18 @@ def read_rest(
     if sound.knock is not None and angles is not None:
         start, stop = sound.knock.start, sound.knock.stop
         return [
-            *read_rest(sensor, stamp[:start], values[:start], angles, attitude, attitude_error),
+            *read_rest(
+                sensor, samples.part(0, start), values[:start], angles, attitude, attitude_error
+            ),
             Slip(int(stamp[start]), sound.knock.angle),
-            *read_rest(sensor, stamp[stop:], values[stop:], angles, attitude, attitude_error),
+            *read_rest(
+                sensor,
+                samples.part(stop, len(stamp)),
+                values[stop:],
+                angles,
+                attitude,
+                attitude_error,
+            ),
         ]
     found = _sound_statistics(samples, sound, saturated, sensor.walk)
     if isinstance(found, str):
@@ -70,6 +89,15 @@ def read_rest(
             attitude_error=attitude_error,
         )
     ]
+
+
+def _with_note(note: str, found: Segment | Rejected | Slip) -> Segment | Rejected | Slip:
+    """Add what was found before the rest was read."""
+    if isinstance(found, Segment):
+        return replace(found, notes=(note, *found.notes))
+    if isinstance(found, Rejected):
+        return replace(found, reason=f'{note}; {found.reason}')
+    return found
 
 
 def _sound_statistics(

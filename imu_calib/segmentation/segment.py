@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..allan import AllanSums
 from ..stream import Floats
+from .pace import Pace, Timing
 
 CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 """Order of every array over channels: three gyros, then three accelerometers."""
@@ -34,6 +36,8 @@ class Statistics:
         drift_std: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
         pulse: (6,) size of one pulse, rad and m/s; 0 where the values are no whole pulses.
         allan: Sums for the Allan variance; None where they were not taken.
+        timing: How the samples were timed; None where nobody asked.
+        time_error: Standard deviation of the sample interval, relative.
 
     """
 
@@ -49,10 +53,32 @@ class Statistics:
     drift_std: Floats
     pulse: Floats = field(default_factory=lambda: np.zeros(6))
     allan: AllanSums | None = None
+    timing: Timing | None = None
+    time_error: float = 0.0
 
     def variance(self, walk: Floats) -> Floats:
         """Return the variance of `mean` for (6,) random-walk coefficients."""
-        return np.asarray(walk**2 * self.walk_gain + self.quantum)
+        timed = (self.time_error * self.mean) ** 2
+        return np.asarray(walk**2 * self.walk_gain + self.quantum + timed)
+
+    def retimed(self, pace: Pace) -> Statistics:
+        """Return the same by the sample interval that all of a session tells."""
+        if self.timing is None:
+            return self
+        period, std = pace.combined(self.timing)
+        if not math.isfinite(std):
+            return self
+        slower = self.timing.used / period
+        blocks = tuple(b * np.array([slower, 1.0, 1.0, 1.0]) for b in self.blocks)
+        return replace(
+            self,
+            duration=self.duration / slower,
+            mean=self.mean * slower,
+            end_points=self.end_points * slower,
+            blocks=blocks,
+            timing=replace(self.timing, used=period),
+            time_error=std / period,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +171,17 @@ class Turn:
         level = (rows**2).sum(axis=1) - (rows @ self.up) ** 2
         across = (self.level * north_rate) ** 2 / 2 + (self.up_error * self.rate()) ** 2
         return np.asarray(self.statistics.variance(walk)[:3] + across * level)
+
+    def retimed(self, pace: Pace) -> Turn:
+        """Return the same by the sample interval that all of a session tells."""
+        statistics = self.statistics.retimed(pace)
+        slower = self.statistics.duration / statistics.duration
+        return replace(
+            self,
+            statistics=statistics,
+            skewed=None if self.skewed is None else self.skewed.retimed(pace),
+            each=None if self.each is None else self.each * slower,
+        )
 
     def rate(self, clock_rate: float = 0.0) -> float:
         """Return the rate about up, rad/s, per second of the IMU's clock.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,10 +19,12 @@ from ..stream import (
     TemperatureBlock,
 )
 from ..turntable import Table
+from .bridging import Bridged, bridged
 from .clock import ClockFit, ClockSample, Seen, clock_sample, fit_clock, seen_by_gyros
 from .intake import Intake
 from .motion import JointTracker, Motion, Rest
 from .order import Ordered
+from .pace import Pace
 from .rests import read_rest
 from .segment import Segment, Turn
 from .sensor import Sensor
@@ -73,6 +76,8 @@ class Segmenter:
         self._motions: list[FreeMotion] = []
         self._rejected: list[Rejected] = []
         self._slips: list[Slip] = []
+        self._pace = Pace()
+        self._lost = 0
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -122,6 +127,7 @@ class Segmenter:
             self._pending.extend(tracker.finish())
         self._work(last=True)
         self._drop_unseen()
+        self._retime()
         clock = fit_clock(self._clock, [begins for _, begins in self._interruptions])
         return Segmented(
             tuple(self._segments),
@@ -210,8 +216,17 @@ class Segmenter:
             attitude = self._table.attitude(rest.angles)
         for first in range(0, len(stamp), _LONGEST_REST):
             piece = slice(first, first + _LONGEST_REST)
-            part = stamp[piece], values[piece]
-            self._take(read_rest(self._sensor, *part, rest.angles, attitude, rest.angle_error))
+            if len(stamp[piece]) < 2:
+                continue
+            came = self._sensor.samples(stamp[piece], values[piece], self._pace)
+            whole = bridged(came, self._sensor.walk)
+            self._note_lost(whole, start, end)
+            delivered = whole.values(values[piece])
+            self._take(
+                read_rest(
+                    self._sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
+                )
+            )
 
     def _motion(self, motion: Motion) -> None:
         start = motion.start + self._offset_ns - MARGIN_NS
@@ -219,7 +234,10 @@ class Segmenter:
         stamp, values = self._intake.imu.between(start, end)
         if len(stamp) < 2:
             return
-        samples = self._sensor.samples(stamp, values)
+        # The rate changes here: what lies right beside a lost sample tells of it, and no more.
+        whole = bridged(self._sensor.samples(stamp, values, self._pace), self._sensor.walk, 1)
+        self._note_lost(whole, motion.start + self._offset_ns, motion.end + self._offset_ns)
+        samples, values = whole.samples, whole.values(values)
         skew = self._intake.skew
         around = Around(
             self._sensor, values, samples, None if skew is None else skew.between(start, end)
@@ -235,6 +253,11 @@ class Segmenter:
                 middle = (motion.start + motion.end) / 2 + self._offset_ns
                 self._seen_motions.append((middle, seen))
         self._take(read_turns(around, motion, self._table, self._offset_ns))
+
+    def _note_lost(self, whole: Bridged, start: int, end: int) -> None:
+        """Count the samples that were lost between two instants, ns, and are read from others."""
+        inside = (whole.samples.stamp > start) & (whole.samples.stamp <= end)
+        self._lost += int(np.count_nonzero(whole.rows[inside] < 0))
 
     def _compare_clocks(self, motion: Motion, samples: Samples, table: Table) -> None:
         travel = np.ptp(motion.position, axis=0)
@@ -290,8 +313,21 @@ class Segmenter:
                 kept.append(segment)
         self._segments = kept
 
+    def _retime(self) -> None:
+        """Time what was found by the sample interval that the whole session tells."""
+        pace = self._pace
+        self._segments = [replace(s, statistics=s.statistics.retimed(pace)) for s in self._segments]
+        self._turns = [turn.retimed(pace) for turn in self._turns]
+        self._motions = [replace(m, statistics=m.statistics.retimed(pace)) for m in self._motions]
+
     def _losses(self) -> tuple[str, ...]:
         lost = self._intake.losses()
+        if self._lost:
+            share = self._lost / (self._intake.samples + self._lost)
+            lost.append(
+                f'{self._lost} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
+                'what they counted is read from those around them'
+            )
         lost += [interruption(last, begins) for last, begins in self._interruptions]
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')

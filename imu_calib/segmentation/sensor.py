@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ..imu import ImuSpec, TriadSpec
 from ..stream import Floats, Stamps, Units
-from .statistics import Samples, sample_period, to_samples
+from .pace import Pace
+from .statistics import Samples, to_samples
 
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 _WALK_GUESS = 0.05
@@ -43,15 +44,30 @@ class Sensor:
         return cls(spec, np.repeat(walks, 3))
 
     @property
+    def counted(self) -> bool:
+        """Whether values are increments of a counter."""
+        return self.spec.units is Units.PULSES
+
+    @property
     def skewed(self) -> Sensor | None:
         """The skewed gyro as an IMU whose first channel it is; None without one."""
         if self.spec.skewed is None:
             return None
         return Sensor.of(replace(self.spec, gyro=self.spec.skewed, accel=TriadSpec()))
 
-    def samples(self, stamp: Stamps, values: Floats) -> Samples:
-        """Return (n, 6) values at (n,) stamps, ns, as increments in SI units, timed by these."""
-        return to_samples(stamp, values, self.spec, sample_period(stamp))
+    def samples(self, stamp: Stamps, values: Floats, pace: Pace | None = None) -> Samples:
+        """Return values as increments in SI units, at the instants of a line through their stamps.
+
+        Args:
+            stamp: (n,) ns, at least 2.
+            values: (n, 6) as delivered.
+            pace: What the session tells of the sample interval so far; nothing if not given.
+
+        """
+        grid, timing = (pace or Pace()).read(stamp)
+        samples = to_samples(grid.stamps(stamp), values, self.spec, timing.used)
+        # What comes as a rate needs no interval to be one.
+        return replace(samples, timing=timing) if self.counted else samples
 
     def saturated(self, values: Floats, samples: Samples) -> NDArray[np.bool_]:
         """Say of every sample, (n,), whether a channel stands at the end of its range.

@@ -14,13 +14,14 @@ from ..allan import allan_sums
 from ..imu import ImuSpec
 from ..stream import Floats, Stamps, Units
 from .counter import END_POINT_VARIANCE, MeanRate, block_edges, block_rates, mean_rate, rate_between
+from .grid import read_grid
+from .pace import Timing
 from .segment import Statistics
 
 BLOCK_SECONDS = 10.0
 """Shortest block whose mean shows the random walk of a quantised counter (methods.md, 11)."""
 
 _MINIMUM_BLOCKS = 4
-_STAMPS_FOR_A_LINE = 3
 _SCORING_STEPS = 20
 _SMALLEST_VARIANCE = 1e-100
 _SAMPLES_FOR_GRID = 4096
@@ -39,6 +40,9 @@ class Samples:
             A counter carries its remainder on and has none.
         carried: (6,) pulse of the counter that SI values were computed from, rad and m/s: they are
             no whole pulses any more, but what one lacks the next has.
+        timing: How they were timed; None where `period` is all that is known.
+        filled: (n,) rows that were lost and are read from those around them; None for none.
+        bridged: (6,) variance that a gap so filled leaves in a sum, rad^2 and (m/s)^2.
 
     """
 
@@ -48,6 +52,9 @@ class Samples:
     period: float
     grid: Floats
     carried: Floats = field(default_factory=lambda: np.zeros(6))
+    timing: Timing | None = None
+    filled: NDArray[np.bool_] | None = None
+    bridged: Floats = field(default_factory=lambda: np.zeros(6))
 
     def part(self, start: int, stop: int) -> Samples:
         """Return samples start to stop."""
@@ -55,7 +62,22 @@ class Samples:
 
     def at(self, rows: slice | NDArray[np.bool_]) -> Samples:
         """Return some of the samples."""
-        return replace(self, stamp=self.stamp[rows], increments=self.increments[rows])
+        filled = None if self.filled is None else self.filled[rows]
+        return replace(
+            self, stamp=self.stamp[rows], increments=self.increments[rows], filled=filled
+        )
+
+    @property
+    def lost(self) -> int:
+        """How many of them are read from others."""
+        return 0 if self.filled is None else int(np.count_nonzero(self.filled))
+
+    @property
+    def gaps(self) -> int:
+        """How many gaps are filled."""
+        if self.filled is None:
+            return 0
+        return int(np.count_nonzero(np.diff(self.filled.astype(np.int8), prepend=0) > 0))
 
 
 def to_samples(stamp: Stamps, values: Floats, spec: ImuSpec, period: float) -> Samples:
@@ -87,21 +109,8 @@ def _grid(increments: Floats) -> Floats:
 
 
 def sample_period(stamp: Stamps) -> float:
-    """Return the sample interval in seconds, by a line through the stamps of the longest run.
-
-    A line averages stamp jitter, which end points would hand on to K_A.
-
-    Args:
-        stamp: (n,) ns, increasing, at least 2.
-
-    """
-    typical = float(np.median(np.diff(stamp))) * 1e-9
-    first, last = max(gap_free(stamp, typical), key=lambda run: run[1] - run[0])
-    if last - first < _STAMPS_FOR_A_LINE:
-        return typical
-    times = (stamp[first:last] - stamp[first]) * 1e-9
-    centred = np.arange(last - first) - (last - first - 1) / 2
-    return float(centred @ times / (centred @ centred))
+    """Return the sample interval in seconds, by a line through (n,) stamps, ns; at least 2."""
+    return read_grid(stamp).period
 
 
 def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
@@ -133,6 +142,7 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     runs = gap_free(samples.stamp, samples.period)
     parts = [samples.part(*run) for run in runs]
     used = len(samples.stamp)
+    left_by_gaps = samples.gaps * samples.bridged / (used * samples.period) ** 2
     span = round((samples.stamp[-1] - samples.stamp[0]) * 1e-9 / samples.period) + 1
     means = [[_channel_mean(part, c, walk[c]) for c in range(6)] for part in parts]
     best = [_combine([row[c] for row in means], walk[c]) for c in range(6)]
@@ -140,17 +150,18 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
     drift, drift_std = _drifts(blocks)
     return Statistics(
         samples=used,
-        missing=max(0, span - used),
+        missing=max(0, span - used) + samples.lost,
         duration=used * samples.period,
         mean=np.array([m.rate for m in best]),
         walk_gain=np.array([m.walk_gain for m in best]),
-        quantum=np.array([m.quantum for m in best]),
+        quantum=np.array([m.quantum for m in best]) + left_by_gaps,
         end_points=samples.increments.sum(axis=0) / (used * samples.period),
         blocks=blocks,
         drift=drift,
         drift_std=drift_std,
         pulse=samples.quantum,
         allan=allan_sums([part.increments for part in parts], samples.period),
+        timing=samples.timing,
     )
 
 
@@ -178,11 +189,12 @@ def statistics_between(samples: Samples, first: float, last: float, walk: Floats
         duration=duration,
         mean=mean,
         walk_gain=np.array([m.walk_gain for m in found]),
-        quantum=np.array([m.quantum for m in found]),
+        quantum=np.array([m.quantum for m in found]) + samples.gaps * samples.bridged / duration**2,
         end_points=mean,
         blocks=empty,
         drift=np.full(6, np.nan),
         drift_std=np.full(6, np.nan),
+        timing=samples.timing,
     )
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
 from ..units import DEG
+from .bridging import bridged, steadily
+from .frozen import repeated
 from .motion import Motion, averaged
 from .plateau import WholeTurns, find_turns, why_none
 from .segment import Statistics, Turn
@@ -35,7 +37,7 @@ class Around:
 
     Attributes:
         sensor: The IMU.
-        values: (n, 6) as delivered.
+        values: (n, 6) as delivered; NaN where samples were lost and are read from those around.
         samples: The same in SI units.
         skew: (m,) stamps and (m, 6) values of the skewed gyro; None without one.
 
@@ -113,6 +115,7 @@ def _read_turn(
     # Beyond the cuts it only helps to read the counts there: what is unsound is done without.
     if _sound(wide) and not seen.sensor.saturated(seen.values[around], wide).any():
         part = wide
+    part = steadily(part, seen.sensor.walk)
     statistics, each = _between(part, start, turns.seconds, count, seen.sensor.walk)
     skewed = _skewed_between(seen, start, turns, count)
     if skewed is not None:
@@ -151,6 +154,8 @@ def _unusable(seen: Around, inside: slice, start: float, end: float) -> str:
         return 'IMU samples are missing within it'
     if seen.sensor.saturated(seen.values[inside], part).any():
         return 'the sensor is saturated during it'
+    if repeated(seen.values[inside], counted=seen.sensor.counted).any():
+        return 'the samples are frozen within it, repeating one'
     if not _steady(part):
         return 'the gyros do not turn steadily while the joint states do'
     return ''
@@ -169,8 +174,11 @@ def _skewed_between(
     stamp, values = seen.skew[0][near], seen.skew[1][near]
     if len(stamp) < 2 or stamp[0] > start or stamp[-1] < end:
         return None
-    samples = sensor.samples(stamp, values)
-    if not _sound(samples) or sensor.saturated(values, samples).any():
+    came = sensor.samples(stamp, values)
+    if sensor.saturated(values, came).any():
+        return None
+    samples = bridged(came, sensor.walk).samples
+    if not _sound(samples):
         return None
     part = samples.at(_around(samples, start, end, turns.spare))
     return _between(part, start, turns.seconds, count, sensor.walk)

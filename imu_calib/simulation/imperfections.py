@@ -13,7 +13,6 @@ from ..turntable import Table
 from ..units import Dimension
 from .options import (
     Channels,
-    Delivery,
     Shake,
     StandOptions,
     ThermalDrift,

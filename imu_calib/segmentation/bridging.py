@@ -1,0 +1,325 @@
+"""Samples that were lost on their way: what they counted, read from those around them.
+
+A counter counts on while a message is lost. Lines of one slope through the counts before and after
+tell what it gained between them, to a fraction of a pulse as long as the rate is the same; and what
+it gained is a whole number (docs/mathematics.md, lost samples).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats
+from .statistics import Samples, gap_free
+
+LONGEST = 0.1
+"""Longest gap that is bridged, s. A judgement: at rest and in steady turns the rate is the same
+over it; a longer one is a stop of the stream."""
+
+_MOST = 0.1
+"""Share of a stretch that may be bridged: beyond it is not a line that drops a message."""
+
+_REACHES = tuple(2**k for k in range(14))
+"""Samples on either side that a gap may be read from: a counter of one pulse in ten seconds at 100
+Hz shows its phase within 5000."""
+
+_PLAIN = 8
+"""The same for values that are no pulses: their noise falls with the root, and this adds 3 % of
+what a lost sample costs anyhow."""
+
+_READING_VARIANCE = 1 / 12
+_UNKNOWN = 0.25
+"""Variance of a count between two readings of a counter whose phase is not known, at most."""
+
+_PHASE = 0.2
+"""Variance of a gap's count where the counter passes one pulse on either side of it; it falls with
+the square of their number (simulated: 0.17, 0.04 for two, 0.006 for five)."""
+
+_RESONANT = 1.5
+"""By how much readings of a counter at a rational rate may scatter more than independent ones."""
+
+_SWEEPS = 4
+"""Times that each gap is read, each time beside others that are filled better: at 2 % of samples
+lost, the whole numbers no longer change."""
+
+_LEAST_VARIANCE = 1e-4
+_SURE = 0.01
+"""Variance of a gap's count, pulses squared, from which on its whole number is sure: half a pulse
+is five standard deviations."""
+
+_WIDE = 2.0
+"""Standard deviation of a gap's count, pulses, from which on whole numbers are as good as any."""
+
+_NEVER = 1e-9
+"""Least weight of any whole number: rates may change."""
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
+
+
+@dataclass(frozen=True, eq=False)
+class Bridged:
+    """Samples without short gaps.
+
+    Attributes:
+        samples: With rows for those that were lost.
+        rows: (n,) of the samples as they came; -1 for those that were lost.
+
+    """
+
+    samples: Samples
+    rows: NDArray[np.intp]
+
+    @property
+    def lost(self) -> int:
+        """How many samples were lost and are bridged."""
+        return int(np.count_nonzero(self.rows < 0))
+
+    def values(self, values: Floats) -> Floats:
+        """Return what was delivered of the samples as they came, NaN for those that were lost."""
+        lost = (self.rows < 0)[:, None]
+        return np.asarray(np.where(lost, np.nan, values[np.maximum(self.rows, 0)]))
+
+
+def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged:
+    """Fill short gaps.
+
+    Args:
+        samples: Whose stamps lie on a grid.
+        walk: (6,) random-walk coefficients to choose the reach by, rad/sqrt(s) and (m/s)/sqrt(s).
+        reach: Samples on either side to read from; chosen by the noise, for a steady rate, if not
+            given. One is right wherever the rate changes steadily.
+
+    """
+    runs = gap_free(samples.stamp, samples.period)
+    gaps = [_steps(samples, first) - 1 for first, _ in runs[1:]]
+    short = [0 < m <= max(1, round(LONGEST / samples.period)) for m in gaps]
+    lost = sum(m for m, fits in zip(gaps, short, strict=True) if fits)
+    if not lost or lost > _MOST * (len(samples.stamp) + lost):
+        return Bridged(samples, np.arange(len(samples.stamp)))
+    rows = _with_gaps(runs, gaps, short)
+    stamps = samples.stamp[np.maximum(rows, 0)]
+    holes = _holes(rows, runs, short)
+    for hole in holes:
+        before, after = stamps[hole.start - 1], stamps[hole.stop]
+        between = float(after - before) / (hole.stop - hole.start + 1)
+        steps = np.arange(1, hole.stop - hole.start + 1)
+        stamps[hole.start : hole.stop] = before + np.rint(between * steps).astype(np.int64)
+    increments = samples.increments[np.maximum(rows, 0)]
+    variance = np.zeros(6)
+    noise = walk * math.sqrt(samples.period)
+    for c, quantum in enumerate(samples.quantum.tolist()):
+        if quantum:
+            counts = np.rint(increments[:, c] / quantum)
+            variance[c] = _count(counts, holes, noise[c] / quantum, reach) * quantum**2
+            increments[:, c] = np.where(rows < 0, counts * quantum, increments[:, c])
+        else:
+            variance[c] = _average(increments[:, c], rows, holes, reach or _PLAIN) * noise[c] ** 2
+    whole = replace(
+        samples,
+        stamp=stamps,
+        increments=increments,
+        filled=rows < 0,
+        bridged=variance / len(holes),
+    )
+    return Bridged(whole, rows)
+
+
+def steadily(samples: Samples, walk: Floats) -> Samples:
+    """Fill the gaps of samples at a steady rate anew, from as many around them as help."""
+    if samples.filled is None or not samples.filled.any():
+        return samples
+    return bridged(replace(samples.at(~samples.filled), filled=None), walk).samples
+
+
+def _steps(samples: Samples, after: int) -> int:
+    """Return how many intervals there are between a sample and the one before it."""
+    return round(float(samples.stamp[after] - samples.stamp[after - 1]) * 1e-9 / samples.period)
+
+
+@dataclass(frozen=True)
+class _Hole:
+    """Rows start to stop are to be filled; from first to last there is no long gap."""
+
+    start: int
+    stop: int
+    first: int
+    last: int
+
+
+def _with_gaps(runs: list[tuple[int, int]], gaps: list[int], short: list[bool]) -> NDArray[np.intp]:
+    """Return the rows of all samples in order, -1 for those of short gaps."""
+    pieces = []
+    for k, run in enumerate(runs):
+        pieces.append(np.arange(*run))
+        if k < len(gaps) and short[k]:
+            pieces.append(np.full(gaps[k], -1))
+    return np.concatenate(pieces)
+
+
+def _holes(rows: NDArray[np.intp], runs: list[tuple[int, int]], short: list[bool]) -> list[_Hole]:
+    """List the rows to be filled, in order."""
+    edges = np.diff(np.concatenate([[0], (rows < 0).astype(np.int8), [0]]))
+    starts, stops = np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist()
+    # Long gaps are where one run ends and the next begins, with nothing between to be filled.
+    begins = [run[0] for run, fits in zip(runs[1:], short, strict=True) if not fits]
+    walls = [0, *np.flatnonzero(np.isin(rows, begins)).tolist(), len(rows)]
+    which = np.searchsorted(walls, starts, side='right')
+    return [
+        _Hole(a, b, walls[w - 1], walls[w])
+        for a, b, w in zip(starts, stops, which.tolist(), strict=True)
+    ]
+
+
+def _average(increments: Floats, rows: NDArray[np.intp], holes: list[_Hole], reach: int) -> float:
+    """Fill holes with the mean around them, in place; return the variance in that of a sample."""
+    total = 0.0
+    came = np.flatnonzero(rows >= 0)
+    places = np.searchsorted(came, [hole.start for hole in holes])
+    for hole, place in zip(holes, places.tolist(), strict=True):
+        near = came[max(0, place - reach) : place + reach]
+        near = near[(near >= hole.first) & (near < hole.last)]
+        missing = hole.stop - hole.start
+        increments[hole.start : hole.stop] = increments[near].mean()
+        # The lost noise is not in the sum, but that of those around weighs more.
+        total += missing + missing**2 / len(near)
+    return total
+
+
+def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) -> float:
+    """Fill holes of a counter with whole pulses, in place; return the variance that is left.
+
+    Args:
+        counts: (n,) pulses per sample.
+        holes: To be filled.
+        noise: Random walk in a sample, pulses.
+        reach: Samples on either side to read from; None: chosen, at a steady rate.
+
+    """
+    empty = np.zeros(len(counts), dtype=bool)
+    for hole in holes:
+        empty[hole.start : hole.stop] = True
+    rate = float(counts[~empty].mean())
+    chosen = reach or _best_reach(rate, noise)
+    counts[empty] = rate
+    total = 0.0
+    for sweep in range(_SWEEPS):
+        total, carried = 0.0, 0.0
+        for hole in holes:
+            missing = hole.stop - hole.start
+            a = counts[max(hole.first, hole.start - chosen) : hole.start]
+            b = counts[hole.stop : min(hole.last, hole.stop + chosen)]
+            gain = _gain(len(a), len(b), missing)
+            pulses = float(gain.before @ -_summed(a[::-1]) + gain.after @ _summed(b))
+            if reach is not None:
+                counts[hole.start : hole.stop] = _spread(pulses, hole)
+                continue
+            spread = gain.variance(rate, noise, min(len(a), len(b)))
+            mean, variance = _likely(pulses, spread, rate * missing, missing * noise**2)
+            total += variance
+            if sweep < _SWEEPS - 1:
+                # Not a whole number yet: a wrong one would pass its error on to those around it.
+                counts[hole.start : hole.stop] = mean / missing
+                continue
+            # Rounded one by one, gaps that cannot be read would all err to the same side.
+            counts[hole.start : hole.stop] = _spread(mean + carried, hole)
+            carried += mean - float(counts[hole.start : hole.stop].sum())
+    return total
+
+
+def _summed(pulses: Floats) -> Floats:
+    """Return what a counter shows at the ends of intervals, 0 at first."""
+    return np.concatenate([[0.0], np.cumsum(pulses)])
+
+
+def _spread(pulses: float, hole: _Hole) -> Floats:
+    """Return whole pulses spread evenly over the samples that are missing."""
+    edges = np.linspace(0.0, round(pulses), hole.stop - hole.start + 1)
+    return np.diff(np.rint(edges))
+
+
+@dataclass(frozen=True, eq=False)
+class _Gain:
+    """What a gap's count is of the counts around it: weights, and the variance that they leave.
+
+    Attributes:
+        before: Weights of the counts from the gap backwards, 0 at the gap.
+        after: Of those from the gap onwards.
+        read: Multiplies the variance of one reading of the counter.
+        walked: Multiplies the variance that the random walk adds in one sample.
+
+    """
+
+    before: Floats
+    after: Floats
+    read: float
+    walked: float
+
+    def variance(self, rate: float, noise: float, reach: int) -> float:
+        """Return the variance, pulses squared.
+
+        Args:
+            rate: Pulses per sample.
+            noise: Random walk in a sample, pulses.
+            reach: Samples on either side.
+
+        """
+        # Whole pulses per sample tell nothing of the phase.
+        passed = reach * abs(rate - round(rate))
+        phase = min(_UNKNOWN, _PHASE / passed**2 if passed else _UNKNOWN)
+        # What walks by a pulse passes one, too.
+        if noise * math.sqrt(reach) > 1:
+            phase = 0.0
+        return max(phase, _RESONANT * self.read * _READING_VARIANCE) + self.walked * noise**2
+
+
+@lru_cache(maxsize=64)
+def _gain(before: int, after: int, missing: int) -> _Gain:
+    """Return the weights of two lines of one slope, by least squares."""
+    x, y = -np.arange(before + 1.0), missing + np.arange(after + 1.0)
+    apart = float(y.mean() - x.mean())
+    x, y = x - x.mean(), y - y.mean()
+    slope = apart / float(x @ x + y @ y)
+    a, b = slope * x + 1 / (before + 1), slope * y - 1 / (after + 1)
+    # A sample moves all counts beyond it, seen from the gap.
+    moved = np.concatenate([np.cumsum(a[::-1])[:-1], np.cumsum(b[::-1])[:-1]])
+    return _Gain(a, b, float(a @ a + b @ b), float(moved @ moved) + missing)
+
+
+def _best_reach(rate: float, noise: float) -> int:
+    """Return from how many samples on either side a gap is read best."""
+    variances = [_gain(k, k, 1).variance(rate, noise, k) for k in _REACHES]
+    sure = [k for k, variance in zip(_REACHES, variances, strict=True) if variance <= _SURE]
+    # No further than it takes: other gaps lie there.
+    return sure[0] if sure else _REACHES[int(np.argmin(variances))]
+
+
+def _likely(pulses: float, variance: float, expected: float, walked: float) -> tuple[float, float]:
+    """Weigh what the counts around a gap say against the mean rate: mean and variance, pulses.
+
+    Args:
+        pulses: As the counts around the gap have it.
+        variance: Of that.
+        expected: By the mean rate; its phase is not known.
+        walked: Variance that the walk adds to that.
+
+    """
+    variance = max(variance, _LEAST_VARIANCE)
+    if variance + walked > _WIDE**2:
+        own, other = 1 / variance, 1 / (walked + 2 * _READING_VARIANCE)
+        return (own * pulses + other * expected) / (own + other), 1 / (own + other)
+    whole = round(expected) + np.arange(-8.0, 9.0)
+    nodes = expected + math.sqrt(walked) * _NODES
+    # Of a counter whose phase is anywhere, x pulses are n with a chance of 1 - |x - n|.
+    likely = np.maximum(0.0, 1 - np.abs(whole[:, None] - nodes)) @ _WEIGHTS
+    likely += _NEVER
+    if variance < _UNKNOWN:
+        # Counts that pass no pulse know nothing of the gap, whatever they make of it.
+        likely *= np.exp(-((whole - pulses) ** 2 - ((whole - pulses) ** 2).min()) / (2 * variance))
+    likely /= likely.sum()
+    mean = float(likely @ whole)
+    return mean, float(likely @ (whole - mean) ** 2)

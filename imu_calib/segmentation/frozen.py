@@ -1,0 +1,60 @@
+"""Samples that repeat one: a device that goes on sending and no longer measures."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats
+
+_FEWEST = 8
+"""Fewest samples in a row that are taken for frozen: a judgement, less is no loss."""
+
+_CHANCE = 1e-9
+"""Probability that sound samples of a stretch repeat themselves so often somewhere in it."""
+
+
+_AROUND = 32
+"""Samples before and after a repetition that show whether codes are noisy."""
+
+_NOISY = 4
+"""Different codes among them that a channel of noise shows: one at the edge between two codes shows
+two without any, and three where it drifts to the next edge."""
+
+
+def repeated(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
+    """Find the samples (n,) that repeat the one before beyond chance.
+
+    How often two samples in a row are the same by chance, the others of the stretch tell: codes of
+    little noise often are. Of a stretch that repeats itself for most of its length nothing tells.
+
+    Args:
+        values: (n, 6) as delivered.
+        counted: Whether they are increments of a counter, which change at a steady rate, too.
+            Codes of a rate do so by noise alone.
+
+    """
+    n = len(values)
+    found = np.zeros(n, dtype=bool)
+    if n < 2 * _FEWEST:
+        return found
+    same = (values[1:] == values[:-1]).all(axis=1)
+    edges = np.diff(np.concatenate([[0], same.astype(np.int8), [0]]))
+    first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    others, alike = n - 1, int(same.sum())
+    for k in np.argsort(first - last, kind='stable').tolist():
+        length = int(last[k] - first[k])
+        others, alike = others - length, alike - length
+        chance = (alike + 1) / (others + 2)
+        if length < _FEWEST or others < length or n * chance**length > _CHANCE:
+            break
+        if not counted and not _noisy(values, int(first[k]), int(last[k]) + 1):
+            continue
+        found[first[k] + 1 : last[k] + 1] = True
+    return found
+
+
+def _noisy(values: Floats, start: int, stop: int) -> bool:
+    """Say whether a channel has noise beside the samples start to stop."""
+    around = np.vstack([values[max(0, start - _AROUND) : start], values[stop : stop + _AROUND]])
+    return any(len(np.unique(channel)) >= _NOISY for channel in around.T)

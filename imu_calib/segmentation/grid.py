@@ -1,0 +1,193 @@
+"""Stamps -> the instants at which a device sampled: equal intervals, some of them missing.
+
+A device samples at equal intervals of its own clock. Its stamps say more: when a driver woke up,
+how long a line was busy, how many samples came in one packet. The instants are a line through the
+stamps; what the stamps are off it is theirs and not the samples' (docs/mathematics.md, stamps).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats, Stamps
+
+_LATE = 1.5
+"""Intervals between two stamps from which on a sample between them may be missing."""
+
+_NOT_ONE = 0.3
+"""Of an interval: missing samples shift the stamps by whole intervals within this. A judgement:
+half of one would take any shift for a sample."""
+
+_LIKE = 0.2
+"""Of an interval: so near are two estimates of it. A judgement: more than samples that are missing
+make of their mean, less than the least bunch makes of their median."""
+
+_LAG = 240
+"""Samples whose time tells the interval where they come in bunches: a multiple of any small bunch,
+and short enough that some of so many in a row are without a gap."""
+
+_LAGS = 4
+"""Fewest lags of a stretch: their lower ones are then within it."""
+
+_WITHOUT_GAP = 0.1
+"""Share of the lags that have no gap: the lower ones tell the interval."""
+
+_WINDOWS = (16, 128, 128)
+"""Samples around a step that tell whether stamps stay late, in each round: few while the interval
+is known by lags alone, then more than a line is held up in a tenth of a second at 1 kHz."""
+
+_TAIL = 32
+"""Samples at the end of a stretch that comes in bunches: the last bunch is cut off, and what is late
+of it is not told from what is missing."""
+
+_FEWEST = 3
+"""Fewest stamps of a line whose scatter is known."""
+
+_OUTLYING = 4.0
+"""Robust standard deviations off the line beyond which a stamp has no say in it."""
+
+_ROUNDS = 5
+_BLOCKS = 16
+"""Of a stretch of stamps, whose means show what they have in common: a queue, a coarse clock."""
+
+_CLEAN = 1e-3
+"""Of an interval: stamps nearer than this to their line are left as they are."""
+
+_ROUNDING = 1e-9
+"""Resolution of a stamp, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleGrid:
+    """Equal intervals laid through the stamps of a stretch.
+
+    Attributes:
+        index: (n,) which interval each sample ends, from 0; numbers that are left out are missing.
+        origin: Stamp of sample 0 on the line, s after the first stamp.
+        period: Sample interval by these stamps alone, s.
+        period_std: Its standard deviation, s; infinite where they are too few to tell.
+        scatter: Of a stamp about the line, s.
+        kept: (n,) stamps that have a say in the line.
+
+    """
+
+    index: NDArray[np.int64]
+    origin: float
+    period: float
+    period_std: float
+    scatter: float
+    kept: NDArray[np.bool_]
+
+    def stamps(self, stamp: Stamps) -> Stamps:
+        """Return the instants of the samples, ns; the stamps themselves where they are clean."""
+        line = self.origin + self.index * self.period
+        left = np.abs((stamp - stamp[0]) * 1e-9 - line)
+        if float(left.max(initial=0.0)) <= _CLEAN * self.period:
+            return stamp
+        return np.asarray(stamp[0] + np.rint(line * 1e9).astype(np.int64))
+
+
+def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
+    """Lay equal intervals through stamps.
+
+    Args:
+        stamp: (n,) ns, increasing, at least 2.
+        hint: Sample interval as far as it is known, s.
+
+    """
+    time = (stamp - stamp[0]) * 1e-9
+    period = _first_period(time)
+    if hint is not None and abs(hint - period) < _LIKE * period:
+        period = hint
+    bunched = float(np.median(np.diff(time))) < (1 - _LIKE) * period
+    grid = _laid(time, np.arange(len(time)), period)
+    for window in _WINDOWS:
+        index = np.arange(len(time)) + _missing_before(time, period, window, bunched=bunched)
+        if np.array_equal(index, grid.index) and window != _WINDOWS[0]:
+            break
+        grid = _laid(time, index, period)
+        period = grid.period
+    return grid
+
+
+def _first_period(time: Floats) -> float:
+    """Return the sample interval within a percent or so, s."""
+    steps = np.diff(time)
+    typical = float(np.median(steps))
+    lag = min(_LAG, max(1, len(steps) // _LAGS))
+    lagged = float(np.quantile(time[lag:] - time[:-lag], _WITHOUT_GAP)) / lag
+    # Of samples that come in bunches most steps are no interval at all.
+    return lagged if lagged > (1 + _LIKE) * typical else typical
+
+
+def _missing_before(
+    time: Floats, period: float, window: int, *, bunched: bool
+) -> NDArray[np.int64]:
+    """Return how many samples are missing before each, (n,).
+
+    A sample that is missing makes all later stamps late by an interval; a stamp that is late is
+    followed by others that are not. The earliest of the next stamps, against the earliest of those
+    before, tells the two apart.
+    """
+    late = time - np.arange(len(time)) * period
+    found = np.zeros(len(time), dtype=np.int64)
+    missing = 0
+    for k in (np.flatnonzero(np.diff(time) > _LATE * period) + 1).tolist():
+        first = max(0, k - window)
+        if bunched and len(time) - k < _TAIL:
+            break
+        before = float((late[first:k] - found[first:k] * period).min())
+        shift = (float(late[k : k + window].min()) - before) / period - missing
+        count = round(shift)
+        if count > 0:
+            missing += count
+            found[k:] += count
+    return found
+
+
+def _laid(time: Floats, index: NDArray[np.int64], period: float) -> SampleGrid:
+    """Fit a robust line time = origin + period index."""
+    n = len(time)
+    if n < _FEWEST:
+        step = float(time[-1]) / max(1, int(index[-1]))
+        everything = np.ones(n, dtype=bool)
+        return SampleGrid(index, 0.0, step, float('inf'), 0.0, everything)
+    kept = _near(time - index * period)
+    for _ in range(_ROUNDS):
+        middle, mean = float(index[kept].mean()), float(time[kept].mean())
+        centred = index[kept] - middle
+        slope = float(centred @ time[kept] / (centred @ centred))
+        left = time - mean - slope * (index - middle)
+        near = _near(left)
+        if np.array_equal(near, kept):
+            break
+        kept = near
+    spread = float(centred @ centred)
+    variance = _in_common(left[kept]) + _ROUNDING**2 / 12
+    scatter = float(np.sqrt(np.mean(left[kept] ** 2)))
+    return SampleGrid(
+        index, mean - slope * middle, slope, float(np.sqrt(variance / spread)), scatter, kept
+    )
+
+
+def _near(left: Floats) -> NDArray[np.bool_]:
+    """Say which residuals (n,), s, are no outliers; more than half of them are none."""
+    off = np.abs(left - np.median(left))
+    return np.asarray(off <= _OUTLYING * 1.4826 * float(np.median(off)) + 2 * _ROUNDING)
+
+
+def _in_common(left: Floats) -> float:
+    """Return the variance of residuals as their sums show it: larger than their own if they cling.
+
+    White residuals make the mean of a block vary by their variance over its length; what is late
+    together, and the steps of a coarse clock, make it vary by more.
+    """
+    own = float(np.mean(left**2))
+    length = len(left) // _BLOCKS
+    if length < 2:
+        return own
+    means = left[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
+    return max(own, length * float(np.mean(means**2)))

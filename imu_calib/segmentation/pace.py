@@ -1,0 +1,148 @@
+"""How long a sample interval is, by the stamps of a whole session rather than of one stretch.
+
+The device's clock is one throughout. Stretches a minute apart tell its interval a hundred times
+better than one of them does, where stamps jitter; where the clock that stamps them wanders, the
+stretches do not lie on a line, and then each is timed by its own stamps. The two are averaged by
+their variances (docs/mathematics.md, stamps).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..stream import Stamps
+from .grid import SampleGrid, read_grid
+
+_NEAR_WHOLE = 0.25
+"""Of an interval: stretches are so near to a whole number of intervals apart, or on two lines."""
+
+_SURE = 0.1
+"""Of an interval: standard deviation up to which the number of intervals between is sure."""
+
+_FEWEST_FREE = 2
+"""Degrees of freedom from which on the scatter of stretches about their line says something."""
+
+_LEAST_STD = 1e-10
+"""Of the level of a stretch, s: stamps in ns, averaged."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How a stretch was timed.
+
+    Attributes:
+        used: Sample interval that it was read with, s.
+        own: That by its own stamps, s.
+        own_std: Its standard deviation, s.
+
+    """
+
+    used: float
+    own: float
+    own_std: float
+
+
+@dataclass(frozen=True)
+class _Knot:
+    """The middle of a stretch: which sample since the first stretch, when, s, and its std, s."""
+
+    number: float
+    time: float
+    std: float
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Sums of a line through the stretches of a session, pieces between jumps with levels apart."""
+
+    freedom: int = 0
+    xx: float = 0.0
+    xy: float = 0.0
+    yy: float = 0.0
+
+    def __add__(self, other: _Line) -> _Line:
+        return _Line(
+            self.freedom + other.freedom,
+            self.xx + other.xx,
+            self.xy + other.xy,
+            self.yy + other.yy,
+        )
+
+
+class Pace:
+    """Times stretches of samples in order; the outcome depends on them alone."""
+
+    def __init__(self) -> None:
+        self._start = 0
+        self._reference = 0.0
+        """First interval found, s: lines are about it, for the sake of rounding."""
+        self._pieces = _Line()
+        self._knots: list[_Knot] = []
+
+    def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
+        """Return the grid of a stretch, (n,) stamps in ns, and its timing by all so far."""
+        grid = read_grid(stamp, self._long()[0] or self._reference or None)
+        if not self._reference:
+            self._start, self._reference = int(stamp[0]), grid.period
+        if np.isfinite(grid.period_std):
+            self._note(float(stamp[0] - self._start) * 1e-9, grid)
+        timing = Timing(grid.period, grid.period, grid.period_std)
+        return grid, replace(timing, used=self.combined(timing)[0])
+
+    def combined(self, timing: Timing) -> tuple[float, float]:
+        """Return the interval of a stretch by its own stamps and all others, and its std, s."""
+        long, long_std = self._long()
+        if not long:
+            return timing.own, timing.own_std
+        weights = np.array([long_std, timing.own_std]) ** -2.0
+        return float(weights @ [long, timing.own] / weights.sum()), float(weights.sum() ** -0.5)
+
+    def _long(self) -> tuple[float, float]:
+        """Return the interval by the line through all stretches, and its std, s; 0 without one."""
+        line = self._pieces + _line(self._knots, self._reference)
+        freedom = line.freedom - 1
+        if freedom < _FEWEST_FREE or not line.xx > 0:
+            return 0.0, float('inf')
+        change = line.xy / line.xx
+        squares = max(0.0, line.yy - change * line.xy) / freedom
+        return self._reference + change, float(np.sqrt(max(1.0, squares) / line.xx))
+
+    def _note(self, start: float, grid: SampleGrid) -> None:
+        """Add a stretch to the line, or begin another where it does not lie on it."""
+        middle = float(grid.index[grid.kept].mean())
+        # The level of a line is as uncertain as its slope over the spread of its samples.
+        std = grid.period_std * float(np.std(grid.index[grid.kept]))
+        time = start + grid.origin + middle * grid.period
+        first = self._number_of_first(time, middle, grid)
+        if first is None:
+            self._pieces += _line(self._knots, self._reference)
+            self._knots, first = [], 0
+        self._knots.append(_Knot(first + middle, time, max(std, _LEAST_STD)))
+
+    def _number_of_first(self, time: float, middle: float, grid: SampleGrid) -> int | None:
+        """Return which sample since the first stretch this one begins with; None if unsure."""
+        if not self._knots:
+            return None
+        last = self._knots[-1]
+        period, error = self.combined(Timing(grid.period, grid.period, grid.period_std))
+        passed = (time - last.time) / period
+        first = last.number + passed - middle
+        if abs(passed) * error / period > _SURE or abs(first - round(first)) > _NEAR_WHOLE:
+            return None
+        return round(first)
+
+
+def _line(knots: list[_Knot], period: float) -> _Line:
+    """Return the sums of what knots leave of a line of a given interval."""
+    if len(knots) < 2:
+        return _Line()
+    number, time, std = np.array([(k.number, k.time, k.std) for k in knots]).T
+    weight = std**-2
+    left = time - number * period
+    x = number - weight @ number / weight.sum()
+    y = left - weight @ left / weight.sum()
+    return _Line(
+        len(knots) - 1, float(weight @ x**2), float(weight @ (x * y)), float(weight @ y**2)
+    )
