@@ -295,7 +295,7 @@ def _best_reach(rate: float, noise: float) -> int:
     variances = [_gain(k, k, 1).variance(rate, noise, k) for k in _REACHES]
     sure = [k for k, variance in zip(_REACHES, variances, strict=True) if variance <= _SURE]
     # No further than it takes: other gaps lie there.
-    return sure[0] if sure else _REACHES[int(np.argmin(variances))]
+    return sure[0] if sure else _REACHES[variances.index(min(variances))]
 
 
 def _likely(pulses: float, variance: float, expected: float, walked: float) -> tuple[float, float]:

@@ -40,8 +40,8 @@ _WINDOWS = (16, 128, 128)
 is known by lags alone, then more than a line is held up in a tenth of a second at 1 kHz."""
 
 _TAIL = 32
-"""Samples at the end of a stretch that comes in bunches: the last bunch is cut off, and what is late
-of it is not told from what is missing."""
+"""Samples at the end of a stretch that comes in bunches: the last bunch is cut off, and what of it
+is late is not told from what is missing."""
 
 _FEWEST = 3
 """Fewest stamps of a line whose scatter is known."""
