@@ -217,7 +217,7 @@ def widened(rows: list[dict[str, Any]], perfect: list[dict[str, Any]], kind: str
 def page(rows: list[dict[str, Any]], seeds: int) -> str:
     """Return the page."""
     lines = [HEAD.format(dwell=DWELL, seeds=seeds)]
-    for condition, text in CONDITIONS.items():
+    for condition in CONDITIONS:
         for grade in GRADES:
             these = [r for r in rows if (r['condition'], r['grade']) == (condition, grade)]
             perfect = [r for r in rows if (r['condition'], r['grade']) == (PERFECT, grade)]
@@ -248,11 +248,11 @@ def _short(said: set[str]) -> str:
 HEAD = """\
 # What sessions say on imperfect stands
 
-Written by `docs/imperfections.py`: sessions of {dwell:g} s per position, {seeds} seeds each, of three
-units of [config/imus](../config/imus), on the table `three_axis`. The keys of the files are in
-[simulation.md](simulation.md). Worst: the parameter whose error is the largest in its stated standard
-deviations. Widened: the largest ratio of the stated deviations of K and of D to those of the perfect
-stand. Wrong: an error of more than 4.5 deviations; silently, where no finding is printed.
+Written by `docs/imperfections.py`: sessions of {dwell:g} s per position, {seeds} seeds each, of
+three units of [config/imus](../config/imus), on the table `three_axis`. The keys of the files are
+in [simulation.md](simulation.md). Worst: the parameter whose error is the largest in its stated
+standard deviations. Widened: the largest ratio of the stated deviations of K and of D to those of
+the perfect stand. Wrong: an error of more than 4.5 deviations; silently, where nothing is said.
 
 The truth is that of the mean over the session; of pulses K_a and the biases are by the unit's own
 clock, whose interval divides them.

@@ -70,6 +70,58 @@ class Stop:
     turning: int = 0
 
 
+Course = tuple[float, float, float, float]
+"""An error of an angle a: c1 cos(a) + s1 sin(a) + c2 cos(2 a) + s2 sin(2 a), rad."""
+
+FLAT: Course = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """What is wrong with a joint, rad: outer and inner turn about z, the middle one about x.
+
+    Attributes:
+        zero: To add to its angle.
+        lean: Of its axis about the next letter but one and the one after that: of z about x and y,
+            of x about y and z.
+        wobble: The same, with the angle that its encoder reads.
+        encoder: What the encoder reads beyond the angle, with that angle.
+
+    """
+
+    zero: float = 0.0
+    lean: tuple[float, float] = (0.0, 0.0)
+    wobble: tuple[Course, Course] = (FLAT, FLAT)
+    encoder: Course = FLAT
+
+
+SOUND = Flaw()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Damage:
+    """What happens to the samples of an IMU on their way.
+
+    Attributes:
+        lost: Chance that a sample never comes.
+        twice: That it comes twice.
+        late: That it is held up, and all behind it.
+        delay: For how long at most, s.
+        bunch: Samples that are stamped together.
+        freezes: When the device begins to repeat one sample, s.
+        frozen: For how long, s.
+
+    """
+
+    lost: float = 0.0
+    twice: float = 0.0
+    late: float = 0.0
+    delay: float = 0.0
+    bunch: int = 1
+    freezes: tuple[float, ...] = ()
+    frozen: float = 0.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class World:
     """Where the session takes place, and what the table does and shows.
@@ -90,6 +142,8 @@ class World:
         clock: By how much the IMU's clock is fast, a ratio.
         offset: By how much it is ahead at the start, s.
         program: What the table does; the twelve positions if empty.
+        flaws: Of outer, middle and inner joint.
+        damage: What happens to the samples.
 
     """
 
@@ -108,6 +162,8 @@ class World:
     clock: float = 0.0
     offset: float = 0.0
     program: tuple[Stop, ...] = ()
+    flaws: tuple[Flaw, Flaw, Flaw] = (SOUND, SOUND, SOUND)
+    damage: Damage | None = None
 
 
 @dataclass
@@ -203,10 +259,36 @@ def joints_of(axes: str) -> Vector:
 def attitude(angles: Vector, world: World) -> Matrix:
     """Body to east, north, up."""
     base = times(about(0, world.tilt[0]), about(1, world.tilt[1]))
+    if world.flaws != (SOUND, SOUND, SOUND):
+        result = times(base, about(2, world.azimuth))
+        for axis, angle, flaw in zip((2, 0, 2), angles, world.flaws, strict=True):
+            result = times(result, joint_turned(axis, angle, flaw))
+        return result
     table = times(
         times(about(2, world.azimuth + angles[0]), about(0, angles[1])), about(2, angles[2])
     )
     return times(base, table)
+
+
+def joint_turned(axis: int, reads: float, flaw: Flaw) -> Matrix:
+    """How a joint with its flaws stands when its encoder reads an angle."""
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    wobble = times(
+        about(first, course(flaw.wobble[0], reads)), about(second, course(flaw.wobble[1], reads))
+    )
+    lean = times(about(second, flaw.lean[1]), about(first, flaw.lean[0]))
+    turned = about(axis, reads - course(flaw.encoder, reads) + flaw.zero)
+    return times(wobble, times(lean, times(turned, transposed(lean))))
+
+
+def course(errors: Course, angle: float) -> float:
+    c1, s1, c2, s2 = errors
+    return (
+        c1 * math.cos(angle)
+        + s1 * math.sin(angle)
+        + c2 * math.cos(2 * angle)
+        + s2 * math.sin(2 * angle)
+    )
 
 
 def twelve(world: World) -> tuple[Stop, ...]:
@@ -264,7 +346,33 @@ def record(world: World, unit: Unit, seed: int) -> Recording:
     recording = Recording()
     _record_joints(recording, world, motions, duration, draw)
     _record_imu(recording, world, unit, motions, duration, draw)
-    return recording
+    return recording if world.damage is None else damaged(recording, world.damage, draw)
+
+
+def damaged(recording: Recording, damage: Damage, draw: random.Random) -> Recording:
+    """Send the samples of an IMU over a bad line, one by one."""
+    sent = Recording(joint_stamps=recording.joint_stamps, angles=recording.angles)
+    count = len(recording.imu_stamps)
+    free = 0.0
+    held: tuple[Vector, Vector] = NOTHING, NOTHING
+    for k, made in enumerate(recording.imu_stamps):
+        said = recording.gyro[k], recording.accel[k]
+        if any(begin <= made < begin + damage.frozen for begin in damage.freezes):
+            said = held
+        held = said
+        ready = recording.imu_stamps[
+            min(k // damage.bunch * damage.bunch + damage.bunch, count) - 1
+        ]
+        if draw.random() < damage.late:
+            ready += damage.delay * draw.random()
+        # Whoever is held up holds up the others; a queue empties by one in 50 us.
+        stamp = free = max(ready, free + 5e-5)
+        times_sent = 0 if draw.random() < damage.lost else 1 + (draw.random() < damage.twice)
+        for _ in range(times_sent):
+            sent.imu_stamps.append(stamp)
+            sent.gyro.append(said[0])
+            sent.accel.append(said[1])
+    return sent
 
 
 def _record_joints(

@@ -28,7 +28,7 @@ class Line:
         self._delivery = delivery
         self._period = period
         self._losses, self._repeats, self._late, self._freezes = rng.spawn(4)
-        self._last = -math.inf
+        self._ready = -math.inf
         self._held: Floats | None = None
         self._freeze = self._next_freeze(0.0)
 
@@ -50,11 +50,10 @@ class Line:
             chance, delay = self._late.random((len(number), 2)).T
             waits = waits - np.log1p(-delay) * delivery.delay * (chance < delivery.late)
         # Whoever is held up holds up those behind: a queue, emptied one by one.
-        order = _QUEUED * np.arange(len(number))
-        ready = np.maximum.accumulate(elapsed + waits - order)
-        arrived = np.maximum(ready, self._last + _QUEUED) + order
-        self._last = float(arrived[-1]) if len(arrived) else self._last
-        return np.asarray(arrived)
+        order = _QUEUED * number
+        ready = np.maximum.accumulate(np.append(self._ready, elapsed + waits - order))
+        self._ready = float(ready[-1])
+        return np.asarray(ready[1:] + order)
 
     def pass_on(self, first: int, values: Floats) -> tuple[NDArray[np.intp], Floats]:
         """Return which of (n, c) samples arrive, as rows in order, and what they say then."""

@@ -212,24 +212,19 @@ class SimulatedImu:
 
     def _respond(self, rate: Floats, force: Floats, edges: Floats) -> tuple[Floats, Floats]:
         gyro, accel = self.model.predict(rate, force)
-        drift, warming, fading = (
-            self.options.thermal_drift,
-            self.options.warming,
-            self.options.warm_up,
-        )
         middle = (edges[1:] + edges[:-1]) / 2
+        drift, warming = self.options.thermal_drift, self.options.warming
+        if drift != ThermalDrift() and (warming.offset or warming.rise or warming.ramp):
+            excess = warming.excess(middle)[:, None]
+            inputs = gyro - self.model.gyro.bias, accel - self.model.accel.bias
+            gyro = gyro + excess * (inputs[0] * np.asarray(drift.gyro_scale) + drift.gyro_bias)
+            accel = accel + excess * (inputs[1] * np.asarray(drift.accel_scale) + drift.accel_bias)
+        fading = self.options.warm_up
         if fading != WarmUp():
             left = np.exp(-middle / fading.time_constant)[:, None]
             gyro = gyro + left * fading.gyro_bias
             accel = accel + left * fading.accel_bias
-        if drift == ThermalDrift() or not (warming.offset or warming.rise or warming.ramp):
-            return gyro, accel
-        excess = warming.excess(middle)[:, None]
-        inputs = gyro - self.model.gyro.bias, accel - self.model.accel.bias
-        return (
-            gyro + excess * (inputs[0] * np.asarray(drift.gyro_scale) + drift.gyro_bias),
-            accel + excess * (inputs[1] * np.asarray(drift.accel_scale) + drift.accel_bias),
-        )
+        return gyro, accel
 
     def _channels(self, rng: np.random.Generator, triad: str) -> _Channels:
         options = self.options
