@@ -44,8 +44,10 @@ _RESONANT = 1.5
 """By how much readings of a counter at a rational rate may scatter more than independent ones."""
 
 _SWEEPS = 4
-"""Times that each gap is read, each time beside others that are filled better: at 2 % of samples
-lost, the whole numbers no longer change."""
+"""Most times that each gap is read, each time beside others that are filled better."""
+
+_SETTLED = 0.05
+"""Change of a gap's count, pulses, below which reading it again is of no use."""
 
 _LEAST_VARIANCE = 1e-4
 _SURE = 0.01
@@ -206,28 +208,29 @@ def _count(counts: Floats, holes: list[_Hole], noise: float, reach: int | None) 
     rate = float(counts[~empty].mean())
     chosen = reach or _best_reach(rate, noise)
     counts[empty] = rate
-    total = 0.0
-    for sweep in range(_SWEEPS):
-        total, carried = 0.0, 0.0
-        for hole in holes:
+    means, total = np.full(len(holes), rate), 0.0
+    for _ in range(_SWEEPS):
+        total, before = 0.0, means.copy()
+        for k, hole in enumerate(holes):
             missing = hole.stop - hole.start
             a = counts[max(hole.first, hole.start - chosen) : hole.start]
             b = counts[hole.stop : min(hole.last, hole.stop + chosen)]
             gain = _gain(len(a), len(b), missing)
             pulses = float(gain.before @ -_summed(a[::-1]) + gain.after @ _summed(b))
-            if reach is not None:
-                counts[hole.start : hole.stop] = _spread(pulses, hole)
-                continue
-            spread = gain.variance(rate, noise, min(len(a), len(b)))
-            mean, variance = _likely(pulses, spread, rate * missing, missing * noise**2)
-            total += variance
-            if sweep < _SWEEPS - 1:
-                # Not a whole number yet: a wrong one would pass its error on to those around it.
-                counts[hole.start : hole.stop] = mean / missing
-                continue
-            # Rounded one by one, gaps that cannot be read would all err to the same side.
-            counts[hole.start : hole.stop] = _spread(mean + carried, hole)
-            carried += mean - float(counts[hole.start : hole.stop].sum())
+            variance = 0.0
+            if reach is None:
+                spread = gain.variance(rate, noise, min(len(a), len(b)))
+                pulses, variance = _likely(pulses, spread, rate * missing, missing * noise**2)
+            means[k], total = pulses, total + variance
+            # Not a whole number yet: a wrong one would pass its error on to those around it.
+            counts[hole.start : hole.stop] = pulses / missing
+        if np.abs(means - before).max() < _SETTLED:
+            break
+    carried = 0.0
+    for hole, mean in zip(holes, means.tolist(), strict=True):
+        # Rounded one by one, gaps that cannot be read would all err to the same side.
+        counts[hole.start : hole.stop] = _spread(mean + carried, hole)
+        carried += mean - float(counts[hole.start : hole.stop].sum())
     return total
 
 

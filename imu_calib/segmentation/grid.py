@@ -23,11 +23,21 @@ half of one would take any shift for a sample."""
 
 _LIKE = 0.2
 """Of an interval: so near are two estimates of it. A judgement: more than samples that are missing
-make of their mean, less than the least bunch makes of their median."""
+make of their mean."""
+
+_FEW = 8
+"""Samples whose time tells the interval: few enough that most such are without a gap while one
+sample in twelve is missing, and enough for jitter to be small beside it."""
+
+_CLOSE = 0.05
+"""Of an interval: eight that differ more from eight single ones hold gaps, most of them."""
+
+_HASTE = 0.5
+"""Of the interval: where a quarter of the steps are shorter, samples come in bunches."""
 
 _LAG = 240
-"""Samples whose time tells the interval where they come in bunches: a multiple of any small bunch,
-and short enough that some of so many in a row are without a gap."""
+"""Samples whose time tells the interval then: a multiple of any small bunch, and short enough that
+some of so many in a row are without a gap."""
 
 _LAGS = 4
 """Fewest lags of a stretch: their lower ones are then within it."""
@@ -35,9 +45,15 @@ _LAGS = 4
 _WITHOUT_GAP = 0.1
 """Share of the lags that have no gap: the lower ones tell the interval."""
 
-_WINDOWS = (16, 128, 128)
-"""Samples around a step that tell whether stamps stay late, in each round: few while the interval
-is known by lags alone, then more than a line is held up in a tenth of a second at 1 kHz."""
+_WINDOW = 128
+"""Samples on either side of a step that tell whether stamps stay late: more than a line is held up,
+a tenth of a second at 1 kHz; and so few that their interval need not be known to a thousandth."""
+
+_NARROW = 16
+"""The same in the first round of bunches, whose interval is known to a percent."""
+
+_LAYINGS = 3
+"""Most rounds of laying a line and of counting what is missing by it."""
 
 _TAIL = 32
 """Samples at the end of a stretch that comes in bunches: the last bunch is cut off, and what of it
@@ -99,28 +115,30 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
 
     """
     time = (stamp - stamp[0]) * 1e-9
-    period = _first_period(time)
+    period, bunched = _first_period(time)
     if hint is not None and abs(hint - period) < _LIKE * period:
         period = hint
-    bunched = float(np.median(np.diff(time))) < (1 - _LIKE) * period
-    grid = _laid(time, np.arange(len(time)), period)
-    for window in _WINDOWS:
-        index = np.arange(len(time)) + _missing_before(time, period, window, bunched=bunched)
-        if np.array_equal(index, grid.index) and window != _WINDOWS[0]:
+    index = np.arange(len(time))
+    grid = _laid(time, index, period)
+    window = _NARROW if bunched and hint is None else _WINDOW
+    for _ in range(_LAYINGS):
+        counted = index + _missing_before(time, period, window, bunched=bunched)
+        if window == _WINDOW and np.array_equal(counted, grid.index):
             break
-        grid = _laid(time, index, period)
-        period = grid.period
+        grid = _laid(time, counted, period)
+        period, window = grid.period, _WINDOW
     return grid
 
 
-def _first_period(time: Floats) -> float:
-    """Return the sample interval within a percent or so, s."""
+def _first_period(time: Floats) -> tuple[float, bool]:
+    """Return the sample interval within a percent or so, s, and whether samples come in bunches."""
     steps = np.diff(time)
-    typical = float(np.median(steps))
+    few = min(_FEW, len(steps))
+    typical, single = float(np.median(time[few:] - time[:-few])) / few, float(np.median(steps))
+    if not float(np.quantile(steps, 0.25)) < _HASTE * typical:
+        return typical if abs(typical - single) < _CLOSE * single else single, False
     lag = min(_LAG, max(1, len(steps) // _LAGS))
-    lagged = float(np.quantile(time[lag:] - time[:-lag], _WITHOUT_GAP)) / lag
-    # Of samples that come in bunches most steps are no interval at all.
-    return lagged if lagged > (1 + _LIKE) * typical else typical
+    return float(np.quantile(time[lag:] - time[:-lag], _WITHOUT_GAP)) / lag, True
 
 
 def _missing_before(

@@ -1,0 +1,264 @@
+"""When samples were made, what lost ones counted, and which were none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imu_calib.imu import load_imu
+from imu_calib.segmentation.bridging import bridged, steadily
+from imu_calib.segmentation.frozen import repeated
+from imu_calib.segmentation.grid import read_grid
+from imu_calib.segmentation.pace import Pace
+from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.statistics import gap_free, statistics_at_rest
+from imu_calib.stream import Floats, Stamps
+
+EPOCH = 1_700_000_000_000_000_000
+PERIOD = 0.01
+
+
+def stamps(seconds: Floats) -> Stamps:
+    return EPOCH + np.rint(np.asarray(seconds) * 1e9).astype(np.int64)
+
+
+def kept(count: int, share: float, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Which samples of a stretch are not lost; its ends are there."""
+    keep = rng.random(count) >= share
+    keep[[0, -1]] = True
+    return np.flatnonzero(keep)
+
+
+def queue(ready: Floats) -> Floats:
+    """When messages come off a queue, 20 us apart, in a plain loop."""
+    came, last = [], -np.inf
+    for instant in ready:
+        last = max(float(instant), last + 20e-6)
+        came.append(last)
+    return np.array(came)
+
+
+def on_time(made: Floats, rng: np.random.Generator) -> Floats:
+    return made
+
+
+def jittered(made: Floats, rng: np.random.Generator) -> Floats:
+    return made + 1e-3 * rng.standard_normal(len(made)).clip(-4, 4)
+
+
+def late(made: Floats, rng: np.random.Generator) -> Floats:
+    return queue(made + rng.exponential(0.03, len(made)) * (rng.random(len(made)) < 0.01))
+
+
+def stalled(made: Floats, rng: np.random.Generator) -> Floats:
+    wait = np.zeros(len(made))
+    wait[[200, 1300, 2500]] = 0.5
+    return queue(made + wait)
+
+
+def in_bunches(made: Floats, rng: np.random.Generator) -> Floats:
+    last = np.minimum(np.arange(len(made)) // 4 * 4 + 3, len(made) - 1)
+    return queue(made[last])
+
+
+LINES: list[Callable[[Floats, np.random.Generator], Floats]] = [
+    on_time,
+    jittered,
+    late,
+    stalled,
+    in_bunches,
+]
+
+
+@pytest.mark.parametrize('line', LINES)
+@pytest.mark.parametrize('share', [0.0, 0.01])
+def test_samples_are_found_on_their_grid(
+    line: Callable[[Floats, np.random.Generator], Floats], share: float
+) -> None:
+    if line is in_bunches and share:
+        pytest.skip(
+            'Bunches are of samples that were made: which of one is lost is not to be seen.'
+        )
+    rng = np.random.default_rng(3)
+    index = kept(4000, share, rng)
+    grid = read_grid(stamps(line(index * PERIOD, rng)))
+    # Where in a queue a sample is lost is not to be seen: the queues hold few samples.
+    assert (grid.index == index).mean() > (0.99 if share and line in {late, stalled} else 0.9999)
+    assert grid.index[-1] == index[-1]
+    # White jitter of 1 ms leaves 1e-3 * 12^0.5 / 4000^1.5 s; what is late is left out.
+    assert grid.period == pytest.approx(PERIOD, abs=5 * 1e-3 * 12**0.5 / 4000**1.5)
+    assert abs(grid.period - PERIOD) < 5 * grid.period_std + 1e-13
+
+
+def test_the_stated_error_of_the_interval_is_meant() -> None:
+    off = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        grid = read_grid(stamps(jittered(np.arange(1000) * PERIOD, rng)))
+        off.append((grid.period - PERIOD) / grid.period_std)
+    # A hundred draws: their scatter is known to 7 %; the stated one allows for what clings.
+    assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.25
+
+
+def test_clean_stamps_stay_as_they_are() -> None:
+    clean = stamps(np.arange(4000) * PERIOD + 1e-6 * np.sin(np.arange(4000)))
+    assert read_grid(clean).stamps(clean) is clean
+    rough = stamps(jittered(np.arange(4000) * PERIOD, np.random.default_rng(1)))
+    steps = np.diff(read_grid(rough).stamps(rough))
+    assert np.ptp(steps) <= 1
+
+
+def test_a_session_tells_the_interval_better_than_a_stretch() -> None:
+    rng = np.random.default_rng(5)
+    pace, timings = Pace(), []
+    for start in 3000.0 * np.arange(12):
+        made = (start + np.arange(600)) * PERIOD * (1 + 30e-6)
+        timings.append(pace.read(stamps(jittered(made, rng)))[1])
+    period, std = pace.combined(timings[0])
+    truth = PERIOD * (1 + 30e-6)
+    # A stretch of six seconds alone tells 24 ppm; eleven of them over 330 s a tenth.
+    assert timings[0].own_std / PERIOD == pytest.approx(24e-6, rel=0.3)
+    assert std / PERIOD < 0.5e-6
+    assert abs(period - truth) < 4 * std
+
+
+def test_stretches_of_a_wandering_clock_are_timed_by_their_own_stamps() -> None:
+    rng = np.random.default_rng(6)
+    pace, timings = Pace(), []
+    for k in range(12):
+        # The clock that stamps them is slewed by 100 ppm, up and down.
+        made = 30.0 * k + np.arange(600) * PERIOD * (1 + (-1) ** k * 100e-6)
+        timings.append(pace.read(stamps(made + 1e-7 * rng.standard_normal(600)))[1])
+    for k, timing in enumerate(timings):
+        period, _ = pace.combined(timing)
+        assert period == pytest.approx(PERIOD * (1 + (-1) ** k * 100e-6), rel=2e-6)
+
+
+# Lost samples.
+
+FOG = load_imu('fog_medium')
+SENSOR = Sensor.of(FOG)
+
+
+def counter(count: int, rate: float, noise: float, rng: np.random.Generator) -> Floats:
+    """Whole pulses per sample of a counter."""
+    total = np.cumsum(rate + noise * rng.standard_normal(count + 1)) + rng.uniform()
+    return np.diff(np.floor(total))
+
+
+@pytest.mark.parametrize('rate', [0.003, 0.085, 9.797, 277.8])
+def test_a_quiet_counter_gives_back_what_was_lost(rate: float) -> None:
+    errors, stated = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        # The accelerometers' walk is 0.002 pulses in a sample.
+        pulses = counter(4000, rate, 0.002, rng)
+        index = kept(4000, 0.01, rng)
+        values = np.repeat(pulses[:, None], 6, axis=1)
+        came = SENSOR.samples(stamps(index * PERIOD), values[index])
+        whole = bridged(came, SENSOR.walk)
+        assert len(whole.samples.stamp) == 4000
+        assert whole.lost == 4000 - len(index)
+        assert len(gap_free(whole.samples.stamp, PERIOD)) == 1
+        pulse = FOG.accel.scale_factor
+        errors.append((whole.samples.increments[:, 3] / pulse).sum() - pulses.sum())
+        stated.append(whole.samples.gaps * whole.samples.bridged[3] / pulse**2)
+    # Forty gaps in each: hardly one pulse is lost, and it is allowed for.
+    assert np.sqrt(np.mean(np.square(errors))) <= 0.6
+    assert np.sqrt(np.mean(stated)) < 0.6
+
+
+def test_what_walks_by_pulses_is_filled_without_a_bias() -> None:
+    errors, stated = [], []
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        pulses = counter(4000, 9.797, 0.5, rng)
+        index = kept(4000, 0.02, rng)
+        values = np.repeat(pulses[:, None], 6, axis=1)
+        walk = np.full(6, 0.5 * FOG.gyro.scale_factor / 0.1)
+        whole = bridged(SENSOR.samples(stamps(index * PERIOD), values[index]), walk)
+        pulse = FOG.gyro.scale_factor
+        errors.append((whole.samples.increments[:, 0] / pulse).sum() - pulses.sum())
+        stated.append(whole.samples.gaps * whole.samples.bridged[0] / pulse**2)
+    scatter = float(np.sqrt(np.mean(stated)))
+    # Eighty gaps, each rounded: to the same side they would err by sixteen pulses.
+    assert abs(np.mean(errors)) < 4 * scatter / np.sqrt(16)
+    # Sixteen draws: known to 18 %.
+    assert np.std(errors) == pytest.approx(scatter, rel=0.7)
+
+
+def test_a_rest_with_lost_samples_is_as_good_as_one_without() -> None:
+    rng = np.random.default_rng(8)
+    pulses = np.column_stack([counter(4000, 9.797, 0.002, rng) for _ in range(6)])
+    index = kept(4000, 0.005, rng)
+    full = statistics_at_rest(SENSOR.samples(stamps(np.arange(4000) * PERIOD), pulses), SENSOR.walk)
+    whole = bridged(SENSOR.samples(stamps(index * PERIOD), pulses[index]), SENSOR.walk)
+    found = statistics_at_rest(whole.samples, SENSOR.walk)
+    assert found.missing == 4000 - len(index)
+    std = np.sqrt(found.variance(SENSOR.walk))
+    assert (np.abs(found.mean - full.mean) < 4 * std)[3:].all()
+    # Pieces between gaps, each read by itself, would widen it ten times.
+    assert (std < 1.5 * np.sqrt(full.variance(SENSOR.walk)))[3:].all()
+
+
+def test_rates_that_change_are_read_from_right_beside() -> None:
+    # A ramp of a whole second: 20 pulses per sample more each.
+    ramp = np.concatenate([np.zeros(100), 20.0 * np.arange(100), np.full(100, 2000.0)])
+    index = np.delete(np.arange(300), [50, 150, 250])
+    values = np.repeat(ramp[:, None], 6, axis=1)
+    came = SENSOR.samples(stamps(index * PERIOD), values[index])
+    near = bridged(came, SENSOR.walk, 1)
+    assert near.samples.increments[:, 0] == pytest.approx(ramp * FOG.gyro.scale_factor)
+    assert (near.rows < 0).nonzero()[0].tolist() == [50, 150, 250]
+    assert np.isnan(near.values(values[index])[[50, 150, 250]]).all()
+    steady = steadily(near.samples.part(201, 300), SENSOR.walk)
+    assert steady.increments[:, 0] == pytest.approx(2000 * FOG.gyro.scale_factor)
+
+
+def test_a_stop_of_the_stream_is_no_lost_sample() -> None:
+    index = np.delete(np.arange(1000), slice(300, 400))
+    came = SENSOR.samples(stamps(index * PERIOD), np.ones((900, 6)))
+    assert bridged(came, SENSOR.walk).lost == 0
+    rng = np.random.default_rng(2)
+    often = kept(1000, 0.3, rng)
+    came = SENSOR.samples(stamps(often * PERIOD), np.ones((len(often), 6)))
+    assert bridged(came, SENSOR.walk).lost == 0
+
+
+# Frozen samples.
+
+
+def codes(count: int, noise: float, seed: int = 0) -> Floats:
+    return np.rint(0.4 + noise * np.random.default_rng(seed).standard_normal((count, 6)))
+
+
+def test_a_device_that_repeats_one_sample_is_found() -> None:
+    values = codes(4000, 1.0)
+    values[1000:1300] = values[999]
+    values[3000:3100] = values[2999]
+    found = repeated(values, counted=False)
+    assert found[1000:1300].all()
+    assert found[3000:3100].all()
+    # Beside them a sample may be the same by chance.
+    assert found.sum() <= 403
+
+
+def test_a_counter_that_stands_still_is_found() -> None:
+    rng = np.random.default_rng(4)
+    values = np.column_stack([counter(4000, r, 0.05, rng) for r in (0.3, 0.2, 0.4, 9.8, 0.01, 0.0)])
+    assert not repeated(values, counted=True).any()
+    values[2000:2200] = values[1999]
+    assert repeated(values, counted=True)[2000:2200].all()
+
+
+@pytest.mark.parametrize('noise', [0.0, 0.01, 0.1, 0.3, 1.0, 20.0])
+def test_codes_of_little_noise_are_not_frozen(noise: float) -> None:
+    values = codes(4000, noise)
+    assert not repeated(values, counted=False).any()
+    # A level that drifts over the edge between two codes toggles there and stands still beyond.
+    drifting = np.rint(np.linspace(0.2, 0.8, 4000)[:, None] + noise * (codes(4000, 1.0) - 0.4) / 9)
+    if noise < 0.2:
+        assert not repeated(drifting, counted=False).any()
