@@ -59,6 +59,7 @@ CONDITIONS = {
     'wobble 2 arcsec': 'table: {wobble: {once: 2 arcsec, twice: 2 arcsec}}',
     'encoder harmonics 3 arcsec': 'table: {encoder: {once: 3 arcsec, twice: 3 arcsec}}',
     'encoder noise 7 arcsec': 'joint_states: {noise: 7 arcsec}',
+    'encoder noise 15 arcsec': 'joint_states: {noise: 15 arcsec}',
     'encoder of 16 bits': 'joint_states: {resolution: 19.775390625 arcsec}',
     'joint stamps jitter 1 ms': 'joint_states: {jitter: 1 ms}',
     'arrivals of joints 5 arcsec': 'table: {arrivals: {joints: 5 arcsec}}',
