@@ -231,6 +231,7 @@ class Calibrator:
             noise(labelled.segments, setup.imu),
             setup.table.positioning if setup.table is not None else 0.0,
             np.repeat([setup.imu.gyro.bias_instability, setup.imu.accel.bias_instability], 3),
+            session.moves,
         )
 
     def _estimate(

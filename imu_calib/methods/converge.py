@@ -18,10 +18,11 @@ _CONVERGED = 1e-9
 """Standard deviations, root mean square, by which a last step may move the prediction: far below
 all that counts."""
 
-_SETTLED = 1e-4
+_SETTLED = 0.02
 """Standard deviations by which steps may go on moving the prediction, all outputs together, where
-they do not become smaller any more: rounding in a system of a large condition number, or a slow
-approach whose rest, a hundred times the last step, counts for nothing."""
+they do not become smaller any more: each would lower chi-square by less than a thousandth. Rounding
+in a system of a large condition number does so, and a heading that the session does not show: its
+prior, which pulls nowhere, holds every step back."""
 
 _SLIGHT = 0.1
 """Standard deviations, all outputs together, of a full step that does not matter: it would lower

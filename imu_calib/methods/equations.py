@@ -102,7 +102,9 @@ class Surroundings:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """The equations of a session; rows are six for each stretch at rest, then three for each turn.
+    """The equations of a session.
+
+    Rows are six for each stretch at rest, then three for each turn, then three for each move.
 
     Attributes:
         evidence: The session.
@@ -111,9 +113,9 @@ class Equations:
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
         positioning: Standard deviation of an arrival that the encoder does not show, rad; None
             for what the table states.
-        extra: (6 s + 3 t,) square: covariance of the outputs beyond that of their own noise, or
+        extra: (6 s + 3 t + 3 m,) square: covariance of the outputs beyond that of their own noise, or
             None.
-        inflation: (6 s + 3 t,) factors on the variance of each output's own noise, or None.
+        inflation: (6 s + 3 t + 3 m,) factors on the variance of each output's own noise, or None.
 
     """
 
@@ -142,9 +144,10 @@ class Equations:
 
     @cached_property
     def outputs(self) -> Floats:
-        """What was read, (6 s + 3 t,) rad/s and m/s^2."""
+        """What was read, (6 s + 3 t + 3 m,) rad/s, m/s^2 and rad: moves read no difference."""
         turned = [t.statistics.mean[:3] for t in self.evidence.turns]
-        return np.concatenate([self.evidence.outputs().ravel(), np.array(turned).ravel()])
+        read = [self.evidence.outputs().ravel(), np.array(turned).ravel()]
+        return np.concatenate([*read, np.zeros(3 * len(self.evidence.led))])
 
     @cached_property
     def prior(self) -> tuple[Floats, Floats]:
@@ -218,15 +221,16 @@ class Equations:
         )
 
     def predict(self, state: Floats) -> Floats:
-        """Return what a state says that should be read, (6 s + 3 t,)."""
-        _, rate, force, turning, felt = self._inputs(state)
+        """Return what a state says that should be read, (6 s + 3 t + 3 m,)."""
+        around, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
         turned = whole(model.predict(turning, felt)[0])
-        return np.asarray(np.concatenate([at_rest.ravel(), turned.ravel()]))
+        led = self.evidence.led.off(model, around.rate)
+        return np.asarray(np.concatenate([at_rest.ravel(), turned.ravel(), led]))
 
     def jacobian(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict`, (6 s + 3 t, n)."""
+        """Return the derivatives of `predict`, (6 s + 3 t + 3 m, n)."""
         around, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         s, t, n = len(rate), len(turning), self.sensors
@@ -240,7 +244,10 @@ class Equations:
         ups, rates, timed = self._turning
         answers = np.einsum('tij,tj->ti', whole(slopes[..., :3]), ups)
         turned[:, :, -1] = -answers * (np.where(timed, rates, 0.0) / (1 + state[-1]) ** 2)[:, None]
-        return np.vstack([at_rest.reshape(6 * s, self.size), turned.reshape(3 * t, self.size)])
+        led = np.zeros((len(self.evidence.led), 3, self.size))
+        led[:, :, :n] = self.evidence.led.by_parameters(model, self.parameters)
+        led[:, :, n : n + 3] = self.evidence.led.by_rate() @ around.rate_slopes
+        return np.vstack([block.reshape(-1, self.size) for block in (at_rest, turned, led)])
 
     @property
     def _to_body(self) -> Floats:
@@ -248,11 +255,12 @@ class Equations:
 
     @cached_property
     def own_variances(self) -> Floats:
-        """Variances of the outputs by random walk and quantisation, (6 s + 3 t,)."""
+        """Variances of the outputs by random walk and quantisation, (6 s + 3 t + 3 m,)."""
         walk, north_rate = self.evidence.walk, self.evidence.site.north_rate
         turned = [t.variance(walk, north_rate) for t in self.evidence.turns]
-        own = np.concatenate([self.evidence.variances().ravel(), np.array(turned).ravel()])
-        own = np.maximum(own, SMALLEST_VARIANCE)
+        led = self.evidence.led.variances(walk)
+        own = [self.evidence.variances().ravel(), np.array(turned).ravel(), led]
+        own = np.maximum(np.concatenate(own), SMALLEST_VARIANCE)
         return np.asarray(own if self.inflation is None else own * self.inflation)
 
     def covariance(self, state: Floats) -> Floats:
@@ -280,11 +288,12 @@ class Equations:
         return result
 
     def arrivals(self, state: Floats) -> Floats:
-        """Return how errors of arrival enter the outputs: (6 s + 3 t, errors), per rad.
+        """Return how errors of arrival enter the outputs: (6 s + 3 t + 3 m, errors), per rad.
 
         While up stays the same in body axes only the vertical joint moves: the error of the others
         is one and the same for all stretches and turns of such a group, about both level axes.
-        The vertical joint's own is another for each stretch, and whole turns do not feel it.
+        The vertical joint's own is another for each stretch, and whole turns do not feel it. A
+        move sees what the stretches at its ends do not share.
         """
         _, rate, force, turning, felt = self._inputs(state)
         s = len(rate)
@@ -295,6 +304,7 @@ class Equations:
         groups = self._groups(ups)
         count = int(groups.max(initial=-1)) + 1
         result = np.zeros((len(self.outputs), 2 * count + s))
+        leaning = np.zeros((s, 3, 2 * count + s))
         for k, up in enumerate(ups):
             first = groups == groups[k]
             level = _level_axes(ups[first][0])
@@ -306,10 +316,13 @@ class Equations:
             about = np.array(axes).T
             moved = np.vstack([np.cross(v[k], about.T).T for v in (rates, forces)])
             if k < s:
+                leaning[k][:, columns] = about
                 result[6 * k : 6 * k + 6, columns] = slopes[k] @ moved
             else:
                 row = 6 * s + 3 * (k - s)
                 result[row : row + 3, columns] = slopes[k, :3] @ moved
+        first = 6 * s + 3 * len(self.evidence.turns)
+        result[first:] = self.evidence.led.by_attitudes(self.model(state), leaning)
         return result
 
     def _groups(self, ups: Floats) -> NDArray[np.intp]:

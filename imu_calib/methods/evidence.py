@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from ..imu import ImuSpec
 from ..plan import Plan
 from ..segmentation.clock import ClockFit
 from ..segmentation.segment import Segment, Turn
+from ..segmentation.session import Move
 from ..segmentation.statistics import pooled_walk
 from ..stream import Floats
+from .moves import Moves
 
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
@@ -44,6 +47,7 @@ class Evidence:
         positioning: Standard deviation of an arrival of the table, rad; 0 when not stated.
         instability: (6,) standard deviation of biases that wander, by the data sheet, rad/s and
             m/s^2; 0 when not stated.
+        moves: What the gyros saw between one stretch and the next.
 
     """
 
@@ -56,6 +60,12 @@ class Evidence:
     walk: Floats
     positioning: float = 0.0
     instability: Floats = field(default_factory=lambda: np.zeros(6))
+    moves: tuple[Move, ...] = ()
+
+    @cached_property
+    def led(self) -> Moves:
+        """The moves that count as observations."""
+        return Moves.between(self.segments, self.turns, self.moves)
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..segmentation.segment import Statistics
+from ..segmentation.session import Move
 from ..stream import Floats
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
@@ -50,13 +50,21 @@ class _Wandering:
     slopes: int
 
     @classmethod
-    def of(cls, statistics: list[Statistics], starts: Floats, with_slope: list[bool]) -> _Wandering:
-        """Lay nodes over stretches: rows of `functionals` are all means, then the slopes."""
+    def of(
+        cls, starts: Floats, durations: Floats, units: Floats, with_slope: NDArray[np.bool_]
+    ) -> _Wandering:
+        """Lay nodes over stretches: rows of `functionals` are all means, then the slopes.
+
+        Args:
+            starts: (n,) of the stretches, s.
+            durations: (n,) s.
+            units: (n,) what a mean of one counts for: the time of a move, whose output is an angle.
+            with_slope: (n,) whether the slope counts too.
+
+        """
         grid = (np.arange(_NODES) + 0.5) / _NODES
-        durations = np.array([s.duration for s in statistics])
         nodes = (starts[:, None] + durations[:, None] * grid).ravel()
-        n = len(statistics)
-        means = np.kron(np.eye(n), np.full(_NODES, 1 / _NODES))
+        means = np.kron(np.diag(units), np.full(_NODES, 1 / _NODES))
         centred = grid - 0.5
         line = np.kron(np.diag(1 / durations), centred / (centred @ centred))
         return cls(nodes, np.vstack([means, line[with_slope]]), int(np.sum(with_slope)))
@@ -194,8 +202,7 @@ def excess(equations: Equations, state: Floats) -> Excess:
     """
     plain = replace(equations, extra=None, positioning=None)
     evidence = plain.evidence
-    s, t = len(evidence.segments), len(evidence.turns)
-    size = 6 * s + 3 * t
+    s, size = len(evidence.segments), len(plain.outputs)
     positioning = evidence.positioning
     found = Excess(positioning, np.zeros(6), np.zeros((size, size)), np.zeros((size, size)))
     if not s or plain.own_variances.max() <= SMALLEST_VARIANCE:
@@ -284,14 +291,17 @@ def _triad(
     s = len(evidence.segments)
     rows = (6 * np.arange(s)[:, None] + first + np.arange(3)).ravel()
     stretches = [(x.statistics, x.start) for x in evidence.segments]
+    moves: list[Move] = []
     if first == 0:
-        rows = np.concatenate([rows, 6 * s + np.arange(3 * len(evidence.turns))])
+        rows = np.concatenate([rows, np.arange(6 * s, len(equations.outputs))])
         stretches += [(x.statistics, x.start) for x in evidence.turns]
+        moves = [link.move for link in evidence.led.links]
     jacobian, left, covariance, arrivals = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
-    origin = min(start for _, start in stretches)
-    starts = np.array([(start - origin) * 1e-9 for _, start in stretches])
+    starts = np.array([start for _, start in stretches] + [m.start for m in moves], dtype=np.int64)
+    durations = np.array([x.duration for x, _ in stretches] + [m.duration for m in moves])
+    units = np.concatenate([np.ones(len(stretches)), durations[len(stretches) :]])
     with_slope = [
         all(len(b) >= _BLOCKS_FOR_A_SLOPE for b in x.blocks[first : first + 3])
         for x, _ in stretches
@@ -304,7 +314,12 @@ def _triad(
             for x in sloped
         ]
     ).ravel()
-    wandering = _Wandering.of([x for x, _ in stretches], starts, with_slope)
+    wandering = _Wandering.of(
+        (starts - starts.min()) * 1e-9,
+        durations,
+        units,
+        np.array(with_slope + [False] * len(moves), dtype=bool),
+    )
     return _Triad(
         rows,
         jacobian[np.ix_(rows, seen)],

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
+from ..segmentation.session import Move
 from ..stream import Floats
 from ..units import DEG
 from .converge import least_squares
@@ -34,6 +35,10 @@ _ITERATIONS = 100
 _OUTLYING = 1e-6
 _SUSPECT = 1e-5
 _UNLIKE = 1e-4
+_ASTRAY = 1e-9
+"""Chance by which a sound move is left out, by noise and what the rest of the session leaves open.
+Far smaller than that of an outlier: arrivals that both share are counted twice."""
+
 _MOST_OUTLIERS = 1 / 3
 _RANK = 1e-6
 _LEFT_OUT = 1e8
@@ -58,6 +63,17 @@ class Outlier:
     square: float
 
 
+@dataclass(frozen=True)
+class Astray:
+    """A move whose end by the gyros is `angle` (rad) off what the encoders show: left out.
+
+    `positions` are those it leads from and to.
+    """
+
+    positions: tuple[str, str]
+    angle: float
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """What the least squares found, before it is held against the world.
@@ -71,6 +87,7 @@ class Estimate:
         outliers: What counts for less.
         turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
             for less; 1 where they agree.
+        astray: Moves that were left out.
 
     """
 
@@ -81,6 +98,7 @@ class Estimate:
     scatter: Excess
     outliers: tuple[Outlier, ...]
     turns_scatter: float = 1.0
+    astray: tuple[Astray, ...] = ()
 
     def nuisance(self, which: Nuisance) -> tuple[float, float]:
         """Return one of the nuisances and its standard deviation."""
@@ -101,15 +119,54 @@ def estimate(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS)
     """
     equations = Equations(evidence, parameters)
     check_observable(equations)
-    state = _fit(equations, _start(equations))
-    equations = _headed(_levelled(equations, state), state)
-    state = _fit(equations, state)
-    found = _without_outliers(equations, state, turns=True)
-    if not _turns_disagree(evidence, found.outliers):
-        return found
-    equations, scatter = _turns_weighed_down(equations, state)
-    found = _without_outliers(equations, _fit(equations, state), turns=False)
-    return replace(found, turns_scatter=scatter)
+    # Moves lead from attitude to attitude of a table that is known; they say less of where it is.
+    resting = replace(equations, evidence=replace(evidence, moves=()))
+    state = _fit(resting, _start(resting))
+    resting = _headed(_levelled(resting, state), state)
+    state = _fit(resting, state)
+    kept, astray = _moves_that_fit(resting, state, evidence)
+    equations = replace(resting, evidence=replace(evidence, moves=kept))
+    found = _without_outliers(equations, _fit(equations, state), turns=True)
+    if _turns_disagree(evidence, found.outliers):
+        equations, scatter = _turns_weighed_down(equations, state)
+        found = _without_outliers(equations, _fit(equations, state), turns=False)
+        found = replace(found, turns_scatter=scatter)
+    return replace(found, astray=astray)
+
+
+def _moves_that_fit(
+    resting: Equations, state: Floats, evidence: Evidence
+) -> tuple[tuple[Move, ...], tuple[Astray, ...]]:
+    """Choose the moves that rests and turns bear out.
+
+    A gyro beyond its range, one that does not answer in proportion, or a table whose joints are
+    not what they are said to be, is off by many times the noise in what takes seconds: such a move
+    tells nothing of the parameters.
+
+    Args:
+        resting: The session without moves.
+        state: (n,) what they say.
+        evidence: The session with them.
+
+    """
+    if not len(evidence.led):
+        return (), ()
+    scatter = excess(resting, state)
+    known = Information.of(_weighted(resting, scatter).whitened(state)[0]).covariance
+    moving = replace(resting, evidence=evidence, positioning=scatter.positioning)
+    first = len(resting.outputs)
+    jacobian = np.nan_to_num(moving.jacobian(state)[first:])
+    spread = moving.covariance(state)[first:, first:] + jacobian @ np.nan_to_num(known) @ jacobian.T
+    off = moving.predict(state)[first:].reshape(-1, 3)
+    kept, astray = [], []
+    for k, link in enumerate(evidence.led.links):
+        block = spread[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
+        if off[k] @ np.linalg.solve(block, off[k]) <= chdtri(3, _ASTRAY):
+            kept.append(link.move)
+            continue
+        ends = [str(evidence.segments[end].position) for end in (link.first, link.second)]
+        astray.append(Astray((ends[0], ends[1]), float(np.linalg.norm(off[k]))))
+    return tuple(kept), tuple(astray)
 
 
 def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Estimate:
@@ -168,7 +225,7 @@ def _turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
     """
     axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
     fallen = np.unique([(o.rows[0] - 6 * len(evidence.segments)) // 3 for o in outliers])
-    fallen = axes[fallen[fallen >= 0].astype(int)]
+    fallen = axes[fallen[(fallen >= 0) & (fallen < len(axes))].astype(int)]
     return any((fallen == axis).sum() > _MOST_OUTLIERS * (axes == axis).sum() for axis in fallen)
 
 
@@ -292,6 +349,10 @@ def _candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[n
         found.append(
             (f'a turn at {rate:.3g} deg/s at position {turn.position}', rest + 3 * k + three)
         )
+    rest += 3 * len(evidence.turns)
+    for k, link in enumerate(evidence.led.links):
+        ends = [evidence.segments[end].position for end in (link.first, link.second)]
+        found.append((f'the move from position {ends[0]} to {ends[1]}', rest + 3 * k + three))
     return found
 
 

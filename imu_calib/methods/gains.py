@@ -91,7 +91,9 @@ class Gains:
             elif self.accel is not None:
                 row[3 + parameter.row : 6 * s : 6] = self.accel[column]
         state = np.concatenate([model.vector(), np.zeros(len(Nuisance))])
-        covariance = rows @ Equations(evidence).covariance(state) @ rows.T
+        # A closed form knows no moves.
+        resting = Equations(replace(evidence, moves=()))
+        covariance = rows @ resting.covariance(state) @ rows.T
         # All three scale factors share the error of the clocks' rate.
         covariance[:3, :3] += evidence.clock_rate()[1] ** 2
         if self.accel is None:

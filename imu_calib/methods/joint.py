@@ -23,6 +23,7 @@ from .fit import Estimate, estimate
 from .solution import Residual, Solution
 
 _TELLING = 0.1
+_NAMED = 3
 
 
 def solve(evidence: Evidence, terms: tuple[Term, ...] = ()) -> Solution:
@@ -93,6 +94,7 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     rest = 6 * len(evidence.segments)
     for k, turn in enumerate(evidence.turns):
         free[rest + 3 * k : rest + 3 * k + 3, 2] = response @ turn.up
+    free[rest + 3 * len(evidence.turns) :] = evidence.led.by_rate().reshape(-1, 3)
     factor = np.linalg.cholesky(plain.covariance(state))
     free = scipy.linalg.solve_triangular(factor, free, lower=True)
     jacobian, left = plain.whitened(state)
@@ -116,6 +118,8 @@ def _findings(found: Estimate) -> list[str]:
     if found.outliers:
         names = ', '.join(f'{o.name} ({np.sqrt(o.square):.0f} sigma)' for o in found.outliers)
         notes.append(f'Does not fit the rest and counts for less: {names}.')
+    if found.astray:
+        notes.append(_astray(found))
     if found.turns_scatter > 1:
         notes.append(turns_scatter(found.turns_scatter))
     if found.equations.any_heading:
@@ -132,6 +136,20 @@ def _findings(found: Estimate) -> list[str]:
             f'{LEVELLED / ARCSEC:.0f} arcsec to which it was taken to be level.'
         )
     return [*notes, *_scattering(found)]
+
+
+def _astray(found: Estimate) -> str:
+    """Say which moves were left out, how far they are off, and what does so."""
+    total = len(found.astray) + len(found.equations.evidence.led)
+    worst = max(found.astray, key=lambda move: move.angle)
+    names = ', '.join(' to '.join(move.positions) for move in found.astray[:_NAMED])
+    more = '' if len(found.astray) <= _NAMED else f' and {len(found.astray) - _NAMED} more'
+    return (
+        f'By the gyros {len(found.astray)} of {total} moves end elsewhere than by the encoders '
+        f'(from position {names}{more}; {worst.angle / ARCSEC:.3g} arcsec at most): they are left '
+        'out. Rates beyond the range of the gyros do so, gyros that do not answer in proportion, '
+        "and a table whose axes are not where its description says."
+    )
 
 
 def _scattering(found: Estimate) -> list[str]:

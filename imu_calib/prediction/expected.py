@@ -11,15 +11,18 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..calibrator import Setup
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
 from ..methods.evidence import Evidence
 from ..model import SensorModel, Skewed
+from ..profile import Course, moving
 from ..segmentation.clock import ClockFit
 from ..segmentation.counter import mean_rate, rate_between
 from ..segmentation.segment import Segment, Statistics, Turn
+from ..segmentation.session import Move
 from ..stream import Floats, Mode, Units
 from ..turntable import TURN, rotation
 from .schedule import SETTLE, schedule
@@ -39,6 +42,9 @@ _BY_HAND_STILL = 2.0
 _BY_HAND_LEVEL = 0.25
 """What such a turn leaves of a level rate where it rises and falls for a third of a second each."""
 
+_STEP = 0.01
+"""Into which a move is cut, s: no step turns by more than a degree at 100 deg/s."""
+
 _UP = np.array([0.0, 0.0, 1.0])
 _PHASE = 0.5
 _NODES = 8
@@ -48,12 +54,17 @@ _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 
 @dataclass(frozen=True, eq=False)
 class _Rest:
-    """The table stands at one attitude, from `start` to `end` (s since the first step)."""
+    """The table stands at one attitude, from `start` to `end` (s since the first step).
+
+    `course` leads there from the rest before, where nothing is turned in between.
+    """
 
     position: str
     attitude: Floats
     start: float
     end: float
+    angles: Floats | None = None
+    course: Course | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +108,14 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         mean = np.concatenate(truth.predict(body @ earth, body @ force))
         statistics = _at_rest(setup.imu, mean, rest.end - rest.start)
         segments.append(
-            Segment(_ns(rest.start), _ns(rest.end), statistics, rest.attitude, rest.position)
+            Segment(
+                _ns(rest.start),
+                _ns(rest.end),
+                statistics,
+                rest.attitude,
+                rest.position,
+                rest.angles,
+            )
         )
     turns = []
     for turning in turnings:
@@ -124,11 +142,24 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
                 level=_BY_HAND_LEVEL if setup.plan.by_hand else 0.0,
             )
         )
+    moves = [
+        _move(before, after, rest.course, setup.table, truth, earth)
+        for before, after, rest in zip(segments, segments[1:], rests[1:], strict=False)
+        if rest.course is not None and setup.table is not None
+    ]
     # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
     clock = ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, len(turns))
     positioning = setup.table.positioning if setup.table is not None else 0.0
     return Evidence(
-        tuple(segments), tuple(turns), setup.plan, setup.site, clock, stated, walk, positioning
+        tuple(segments),
+        tuple(turns),
+        setup.plan,
+        setup.site,
+        clock,
+        stated,
+        walk,
+        positioning,
+        moves=tuple(moves),
     )
 
 
@@ -143,6 +174,7 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
     rests: list[_Rest] = []
     turnings: list[_Turning] = []
     standing = 0.0
+    at: Floats | None = None
     for visit in schedule(steps, table, settle=SETTLE):
         if visit.rest > visit.begin:
             standing = visit.rest
@@ -155,11 +187,57 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
             seconds = TURN * step.turns / abs(rate)
             start = (visit.begin + visit.rest - seconds) / 2
             turnings.append(_Turning(step.position, up, start, seconds, sense * rate))
+            at = None
         elif step.dwell:
             attitude = table.attitude(step.angles)
             span = (standing + _UNSEEN / 2, visit.end - _UNSEEN / 2)
-            rests.append(_Rest(step.position, attitude, *span))
+            course = None if at is None else _way(table, at, visit.angles)
+            rests.append(_Rest(step.position, attitude, *span, visit.angles, course))
+            at = visit.angles
+        else:
+            at = None
     return rests, turnings
+
+
+def _way(table: Table, origin: Floats, goal: Floats) -> Course:
+    """Return the course of the joints at the table's limits."""
+    limits = [(joint.max_rate, joint.max_acceleration) for joint in table.joints]
+    rates, accelerations = zip(*limits, strict=True)
+    return moving(origin.tolist(), goal.tolist(), rates, accelerations)
+
+
+def _move(
+    before: Segment,
+    after: Segment,
+    course: Course,
+    table: Table,
+    truth: SensorModel,
+    earth: Floats,
+) -> Move:
+    """Return what the gyros would give on the way from one rest to the next.
+
+    Args:
+        before: The rest that it begins at.
+        after: The rest that it ends at.
+        course: Of the joints.
+        table: Whose.
+        truth: The sensors.
+        earth: (3,) Earth rate in the frame of the attitudes, rad/s.
+
+    """
+    seconds = (after.start - before.end) * 1e-9
+    knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
+    attitudes = table.attitude(course.at(knots)[0])
+    steps = Rotation.from_matrix(np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]).as_rotvec()
+    spans = np.diff(knots)
+    # What the table stands at both ends, before and after.
+    spans = np.concatenate([[(seconds - course.end) / 2], spans, [(seconds - course.end) / 2]])
+    steps = np.vstack([np.zeros(3), steps, np.zeros(3)])
+    middles = np.concatenate([attitudes[:1], (attitudes[:-1] + attitudes[1:]) / 2, attitudes[-1:]])
+    rates = steps / spans[:, None] + np.einsum('i,nij->nj', earth, middles)
+    gyro, _ = truth.predict(rates, np.zeros_like(rates))
+    quantum = before.statistics.pulse[:3]
+    return Move(before.end, after.start, gyro * spans[:, None], spans, quantum)
 
 
 def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
@@ -246,7 +324,15 @@ def _statistics(
         blocks=tuple(np.empty((0, 4)) for _ in range(6)),
         drift=nothing,
         drift_std=nothing,
+        pulse=_pulse(spec),
     )
+
+
+def _pulse(spec: ImuSpec) -> Floats:
+    """Return the (6,) size of a pulse, rad and m/s; 0 where there are none."""
+    if spec.units is not Units.PULSES:
+        return np.zeros(6)
+    return np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
 
 
 def _counted(triad: TriadSpec, period: float, mean: float, seconds: float) -> tuple[float, float]:
@@ -271,11 +357,11 @@ def _rounded(spec: ImuSpec, triad: TriadSpec) -> float:
 
 
 def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats:
-    """Return the covariance of the outputs by biases that wander, (6 s + 3 t + u,) square.
+    """Return the covariance of the outputs by biases that wander, (6 s + 3 t + 3 m + u,) square.
 
     First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
-    instabilities, seen by the means of stretches and turns; u is the number of turns that a skewed
-    gyro saw.
+    instabilities, seen by the means of stretches and turns and by the angles of m moves; u is the
+    number of turns that a skewed gyro saw.
 
     Args:
         evidence: Stretches and turns in time.
@@ -284,8 +370,10 @@ def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats
 
     """
     rests, turns = evidence.segments, evidence.turns
+    moves = [link.move for link in evidence.led.links]
     spans = [(s.start, s.end) for s in rests]
     spans += [(t.start, t.end) for t in turns]
+    spans += [(m.start, m.end) for m in moves]
     grid = (np.arange(_NODES) + 0.5) / _NODES
     begin, end = (np.array(spans).reshape(-1, 2).T) * 1e-9
     nodes = (begin[:, None] + (end - begin)[:, None] * grid).ravel()
@@ -293,12 +381,16 @@ def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats
     n = len(spans)
     means = kernel.reshape(n, _NODES, n, _NODES).mean(axis=(1, 3))
     askew = [len(rests) + k for k, t in enumerate(turns) if t.skewed is not None]
-    channel = [*(c for _ in rests for c in range(6)), *(c for _ in turns for c in range(3))]
+    channel = [*range(6)] * len(rests) + [*range(3)] * (len(turns) + len(moves))
     channel += [6] * len(askew)
-    which = np.repeat(np.arange(n), [6] * len(rests) + [3] * len(turns))
+    threes = len(turns) + len(moves)
+    which = np.repeat(np.arange(n), [6] * len(rests) + [3] * threes)
     which = np.concatenate([which, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*_triads(spec), spec.skewed or TriadSpec())]
     instability = np.array(figures)[channel]
+    first = 6 * len(rests) + 3 * len(turns)
+    # Moves give angles.
+    instability[first : first + 3 * len(moves)] *= np.repeat([m.duration for m in moves], 3)
     same = np.equal.outer(channel, channel)
     return np.asarray(same * means[np.ix_(which, which)] * np.outer(instability, instability))
 

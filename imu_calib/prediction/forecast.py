@@ -81,7 +81,8 @@ def forecast(
     evidence = expected(setup, truth, azimuth)
     if setup.method_name == free.NAME:
         return _with_gravity(_in_the_hand(setup, truth, evidence), truth)
-    extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
+    # A closed form knows no moves.
+    resting = replace(evidence, moves=())
     name = setup.method_name
     solver = method(name, setup.terms)
     refusal = ''
@@ -89,7 +90,8 @@ def forecast(
     square = _nothing(parameters)
     if name not in JOINT:
         try:
-            parameters, square = _by_closed_form(evidence, solver, extra)
+            extra = wandering(resting, setup.imu, BIAS_TIME_CONSTANT) if wander else None
+            parameters, square = _by_closed_form(resting, solver, extra)
             if name == skewed.NAME:
                 square = square + skewed.doubt(evidence)
         except NotObservable as error:
@@ -101,6 +103,7 @@ def forecast(
             refusal = str(error)
     best = _nothing(parameters)
     if name in JOINT or not setup.plan.by_hand:
+        extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
         best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return _with_gravity(Forecast(evidence, name, parameters, std, best, refusal), truth)
@@ -182,9 +185,10 @@ def information(
     extra: Floats | None = None,
 ) -> Information:
     """Return what a session tells at the truth (methods.md, section 11)."""
-    modelled = 6 * len(evidence.segments) + 3 * len(evidence.turns)
-    extra = None if extra is None else extra[:modelled, :modelled]
-    equations = Equations(evidence, parameters, extra=extra)
+    equations = Equations(evidence, parameters)
+    modelled = len(equations.outputs)
+    if extra is not None:
+        equations = replace(equations, extra=extra[:modelled, :modelled])
     return Information.of(equations.whitened(state_at(equations, truth))[0])
 
 
@@ -212,6 +216,8 @@ def gains(evidence: Evidence, solver: Callable[[Evidence], Solution]) -> Floats:
 
     u is the number of turns that a skewed gyro saw.
     """
+
+    evidence = replace(evidence, moves=())
 
     def parameters(output: int, step: float) -> Floats:
         solution = solver(_moved(evidence, output, step))

@@ -152,7 +152,9 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
         k = next(k for k, c in enumerate(choices) if c.matrix[2, axis] > 1 - 1e-9)
         positions[k] = replace(positions[k], rate_test=test)
     plan = replace(setup.plan, positions=tuple(positions), by_hand=False)
-    equations = Equations(expected(replace(setup, plan=plan), truth))
+    # In what order the table will go to them nobody knows yet.
+    evidence = replace(expected(replace(setup, plan=plan), truth), moves=())
+    equations = Equations(evidence)
     state = state_at(equations, truth)
     jacobian, variances = equations.jacobian(state), equations.own_variances
     rows = jacobian / np.sqrt(variances)[:, None]

@@ -91,6 +91,11 @@ class Pace:
         timing = Timing(grid.period, grid.period, grid.period_std)
         return grid, replace(timing, used=self.combined(timing)[0])
 
+    @property
+    def interval(self) -> float:
+        """That of all stretches so far, s; of the first one where no line goes through them."""
+        return self._long()[0] or self._reference
+
     def combined(self, timing: Timing) -> tuple[float, float]:
         """Return the interval of a stretch by its own stamps and all others, and its std, s."""
         long, long_std = self._long()

@@ -23,6 +23,7 @@ from .bridging import Bridged, bridged
 from .clock import ClockFit, ClockSample, Seen, clock_sample, fit_clock, seen_by_gyros
 from .intake import Intake
 from .motion import JointTracker, Motion, Rest
+from .moves import MoveReader
 from .order import Ordered
 from .pace import Pace
 from .rests import read_rest
@@ -74,6 +75,7 @@ class Segmenter:
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
         self._motions: list[FreeMotion] = []
+        self._moves = MoveReader(self._sensor)
         self._rejected: list[Rejected] = []
         self._slips: list[Slip] = []
         self._pace = Pace()
@@ -133,6 +135,7 @@ class Segmenter:
             tuple(self._segments),
             tuple(self._turns),
             tuple(self._motions),
+            self._moves.finish(self._pace.interval),
             tuple(self._rejected),
             tuple(self._slips),
             (*self._losses(), *_jumps(clock)),
@@ -222,11 +225,11 @@ class Segmenter:
             whole = bridged(came, self._sensor.walk)
             self._note_lost(whole, start, end)
             delivered = whole.values(values[piece])
-            self._take(
-                read_rest(
-                    self._sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
-                )
+            found = read_rest(
+                self._sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
             )
+            self._moves.rest(whole.samples, delivered, found)
+            self._take(found)
 
     def _motion(self, motion: Motion) -> None:
         start = motion.start + self._offset_ns - MARGIN_NS
@@ -238,6 +241,8 @@ class Segmenter:
         whole = bridged(self._sensor.samples(stamp, values, self._pace), self._sensor.walk, 1)
         self._note_lost(whole, motion.start + self._offset_ns, motion.end + self._offset_ns)
         samples, values = whole.samples, whole.values(values)
+        ends = int(np.searchsorted(samples.stamp, motion.end + self._offset_ns, side='right'))
+        self._moves.motion(samples.part(0, ends), values[:ends])
         skew = self._intake.skew
         around = Around(
             self._sensor, values, samples, None if skew is None else skew.between(start, end)

@@ -50,6 +50,31 @@ class FreeMotion:
 
 
 @dataclass(frozen=True, eq=False)
+class Move:
+    """A motion from one segment at rest to the next, without a gap.
+
+    Attributes:
+        start: End of the segment before, ns, IMU clock.
+        end: Start of the segment after, ns, IMU clock.
+        turned: (n, 3) rotation vector of each step, rad.
+        seconds: (n,) how long each step took, s.
+        quantum: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
+
+    """
+
+    start: int
+    end: int
+    turned: Floats
+    seconds: Floats
+    quantum: Floats
+
+    @property
+    def duration(self) -> float:
+        """How long it took, s."""
+        return float(self.seconds.sum())
+
+
+@dataclass(frozen=True, eq=False)
 class Segmented:
     """All that a session's streams contain.
 
@@ -57,6 +82,7 @@ class Segmented:
         segments: Stretches at rest, in order.
         turns: Whole turns measured by an encoder, in order.
         motions: Larger motions that no encoder saw, in order.
+        moves: What the gyros saw between one segment and the next, in order.
         rejected: Stretches that were not used.
         slips: Knocks after which the unit sat otherwise in its mount, in order.
         losses: What was lost on the way in, in sentences.
@@ -73,6 +99,7 @@ class Segmented:
     segments: tuple[Segment, ...]
     turns: tuple[Turn, ...]
     motions: tuple[FreeMotion, ...]
+    moves: tuple[Move, ...]
     rejected: tuple[Rejected, ...]
     slips: tuple[Slip, ...]
     losses: tuple[str, ...]

@@ -1,0 +1,158 @@
+"""Moves as observations: the gyros led from one attitude of the table to the next.
+
+With C the rotation that the gyros of a model saw from rest a to rest b, of what stands still in
+inertial space, and T its time,
+
+    e = log( C (R_b^T exp(-[w_ie] T) R_a)^T ) = noise,    three equations in the body axes at rest b
+
+Source: docs/mathematics.md, section "Moves"; the strapdown equations of Savage 1998.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..model import Parameter, SensorModel
+from ..segmentation.segment import Segment, Turn
+from ..segmentation.session import Move
+from ..stream import Floats
+from .path import Path, rotation_vector, rotations
+
+_EDGES = 1 / 6
+"""Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A move, and the indices of the segments at rest that it leads from and to.
+
+    `rounding` (3,) is the variance that rounding each sample leaves, rad^2.
+    """
+
+    first: int
+    second: int
+    move: Move
+    rounding: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """The moves between segments whose attitudes encoders show.
+
+    Attributes:
+        links: In order.
+        attitudes: (s, 3, 3) of all segments.
+
+    """
+
+    links: tuple[Link, ...]
+    attitudes: Floats
+    _memo: dict[bytes, tuple[Path, ...]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def between(
+        cls, segments: Sequence[Segment], turns: Sequence[Turn], moves: Sequence[Move]
+    ) -> Moves:
+        """Choose the moves that count.
+
+        A move that holds measured turns shares its noise with them and tells hardly more: it is
+        left to them. Where no joint moved there is nothing to be led.
+        """
+        by_end = {s.end: k for k, s in enumerate(segments) if s.angles is not None}
+        by_start = {s.start: k for k, s in enumerate(segments) if s.angles is not None}
+        links = []
+        for move in moves:
+            first, second = by_end.get(move.start), by_start.get(move.end)
+            if first is None or second is None:
+                continue
+            if any(t.start < move.end and t.end > move.start for t in turns):
+                continue
+            if np.array_equal(segments[first].attitude, segments[second].attitude):
+                continue
+            links.append(Link(first, second, move, _rounding(move, segments[first])))
+        attitudes = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)
+        return cls(tuple(links), attitudes)
+
+    def __len__(self) -> int:
+        return len(self.links)
+
+    def paths(self, model: SensorModel) -> tuple[Path, ...]:
+        """Return the moves as a model sees them; those of the last model are kept."""
+        key = model.values(model.parameters).tobytes()
+        if key not in self._memo:
+            self._memo.clear()
+            self._memo[key] = tuple(
+                Path.of(link.move.turned, link.move.seconds, model) for link in self.links
+            )
+        return self._memo[key]
+
+    def off(self, model: SensorModel, earth_rate: Floats) -> Floats:
+        """Return what the gyros' attitude at the end is off the encoders', (3 m,) rad.
+
+        Args:
+            model: The sensors.
+            earth_rate: (3,) in the frame of the attitudes, rad/s.
+
+        """
+        found = []
+        for link, path in zip(self.links, self.paths(model), strict=True):
+            turned = rotations(-(earth_rate * link.move.duration)[None])[0]
+            shown = self.attitudes[link.second].T @ turned @ self.attitudes[link.first]
+            found.append(rotation_vector(path.whole @ shown.T))
+        return np.array(found).ravel()
+
+    def by_parameters(self, model: SensorModel, parameters: tuple[Parameter, ...]) -> Floats:
+        """Return the derivatives of `off` by parameters of the sensors, (m, 3, p)."""
+        result = np.zeros((len(self), 3, len(parameters)))
+        for k, path in enumerate(self.paths(model)):
+            force = np.zeros_like(path.rates)
+            answers = model.derivatives(path.rates, force, parameters)[:, :3]
+            result[k] = path.following(answers)
+        return result
+
+    def by_rate(self) -> Floats:
+        """Return the derivatives of `off` by the Earth rate, (m, 3, 3) rad per rad/s."""
+        return np.array(
+            [self.attitudes[k.second].T * k.move.duration for k in self.links]
+        ).reshape(-1, 3, 3)
+
+    def by_attitudes(self, model: SensorModel, leaning: Floats) -> Floats:
+        """Return by how much `off` is short of what attitudes that lean make of it.
+
+        Args:
+            model: The sensors.
+            leaning: (s, 3, e) rotations of the attitudes in body axes, per unit of e errors.
+
+        Returns:
+            (3 m, e).
+
+        """
+        blocks = [
+            leaning[link.second] - path.whole @ leaning[link.first]
+            for link, path in zip(self.links, self.paths(model), strict=True)
+        ]
+        return np.array(blocks).reshape(-1, leaning.shape[2])
+
+    def variances(self, walk: Floats) -> Floats:
+        """Return the variances of `off` by random walk and pulses, (3 m,) rad^2.
+
+        Random walks of the three channels are alike: what of them the turning of the axes mixes
+        stays what it was.
+        """
+        square = float(np.mean(walk[:3] ** 2))
+        found = [
+            square * k.move.duration + _EDGES * k.move.quantum**2 + k.rounding for k in self.links
+        ]
+        return np.array(found).ravel()
+
+
+def _rounding(move: Move, rest: Segment) -> Floats:
+    """Return the variance by what an ADC rounds: at rest a mean is off by it, and a move likewise.
+
+    A counter carries its remainder on: at the ends of a move alone, see `_EDGES`.
+    """
+    left = rest.statistics.quantum[:3] * move.duration**2
+    return np.where(move.quantum > 0, 0.0, left)

@@ -1,0 +1,132 @@
+"""From one rest to the next as the gyros of a model see it: a rotation and its derivatives.
+
+Sources: Bortz 1971, IEEE Trans. AES 7, 61, and Savage 1998, J. Guidance 21, 19, eq. (45), for the
+rotation vector of an interval; the derivatives are those of docs/mathematics.md, section "Moves".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..model import SensorModel
+from ..stream import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A motion from rest to rest by a model.
+
+    Attributes:
+        rates: (n, 3) mean rate of each interval about the body axes, rad/s.
+        seconds: (n,) its length, s.
+        whole: (3, 3) takes the components of what stands still in inertial space from the start
+            to the end.
+        carried: (n, 3, 3) takes an error of the gyros' outputs over an interval, rad, to the
+            rotation of the body axes at the end that it feigns.
+
+    """
+
+    rates: Floats
+    seconds: Floats
+    whole: Floats
+    carried: Floats
+
+    @classmethod
+    def of(cls, turned: Floats, seconds: Floats, model: SensorModel) -> Path:
+        """Lead on through intervals.
+
+        Args:
+            turned: (n, 3) rotation vectors of the intervals as the gyros gave them, rad.
+            seconds: (n,) their lengths, s.
+            model: The sensors.
+
+        """
+        outputs = turned / seconds[:, None]
+        # Over so short a time it does not matter which force it was.
+        _, accel = model.predict(np.zeros(3), np.zeros(3))
+        rates, _ = model.compensate(outputs, np.broadcast_to(accel, outputs.shape))
+        whole, after = led(rates * seconds[:, None])
+        return cls(rates, seconds, whole, after @ np.linalg.inv(model.gyro.response))
+
+    def following(self, derivatives: Floats) -> Floats:
+        """Return the derivatives of log(`whole` S^T) by parameters, (3, p) rad, for S near `whole`.
+
+        What a parameter adds to the outputs is taken off them: the path turns by so much less, and
+        components of what stands still by so much more.
+
+        Args:
+            derivatives: (n, 3, p) of the gyros' outputs at `rates`.
+
+        """
+        timed = self.carried * self.seconds[:, None, None]
+        return np.asarray(np.einsum('nij,njp->ip', timed, derivatives))
+
+    def spread(self, walk: Floats) -> Floats:
+        """Return the covariance of the rotation at the end by (3,) random walks, (3, 3) rad^2."""
+        scaled = self.carried * walk
+        return np.asarray(np.einsum('nij,nkj,n->ik', scaled, scaled, self.seconds))
+
+
+def rotations(vectors: Floats) -> Floats:
+    """Return the rotation matrices (n, 3, 3) of (n, 3) rotation vectors (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=-1)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    sine = np.sinc(angle / np.pi)[..., None, None]
+    versine = (0.5 * np.sinc(angle / (2 * np.pi)) ** 2)[..., None, None]
+    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+
+
+def rotation_vector(rotation: Floats) -> Floats:
+    """Return the rotation vector (3,) of a rotation below half a turn, (3, 3)."""
+    axis = np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    sine, cosine = np.linalg.norm(axis) / 2, (np.trace(rotation) - 1) / 2
+    angle = np.arctan2(sine, cosine)
+    return np.asarray(axis * (angle / (2 * sine) if sine > 0 else 0.5))
+
+
+def turning_log(vector: Floats) -> Floats:
+    """Return how log(exp([v]) exp([d])) follows a small rotation d at v = `vector`, (3, 3).
+
+    Its transpose is that of exp([d]) exp([v]). To the second order: Sola 2018, arXiv:1812.01537,
+    eq. (144).
+    """
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + cross / 2 + cross @ cross / 12)
+
+
+def led(angles: Floats) -> tuple[Floats, Floats]:
+    """Follow a vector that stands still in the world through (n, 3) turned angles, rad.
+
+    The rotation vector of an interval is its angle and a twelfth of the cross product with the
+    one before: what the rate's change of direction adds.
+
+    Returns:
+        (3, 3) that takes the vector's components from the start to the end, and (n, 3, 3) from
+        the end of each interval to the end.
+
+    """
+    before = np.vstack([np.zeros(3), angles[:-1]])
+    return _product(rotations(-(angles + np.cross(before, angles) / 12)))
+
+
+def _product(steps: Floats) -> tuple[Floats, Floats]:
+    """Return the product of (n, 3, 3) steps, the last leftmost, and of those after each."""
+    # Products of all that follow, by doubling: after pass k each holds 2^k steps.
+    product = steps.copy()
+    reach = 1
+    while reach < len(product):
+        product[:-reach] = product[reach:] @ product[:-reach]
+        reach *= 2
+    after = np.concatenate([product[1:], np.eye(3)[None]])
+    return np.asarray(product[0]), after
