@@ -37,6 +37,7 @@ from imu_calib.model import PARAMETER_NAMES
 from imu_calib.montecarlo import economical
 from imu_calib.plan import load_plan
 from imu_calib.stream import Floats
+from imu_calib.turntable import load_table
 
 SETTLE = 1.0
 ONE_IN_A_HUNDRED = 0.01
@@ -51,7 +52,7 @@ def run(seed: int, *, wandering: bool) -> Floats:
     evidence = simulated(plan, options, seed, spec=spec)
     found, closed = joint.solve(evidence), twelve_position.solve(evidence)
     at_rest = {position.id: position.dwell + SETTLE for position in plan.positions}
-    floor = bound(plan, spec, model, SITE, azimuth, at_rest)
+    floor = bound(plan, spec, model, SITE, azimuth, at_rest, load_table('three_axis'))
     real = model.vector()
     rows = [found.model.vector() - real, found.std, closed.model.vector() - real, closed.std]
     return np.array([*rows, floor])

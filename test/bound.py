@@ -4,11 +4,16 @@ The stream of a channel is taken whole, sample by sample: its increments are the
 random walk plus the difference of two reading errors, white with a twelfth of a pulse squared.
 Their covariance is tridiagonal, and the information on a constant rate is 1' S^-1 1. What the
 channels read comes from the sensor model and rotations written out; derivatives are differences.
+Of a move between two rests the gyros' increments are carried to its end and summed: a random walk
+over its time, and two reading errors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solveh_banded
@@ -18,11 +23,14 @@ from imu_calib.imu import ImuSpec
 from imu_calib.model import SensorModel
 from imu_calib.plan import Plan
 from imu_calib.stream import Floats
-from imu_calib.turntable import TURN
+from imu_calib.turntable import TURN, Table
 from imu_calib.units import ARCSEC
 
 _LEVELLED = 20 * ARCSEC
 _BEYOND = 1.0
+_PARTS = 201
+_SEEN_BESIDE = 0.5
+"""What the joint states leave open at the ends of a rest, s: it goes to the moves."""
 
 
 def bound(
@@ -32,6 +40,7 @@ def bound(
     site: Site,
     azimuth: float,
     at_rest: dict[str, float],
+    table: Table,
 ) -> Floats:
     """Standard deviations (24,) that no unbiased estimator falls below.
 
@@ -42,17 +51,22 @@ def bound(
         site: Gravity and Earth rate.
         azimuth: Of the table, unknown to the estimator like the two tilts.
         at_rest: How long the unit stood at each position, s.
+        table: What moves it from one to the next.
 
     """
+    ways = moves(plan, table)
     state = np.concatenate([model.vector(), [azimuth, 0.0, 0.0]])
     steps = np.concatenate([np.full(24, 1e-3), np.full(3, 1e-4)])
     jacobian = np.array(
         [
-            (read(plan, site, state + step) - read(plan, site, state - step)) / (2 * step.max())
+            (read(plan, site, state + step, ways) - read(plan, site, state - step, ways))
+            / (2 * step.max())
             for step in np.diag(steps)
         ]
     ).T
-    jacobian /= np.sqrt(variances(plan, spec, at_rest))[:, None]
+    moved = [spec.gyro.random_walk**2 * way.seconds for way in ways]
+    moved = np.repeat(np.array(moved) + spec.gyro.scale_factor**2 / 6, 3)
+    jacobian /= np.sqrt(np.append(variances(plan, spec, at_rest), moved))[:, None]
     information = jacobian.T @ jacobian
     information[25:, 25:] += np.eye(2) / _LEVELLED**2
     scale = 1 / np.sqrt(np.diag(information))
@@ -60,8 +74,51 @@ def bound(
     return np.asarray(np.sqrt(np.diag(covariance))[:24])
 
 
-def read(plan: Plan, site: Site, state: Floats) -> Floats:
-    """What all stretches (six each) and turns (three each) read."""
+@dataclass(frozen=True)
+class Way:
+    """A move: attitudes (n, 3, 3) at the ends of equal intervals, and how long it is seen, s."""
+
+    attitudes: Floats
+    moving: float
+    seconds: float
+
+
+def moves(plan: Plan, table: Table) -> list[Way]:
+    """Those from one dwell to the next in which nothing turns whole turns."""
+    ways = []
+    for before, after in pairwise(plan.steps(table)):
+        if not (before.dwell and after.dwell) or np.array_equal(before.angles, after.angles):
+            continue
+        seconds, course = travel(before.angles, after.angles, table)
+        attitudes = table.attitude(np.array([course(t) for t in np.linspace(0, seconds, _PARTS)]))
+        ways.append(Way(attitudes, seconds, seconds + _SEEN_BESIDE))
+    return ways
+
+
+def travel(
+    origin: Floats, goal: Floats, table: Table
+) -> tuple[float, Callable[[float], list[float]]]:
+    """How long joints take at their limits, and where they are after so many seconds."""
+    legs = []
+    for a, b, joint in zip(origin, goal, table.joints, strict=True):
+        way, top, rise = abs(b - a), joint.max_rate, joint.max_acceleration
+        ramp = min(top / rise, np.sqrt(way / rise))
+        legs.append((a, b, ramp, way / (ramp * rise) + ramp if ramp else 0.0))
+
+    def course(time: float) -> list[float]:
+        angles = []
+        for (a, b, ramp, whole), joint in zip(legs, table.joints, strict=True):
+            t, rise = min(time, whole), joint.max_acceleration
+            rising, falling = min(t, ramp), max(0.0, t - whole + ramp)
+            gone = rise * (rising**2 / 2 + ramp * max(0.0, t - ramp) - falling**2 / 2)
+            angles.append(a + np.sign(b - a) * gone)
+        return angles
+
+    return max(leg[3] for leg in legs), course
+
+
+def read(plan: Plan, site: Site, state: Floats, ways: list[Way]) -> Floats:
+    """What all stretches (six each) and turns (three each) read, and moves (three each) sum to."""
     model = SensorModel.from_vector(state[:24])
     azimuth, east, north = state[24:]
     base = about('z', azimuth) @ about('x', east) @ about('y', north)
@@ -74,6 +131,17 @@ def read(plan: Plan, site: Site, state: Floats) -> Floats:
         for rate in position.rate_test.rates if position.rate_test else ():
             spin = up * (rate + axis @ site.earth_rate)
             values.append(model.predict(spin, np.zeros(3))[0])
+    for way in ways:
+        total = np.zeros(3)
+        step = way.moving / (len(way.attitudes) - 1)
+        for first, second in pairwise(way.attitudes):
+            turned = first.T @ second
+            spin = np.array([turned[2, 1], turned[0, 2], turned[1, 0]]) / step
+            rate = spin + (base @ second).T @ site.earth_rate
+            total += way.attitudes[-1].T @ second @ model.predict(rate, np.zeros(3))[0] * step
+        # Where it stands before and after.
+        beside = (way.seconds - way.moving) * model.gyro.bias
+        values.append(total + (way.attitudes[-1].T @ way.attitudes[0] + np.eye(3)) @ beside / 2)
     return np.concatenate(values)
 
 

@@ -144,7 +144,8 @@ def one_session(seed: int) -> tuple[Floats, ...]:
     found = joint.solve(evidence)
     # Each dwell begins after a second of settling at rest.
     at_rest = {position.id: DWELL + 1 for position in plan.positions}
-    floor = bound(plan, paper_imu(), truth().model, SITE, azimuth, at_rest)
+    table = load_table('three_axis')
+    floor = bound(plan, paper_imu(), truth().model, SITE, azimuth, at_rest, table)
     closed = twelve_position.solve(evidence)
     return errors(found), found.std, floor, errors(closed), closed.std
 

@@ -191,7 +191,8 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
         elif step.dwell:
             attitude = table.attitude(step.angles)
             span = (standing + _UNSEEN / 2, visit.end - _UNSEEN / 2)
-            course = None if at is None else _way(table, at, visit.angles)
+            moved = at is not None and not np.array_equal(at, visit.angles)
+            course = _way(table, at, visit.angles) if moved else None
             rests.append(_Rest(step.position, attitude, *span, visit.angles, course))
             at = visit.angles
         else:
