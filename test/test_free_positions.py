@@ -20,8 +20,9 @@ from imu_calib.imu import load_imu
 from imu_calib.methods.free import FREE, Swing, in_frame_of_accelerometers
 from imu_calib.methods.free import fit as free
 from imu_calib.methods.free.guidance import Stage, guide
-from imu_calib.methods.free.holds import Hold, turned
+from imu_calib.methods.free.holds import Hold
 from imu_calib.methods.free.session import FreeCalibrator
+from imu_calib.methods.path import led
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
@@ -210,7 +211,7 @@ def test_angles_lead_a_vector_as_the_motion_does() -> None:
     still = replace(SITE, latitude=np.pi / 2)
     angle, _ = session.motion.increments(edges, still, np.zeros(3))
     start, end = session.attitudes()[[0, -1]]
-    whole, after = turned(angle)
+    whole, after = led(angle)
     # What remains of coning at 200 Hz, and the Earth's turning meanwhile.
     assert whole @ start[2] == pytest.approx(end[2], abs=1e-5)
     assert after[-1] == pytest.approx(np.eye(3))
@@ -218,7 +219,7 @@ def test_angles_lead_a_vector_as_the_motion_does() -> None:
 
 def test_a_turn_about_one_axis_is_exact() -> None:
     axis = np.array([0.6, 0.0, 0.8])
-    whole, after = turned(np.tile(axis * 0.01, (157, 1)))
+    whole, after = led(np.tile(axis * 0.01, (157, 1)))
     assert whole == pytest.approx(rotation(axis, -1.57), abs=1e-12)
     assert after[56] == pytest.approx(rotation(axis, -1.0), abs=1e-12)
 

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from other_world import DEG, Damage, Matrix, Stop, Unit, Vector, World, record
+from sessions import gathered
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.methods.evidence import Evidence
 from imu_calib.plan import UNPLANNED, Plan, load_plan
 from imu_calib.stream import Floats, ImuBlock, JointBlock, Units
 from imu_calib.turntable import load_table
@@ -64,6 +66,15 @@ def by_its_clock(unit: Unit, world: World) -> Unit:
 
 
 def calibrated(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Calibration:
+    return fed(world, unit, seed, plan).finish().calibration
+
+
+def segmented(world: World, unit: Unit, seed: int = 0) -> Evidence:
+    """What the segmentation makes of a session."""
+    return gathered(fed(world, unit, seed))
+
+
+def fed(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Calibrator:
     spec = ImuSpec(
         'other',
         Units.PULSES,
@@ -82,7 +93,7 @@ def calibrated(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None
     nothing = np.full_like(angles, np.nan)
     calibrator.feed(JointBlock(joints, ('outer', 'middle', 'inner'), angles, nothing))
     calibrator.feed(ImuBlock(stamps, np.array(recording.gyro), np.array(recording.accel)))
-    return calibrator.finish().calibration
+    return calibrator
 
 
 def errors(calibration: Calibration, unit: Unit) -> Floats:

@@ -48,9 +48,7 @@ def test_the_best_is_the_bound_of_the_full_stream() -> None:
     plan = load_plan('twelve_position')
     found = forecast(setup(), truth().model, 0.5)
     at_rest = {p.id: p.dwell + SETTLE for p in plan.positions}
-    floor = bound(
-        plan, paper_imu(), truth().model, SITE, 0.5, at_rest, load_table('three_axis')
-    )
+    floor = bound(plan, paper_imu(), truth().model, SITE, 0.5, at_rest, load_table('three_axis'))
     # What is seen of a rest varies by half a second; the rate beyond a turn tells 1.5 %.
     assert found.best == pytest.approx(floor, rel=0.02)
 

@@ -161,7 +161,7 @@ def _moves_that_fit(
     kept, astray = [], []
     for k, link in enumerate(evidence.led.links):
         block = spread[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
-        if off[k] @ np.linalg.solve(block, off[k]) <= chdtri(3, _ASTRAY):
+        if off[k] @ np.linalg.solve(block, off[k]) <= scipy.special.chdtri(3, _ASTRAY):
             kept.append(link.move)
             continue
         ends = [str(evidence.segments[end].position) for end in (link.first, link.second)]

@@ -148,7 +148,7 @@ def _astray(found: Estimate) -> str:
         f'By the gyros {len(found.astray)} of {total} moves end elsewhere than by the encoders '
         f'(from position {names}{more}; {worst.angle / ARCSEC:.3g} arcsec at most): they are left '
         'out. Rates beyond the range of the gyros do so, gyros that do not answer in proportion, '
-        "and a table whose axes are not where its description says."
+        'and a table whose axes are not where its description says.'
     )
 
 

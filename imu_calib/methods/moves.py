@@ -115,9 +115,9 @@ class Moves:
 
     def by_rate(self) -> Floats:
         """Return the derivatives of `off` by the Earth rate, (m, 3, 3) rad per rad/s."""
-        return np.array(
-            [self.attitudes[k.second].T * k.move.duration for k in self.links]
-        ).reshape(-1, 3, 3)
+        return np.array([self.attitudes[k.second].T * k.move.duration for k in self.links]).reshape(
+            -1, 3, 3
+        )
 
     def by_attitudes(self, model: SensorModel, leaning: Floats) -> Floats:
         """Return by how much `off` is short of what attitudes that lean make of it.

@@ -1,5 +1,8 @@
 """From one rest to the next as the gyros of a model see it: a rotation and its derivatives.
 
+What has been joined to steps holds what its directions added by changing (`segmentation/moves.py`);
+single samples do not.
+
 Sources: Bortz 1971, IEEE Trans. AES 7, 61, and Savage 1998, J. Guidance 21, 19, eq. (45), for the
 rotation vector of an interval; the derivatives are those of docs/mathematics.md, section "Moves".
 """
@@ -47,8 +50,11 @@ class Path:
         # Over so short a time it does not matter which force it was.
         _, accel = model.predict(np.zeros(3), np.zeros(3))
         rates, _ = model.compensate(outputs, np.broadcast_to(accel, outputs.shape))
-        whole, after = led(rates * seconds[:, None])
-        return cls(rates, seconds, whole, after @ np.linalg.inv(model.gyro.response))
+        steps = rates * seconds[:, None]
+        whole, after = chained(steps)
+        # An error over an interval counts as one in its middle, to the second order of its angle.
+        carried = after @ rotations(-steps / 2) @ np.linalg.inv(model.gyro.response)
+        return cls(rates, seconds, whole, carried)
 
     def following(self, derivatives: Floats) -> Floats:
         """Return the derivatives of log(`whole` S^T) by parameters, (3, p) rad, for S near `whole`.
@@ -94,17 +100,6 @@ def rotation_vector(rotation: Floats) -> Floats:
     return np.asarray(axis * (angle / (2 * sine) if sine > 0 else 0.5))
 
 
-def turning_log(vector: Floats) -> Floats:
-    """Return how log(exp([v]) exp([d])) follows a small rotation d at v = `vector`, (3, 3).
-
-    Its transpose is that of exp([d]) exp([v]). To the second order: Sola 2018, arXiv:1812.01537,
-    eq. (144).
-    """
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + cross / 2 + cross @ cross / 12)
-
-
 def led(angles: Floats) -> tuple[Floats, Floats]:
     """Follow a vector that stands still in the world through (n, 3) turned angles, rad.
 
@@ -117,11 +112,12 @@ def led(angles: Floats) -> tuple[Floats, Floats]:
 
     """
     before = np.vstack([np.zeros(3), angles[:-1]])
-    return _product(rotations(-(angles + np.cross(before, angles) / 12)))
+    return chained(angles + np.cross(before, angles) / 12)
 
 
-def _product(steps: Floats) -> tuple[Floats, Floats]:
-    """Return the product of (n, 3, 3) steps, the last leftmost, and of those after each."""
+def chained(vectors: Floats) -> tuple[Floats, Floats]:
+    """Follow a vector that stands still through (n, 3) rotation vectors, as `led` does."""
+    steps = rotations(-vectors)
     # Products of all that follow, by doubling: after pass k each holds 2^k steps.
     product = steps.copy()
     reach = 1

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from ..calibrator import Setup
 from ..errors import InputError
@@ -229,7 +229,9 @@ def _move(
     seconds = (after.start - before.end) * 1e-9
     knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
     attitudes = table.attitude(course.at(knots)[0])
-    steps = Rotation.from_matrix(np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]).as_rotvec()
+    steps = scipy.spatial.transform.Rotation.from_matrix(
+        np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
+    ).as_rotvec()
     spans = np.diff(knots)
     # What the table stands at both ends, before and after.
     spans = np.concatenate([[(seconds - course.end) / 2], spans, [(seconds - course.end) / 2]])

@@ -13,7 +13,8 @@ from ...errors import NotObservable
 from ...model import PARAMETERS, ParameterKind, SensorModel
 from ...stream import Floats
 from ..information import Information
-from .holds import Hold, Swing, turned
+from ..path import led
+from .holds import Hold, Swing
 
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
 FREE = np.array([(p.triad, p.row, p.column) not in _KEPT for p in PARAMETERS])
@@ -192,7 +193,7 @@ class _Path:
     def of(cls, swing: Swing, model: SensorModel) -> _Path:
         inverse = np.linalg.inv(model.gyro.response)
         angles = (swing.increments - model.gyro.bias * swing.period) @ inverse.T
-        whole, after = turned(angles)
+        whole, after = led(angles)
         return cls(angles, whole, after @ inverse, swing.seconds)
 
 

@@ -1,0 +1,165 @@
+"""Moves between rests: what the gyros saw on the way, against motions written out again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from other_world import World
+from scipy.stats import chi2
+from sessions import SITE, fed, gathered, paper_imu, quick_plan, session, stand, truth
+from test_other_world import MEDIUM, NAVIGATION, segmented, true_vector
+
+from imu_calib.calibrator import Setup
+from imu_calib.methods import joint
+from imu_calib.methods.equations import Equations
+from imu_calib.methods.evidence import Evidence
+from imu_calib.methods.path import chained
+from imu_calib.model import SensorModel
+from imu_calib.segmentation.moves import STEP_ANGLE, joined
+from imu_calib.segmentation.statistics import Samples
+from imu_calib.stream import Floats, ImuBlock
+from imu_calib.turntable import load_table
+from imu_calib.units import ARCSEC, DEG, PPM
+
+PERIOD, FINE = 0.01, 200
+
+
+def tumbling(time: float) -> Floats:
+    """Rates about three axes that rise, fall and change places, up to 90 deg/s: (3,) rad/s."""
+    rise = np.sin(np.pi * time / 4.0) ** 2
+    return rise * np.array([60.0, 40.0 * np.cos(2 * time), 50.0 * np.sin(3 * time)]) * DEG
+
+
+def turned_by(vector: Floats) -> Floats:
+    """The rotation matrix of a rotation vector, by the series of the exponential."""
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    total, power = np.eye(3), np.eye(3)
+    for k in range(1, 8):
+        power = power @ cross / k
+        total = total + power
+    return total
+
+
+def test_steps_lead_where_the_motion_went() -> None:
+    step = PERIOD / FINE
+    attitude, angles = np.eye(3), []
+    for k in range(round(4.0 / PERIOD)):
+        angle = np.zeros(3)
+        for j in range(FINE):
+            part = tumbling(k * PERIOD + (j + 0.5) * step) * step
+            attitude, angle = attitude @ turned_by(part), angle + part
+        angles.append(angle)
+    increments = np.hstack([np.array(angles), np.zeros((len(angles), 3))])
+    stamp = np.arange(1, len(angles) + 1) * 10_000_000
+    steps = joined(Samples(stamp, increments, np.zeros(6), PERIOD, np.zeros(6)))
+    assert len(steps.turned) < 0.7 * len(angles)
+    assert steps.counts.sum() == len(angles)
+    assert np.linalg.norm(steps.turned, axis=1).max() < 2 * STEP_ANGLE
+    whole, _ = chained(steps.turned)
+    off = whole @ attitude
+    assert np.abs(off - np.eye(3)).max() < 0.1 * ARCSEC
+    # Sums of angles alone, without what their changing directions add, end far off.
+    first = np.concatenate([[0], np.cumsum(steps.counts)[:-1]]).astype(int)
+    plain = np.add.reduceat(increments[:, :3], first)
+    assert np.abs(chained(plain)[0] @ attitude - np.eye(3)).max() > 5 * ARCSEC
+
+
+@cache
+def evidence() -> Evidence:
+    plan = quick_plan('twelve_position', 20.0)
+    setup = Setup(paper_imu(), plan, load_table('three_axis'), SITE, None)
+    return gathered(fed(session(plan, stand(azimuth=0.3), seed=1), setup))
+
+
+def test_there_is_a_move_from_each_position_to_the_next_but_those_with_turns() -> None:
+    ends = [(link.first, link.second) for link in evidence().led.links]
+    assert ends == [(k, k + 1) for k in range(11) if k not in (3, 7)]
+
+
+def test_derivatives_are_those_of_the_prediction() -> None:
+    equations = Equations(evidence())
+    state = np.concatenate([truth().model.vector(), [0.3, 1e-4, 2e-4, 0.0]])
+    jacobian = equations.jacobian(state)
+    first = len(equations.outputs) - 3 * len(equations.evidence.led)
+    for k, step in enumerate(1e-6 * np.eye(len(state))):
+        found = (equations.predict(state + step) - equations.predict(state - step)) / 2e-6
+        # At the truth what a move is off is an arcsecond: the logarithm's own slope is one.
+        assert jacobian[first:, k] == pytest.approx(found[first:], rel=1e-3, abs=1e-4)
+
+
+def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
+    equations = Equations(evidence())
+    state = np.concatenate([truth().model.vector(), [0.3, 0.0, 0.0, 0.0]])
+    lean = np.array([3.0, -2.0, 1.0]) * ARCSEC
+    segments = list(evidence().segments)
+    segments[5] = replace(segments[5], attitude=segments[5].attitude @ turned_by(lean))
+    leaning = Equations(replace(evidence(), segments=tuple(segments)))
+    first = len(equations.outputs) - 3 * len(equations.evidence.led)
+    found = (leaning.predict(state) - equations.predict(state))[first:]
+    columns = np.zeros((12, 3, 1))
+    columns[5, :, 0] = lean
+    short = evidence().led.by_attitudes(truth().model, columns)[:, 0]
+    assert short == pytest.approx(found, abs=1e-3 * ARCSEC)
+    assert np.abs(short).max() > 1 * ARCSEC
+
+
+@pytest.mark.parametrize('unit', [MEDIUM, NAVIGATION], ids=['medium', 'navigation'])
+def test_by_the_true_sensors_moves_are_off_by_their_noise(unit) -> None:
+    """Of a session that other code has made, sample by sample."""
+    world = World(azimuth=0.4, dwell=6.0)
+    found = segmented(world, unit)
+    real = SensorModel.from_vector(true_vector(unit))
+    rate = np.array([0.0, np.cos(world.latitude), np.sin(world.latitude)]) * 7.292115e-5
+    rate = turned_by(np.array([0.0, 0.0, -world.azimuth])) @ rate
+    moves = found.led
+    off = moves.off(real, rate) / np.sqrt(moves.variances(found.walk))
+    assert len(moves) >= 5
+    assert chi2.ppf(1e-4, len(off)) < off @ off < chi2.isf(1e-4, len(off))
+
+
+def test_moves_sharpen_the_scale_factors_of_the_gyros() -> None:
+    with_moves = joint.solve(evidence()).std
+    without = joint.solve(replace(evidence(), moves=())).std
+    assert (with_moves[:3] < 0.95 * without[:3]).all()
+    assert with_moves == pytest.approx(np.minimum(with_moves, 1.02 * without))
+
+
+def test_a_gap_ends_a_move_and_no_other() -> None:
+    """Half a second of samples is lost while the table goes from the second rest to the third."""
+    plan = quick_plan('twelve_position', 3.0)
+    setup = Setup(paper_imu(), plan, load_table('three_axis'), SITE, None)
+    whole = gathered(fed(session(plan, stand(azimuth=0.3), seed=1), setup)).led.links
+    gap = (whole[1].move.start + whole[1].move.end) // 2
+
+    def lossy():
+        for name, block in session(plan, stand(azimuth=0.3), seed=1):
+            if isinstance(block, ImuBlock):
+                kept = np.abs(block.stamp - gap) > 250_000_000
+                yield name, ImuBlock(block.stamp[kept], block.gyro[kept], block.accel[kept])
+            else:
+                yield name, block
+
+    left = gathered(fed(lossy(), setup)).led.links
+    ends = [(link.first, link.second) for link in whole]
+    assert [(link.first, link.second) for link in left] == [e for e in ends if e != (1, 2)]
+
+
+def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
+    links = evidence().led.links
+    wrong = links[4].move
+    bent = replace(wrong, turned=wrong.turned * (1 + 3000 * PPM))
+    moves = tuple(bent if m is wrong else m for m in evidence().moves)
+    solution = joint.solve(replace(evidence(), moves=moves))
+    (said,) = [f for f in solution.findings if 'moves end elsewhere' in f]
+    names = [evidence().segments[k].position for k in (links[4].first, links[4].second)]
+    assert (
+        f'By the gyros 1 of 9 moves end elsewhere than by the encoders (from position {names[0]} to'
+        in said
+    )
+    without = tuple(m for m in evidence().moves if m is not wrong)
+    other = joint.solve(replace(evidence(), moves=without))
+    assert solution.model.vector() == pytest.approx(other.model.vector(), rel=1e-9, abs=1e-15)
