@@ -113,8 +113,8 @@ class Equations:
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
         positioning: Standard deviation of an arrival that the encoder does not show, rad; None
             for what the table states.
-        extra: (6 s + 3 t + 3 m,) square: covariance of the outputs beyond that of their own noise, or
-            None.
+        extra: (6 s + 3 t + 3 m,) square: covariance of the outputs beyond that of their own noise,
+            or None.
         inflation: (6 s + 3 t + 3 m,) factors on the variance of each output's own noise, or None.
 
     """
@@ -259,8 +259,8 @@ class Equations:
         walk, north_rate = self.evidence.walk, self.evidence.site.north_rate
         turned = [t.variance(walk, north_rate) for t in self.evidence.turns]
         led = self.evidence.led.variances(walk)
-        own = [self.evidence.variances().ravel(), np.array(turned).ravel(), led]
-        own = np.maximum(np.concatenate(own), SMALLEST_VARIANCE)
+        parts = [self.evidence.variances().ravel(), np.array(turned).ravel(), led]
+        own = np.maximum(np.concatenate(parts), SMALLEST_VARIANCE)
         return np.asarray(own if self.inflation is None else own * self.inflation)
 
     def covariance(self, state: Floats) -> Floats:

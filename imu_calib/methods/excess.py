@@ -142,9 +142,9 @@ class _Triad:
             project = scipy.linalg.solve_triangular(
                 root, project.T, lower=True, check_finite=False
             ).T
-        found = []
-        for kernel in beyond:
-            found.append(volume + _likelihoods(project.T @ kernel @ project, z, _RATIOS))
+        found = [
+            volume + _likelihoods(project.T @ kernel @ project, z, _RATIOS) for kernel in beyond
+        ]
         return calm, np.array(found)
 
     @cached_property

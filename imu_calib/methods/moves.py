@@ -70,7 +70,8 @@ class Moves:
                 continue
             if any(t.start < move.end and t.end > move.start for t in turns):
                 continue
-            if np.array_equal(segments[first].attitude, segments[second].attitude):
+            before, after = segments[first].angles, segments[second].angles
+            if before is None or after is None or np.array_equal(before, after):
                 continue
             links.append(Link(first, second, move, _rounding(move, segments[first])))
         attitudes = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)

@@ -24,7 +24,7 @@ from ..segmentation.counter import mean_rate, rate_between
 from ..segmentation.segment import Segment, Statistics, Turn
 from ..segmentation.session import Move
 from ..stream import Floats, Mode, Units
-from ..turntable import TURN, rotation
+from ..turntable import TURN, Table, rotation
 from .schedule import SETTLE, schedule
 
 _SAMPLE_RATE = 100.0
@@ -191,8 +191,9 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
         elif step.dwell:
             attitude = table.attitude(step.angles)
             span = (standing + _UNSEEN / 2, visit.end - _UNSEEN / 2)
-            moved = at is not None and not np.array_equal(at, visit.angles)
-            course = _way(table, at, visit.angles) if moved else None
+            course = None
+            if at is not None and not np.array_equal(at, visit.angles):
+                course = _way(table, at, visit.angles)
             rests.append(_Rest(step.position, attitude, *span, visit.angles, course))
             at = visit.angles
         else:

@@ -216,7 +216,6 @@ def gains(evidence: Evidence, solver: Callable[[Evidence], Solution]) -> Floats:
 
     u is the number of turns that a skewed gyro saw.
     """
-
     evidence = replace(evidence, moves=())
 
     def parameters(output: int, step: float) -> Floats:
