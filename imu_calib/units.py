@@ -87,6 +87,11 @@ class Dimension(Enum):
         'ug/g^3': MICRO_G / STANDARD_GRAVITY**3,
         'mg/g^3': MICRO_G * 1e3 / STANDARD_GRAVITY**3,
     }
+    RATE_PER_ACCELERATION_SQUARED = {
+        '(rad/s)/(m/s^2)^2': 1.0,
+        '(deg/h)/g^2': DEG_H / STANDARD_GRAVITY**2,
+        '(deg/s)/g^2': DEG / STANDARD_GRAVITY**2,
+    }
     VELOCITY_RANDOM_WALK = {
         '(m/s)/sqrt(s)': 1.0,
         '(m/s)/sqrt(h)': 1 / _ROOT_HOUR,

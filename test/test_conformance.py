@@ -77,6 +77,7 @@ SHOWN = {
     'A_a': ('ppm', 1e-6),
     'K3_a': ('ug/g^3', 1e-6 / 9.80665**2),
     'X_a': ('ug/g^2', 1e-6 / 9.80665),
+    'G2_g': ('(deg/h)/g^2', math.pi / 180 / 3600 / 9.80665**2),
 }
 """Unit of people and its SI value, by the beginning of a name: 1 ug/g^2 is 1e-6 g per g^2."""
 
@@ -98,6 +99,7 @@ def plain(values: Mapping[str, float], w: Floats, f: Floats) -> list[float]:
         n += v[f'N_g{x}'] * w[i] * abs(w[i]) / REFERENCE
         n += v[f'C_g{x}'] * w[i] ** 3 / REFERENCE**2
         n += v[f'Q_g{x}'] * w[i] ** 2 / REFERENCE
+        n += v[f'G2_g{x}'] * f[i] ** 2
         out.append(float(n))
     for i, x in enumerate('xyz'):
         n = (1 + v[f'K_a{x}']) * f[i] + v[f'D_a{x}']
@@ -163,7 +165,7 @@ def spread_of(model: SensorModel) -> Floats:
 
 def test_every_parameter_has_a_name_a_unit_a_product_and_a_row_for_each_export() -> None:
     parameters = parameters_of(TERMS, skewed=4)
-    assert len({p.name for p in parameters}) == len(parameters) == 24 + 39 + 16
+    assert len({p.name for p in parameters}) == len(parameters) == 24 + 42 + 16
     assert set(PRODUCTS) == set(parameters)
     for kind in ParameterKind:
         assert set(kind.value.exports) == set(EXPORTS)

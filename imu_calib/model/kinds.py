@@ -185,6 +185,22 @@ class ParameterKind(Enum):
     ACCEL_CROSS = Kind(
         'X', 'accelerometer cross term', 'accel_cross', 2, {'a': _SQUARE}, _AS_PRODUCTS
     )
+    GYRO_G2 = Kind(
+        'G2',
+        'gyro g-squared sensitivity',
+        'gyro_g2',
+        0,
+        {
+            'g': Unit(
+                '(rad/s)/(m/s^2)^2',
+                '(deg/h)/g^2',
+                DEG_H / STANDARD_GRAVITY**2,
+                Dimension.RATE_PER_ACCELERATION_SQUARED,
+                _BY_FORCE / STANDARD_GRAVITY,
+            )
+        },
+        _AS_PRODUCTS,
+    )
 
 
 TRIADS = {'g': 'gyro', 'a': 'accelerometer'}

@@ -166,6 +166,17 @@ ACCEL_CROSS = Term(
 )
 """X_ijk f_j f_k to accelerometer i, j < k (IEEE Std 1293, K_ip, K_io, K_po)."""
 
+GYRO_G2 = Term(
+    'gyro_g2',
+    ParameterKind.GYRO_G2,
+    tuple(
+        (Parameter(ParameterKind.GYRO_G2, 'g', i, i), Product((len(AXES) + i,) * 2))
+        for i in range(3)
+    ),
+    'rests with each axis up, down and level, and turns about each',
+)
+"""G2_i f_i^2 to gyro i: specific force along its axis, whatever its sign (IEEE Std 952)."""
+
 TERMS: tuple[Term, ...] = (
     G_SENSITIVITY,
     GYRO_ASYMMETRY,
@@ -176,6 +187,7 @@ TERMS: tuple[Term, ...] = (
     ACCEL_ASYMMETRY,
     ACCEL_CUBIC,
     ACCEL_CROSS,
+    GYRO_G2,
 )
 """All terms, in the order of vectors and covariances: after the 24 parameters."""
 
