@@ -65,7 +65,7 @@ def test_a_stream_without_noise_is_verified_in_fast_turns() -> None:
 
 
 def test_clocks_that_many_turns_compare_explain_what_they_differ_by() -> None:
-    """What turns say of the clocks is not lost beside rests that are known a million times better."""
+    """What turns say of the clocks is not lost beside rests that are known far better."""
     plan, table = quick_plan('twelve_position', 12.0), load_table('three_axis')
     many = RateTest((150 * DEG, -150 * DEG), turns=20)
     plan = replace(

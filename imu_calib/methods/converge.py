@@ -41,9 +41,9 @@ _DAMPING = 1e-3
 that is well determined (Marquardt's lambda)."""
 
 _NOTHING = 1e-4
-"""Of chi-square, by which the least damped step lowers it where the full one before led uphill: what
-is well determined has arrived, and what is not is more curved than its derivatives say. A
-hundredth of what `_SLIGHT` lets pass."""
+"""Of chi-square, that the least damped step gains where the full one before led uphill: what is
+well determined has arrived, and what is not is more curved than its derivatives say. A hundredth
+of what `_SLIGHT` lets pass."""
 
 _STRONGER, _WEAKER = 10.0, 0.1
 """Factors of the damping after a step uphill and one that was taken (Marquardt's nu = 10)."""

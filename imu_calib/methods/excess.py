@@ -142,9 +142,7 @@ class _Triad:
             project = scipy.linalg.solve_triangular(
                 root, project.T, lower=True, check_finite=False
             ).T
-        found = [
-            volume + _likelihoods(project.T @ kernel @ project, z, _RATIOS) for kernel in beyond
-        ]
+        found = [volume + _likelihoods(project.T @ k @ project, z, _RATIOS) for k in beyond]
         return calm, np.array(found)
 
     @cached_property

@@ -31,7 +31,7 @@ from .lacking import advice, lost
 
 _STARTS = 8
 _ITERATIONS = 100
-"""Most steps. Gyros of much noise hardly see north: the azimuth then comes a fifth nearer a step."""
+"""Most steps. Gyros of much noise hardly see north: a step then takes a fifth off its error."""
 _OUTLYING = 1e-6
 _SUSPECT = 1e-5
 _UNLIKE = 1e-4
