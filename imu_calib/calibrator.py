@@ -17,7 +17,7 @@ from .gravity import gravity_covariance, with_gravity
 from .imu import ImuSpec
 from .methods import JOINT, check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
-from .methods.evidence import Evidence, noise
+from .methods.evidence import Evidence, known_noise
 from .methods.information import reached
 from .methods.solution import Solution
 from .model import AXES, Parameter, SensorModel, Term
@@ -221,6 +221,7 @@ class Calibrator:
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
         setup = self._setup
+        walk, freedom = known_noise(labelled.segments, setup.imu)
         return Evidence(
             labelled.segments,
             labelled.turns,
@@ -228,9 +229,10 @@ class Calibrator:
             setup.site,
             session.clock,
             setup.table.azimuth if setup.table is not None else None,
-            noise(labelled.segments, setup.imu),
+            walk,
             setup.table.positioning if setup.table is not None else 0.0,
             np.repeat([setup.imu.gyro.bias_instability, setup.imu.accel.bias_instability], 3),
+            freedom,
         )
 
     def _estimate(

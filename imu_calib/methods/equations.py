@@ -11,6 +11,7 @@ methods.md, section 11, for what goes into the state.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
@@ -19,10 +20,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..budget import Share, Source
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG
+from .components import Blocks, Component, Diagonal, Factor, shares
 from .evidence import SMALLEST_VARIANCE, Evidence
 
 
@@ -34,6 +37,10 @@ class Nuisance(IntEnum):
     TILT_Y = 2
     CLOCK = 3
 
+
+ENCODER_FREEDOM = 14.0
+"""Degrees of freedom of an encoder's rate, the least: sixteen blocks less a line's two unknowns
+(`segmentation/plateau.py`)."""
 
 ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
 """Standard deviation of a heading that may be any."""
@@ -71,6 +78,7 @@ class Surroundings:
     Attributes:
         rate: (3,) rad/s.
         force: (3,) m/s^2.
+        rate_by_latitude: (3,) d rate by the latitude of the site, 1/s.
         rate_slopes: (3, 3) d rate, one column for each of azimuth and tilts.
         force_slopes: (3, 3) d force.
         level: (3, 3) takes vectors of that frame to level, as far as the heading of its own.
@@ -79,6 +87,7 @@ class Surroundings:
 
     rate: Floats
     force: Floats
+    rate_by_latitude: Floats
     rate_slopes: Floats
     force_slopes: Floats
     level: Floats
@@ -97,7 +106,8 @@ class Surroundings:
             by_azimuth = both @ (-gz @ headed)
             by_x = about_y @ (-gx @ (about_x @ headed))
             slopes.append(np.column_stack([by_azimuth, by_x, -gy @ level]))
-        return cls(vectors[0], vectors[1], slopes[0], slopes[1], both.T)
+        by_latitude = both @ _turn(2, -azimuth) @ site.earth_rate_by_latitude
+        return cls(vectors[0], vectors[1], by_latitude, slopes[0], slopes[1], both.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +121,8 @@ class Equations:
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
         positioning: Standard deviation of an arrival that the encoder does not show, rad; None
             for what the table states.
-        extra: (6 s + 3 t,) square: covariance of the outputs beyond that of their own noise, or
-            None.
+        positioning_freedom: Degrees of freedom of what it is beyond that.
+        extra: Further parts of the covariance of the outputs.
         inflation: (6 s + 3 t,) factors on the variance of each output's own noise, or None.
 
     """
@@ -122,7 +132,8 @@ class Equations:
     levelled: float = LEVELLED
     any_heading: bool = False
     positioning: float | None = None
-    extra: Floats | None = field(default=None, repr=False)
+    positioning_freedom: float = np.inf
+    extra: tuple[Component, ...] = field(default=(), repr=False)
     inflation: Floats | None = field(default=None, repr=False)
 
     @property
@@ -247,37 +258,114 @@ class Equations:
         return np.transpose(self._attitudes, (0, 2, 1))
 
     @cached_property
+    def own(self) -> tuple[Component, ...]:
+        """The parts of the covariance that each output has for itself, whatever the state."""
+        evidence = self.evidence
+        segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
+        statistics = [s.statistics for s in segments]
+        turned = [t.statistics for t in turns]
+        site = evidence.site
+
+        def rows(at_rest: Sequence[Floats], while_turning: Sequence[Floats]) -> Floats:
+            parts = (np.array(at_rest).reshape(-1, 6), np.array(while_turning).reshape(-1, 3))
+            return np.concatenate([part.ravel() for part in parts])
+
+        noise = rows(
+            [walk**2 * s.walk_gain for s in statistics],
+            [walk[:3] ** 2 * s.walk_gain[:3] for s in turned],
+        )
+        quantum = rows([s.quantum for s in statistics], [s.quantum[:3] for s in turned])
+        encoder = rows(
+            [s.encoder_variance(site.gravity) for s in segments],
+            [t.encoder_variance() for t in turns],
+        )
+        total = noise + quantum + encoder
+        quantum = quantum + np.maximum(SMALLEST_VARIANCE - total, 0.0)
+        channel = rows([np.arange(6.0)] * len(segments), [np.arange(3.0)] * len(turns))
+        parts = [
+            Component(Source.NOISE, Diagonal(np.where(channel == c, noise, 0.0)), freedom)
+            for c, freedom in enumerate(evidence.walk_freedom.tolist())
+        ]
+        parts += [
+            Component(Source.QUANTISATION, Diagonal(quantum)),
+            Component(Source.ENCODER_NOISE, Diagonal(encoder)),
+        ]
+        if self.inflation is not None:
+            more = np.maximum(total, SMALLEST_VARIANCE) * (self.inflation - 1)
+            parts.append(Component(Source.SCATTER, Diagonal(more), float(np.count_nonzero(more))))
+        return tuple(parts)
+
+    @cached_property
     def own_variances(self) -> Floats:
-        """Variances of the outputs by random walk and quantisation, (6 s + 3 t,)."""
-        walk, north_rate = self.evidence.walk, self.evidence.site.north_rate
-        turned = [t.variance(walk, north_rate) for t in self.evidence.turns]
-        own = np.concatenate([self.evidence.variances().ravel(), np.array(turned).ravel()])
-        own = np.maximum(own, SMALLEST_VARIANCE)
-        return np.asarray(own if self.inflation is None else own * self.inflation)
+        """Variances of the outputs by random walk, quantisation and encoders, (6 s + 3 t,)."""
+        size = 6 * len(self.evidence.segments) + 3 * len(self.evidence.turns)
+        diagonals = [c.part.variances for c in self.own if isinstance(c.part, Diagonal)]
+        return np.asarray(np.sum(diagonals, axis=0)).reshape(size)
+
+    def shared(self, state: Floats) -> tuple[Component, ...]:
+        """Return the parts of the covariance that outputs have in common.
+
+        The outputs of one turn share the error of the encoder's rate, those of neighbours the
+        error of the table's arrival, and all the error of the latitude.
+        """
+        evidence, model = self.evidence, self.model(state)
+        rest = 6 * len(evidence.segments)
+        ups, rates, _ = self._turning
+        errors = np.array([t.rate_error for t in evidence.turns]) * rates
+        sensed = errors[:, None] * (ups @ model.gyro.response.T)
+        turned = rest + np.arange(3 * len(ups)).reshape(-1, 3)
+        found: list[Component] = [
+            Component(
+                Source.ENCODER_RATE,
+                Blocks(turned, sensed[:, :, None] * sensed[:, None, :]),
+                ENCODER_FREEDOM,
+            )
+        ]
+        found += [*self.extra, *self._positioning(state)]
+        found.append(Component(Source.NORTH, self._unknown_north(model)))
+        if evidence.site.latitude_std:
+            slope = self.latitude_slope(state) * evidence.site.latitude_std
+            found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
+        return tuple(found)
 
     def covariance(self, state: Floats) -> Floats:
-        """Return the covariance of the outputs, (6 s + 3 t,) square.
-
-        Beyond their own noise the outputs of one turn share the error of the encoder's rate, and
-        those of neighbours the error of the table's arrival.
-        """
-        model = self.model(state)
+        """Return the covariance of the outputs, (6 s + 3 t,) square."""
         result = np.diag(self.own_variances)
-        rest = 6 * len(self.evidence.segments)
-        ups, rates, _ = self._turning
-        for k, turn in enumerate(self.evidence.turns):
-            rows = slice(rest + 3 * k, rest + 3 * k + 3)
-            error = turn.rate_error * rates[k] * (model.gyro.response @ ups[k])
-            result[rows, rows] += np.outer(error, error)
-        if self.extra is not None:
-            result += self.extra
-        stated = self.evidence.positioning if self.positioning is None else self.positioning
-        if stated:
-            arrivals = self.arrivals(state) * stated
-            result += arrivals @ arrivals.T
-        if self.evidence.plan.by_hand:
-            self._add_unknown_north(result, model)
+        for component in self.shared(state):
+            component.part.add_to(result)
         return result
+
+    def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:
+        """Return by source the covariance of parameters that are (n, 6 s + 3 t) times the outputs.
+
+        Source: docs/mathematics.md, 'Uncertainty budget'.
+        """
+        return shares((*self.own, *self.shared(state)), gain)
+
+    def latitude_slope(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by the latitude, (6 s + 3 t,) per rad."""
+        around, rate, force, turning, felt = self._inputs(state)
+        model, moved = self.model(state), around.rate_by_latitude
+        at_rest = np.einsum('sij,sj->si', model.slopes(rate, force)[..., :3], self._to_body @ moved)
+        slopes = model.slopes(turning, felt)[..., :3, :3]
+        turned = whole(np.einsum('thij,thj->thi', slopes, self._headings @ moved))
+        return np.concatenate([at_rest.ravel(), turned.ravel()])
+
+    def clock_slope(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by the rate between the clocks, (6 s + 3 t,)."""
+        return np.asarray(self.jacobian(state)[:, -1])
+
+    def _positioning(self, state: Floats) -> list[Component]:
+        stated = self.evidence.positioning
+        found = max(0.0, (self.positioning or 0.0) ** 2 - stated**2)
+        if not stated and not found:
+            return []
+        arrivals = self.arrivals(state)
+        parts = [Component(Source.ARRIVAL_STATED, Factor(arrivals * stated))]
+        if found:
+            beyond = Factor(arrivals * np.sqrt(found))
+            parts.append(Component(Source.ARRIVAL_FOUND, beyond, self.positioning_freedom))
+        return parts
 
     def arrivals(self, state: Floats) -> Floats:
         """Return how errors of arrival enter the outputs: (6 s + 3 t, errors), per rad.
@@ -324,13 +412,24 @@ class Equations:
             groups[k] = current
         return groups
 
-    def _add_unknown_north(self, covariance: Floats, model: SensorModel) -> None:
-        """Count the horizontal Earth rate as noise of its own size: by hand, north is anywhere."""
-        level = self.evidence.site.north_rate / np.sqrt(2) * np.diag([1.0, 1.0, 0.0])
-        for k, attitude in enumerate(self._attitudes):
-            felt = model.gyro.response @ attitude.T @ level
-            rows = slice(6 * k, 6 * k + 3)
-            covariance[rows, rows] += felt @ felt.T
+    def _unknown_north(self, model: SensorModel) -> Blocks:
+        """Count the level Earth rate as noise of its own size where nobody knows its direction.
+
+        By hand every stretch at rest has a heading of its own, and a turn from rest to rest does
+        not average all of it out.
+        """
+        evidence, response = self.evidence, model.gyro.response
+        rest = 6 * len(evidence.segments)
+        share = 1.0 if evidence.plan.by_hand else 0.0
+        ups = np.vstack([self._attitudes[:, 2], self._turning[0]])
+        shares = np.array([*[share] * len(evidence.segments), *(t.level for t in evidence.turns)])
+        across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
+        felt = (
+            response @ across @ response.T * (shares * evidence.site.north_rate)[:, None, None] ** 2
+        )
+        firsts = np.concatenate([np.arange(0, rest, 6), rest + 3 * np.arange(len(evidence.turns))])
+        rows, some = firsts[:, None] + np.arange(3), shares > 0
+        return Blocks(rows[some], felt[some] / 2)
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations, the priors' rows last.

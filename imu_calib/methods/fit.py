@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
 from ..stream import Floats
@@ -69,6 +70,7 @@ class Estimate:
         condition: Condition number of the system solved, columns scaled to unit length.
         scatter: What scatters beyond the noise.
         outliers: What counts for less.
+        gain: (n, m + 4) derivatives of the state by outputs and priors in standard deviations.
         turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
             for less; 1 where they agree.
 
@@ -80,12 +82,31 @@ class Estimate:
     condition: float
     scatter: Excess
     outliers: tuple[Outlier, ...]
+    gain: Floats
     turns_scatter: float = 1.0
 
     def nuisance(self, which: Nuisance) -> tuple[float, float]:
         """Return one of the nuisances and its standard deviation."""
         index = self.equations.sensors + which
         return float(self.state[index]), float(np.sqrt(self.covariance[index, index]))
+
+    def shares(self) -> dict[Source, Share]:
+        """Return the covariance of the parameters by source: of the outputs, and of the priors."""
+        equations = self.equations
+        n, m = equations.sensors, len(equations.outputs)
+        factor = np.linalg.cholesky(equations.covariance(self.state))
+        weights = scipy.linalg.solve_triangular(
+            factor, self.gain[:n, :m].T, lower=True, trans='T'
+        ).T
+        found = equations.shares(self.state, weights)
+        for source, which, freedom in (
+            (Source.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
+            (Source.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
+            (Source.CLOCK, [Nuisance.CLOCK], equations.evidence.clock_freedom),
+        ):
+            prior = self.gain[:n, m + np.array(which)]
+            found[source] = Share.of_parts([(prior @ prior.T, freedom)])
+        return found
 
 
 def estimate(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Estimate:
@@ -135,6 +156,7 @@ def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Es
         information.condition,
         scatter,
         tuple(outliers),
+        information.gain,
     )
 
 
@@ -246,7 +268,12 @@ def _least_squares(jacobian: Floats, left: Floats) -> Floats:
 
 
 def _weighted(equations: Equations, scatter: Excess) -> Equations:
-    return replace(equations, extra=scatter.extra, positioning=scatter.positioning)
+    return replace(
+        equations,
+        extra=scatter.extra,
+        positioning=scatter.positioning,
+        positioning_freedom=scatter.positioning_freedom,
+    )
 
 
 def _levelled(equations: Equations, state: Floats) -> Equations:

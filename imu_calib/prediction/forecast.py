@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..budget import Source
 from ..calibrator import Setup
 from ..errors import NotObservable
 from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free, method, skewed
+from ..methods.components import Component, Dense
 from ..methods.equations import Equations
 from ..methods.evidence import Evidence
 from ..methods.fit import check_observable
@@ -183,8 +185,10 @@ def information(
 ) -> Information:
     """Return what a session tells at the truth (methods.md, section 11)."""
     modelled = 6 * len(evidence.segments) + 3 * len(evidence.turns)
-    extra = None if extra is None else extra[:modelled, :modelled]
-    equations = Equations(evidence, parameters, extra=extra)
+    wander: tuple[Component, ...] = ()
+    if extra is not None:
+        wander = (Component(Source.BIAS_STATED, Dense(extra[:modelled, :modelled])),)
+    equations = Equations(evidence, parameters, extra=wander)
     return Information.of(equations.whitened(state_at(equations, truth))[0])
 
 
