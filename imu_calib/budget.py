@@ -103,8 +103,8 @@ class Share:
         """Add up independent parts: (n, n) covariances with the degrees of freedom of each."""
         variances = np.array([np.diag(covariance) for covariance, _ in parts])
         freedom = np.repeat(np.array([[f] for _, f in parts]), variances.shape[1], axis=1)
-        total = np.sum([covariance for covariance, _ in parts], axis=0)
-        return cls(np.asarray(total), effective_freedom(variances, freedom))
+        added = np.sum([covariance for covariance, _ in parts], axis=0)
+        return cls(np.asarray(added), effective_freedom(variances, freedom))
 
 
 Shares = Mapping[Source, Share]
@@ -125,10 +125,10 @@ def effective_freedom(variances: Floats, freedom: Floats) -> Floats:
 
     Source: Welch-Satterthwaite, GUM eq. (G.2b).
     """
-    total = variances.sum(axis=0)
-    weight = np.divide(variances, total, out=np.zeros_like(variances), where=total > 0)
+    whole = variances.sum(axis=0)
+    weight = np.divide(variances, whole, out=np.zeros_like(variances), where=whole > 0)
     doubt = np.sum(weight**2 / freedom, axis=0)
-    return np.divide(1.0, doubt, out=np.full(len(total), np.inf), where=doubt > 0)
+    return np.asarray(np.divide(1.0, doubt, out=np.full(len(whole), np.inf), where=doubt > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +212,11 @@ class Budget:
 
     def matters(self, least: float) -> NDArray[np.bool_]:
         """Say of each source whether it is more than a share of the variance of any parameter."""
-        total = self.variances.sum(axis=0)
-        shares = np.divide(
-            self.variances, total, out=np.zeros_like(self.variances), where=total > 0
-        )
-        return np.asarray(np.any(shares > least, axis=1))
+        return np.asarray(np.any(self.fractions > least, axis=1))
+
+    @property
+    def fractions(self) -> Floats:
+        """Share (k, n) of each source in the variance of each parameter; zero where it is zero."""
+        whole = np.nan_to_num(self.variances.sum(axis=0))
+        nothing = np.zeros_like(self.variances)
+        return np.asarray(np.divide(self.variances, whole, out=nothing, where=whole > 0))

@@ -179,4 +179,5 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
     blended = (freedom * square + weight * stated**2) / (freedom + weight)
     doubt = np.where(known & (freedom < _ENOUGH_FREEDOM), found.deviation, 0.0)
     walk = np.sqrt(np.where(stated > 0, blended, square + doubt))
-    return np.asarray(walk), np.asarray(freedom + np.where(stated > 0, weight, 0.0))
+    freedom = freedom + np.where(stated > 0, weight, 0.0)
+    return np.asarray(walk), np.asarray(np.maximum(freedom, 1.0))

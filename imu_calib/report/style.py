@@ -52,6 +52,8 @@ table.parameters svg { width: 100%; height: 16px; margin: 0; }
 svg text { font: 12px system-ui, "Segoe UI", "DejaVu Sans", Arial, sans-serif; fill: #1a1a1a; }
 svg text.tick { font-size: 11px; fill: #333; }
 svg text.inside { font-size: 11px; font-weight: 600; fill: #fff; }
+svg text.inside.dark { fill: #1a1a1a; }
+svg .share { stroke: #fff; stroke-width: .6; }
 svg .grid { stroke: #e1e4e8; }
 svg .frame { fill: none; stroke: #888; }
 svg .zero { stroke: #888; }
@@ -86,5 +88,6 @@ svg .rejected { fill: #c2491d; }
   body { margin: 0; padding: 18px; }
   dl, .dense dl { grid-template-columns: repeat(2, 1fr); }
   section { overflow-x: auto; }
+  .budget svg { min-width: 620px; }
 }
 """
