@@ -24,6 +24,7 @@ _LEAST = 0.005
 _COLUMNS = 80
 _NAME = 9
 _WIDTH, _LEFT, _ROW, _BAR = 760.0, 58.0, 19.0, 15.0
+_MARGIN = 24.0
 _LETTER = 6.6
 _LEGEND_ROW = 18.0
 _MANY = 1000.0
@@ -190,9 +191,13 @@ def budget_section(calibration: Calibration) -> list[str]:
     if calibration.budget is None:
         return []
     shown = _Shown.of(calibration, calibration.budget)
-    percent = [
-        [escape(p.name), *(_percent(float(f)) for f in row)]
-        for p, row in zip(shown.parameters, shown.fractions, strict=True)
+    rows = [
+        [
+            escape(expanded[0]),
+            *(_percent(float(f)) for f in shares),
+            *(escape(cell) for cell in expanded[1:]),
+        ]
+        for expanded, shares in zip(shown.expanded_rows(), shown.fractions, strict=True)
     ]
     sources = [
         [
@@ -209,15 +214,12 @@ def budget_section(calibration: Calibration) -> list[str]:
         'effective degrees of freedom (JCGM 100:2008, G.4). Type A is evaluated from the scatter '
         'of the session, type B from what is stated.'
     )
-    expanded = [[escape(cell) for cell in row] for row in shown.expanded_rows()]
+    headings = ['', *(f'{h}, %' for h in shown.headings), *_EXPANDED[1:]]
     return [
         _picture(shown),
         paragraph(note, 'note'),
         table(['source', 'type', 'dof', 'what it is'], sources, 'plain', 'llrl'),
-        tag('h3', 'Share of each source in the variance, percent'),
-        table(['', *shown.headings], percent, 'plain', 'l' + 'r' * len(shown.headings)),
-        tag('h3', 'Expanded uncertainties'),
-        table(list(_EXPANDED), expanded, 'plain', 'lrrrrl'),
+        table(headings, rows, 'budget', 'l' + 'r' * (len(headings) - 2) + 'l'),
     ]
 
 
@@ -237,9 +239,8 @@ def _picture(shown: _Shown) -> str:
         parts += _bar(y, row.tolist(), headings, colours, parameter.name)
         y += _ROW
     for k in range(5):
-        x = _LEFT + (_WIDTH - _LEFT - 12) * k / 4
-        anchor = 'middle'
-        parts.append(label(f'{25 * k} %', x, y + 14, class_='tick', text_anchor=anchor))
+        x = _LEFT + (_WIDTH - _LEFT - _MARGIN) * k / 4
+        parts.append(label(f'{25 * k} %', x, y + 14, class_='tick', text_anchor='middle'))
     picture = drawing(parts, _WIDTH, y + 22, 'Shares of the sources in the variance of parameters')
     return tag('div', picture, class_='budget')
 
@@ -262,7 +263,7 @@ def _bar(
 ) -> list[str]:
     parts, x = [], _LEFT
     for fraction, heading, colour in zip(fractions, headings, colours, strict=True):
-        width = fraction * (_WIDTH - _LEFT - 12)
+        width = fraction * (_WIDTH - _LEFT - _MARGIN)
         words = f'{name}: {heading} {_percent(fraction)} %'
         if width >= 0.3:
             parts.append(
