@@ -11,17 +11,8 @@ from numpy.typing import NDArray
 from .budget import PROBABILITY, Budget, Line, Source
 from .config import Section
 from .errors import InputError
-from .model import Parameter, ParameterKind
+from .model import Parameter
 from .stream import Floats
-
-
-def si_unit(parameter: Parameter) -> str:
-    """Return the SI unit of a parameter."""
-    if parameter.kind is ParameterKind.BIAS:
-        return 'rad/s' if parameter.triad == 'g' else 'm/s^2'
-    if parameter.kind is ParameterKind.G_SENSITIVITY:
-        return '(rad/s)/(m/s^2)'
-    return 'rad' if parameter.kind is ParameterKind.MISALIGNMENT else '1'
 
 
 def budget_document(
@@ -42,7 +33,7 @@ def budget_document(
     estimated = [p for p, k in zip(parameters, known, strict=True) if k]
     return {
         'parameters': [p.name for p in estimated],
-        'units': [si_unit(p) for p in estimated],
+        'units': [p.unit.si for p in estimated],
         'standard_uncertainty': row(budget.std),
         'effective_degrees_of_freedom': row(budget.freedom),
         'coverage_probability': PROBABILITY,

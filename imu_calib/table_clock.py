@@ -11,29 +11,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from .budget import Share
-from .model import Parameter, ParameterKind, SensorModel
+from .model import PRODUCTS, Parameter, ParameterKind, SensorModel
 from .stream import Floats, Units
 
 
 def clock_slope(model: SensorModel, parameters: Sequence[Parameter], units: Units) -> Floats:
     """Return by how much parameters change with the relative error of the table's clock, (n,).
 
-    With seconds that are (1 + e) too long, pulses per second come out (1 + e) times as many: the
-    accelerometers' parameters are of pulses per second, the gyros' responses of pulses per angle.
-    Counts and SI values are rates already: the table's rates come out (1 + e) times as large, and
-    the gyros' responses 1 / (1 + e) times.
+    Where the table counts 1 / (1 + e) of the seconds that pass, its rates are (1 + e) times as
+    large, and so are pulses per second; counts and SI values are what they are. The factor of a
+    product of p rates comes out (1 + e)^(1 - p) times for pulses, else (1 + e)^-p times: pulses
+    per angle know no clock, and accelerations in counts neither.
 
     Source: docs/mathematics.md, 'Uncertainty budget'.
     """
-    values = model.values(tuple(parameters))
     one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
-    gyro = np.array([p.triad == 'g' for p in parameters])
-    of_force = np.array(
-        [p.kind in {ParameterKind.BIAS, ParameterKind.G_SENSITIVITY} for p in parameters]
-    )
-    if units is Units.PULSES:
-        return np.asarray(np.where(gyro & ~of_force, 0.0, one + values))
-    return np.asarray(np.where(gyro & ~of_force, -(one + values), 0.0))
+    rates = np.array([PRODUCTS[p].degree_in_rate for p in parameters])
+    degree = (1 if units is Units.PULSES else 0) - rates
+    return np.asarray(np.where(degree != 0, degree * (one + model.values(parameters)), 0.0))
 
 
 def clock_share(
