@@ -121,7 +121,6 @@ class Equations:
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
         positioning: Standard deviation of an arrival that the encoder does not show, rad; None
             for what the table states.
-        positioning_freedom: Degrees of freedom of what it is beyond that.
         extra: Further parts of the covariance of the outputs.
         inflation: (6 s + 3 t,) factors on the variance of each output's own noise, or None.
 
@@ -132,7 +131,6 @@ class Equations:
     levelled: float = LEVELLED
     any_heading: bool = False
     positioning: float | None = None
-    positioning_freedom: float = np.inf
     extra: tuple[Component, ...] = field(default=(), repr=False)
     inflation: Floats | None = field(default=None, repr=False)
 
@@ -292,7 +290,11 @@ class Equations:
         ]
         if self.inflation is not None:
             more = np.maximum(total, SMALLEST_VARIANCE) * (self.inflation - 1)
-            parts.append(Component(Source.SCATTER, Diagonal(more), float(np.count_nonzero(more))))
+            for c in range(6):
+                own = np.where(channel == c, more, 0.0)
+                # What scatters, less the two unknowns of a line.
+                freedom = max(1.0, np.count_nonzero(own) - 2.0)
+                parts.append(Component(Source.SCATTER, Diagonal(own), freedom))
         return tuple(parts)
 
     @cached_property
@@ -363,8 +365,7 @@ class Equations:
         arrivals = self.arrivals(state)
         parts = [Component(Source.ARRIVAL_STATED, Factor(arrivals * stated))]
         if found:
-            beyond = Factor(arrivals * np.sqrt(found))
-            parts.append(Component(Source.ARRIVAL_FOUND, beyond, self.positioning_freedom))
+            parts.append(Component(Source.ARRIVAL_FOUND, Factor(arrivals * np.sqrt(found))))
         return parts
 
     def arrivals(self, state: Floats) -> Floats:

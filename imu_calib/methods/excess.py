@@ -177,14 +177,12 @@ class Excess:
         wandering: (6,) standard deviation of the wandering biases, rad/s and m/s^2.
         extra: What wandering adds to the covariance of the outputs: as the data sheet states it,
             and what the session shows beyond.
-        positioning_freedom: Degrees of freedom of what `positioning` is beyond the stated one.
 
     """
 
     positioning: float
     wandering: Floats
     extra: tuple[Component, ...] = ()
-    positioning_freedom: float = np.inf
 
     @property
     def stated(self) -> tuple[Component, ...]:
@@ -222,15 +220,7 @@ def excess(equations: Equations, state: Floats) -> Excess:
         float(np.sqrt(positioning**2 + arrival)),
         np.repeat([of_gyros, of_accels], 3),
         (*gyros_extra, *accels_extra),
-        _freedom(weights.arrivals, candidates),
     )
-
-
-def _freedom(weights: Floats, variances: Floats) -> float:
-    """Return the degrees of freedom of a variance of which a posterior is known, GUM eq. (G.3)."""
-    mean = float(weights @ variances)
-    spread = float(weights @ (variances - mean) ** 2)
-    return 2 * mean**2 / spread if spread > 0 else np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,10 +283,7 @@ def _spread_out(triad: _Triad, weights: _Weights, size: int) -> tuple[float, tup
     if weights.stated * triad.stated:
         parts.append(Component(Source.BIAS_STATED, Dense(stated)))
     if beyond.any():
-        # The rest of the weight is that of none at all.
-        posterior = np.append(beyond, 1 - float(beyond.sum()))
-        freedom = _freedom(posterior, np.append(_RATIOS, 0.0))
-        parts.append(Component(Source.BIAS_FOUND, Dense(found), freedom))
+        parts.append(Component(Source.BIAS_FOUND, Dense(found)))
     return float(np.sqrt(total)), tuple(parts)
 
 

@@ -268,12 +268,7 @@ def _least_squares(jacobian: Floats, left: Floats) -> Floats:
 
 
 def _weighted(equations: Equations, scatter: Excess) -> Equations:
-    return replace(
-        equations,
-        extra=scatter.extra,
-        positioning=scatter.positioning,
-        positioning_freedom=scatter.positioning_freedom,
-    )
+    return replace(equations, extra=scatter.extra, positioning=scatter.positioning)
 
 
 def _levelled(equations: Equations, state: Floats) -> Equations:
