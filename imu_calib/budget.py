@@ -14,7 +14,6 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from .stream import Floats
 
@@ -202,6 +201,8 @@ class Budget:
     @property
     def coverage_factor(self) -> Floats:
         """Factors (n,) from standard to expanded uncertainties: Student's t, GUM G.3.2."""
+        from scipy.special import stdtrit
+
         freedom = np.maximum(self.freedom, _LEAST_FREEDOM)
         return np.asarray(stdtrit(freedom, (1 + PROBABILITY) / 2))
 
