@@ -218,7 +218,7 @@ def budget_section(calibration: Calibration) -> list[str]:
     return [
         _picture(shown),
         paragraph(note, 'note'),
-        table(['source', 'type', 'dof', 'what it is'], sources, 'plain', 'llrl'),
+        table(['source', 'type', 'dof', 'what it is'], sources, 'budget', 'llrl'),
         table(headings, rows, 'budget', 'l' + 'r' * (len(headings) - 2) + 'l'),
     ]
 
