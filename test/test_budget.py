@@ -10,6 +10,7 @@ import pytest
 import yaml
 from scipy.signal import lfilter
 from sessions import LATITUDE, calibrate, quick_plan, session, stand, truth
+from test_free_positions import result as by_hand
 from test_information import ACCEL_WALK, CLOCK, GYRO_WALK, SECOND, SITE, evidence_of
 
 from imu_calib.budget import Budget, Line, Share, Source, effective_freedom, total
@@ -100,20 +101,24 @@ def test_a_budget_is_read_as_it_was_written(plan: str, name: str) -> None:
     assert Calibration.from_yaml(text, 'c.yaml').to_yaml() == text
 
 
-@pytest.mark.parametrize(('plan', 'name'), METHODS)
-def test_the_shares_are_covariances_that_add_up_to_the_covariance(plan: str, name: str) -> None:
-    evidence = replace(loaded(plan), azimuth=0.0)
-    found = method(name)(evidence)
+@pytest.mark.parametrize('heading', [0.0, np.pi / 2])
+@pytest.mark.parametrize(('plan', 'name'), [*METHODS, ('six_position', 'joint')])
+def test_the_shares_are_covariances_that_add_up_to_the_covariance(
+    plan: str, name: str, heading: float
+) -> None:
+    # Six positions see one of the tilts and not the other, which one by their heading.
+    found = method(name)(loaded(plan, heading))
     scale = np.outer(found.std, found.std)
     assert total(found.shares) / scale == pytest.approx(found.covariance / scale, abs=1e-9)
     for share in found.shares.values():
         assert np.linalg.eigvalsh(share.covariance / scale).min() > -1e-9
 
 
-def loaded(plan: str = 'twelve_position') -> Evidence:
-    """An ideal session, its outputs noisy, of which everything is in doubt."""
-    model = truth().model
-    evidence = evidence_of(plan, model, noise=np.random.default_rng(5))
+def loaded(plan: str = 'twelve_position', heading: float = 0.0) -> Evidence:
+    """An ideal session, its outputs noisy, of which everything is in doubt, north known."""
+    evidence = evidence_of(
+        plan, truth().model, azimuth=heading, known=True, noise=np.random.default_rng(5)
+    )
     quantum = np.repeat([(1e-8) ** 2, (1e-6) ** 2], 3)
     segments = tuple(
         replace(s, attitude_error=ARCSEC, statistics=replace(s.statistics, quantum=quantum))
@@ -143,7 +148,7 @@ DWELL = SIX.segments[0].statistics.duration
 
 @cache
 def six_positions() -> Solution:
-    return method('six_position')(replace(SIX, azimuth=0.0))
+    return method('six_position')(SIX)
 
 
 def test_six_positions_err_by_what_their_means_and_differences_make_of_each_source() -> None:
@@ -192,7 +197,7 @@ def test_an_error_of_the_encoders_rate_goes_into_the_slope_on_the_rates() -> Non
 def test_the_rate_between_the_clocks_goes_into_every_scale_factor_of_the_gyros(
     plan: str, name: str
 ) -> None:
-    evidence = replace(loaded(plan), azimuth=0.0)
+    evidence = loaded(plan)
     found = std_of(method(name)(evidence), Source.CLOCK)
     std = evidence.clock_rate()[1]
     assert found[K_G] == pytest.approx(RESPONSES[K_G] * std, rel=0.01)
@@ -427,7 +432,7 @@ def test_the_coverage_factor_is_students(freedom: float, factor: float) -> None:
 )
 def test_each_source_is_missed_where_it_is_left_out(plan: str, name: str) -> None:
     # The sessions here feel each of them by more than rounding: a sum without it is too small.
-    found = method(name)(replace(loaded(plan), azimuth=0.0))
+    found = method(name)(loaded(plan))
     for source in found.shares:
         rest = {s: share for s, share in found.shares.items() if s is not source}
         lost = 1 - np.diag(total(rest)) / np.diag(found.covariance)
@@ -484,6 +489,17 @@ def test_the_screen_shows_the_budget_in_80_columns(recording, tmp_path, capsys) 
     assert any(line.startswith('grav   B    inf') for line in shown)
     assert main(['calibrate', recording, '-o', 'c.yaml']) == 0
     assert 'Uncertainty budget' not in capsys.readouterr().out
+
+
+def test_free_positions_tell_noise_pulses_and_what_trembles() -> None:
+    calibration = by_hand(0).calibration
+    lines = {line.source: line for line in calibration.budget.lines}
+    assert {Source.NOISE, Source.QUANTISATION, Source.NORTH} <= set(lines)
+    assert calibration.budget.std == pytest.approx(calibration.std, rel=1e-9)
+    known = calibration.std > 0
+    assert np.isfinite(lines[Source.NOISE].freedom[known]).all()
+    # A share of the noise and one of the pulses: neither is all of it.
+    assert (lines[Source.QUANTISATION].std[K_A] < calibration.std[K_A]).all()
 
 
 def test_a_method_that_does_not_tell_says_so() -> None:
