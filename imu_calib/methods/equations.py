@@ -11,7 +11,6 @@ methods.md, section 11, for what goes into the state.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
@@ -25,8 +24,9 @@ from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG
-from .components import Blocks, Component, Diagonal, Factor, shares
-from .evidence import SMALLEST_VARIANCE, Evidence
+from .components import Component, Diagonal, Factor, shares
+from .doubts import encoder_rates, own_parts, unknown_north
+from .evidence import Evidence
 
 
 class Nuisance(IntEnum):
@@ -37,10 +37,6 @@ class Nuisance(IntEnum):
     TILT_Y = 2
     CLOCK = 3
 
-
-ENCODER_FREEDOM = 14.0
-"""Degrees of freedom of an encoder's rate, the least: sixteen blocks less a line's two unknowns
-(`segmentation/plateau.py`)."""
 
 ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
 """Standard deviation of a heading that may be any."""
@@ -258,44 +254,7 @@ class Equations:
     @cached_property
     def own(self) -> tuple[Component, ...]:
         """The parts of the covariance that each output has for itself, whatever the state."""
-        evidence = self.evidence
-        segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
-        statistics = [s.statistics for s in segments]
-        turned = [t.statistics for t in turns]
-        site = evidence.site
-
-        def rows(at_rest: Sequence[Floats], while_turning: Sequence[Floats]) -> Floats:
-            parts = (np.array(at_rest).reshape(-1, 6), np.array(while_turning).reshape(-1, 3))
-            return np.concatenate([part.ravel() for part in parts])
-
-        noise = rows(
-            [walk**2 * s.walk_gain for s in statistics],
-            [walk[:3] ** 2 * s.walk_gain[:3] for s in turned],
-        )
-        quantum = rows([s.quantum for s in statistics], [s.quantum[:3] for s in turned])
-        encoder = rows(
-            [s.encoder_variance(site.gravity) for s in segments],
-            [t.encoder_variance() for t in turns],
-        )
-        total = noise + quantum + encoder
-        quantum = quantum + np.maximum(SMALLEST_VARIANCE - total, 0.0)
-        channel = rows([np.arange(6.0)] * len(segments), [np.arange(3.0)] * len(turns))
-        parts = [
-            Component(Source.NOISE, Diagonal(np.where(channel == c, noise, 0.0)), freedom)
-            for c, freedom in enumerate(evidence.walk_freedom.tolist())
-        ]
-        parts += [
-            Component(Source.QUANTISATION, Diagonal(quantum)),
-            Component(Source.ENCODER_NOISE, Diagonal(encoder)),
-        ]
-        if self.inflation is not None:
-            more = np.maximum(total, SMALLEST_VARIANCE) * (self.inflation - 1)
-            for c in range(6):
-                own = np.where(channel == c, more, 0.0)
-                # What scatters, less the two unknowns of a line.
-                freedom = max(1.0, np.count_nonzero(own) - 2.0)
-                parts.append(Component(Source.SCATTER, Diagonal(own), freedom))
-        return tuple(parts)
+        return own_parts(self.evidence, self.inflation)
 
     @cached_property
     def own_variances(self) -> Floats:
@@ -310,21 +269,15 @@ class Equations:
         The outputs of one turn share the error of the encoder's rate, those of neighbours the
         error of the table's arrival, and all the error of the latitude.
         """
-        evidence, model = self.evidence, self.model(state)
-        rest = 6 * len(evidence.segments)
-        ups, rates, _ = self._turning
-        errors = np.array([t.rate_error for t in evidence.turns]) * rates
-        sensed = errors[:, None] * (ups @ model.gyro.response.T)
-        turned = rest + np.arange(3 * len(ups)).reshape(-1, 3)
-        found: list[Component] = [
-            Component(
-                Source.ENCODER_RATE,
-                Blocks(turned, sensed[:, :, None] * sensed[:, None, :]),
-                ENCODER_FREEDOM,
-            )
+        evidence, response = self.evidence, self.model(state).gyro.response
+        turning, rates, _ = self._turning
+        ups = np.vstack([self._attitudes[:, 2], turning])
+        found = [
+            encoder_rates(evidence, rates, response),
+            unknown_north(evidence, ups, response),
+            *self.extra,
+            *self._positioning(state),
         ]
-        found += [*self.extra, *self._positioning(state)]
-        found.append(Component(Source.NORTH, self._unknown_north(model)))
         if evidence.site.latitude_std:
             slope = self.latitude_slope(state) * evidence.site.latitude_std
             found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
@@ -412,25 +365,6 @@ class Equations:
                 current, last = current + 1, ups[k]
             groups[k] = current
         return groups
-
-    def _unknown_north(self, model: SensorModel) -> Blocks:
-        """Count the level Earth rate as noise of its own size where nobody knows its direction.
-
-        By hand every stretch at rest has a heading of its own, and a turn from rest to rest does
-        not average all of it out.
-        """
-        evidence, response = self.evidence, model.gyro.response
-        rest = 6 * len(evidence.segments)
-        share = 1.0 if evidence.plan.by_hand else 0.0
-        ups = np.vstack([self._attitudes[:, 2], self._turning[0]])
-        shares = np.array([*[share] * len(evidence.segments), *(t.level for t in evidence.turns)])
-        across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
-        felt = (
-            response @ across @ response.T * (shares * evidence.site.north_rate)[:, None, None] ** 2
-        )
-        firsts = np.concatenate([np.arange(0, rest, 6), rest + 3 * np.arange(len(evidence.turns))])
-        rows, some = firsts[:, None] + np.arange(3), shares > 0
-        return Blocks(rows[some], felt[some] / 2)
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations, the priors' rows last.

@@ -204,9 +204,7 @@ def _readings(system: System, sensors: Sensors) -> list[Hypothesis]:
             )
         )
     if system.observed.with_attitudes:
-        rows = system.rows(
-            sensors, system.world, np.zeros((len(system.parameters), 1)), level_known=True
-        )
+        rows = system.rows(sensors, system.world, np.zeros((len(system.parameters), 1)), level_known=True)
         seen, expected = rows.outputs / rows.sigma, (rows.outputs - rows.residual) / rows.sigma
         share = float(seen @ expected) / float(seen @ seen)
     else:
