@@ -93,22 +93,25 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class Dense:
-    """A covariance of which nothing more is known.
+    """A covariance of some outputs, of which nothing more is known.
 
     Attributes:
-        matrix: (m, m).
+        rows: (k,) which outputs.
+        matrix: (k, k).
 
     """
 
+    rows: NDArray[np.intp]
     matrix: Floats
 
     def add_to(self, matrix: Floats) -> None:
         """Add it to an (m, m) matrix."""
-        matrix += self.matrix
+        matrix[np.ix_(self.rows, self.rows)] += self.matrix
 
     def through(self, gain: Floats) -> Floats:
         """Return its covariance in parameters, (1, n, n)."""
-        return np.asarray(gain @ self.matrix @ gain.T)[None]
+        own = gain[:, self.rows]
+        return np.asarray(own @ self.matrix @ own.T)[None]
 
 
 @dataclass(frozen=True, eq=False)

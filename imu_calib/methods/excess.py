@@ -211,11 +211,11 @@ def excess(equations: Equations, state: Floats) -> Excess:
     candidates = _ARRIVAL_RATIOS * (accel.typical / evidence.site.gravity**2)
     weights = _posterior(accel, candidates)
     arrival = float(weights.arrivals @ candidates)
-    of_accels, accels_extra = _spread_out(accel, weights, len(left))
+    of_accels, accels_extra = _spread_out(accel, weights)
     gyro = _triad(
         plain, 0, (jacobian, left, covariance + arrival * (arrivals @ arrivals.T), arrivals), state
     )
-    of_gyros, gyros_extra = _spread_out(gyro, _posterior(gyro, np.zeros(1)), len(left))
+    of_gyros, gyros_extra = _spread_out(gyro, _posterior(gyro, np.zeros(1)))
     return Excess(
         float(np.sqrt(positioning**2 + arrival)),
         np.repeat([of_gyros, of_accels], 3),
@@ -267,23 +267,22 @@ def _posterior(triad: _Triad, candidates: Floats) -> _Weights:
     return _Weights(np.exp(none - total), np.exp(some - total))
 
 
-def _spread_out(triad: _Triad, weights: _Weights, size: int) -> tuple[float, tuple[Component, ...]]:
+def _spread_out(triad: _Triad, weights: _Weights) -> tuple[float, tuple[Component, ...]]:
     """Return the wandering's standard deviation, and the posterior's mean of its covariance."""
     means = len(triad.left) // 3
-    block = np.ix_(triad.rows, triad.rows)
-    stated, found = np.zeros((size, size)), np.zeros((size, size))
-    stated[block] = weights.stated * triad.spread(triad.stated_kernel()[:means, :means])
+    stated = weights.stated * triad.spread(triad.stated_kernel()[:means, :means])
+    found = np.zeros_like(stated)
     by_ratio = weights.beyond.sum(axis=0)
     for k, time in enumerate(_TIMES):
         kernel = triad.wandering.kernel(time)[:means, :means]
-        found[block] += float(by_ratio[k] @ _RATIOS) * triad.typical * triad.spread(kernel)
+        found += float(by_ratio[k] @ _RATIOS) * triad.typical * triad.spread(kernel)
     beyond = by_ratio.sum(axis=0)
     total = weights.stated * triad.stated + float(beyond @ _RATIOS) * triad.typical
     parts = []
     if weights.stated * triad.stated:
-        parts.append(Component(Source.BIAS_STATED, Dense(stated)))
+        parts.append(Component(Source.BIAS_STATED, Dense(triad.rows, stated)))
     if beyond.any():
-        parts.append(Component(Source.BIAS_FOUND, Dense(found)))
+        parts.append(Component(Source.BIAS_FOUND, Dense(triad.rows, found)))
     return float(np.sqrt(total)), tuple(parts)
 
 

@@ -191,7 +191,8 @@ def information(
     modelled = 6 * len(evidence.segments) + 3 * len(evidence.turns)
     wander: tuple[Component, ...] = ()
     if extra is not None:
-        wander = (Component(Source.BIAS_STATED, Dense(extra[:modelled, :modelled])),)
+        part = Dense(np.arange(modelled), extra[:modelled, :modelled])
+        wander = (Component(Source.BIAS_STATED, part),)
     equations = Equations(evidence, parameters, extra=wander)
     return Information.of(equations.whitened(state_at(equations, truth))[0])
 
