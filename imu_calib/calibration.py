@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
+from .budget import Budget, Share, Source
+from .budget_file import budget_document, read_budget
 from .config import Section
 from .errors import InputError
 from .imu import ImuSpec, TriadSpec
@@ -63,6 +66,7 @@ class Calibration:
         serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
         parameters: What the rows of the covariance stand for: the 24, the terms', the skewed
             gyros', as `model.parameters_of` orders them.
+        budget: The variances by source; None where the method does not tell.
 
     """
 
@@ -74,6 +78,7 @@ class Calibration:
     provenance: dict[str, Any] = field(default_factory=dict)
     serial_number: str = ''
     parameters: tuple[Parameter, ...] = PARAMETERS
+    budget: Budget | None = None
 
     def __post_init__(self) -> None:
         """Refuse a covariance of other parameters than the model's."""
@@ -89,6 +94,11 @@ class Calibration:
     def values(self) -> Floats:
         """Values of `parameters`, SI units."""
         return self.model.values(self.parameters)
+
+    def with_share(self, source: Source, share: Share) -> Calibration:
+        """Return the calibration with what another source adds to its covariance."""
+        budget = None if self.budget is None else self.budget.with_share(source, share)
+        return replace(self, covariance=self.covariance + share.covariance, budget=budget)
 
     @property
     def has_accelerometers(self) -> bool:
@@ -128,6 +138,7 @@ class Calibration:
                 'parameters': [p.name for p, k in zip(self.parameters, known, strict=True) if k],
                 'matrix': _rows(self.covariance[np.ix_(known, known)]),
             },
+            **self._budget_document(known),
             'residuals': [_residual_document(r) for r in self.residuals],
             'findings': list(self.findings),
             'provenance': self.provenance,
@@ -138,6 +149,11 @@ class Calibration:
             + self._head_of_further()
         )
         return head + dump(document, _Dumper, width=200)
+
+    def _budget_document(self, known: NDArray[np.bool_]) -> dict[str, Any]:
+        if self.budget is None:
+            return {}
+        return {'uncertainty_budget': budget_document(self.budget, self.parameters, known)}
 
     def _head_of_further(self) -> str:
         further = ''.join(
@@ -258,6 +274,10 @@ class Calibration:
         if not isinstance(findings, list) or not isinstance(provenance, dict):
             raise InputError(f'{section.where}: findings must be a list, provenance a mapping.')
         serial_number = section.text('serial_number', '')
+        budget = None
+        if section.has('uncertainty_budget'):
+            known = np.isfinite(np.diag(covariance))
+            budget = read_budget(section.section('uncertainty_budget'), parameters, known)
         calibration = cls(
             spec,
             model,
@@ -267,6 +287,7 @@ class Calibration:
             provenance,
             serial_number,
             parameters,
+            budget,
         )
         check_plausible(calibration, section.where)
         return calibration

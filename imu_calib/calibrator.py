@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from . import __version__
+from .budget import Budget, Source
 from .calibration import Calibration, ResidualRow
 from .earth import Site
 from .errors import Contradiction, InputError, NotObservable
@@ -17,7 +18,7 @@ from .gravity import gravity_covariance, with_gravity
 from .imu import ImuSpec
 from .methods import JOINT, check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
-from .methods.evidence import Evidence, noise
+from .methods.evidence import Evidence, known_noise
 from .methods.information import reached
 from .methods.solution import Solution
 from .model import AXES, Parameter, SensorModel, Term
@@ -28,6 +29,7 @@ from .segmentation.labelling import Labelled, label
 from .segmentation.segmenter import Segmenter
 from .segmentation.session import Segmented
 from .stream import Block, Floats
+from .table_clock import clock_share
 from .turntable import Table
 from .units import DEG
 
@@ -201,8 +203,12 @@ class Calibrator:
             noise_alone = reached(self.evidence(labelled, session), parameters)
         except NotObservable:
             return {}
-        doubt = self._setup.site.gravity_doubt
-        share = np.diag(gravity_covariance(SensorModel(), parameters, doubt))
+        setup, ideal = self._setup, SensorModel()
+        doubt = setup.site.gravity_doubt
+        share = np.diag(gravity_covariance(ideal, parameters, doubt))
+        if setup.table is not None:
+            clock = clock_share(ideal, parameters, setup.imu.units, setup.table.clock)
+            share = share + np.diag(clock.covariance)
         return dict(zip(parameters, np.sqrt(noise_alone**2 + share), strict=True))
 
     def evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
@@ -221,6 +227,7 @@ class Calibrator:
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
         setup = self._setup
+        walk, freedom = known_noise(labelled.segments, setup.imu)
         return Evidence(
             labelled.segments,
             labelled.turns,
@@ -228,9 +235,10 @@ class Calibrator:
             setup.site,
             session.clock,
             setup.table.azimuth if setup.table is not None else None,
-            noise(labelled.segments, setup.imu),
+            walk,
             setup.table.positioning if setup.table is not None else 0.0,
             np.repeat([setup.imu.gyro.bias_instability, setup.imu.accel.bias_instability], 3),
+            freedom,
             session.moves,
         )
 
@@ -294,8 +302,14 @@ class Calibrator:
             _provenance(setup, evidence, session, solution, comparison),
             setup.serial_number,
             solution.parameters,
+            None if solution.shares is None else Budget.of(solution.shares),
         )
         calibration = with_gravity(calibration, setup.site)
+        if setup.table is not None and setup.table.clock:
+            share = clock_share(
+                calibration.model, calibration.parameters, setup.imu.units, setup.table.clock
+            )
+            calibration = calibration.with_share(Source.TABLE_CLOCK, share)
         return Result(calibration, solution, session, labelled, comparison)
 
 
@@ -388,7 +402,9 @@ def _provenance(
         'terms': [term.name for term in setup.terms],
         'plan': setup.plan.name or None,
         'table': setup.table.name if setup.table is not None else None,
+        'table_clock_std': setup.table.clock if setup.table is not None else None,
         'latitude_deg': setup.site.latitude / DEG,
+        'latitude_std_deg': setup.site.latitude_std / DEG,
         'gravity': setup.site.gravity,
         'gravity_source': setup.site.gravity_source,
         'gravity_std': setup.site.gravity_std,

@@ -30,6 +30,12 @@ HEIGHT_STD = 500.0
 73.7 % of people live less than 500 m above or below the sea (Cohen and Small 1998, PNAS 95, 14009);
 one standard deviation of a normal law holds 68.3 %."""
 
+LATITUDE_STD = math.radians(0.01)
+"""Standard deviation of a latitude where nobody states one, rad.
+
+1.1 km: two digits behind the point of a degree, and the laboratory somewhere in the town whose
+latitude it is. Rounding alone is 0.0029 deg (GUM F.2.2.1)."""
+
 _SEMI_MAJOR_AXIS = 6378137.0
 _FLATTENING = 1 / 298.257223563
 _GRAVITY_EQUATOR = 9.7803253359
@@ -73,6 +79,7 @@ class Site:
         gravity_source: 'measured', or how it was computed.
         gravity_std: Its standard deviation, m/s^2; 0 for one that is taken as exact.
         height: Above the ellipsoid, m, where it was stated; None where it was not.
+        latitude_std: Standard deviation of the latitude, rad; 0 for one that is taken as exact.
 
     """
 
@@ -81,6 +88,7 @@ class Site:
     gravity_source: str
     gravity_std: float = 0.0
     height: float | None = None
+    latitude_std: float = 0.0
 
     @classmethod
     def at(
@@ -91,6 +99,7 @@ class Site:
         *,
         height_std: float | None = None,
         gravity_std: float | None = None,
+        latitude_std: float | None = None,
     ) -> Site:
         """Make a site from latitude and height, or with a measured gravity.
 
@@ -101,8 +110,9 @@ class Site:
             gravity: As measured, m/s^2; None for normal gravity.
             height_std: Standard deviation of the height that is stated, m (default: 0).
             gravity_std: Standard deviation of the measured gravity (default: 0, it is taken as
-                exact), or of normal gravity at a known height (default: `NORMAL_GRAVITY_STD`),
-                m/s^2.
+                exact), or of normal gravity at a known height (default: `NORMAL_GRAVITY_STD`, and
+                what the latitude's makes of it), m/s^2.
+            latitude_std: Standard deviation of the latitude, rad (default: `LATITUDE_STD`).
 
         Raises:
             InputError: A value that no place on Earth has, or the deviation of a height that is
@@ -119,15 +129,24 @@ class Site:
         for name, std, most in (('height_std', height_std, 1e4), ('gravity_std', gravity_std, 0.1)):
             if std is not None and not 0 <= std <= most:
                 raise InputError(f'{name}: found {std:g}, expected 0 to {most:g}.')
+        if latitude_std is None:
+            latitude_std = LATITUDE_STD
+        if not 0 <= latitude_std <= math.radians(10):
+            raise InputError(
+                f'latitude_std: found {math.degrees(latitude_std):g} deg, expected 0 to 10.'
+            )
         if gravity is None:
             doubt = (HEIGHT_STD if height is None else 0.0) if height_std is None else height_std
             by_height = normal_gravity(latitude, level) - normal_gravity(latitude, level + doubt)
-            own = NORMAL_GRAVITY_STD if gravity_std is None else gravity_std
-            std = math.hypot(own, by_height)
-            return cls(latitude, normal_gravity(latitude, level), NORMAL_GRAVITY, std, height)
+            beside = normal_gravity(latitude + latitude_std, level)
+            beside -= normal_gravity(latitude - latitude_std, level)
+            normal = math.hypot(NORMAL_GRAVITY_STD, beside / 2)
+            std = math.hypot(normal if gravity_std is None else gravity_std, by_height)
+            here = normal_gravity(latitude, level)
+            return cls(latitude, here, NORMAL_GRAVITY, std, height, latitude_std)
         if not 9.7 <= gravity <= 9.9:
             raise InputError(f'gravity: found {gravity:g} m/s^2, expected 9.7 to 9.9.')
-        return cls(latitude, gravity, MEASURED, gravity_std or 0.0, height)
+        return cls(latitude, gravity, MEASURED, gravity_std or 0.0, height, latitude_std)
 
     @property
     def gravity_doubt(self) -> float:
@@ -153,6 +172,11 @@ class Site:
     def earth_rate(self) -> Floats:
         """Earth rate in east, north, up: (3,) rad/s."""
         return np.array([0.0, self.north_rate, self.up_rate])
+
+    @property
+    def earth_rate_by_latitude(self) -> Floats:
+        """Derivative of the Earth rate in east, north, up by the latitude: (3,) 1/s."""
+        return np.array([0.0, -self.up_rate, self.north_rate])
 
     @property
     def specific_force(self) -> Floats:

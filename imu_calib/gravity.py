@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .budget import Share, Source
 from .calibration import Calibration
 from .earth import Site
 from .model import PRODUCTS, Parameter, ParameterKind, SensorModel
@@ -46,11 +47,8 @@ def gravity_covariance(model: SensorModel, parameters: Sequence[Parameter], doub
 def with_gravity(calibration: Calibration, site: Site) -> Calibration:
     """Return a calibration that allows for the doubt of the gravity it was made with."""
     share = gravity_covariance(calibration.model, calibration.parameters, site.gravity_doubt)
-    return replace(
-        calibration,
-        covariance=calibration.covariance + share,
-        findings=(*calibration.findings, *_findings(calibration, site)),
-    )
+    findings = (*calibration.findings, *_findings(calibration, site))
+    return replace(calibration.with_share(Source.GRAVITY, Share.known(share)), findings=findings)
 
 
 def gravity_deviation(calibration: Calibration) -> Floats:

@@ -206,6 +206,7 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'frame_port': _whole(1, 65535),
     'seed': _whole(0, 2**62),
     'latitude': _number(-90.0, 90.0),
+    'latitude_std': _or('nan', _number(0.0, 10.0)),
     'height': _or('nan', _number(-500.0, 10_000.0)),
     'height_std': _or('nan', _number(0.0, 10_000.0)),
     'speed': _number(0.0, 1e6),

@@ -129,9 +129,14 @@ def run_once(study: Study, seed: int) -> Run:
     if table is None:
         raise NotObservable(f'Plan {setup.plan.name}: a simulated session needs a table.')
     options = replace(study.options, azimuth=azimuth)
-    # What is known of gravity is how it may truly be: as the calibration states, so it errs.
-    off = float(np.random.default_rng([seed, 2]).standard_normal()) * setup.site.gravity_std
-    site = replace(setup.site, gravity=setup.site.gravity + off)
+    # What is known of the site is how it may truly be: as the calibration states, so it errs.
+    off, north = np.random.default_rng([seed, 2]).standard_normal(2)
+    here = setup.site
+    site = replace(
+        here,
+        gravity=here.gravity + float(off) * here.gravity_std,
+        latitude=here.latitude + float(north) * here.latitude_std,
+    )
     calibrator = Calibrator(setup)
     for _, block in simulate(setup.plan, table, setup.imu, study.truth, site, options, seed):
         calibrator.feed(block)

@@ -44,6 +44,7 @@ def describe(
         **unit,
         **{f'imu_calib.{what}': path.read_text(encoding='utf-8') for what, path in files.items()},
         'imu_calib.latitude_deg': repr(site.latitude / DEG),
+        'imu_calib.latitude_std_deg': repr(site.latitude_std / DEG),
         'imu_calib.gravity': repr(site.gravity),
         'imu_calib.gravity_source': site.gravity_source,
         'imu_calib.gravity_std': repr(site.gravity_std),
@@ -101,11 +102,13 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         stated = data.get('imu_calib.gravity_std')
         std = None if stated is None else float(stated)
         height = float(data['imu_calib.height']) if 'imu_calib.height' in data else None
+        doubt = data.get('imu_calib.latitude_std_deg')
+        latitude_std = None if doubt is None else float(doubt) * DEG
     except (KeyError, ValueError):
         raise InputError(f'{where}: what it says of its site is broken; give --latitude.') from None
     source = data.get('imu_calib.gravity_source', MEASURED)
     if std is None and source == NORMAL_GRAVITY:
         # Recorded before heights were: what normal gravity means where nobody states one.
         std = Site.at(latitude, height).gravity_std
-    site = Site.at(latitude, height, gravity, gravity_std=std)
+    site = Site.at(latitude, height, gravity, gravity_std=std, latitude_std=latitude_std)
     return replace(site, gravity_source=source)

@@ -12,11 +12,13 @@ from .config import Section
 from .errors import InputError
 from .share import named_file
 from .stream import Floats
-from .units import DEG, Dimension
+from .units import DEG, PPM, Dimension
 
 TURN = 2 * math.pi
 _UP = np.array([0.0, 0.0, 1.0])
 _REACH_TOLERANCE = 1e-6
+_WORST_CLOCK = 1e-3
+"""Ten times what a plain quartz may be off: beyond, the number is of another unit."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 
 
@@ -78,6 +80,7 @@ class Table:
         azimuth: Heading of the table's zero against north about up, rad; None when unknown.
         positioning: Standard deviation of an arrival's error that the encoder does not show, rad;
             0 when not stated.
+        clock: Standard deviation of the rate of its clock, relative; 0 when not stated.
 
     """
 
@@ -86,6 +89,7 @@ class Table:
     mount: Floats = field(default_factory=lambda: np.eye(3))
     azimuth: float | None = None
     positioning: float = 0.0
+    clock: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -304,9 +308,17 @@ def read_table(section: Section) -> Table:
     if section.has('azimuth') and section.raw('azimuth') != 'unknown':
         azimuth = section.quantity('azimuth', Dimension.ANGLE)
     positioning = section.quantity('positioning', Dimension.ANGLE, 0.0)
-    if positioning < 0:
-        raise InputError(f'{section.key("positioning")}: cannot be negative.')
-    table = Table(section.text('name'), joints, _read_mount(section), azimuth, positioning)
+    clock = section.quantity('clock', Dimension.RATIO, 0.0)
+    for key, value in (('positioning', positioning), ('clock', clock)):
+        if value < 0:
+            raise InputError(f'{section.key(key)}: cannot be negative.')
+    if clock > _WORST_CLOCK:
+        raise InputError(
+            f'{section.key("clock")}: found {clock / PPM:g} ppm, expected at most '
+            f'{_WORST_CLOCK / PPM:g} ppm.'
+        )
+    name = section.text('name')
+    table = Table(name, joints, _read_mount(section), azimuth, positioning, clock)
     section.finish()
     return table
 

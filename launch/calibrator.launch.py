@@ -23,6 +23,9 @@ ARGUMENTS = [
     ),
     DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
     DeclareLaunchArgument(
+        'latitude_std', default_value='nan', description='Of the latitude, deg; nan: 0.01.'
+    ),
+    DeclareLaunchArgument(
         'height', default_value='nan', description='Above the ellipsoid, m; nan: not known.'
     ),
     DeclareLaunchArgument(
@@ -78,7 +81,15 @@ def generate_launch_description() -> LaunchDescription:
     """Describe the calibrator."""
     typed = {
         bool: ('use_sim_time',),
-        float: ('latitude', 'height', 'height_std', 'gravity', 'gravity_std', 'azimuth'),
+        float: (
+            'latitude',
+            'latitude_std',
+            'height',
+            'height_std',
+            'gravity',
+            'gravity_std',
+            'azimuth',
+        ),
         str: ('plan', 'imu', 'table', 'method', 'terms', 'journal', 'output'),
     }
     parameters = {

@@ -28,7 +28,7 @@ from imu_calib.turntable import Table, load_table
 from imu_calib.units import DEG
 
 LATITUDE = 34.65 * DEG
-SITE = Site.at(LATITUDE, gravity=normal_gravity(LATITUDE))
+SITE = Site.at(LATITUDE, gravity=normal_gravity(LATITUDE), latitude_std=0.0)
 
 Named = tuple[str, Block]
 Change = Callable[[Iterable[Named]], Iterable[Named]]

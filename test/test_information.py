@@ -21,7 +21,7 @@ from imu_calib.stream import Floats
 from imu_calib.turntable import TURN
 from imu_calib.units import ARCSEC, DEG
 
-SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
+SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG), latitude_std=0.0)
 CLOCK = ClockFit(0.0, 0.0, 1e-6, 0.0, 0.0, 30)
 GYRO_WALK = 0.05 * DEG / 60
 ACCEL_WALK = 0.012 / 60

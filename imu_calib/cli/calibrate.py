@@ -14,6 +14,7 @@ from ..earth import MEASURED
 from ..errors import NotObservable
 from ..methods import METHODS
 from ..methods.free.session import calibrator_of
+from ..report.budget import budget_tables
 from ..report.noise import noise_lines
 from ..report.parameters import parameter_table
 from ..stream import Block
@@ -28,6 +29,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     options.add_session_options(parser)
     parser.add_argument(
         '-o', '--output', default='calibration.yaml', metavar='FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--budget', action='store_true', help='show where the uncertainty of each parameter is from'
     )
     parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
     parser.set_defaults(run=run)
@@ -111,6 +115,10 @@ def run(arguments: argparse.Namespace) -> None:
         result = calibrate(offline)
     result.calibration.save(path)
     show(result)
+    if arguments.budget:
+        OUTPUT.print('\nUncertainty budget', style='bold')
+        for part in budget_tables(result.calibration):
+            OUTPUT.print(part, markup=False)
     OUTPUT.print(f'\nwritten to {path}')
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from ..calibration import Calibration
 from ..cdr import Kind
 from ..config import Section
-from ..earth import HEIGHT_STD, MEASURED, NORMAL_GRAVITY_STD, Site
+from ..earth import HEIGHT_STD, LATITUDE_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
 from ..model import NO_TERMS, TERMS, Term, chosen
@@ -54,6 +54,12 @@ def add_site_options(parser: argparse.ArgumentParser) -> None:
     """Add --latitude, --height and --gravity, with their standard deviations."""
     parser.add_argument(
         '--latitude', type=float, metavar='DEG', help='degrees, negative in the south'
+    )
+    parser.add_argument(
+        '--latitude-std',
+        type=float,
+        metavar='DEG',
+        help=f'standard deviation of --latitude (default: {LATITUDE_STD / DEG:g})',
     )
     parser.add_argument(
         '--height',
@@ -289,7 +295,8 @@ def find_site(arguments: argparse.Namespace, data: Mapping[str, str], where: str
         return site_at(arguments, arguments.latitude)
     own = described_site(data, where)
     height, gravity = arguments.height, arguments.gravity
-    if all(v is None for v in (height, gravity, arguments.height_std, arguments.gravity_std)):
+    doubts = (arguments.height_std, arguments.gravity_std, arguments.latitude_std)
+    if all(value is None for value in (height, gravity, *doubts)):
         return own
     if height is None:
         height = own.height
@@ -301,6 +308,7 @@ def find_site(arguments: argparse.Namespace, data: Mapping[str, str], where: str
         gravity,
         height_std=arguments.height_std,
         gravity_std=arguments.gravity_std,
+        latitude_std=_latitude_std(arguments, own.latitude_std),
     )
 
 
@@ -318,7 +326,14 @@ def site_at(arguments: argparse.Namespace, default_latitude: float) -> Site:
         arguments.gravity,
         height_std=arguments.height_std,
         gravity_std=arguments.gravity_std,
+        latitude_std=_latitude_std(arguments),
     )
+
+
+def _latitude_std(arguments: argparse.Namespace, otherwise: float | None = None) -> float | None:
+    """Return the standard deviation of the latitude, rad, as the command line states it."""
+    stated: float | None = arguments.latitude_std
+    return otherwise if stated is None else stated * DEG
 
 
 def load_truth(name: str, imu: ImuSpec) -> Calibration:

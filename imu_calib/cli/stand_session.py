@@ -172,7 +172,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
     """Return the parameters of every node that is to run."""
     complete(arguments)
     simulated = not arguments.port
-    stated = ('height', 'gravity', 'height_std', 'gravity_std')
+    stated = ('height', 'gravity', 'height_std', 'gravity_std', 'latitude_std')
     doubts = {name: v for name in stated if (v := getattr(arguments, name)) is not None}
     doubts['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
     site = {name: value for name, value in doubts.items() if not name.endswith('_std')}

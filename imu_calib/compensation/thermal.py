@@ -86,6 +86,7 @@ class ThermalCalibration:
             first,
             model=first.model.with_values(first.parameters, weights @ values),
             covariance=covariance,
+            budget=None,
             residuals=(),
             provenance=provenance,
         )

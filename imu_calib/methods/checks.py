@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..budget import Share, Shares, Source, total
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel
@@ -44,6 +45,7 @@ class _Fit:
         residuals: (s, 3) what is left.
         scatter: Chi-square per degree of freedom of what is left, of stretches or of groups.
         significant: Whether the scatter exceeds the noise.
+        freedom: Degrees of freedom of the scatter.
 
     """
 
@@ -52,12 +54,13 @@ class _Fit:
     residuals: Floats
     scatter: float
     significant: bool
+    freedom: float
 
 
 def conclude(
     evidence: Evidence,
     model: SensorModel,
-    covariance: Floats,
+    shares: Shares,
     condition: float,
     *,
     parameters: tuple[Parameter, ...] = PARAMETERS,
@@ -70,8 +73,7 @@ def conclude(
     Args:
         evidence: The session.
         model: What a method found.
-        covariance: (n, n) its covariance by the noise within the stretches; NaN for accelerometers
-            that were not estimated.
+        shares: Its covariance (n, n) by source; NaN for accelerometers that were not estimated.
         condition: Condition number of its system.
         parameters: What the rows of the covariance stand for.
         findings: What the method has to say already.
@@ -83,6 +85,7 @@ def conclude(
         NotObservable: Axes are swapped or mirrored, or the data contradicts the latitude.
 
     """
+    covariance = total(shares)
     of_accels = np.array([p.triad == 'a' for p in parameters])
     with_accels = bool(np.isfinite(covariance[np.ix_(of_accels, of_accels)]).all())
     check_axes(model.gyro.response, 'gyros', 'whole turns' if evidence.turns else 'the Earth rate')
@@ -92,29 +95,35 @@ def conclude(
     gyro = _fit(evidence, model, slice(0, 3), estimated=6)
     accel = _fit(evidence, model, slice(3, 6), estimated=14) if with_accels else None
     widened = covariance.copy()
+    freedom = np.full(len(covariance), np.inf)
     for fit, mine, name in (
         (gyro, ~of_accels, 'gyros'),
         (accel, of_accels, 'accelerometers'),
     ):
         if fit is not None and fit.significant:
             widened[np.ix_(mine, mine)] *= fit.scatter
+            freedom[mine] = fit.freedom
             notes.append(
                 f'Between positions the {name} scatter {np.sqrt(fit.scatter):.1f} times more than '
                 'within them (positioning errors that the table does not state, drift): their '
                 'standard deviations are widened.'
             )
-    scatter = RateTest.of(evidence).scatter() if evidence.turns else None
-    if scatter is not None:
+    scatter, of_turns = RateTest.of(evidence).scatter() if evidence.turns else (1.0, 0)
+    if scatter > 1:
         # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
         on_turns = [p.triad == 'g' and p.kind in _ON_TURNS for p in parameters]
         factors = np.where(on_turns, np.sqrt(scatter), 1.0)
         widened *= np.outer(factors, factors)
+        freedom = np.where(on_turns, np.minimum(freedom, of_turns), freedom)
         notes.append(turns_scatter(scatter))
+    beyond = {Source.SCATTER: Share(widened - covariance, freedom)}
     rate, earth = gyro.vector, gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
     if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
         tilt = _tilt(accel)
         rate, earth = tilt.levelled(rate, earth)
-        widened, said = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
+        tilted, said = widened_for_tilt(evidence, model.accel, widened, accelerometers, tilt)
+        beyond[Source.TILT] = Share.known(tilted - widened)
+        widened = tilted
         notes += said
     residuals = _residuals(evidence, gyro, accel)
     notes += _outstanding(residuals)
@@ -140,6 +149,7 @@ def conclude(
         condition,
         tuple(notes),
         parameters=parameters,
+        shares={**shares, **beyond},
     )
 
 
@@ -266,15 +276,15 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     solution = inverse @ wanted / scale
     covariance = (inverse @ inverse.T) / np.outer(scale, scale)
     left = ((wanted - matrix @ solution) / weights.reshape(-1)).reshape(s, 3)
-    scatter, significant = 1.0, False
+    scatter, significant, freedom = 1.0, False, np.inf
     tested = left
     if channels.start == 3:
         tested = _left_by_weighted_fit(evidence, outputs, variances, solution[:3])
     for groups in (np.arange(s), _arrivals(evidence)):
-        ratio, plain = _scatter(tested, variances, groups, estimated)
-        if noisy and plain:
-            scatter, significant = max(scatter, ratio), True
-    return _Fit(solution[:3], covariance[:3, :3], left, scatter, significant)
+        ratio, plain, free = _scatter(tested, variances, groups, estimated)
+        if noisy and plain and ratio > scatter:
+            scatter, significant, freedom = ratio, True, free
+    return _Fit(solution[:3], covariance[:3, :3], left, scatter, significant, freedom)
 
 
 def _left_by_weighted_fit(
@@ -323,8 +333,8 @@ def _arrivals(evidence: Evidence) -> NDArray[np.intp]:
 
 def _scatter(
     left: Floats, variances: Floats, groups: NDArray[np.intp], estimated: int
-) -> tuple[float, bool]:
-    """Return chi-square per degree of freedom of the groups' means, and whether it is plain."""
+) -> tuple[float, bool, int]:
+    """Return chi-square per degree of freedom of groups' means, whether it is plain, and these."""
     square, count = 0.0, 0
     for group in np.unique(groups):
         mine = groups == group
@@ -333,9 +343,10 @@ def _scatter(
         square += float(mean**2 @ precision.sum(axis=0))
         count += 3
     if count <= estimated:
-        return 1.0, False
+        return 1.0, False, 0
     freedom = count - estimated
-    return square / freedom, bool(scipy.special.chdtrc(freedom, square) < _SIGNIFICANT)
+    significant = bool(scipy.special.chdtrc(freedom, square) < _SIGNIFICANT)
+    return square / freedom, significant, freedom
 
 
 def _residuals(evidence: Evidence, gyro: _Fit, accel: _Fit | None) -> tuple[Residual, ...]:

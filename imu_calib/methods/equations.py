@@ -19,11 +19,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..budget import Share, Source
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG
-from .evidence import SMALLEST_VARIANCE, Evidence
+from .components import Component, Diagonal, Factor, shares
+from .doubts import encoder_rates, own_parts, unknown_north
+from .evidence import Evidence
 
 
 class Nuisance(IntEnum):
@@ -71,6 +74,7 @@ class Surroundings:
     Attributes:
         rate: (3,) rad/s.
         force: (3,) m/s^2.
+        rate_by_latitude: (3,) d rate by the latitude of the site, 1/s.
         rate_slopes: (3, 3) d rate, one column for each of azimuth and tilts.
         force_slopes: (3, 3) d force.
         level: (3, 3) takes vectors of that frame to level, as far as the heading of its own.
@@ -79,6 +83,7 @@ class Surroundings:
 
     rate: Floats
     force: Floats
+    rate_by_latitude: Floats
     rate_slopes: Floats
     force_slopes: Floats
     level: Floats
@@ -97,7 +102,8 @@ class Surroundings:
             by_azimuth = both @ (-gz @ headed)
             by_x = about_y @ (-gx @ (about_x @ headed))
             slopes.append(np.column_stack([by_azimuth, by_x, -gy @ level]))
-        return cls(vectors[0], vectors[1], slopes[0], slopes[1], both.T)
+        by_latitude = both @ _turn(2, -azimuth) @ site.earth_rate_by_latitude
+        return cls(vectors[0], vectors[1], by_latitude, slopes[0], slopes[1], both.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +119,7 @@ class Equations:
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
         positioning: Standard deviation of an arrival that the encoder does not show, rad; None
             for what the table states.
-        extra: (6 s + 3 t + 3 m,) square: covariance of the outputs beyond that of their own noise,
-            or None.
+        extra: Further parts of the covariance of the outputs.
         inflation: (6 s + 3 t + 3 m,) factors on the variance of each output's own noise, or None.
 
     """
@@ -124,7 +129,7 @@ class Equations:
     levelled: float = LEVELLED
     any_heading: bool = False
     positioning: float | None = None
-    extra: Floats | None = field(default=None, repr=False)
+    extra: tuple[Component, ...] = field(default=(), repr=False)
     inflation: Floats | None = field(default=None, repr=False)
 
     @property
@@ -254,38 +259,78 @@ class Equations:
         return np.transpose(self._attitudes, (0, 2, 1))
 
     @cached_property
+    def own(self) -> tuple[Component, ...]:
+        """The parts of the covariance that each output has for itself, whatever the state."""
+        return own_parts(self.evidence, self.inflation)
+
+    @cached_property
     def own_variances(self) -> Floats:
-        """Variances of the outputs by random walk and quantisation, (6 s + 3 t + 3 m,)."""
-        walk, north_rate = self.evidence.walk, self.evidence.site.north_rate
-        turned = [t.variance(walk, north_rate) for t in self.evidence.turns]
-        led = self.evidence.led.variances(walk)
-        parts = [self.evidence.variances().ravel(), np.array(turned).ravel(), led]
-        own = np.maximum(np.concatenate(parts), SMALLEST_VARIANCE)
-        return np.asarray(own if self.inflation is None else own * self.inflation)
+        """Variances of the outputs by walk, quantisation and encoders, (6 s + 3 t + 3 m,)."""
+        diagonals = [c.part.variances for c in self.own if isinstance(c.part, Diagonal)]
+        return np.asarray(np.sum(diagonals, axis=0)).reshape(len(self.outputs))
+
+    def shared(self, state: Floats) -> tuple[Component, ...]:
+        """Return the parts of the covariance that outputs have in common.
+
+        The outputs of one turn share the error of the encoder's rate, those of neighbours the
+        error of the table's arrival, and all the error of the latitude.
+        """
+        evidence, response = self.evidence, self.model(state).gyro.response
+        turning, rates, _ = self._turning
+        ups = np.vstack([self._attitudes[:, 2], turning])
+        found = [
+            encoder_rates(evidence, rates, response),
+            unknown_north(evidence, ups, response),
+            *self.extra,
+            *self._positioning(state),
+        ]
+        if evidence.site.latitude_std:
+            slope = self.latitude_slope(state) * evidence.site.latitude_std
+            found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
+        return tuple(found)
 
     def covariance(self, state: Floats) -> Floats:
-        """Return the covariance of the outputs, (6 s + 3 t,) square.
-
-        Beyond their own noise the outputs of one turn share the error of the encoder's rate, and
-        those of neighbours the error of the table's arrival.
-        """
-        model = self.model(state)
+        """Return the covariance of the outputs, (6 s + 3 t + 3 m,) square."""
         result = np.diag(self.own_variances)
-        rest = 6 * len(self.evidence.segments)
-        ups, rates, _ = self._turning
-        for k, turn in enumerate(self.evidence.turns):
-            rows = slice(rest + 3 * k, rest + 3 * k + 3)
-            error = turn.rate_error * rates[k] * (model.gyro.response @ ups[k])
-            result[rows, rows] += np.outer(error, error)
-        if self.extra is not None:
-            result += self.extra
-        stated = self.evidence.positioning if self.positioning is None else self.positioning
-        if stated:
-            arrivals = self.arrivals(state) * stated
-            result += arrivals @ arrivals.T
-        if self.evidence.plan.by_hand:
-            self._add_unknown_north(result, model)
+        for component in self.shared(state):
+            component.part.add_to(result)
         return result
+
+    def shares(self, state: Floats, gain: Floats) -> dict[Source, Share]:
+        """Return by source the covariance of parameters that are a `gain` times the outputs.
+
+        Args:
+            state: (n,) where they are.
+            gain: (p, 6 s + 3 t + 3 m).
+
+        Source: docs/mathematics.md, 'Uncertainty budget'.
+        """
+        return shares((*self.own, *self.shared(state)), gain)
+
+    def latitude_slope(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by the latitude, (6 s + 3 t + 3 m,) per rad."""
+        around, rate, force, turning, felt = self._inputs(state)
+        model, moved = self.model(state), around.rate_by_latitude
+        at_rest = np.einsum('sij,sj->si', model.slopes(rate, force)[..., :3], self._to_body @ moved)
+        slopes = model.slopes(turning, felt)[..., :3, :3]
+        turned = whole(np.einsum('thij,thj->thi', slopes, self._headings @ moved))
+        led = self.evidence.led.by_rate() @ moved
+        return np.concatenate([at_rest.ravel(), turned.ravel(), led.ravel()])
+
+    def clock_slope(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by the rate between the clocks."""
+        return np.asarray(self.jacobian(state)[:, -1])
+
+    def _positioning(self, state: Floats) -> list[Component]:
+        stated = self.evidence.positioning
+        found = max(0.0, (self.positioning or 0.0) ** 2 - stated**2)
+        if not stated and not found:
+            return []
+        arrivals = self.arrivals(state)
+        parts = [Component(Source.ARRIVAL_STATED, Factor(arrivals * stated))]
+        if found:
+            parts.append(Component(Source.ARRIVAL_FOUND, Factor(arrivals * np.sqrt(found))))
+        return parts
 
     def arrivals(self, state: Floats) -> Floats:
         """Return how errors of arrival enter the outputs: (6 s + 3 t + 3 m, errors), per rad.
@@ -336,14 +381,6 @@ class Equations:
                 current, last = current + 1, ups[k]
             groups[k] = current
         return groups
-
-    def _add_unknown_north(self, covariance: Floats, model: SensorModel) -> None:
-        """Count the horizontal Earth rate as noise of its own size: by hand, north is anywhere."""
-        level = self.evidence.site.north_rate / np.sqrt(2) * np.diag([1.0, 1.0, 0.0])
-        for k, attitude in enumerate(self._attitudes):
-            felt = model.gyro.response @ attitude.T @ level
-            rows = slice(6 * k, 6 * k + 3)
-            covariance[rows, rows] += felt @ felt.T
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations, the priors' rows last.

@@ -47,6 +47,7 @@ class Evidence:
         positioning: Standard deviation of an arrival of the table, rad; 0 when not stated.
         instability: (6,) standard deviation of biases that wander, by the data sheet, rad/s and
             m/s^2; 0 when not stated.
+        walk_freedom: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
         moves: What the gyros saw between one stretch and the next.
 
     """
@@ -60,6 +61,7 @@ class Evidence:
     walk: Floats
     positioning: float = 0.0
     instability: Floats = field(default_factory=lambda: np.zeros(6))
+    walk_freedom: Floats = field(default_factory=lambda: np.full(6, np.inf))
     moves: tuple[Move, ...] = ()
 
     @cached_property
@@ -119,6 +121,14 @@ class Evidence:
         share = _QUARTZ**2 / (_QUARTZ**2 + self.clock.rate_std**2)
         return share * self.clock.rate, float(np.sqrt(share)) * self.clock.rate_std
 
+    @property
+    def clock_freedom(self) -> float:
+        """Degrees of freedom of the deviation of `clock_rate`; infinite where quartz alone says."""
+        if not np.isfinite(self.clock.rate_std):
+            return np.inf
+        # A rate, and an offset for each piece between jumps.
+        return max(1.0, float(self.clock.motions - 2 - len(self.clock.jumps)))
+
     def missing(self) -> list[str]:
         """Name the positions of the plan that no sound segment stands for."""
         found = {s.position for s in self.segments}
@@ -146,7 +156,17 @@ def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:
 
 
 def noise(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
-    """Return the random-walk coefficients that the data shows, (6,).
+    """Return the random-walk coefficients of `known_noise`, (6,).
+
+    Raises:
+        NotObservable: Neither the data nor the IMU's description tells.
+
+    """
+    return known_noise(segments, spec)[0]
+
+
+def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, Floats]:
+    """Return the random-walk coefficients that the data shows, (6,), and degrees of freedom, (6,).
 
     Short dwells tell little: their scatter may be small by chance, and deviations that rest on it
     would be far too small. The data sheet's figure then counts like blocks of its own, the fewer
@@ -168,4 +188,6 @@ def noise(segments: tuple[Segment, ...], spec: ImuSpec) -> Floats:
     weight = _STATED_FREEDOM**2 / (_STATED_FREEDOM + freedom)
     blended = (freedom * square + weight * stated**2) / (freedom + weight)
     doubt = np.where(known & (freedom < _ENOUGH_FREEDOM), found.deviation, 0.0)
-    return np.asarray(np.sqrt(np.where(stated > 0, blended, square + doubt)))
+    walk = np.sqrt(np.where(stated > 0, blended, square + doubt))
+    freedom = freedom + np.where(stated > 0, weight, 0.0)
+    return np.asarray(walk), np.asarray(np.maximum(freedom, 1.0))

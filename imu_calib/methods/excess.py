@@ -25,8 +25,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..budget import Source
 from ..segmentation.session import Move
 from ..stream import Floats
+from .components import Component, Dense
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
 
@@ -179,15 +181,19 @@ class Excess:
     Attributes:
         positioning: Standard deviation of an arrival's error, rad.
         wandering: (6,) standard deviation of the wandering biases, rad/s and m/s^2.
-        extra: (6 s + 3 t,) square: the covariance that wandering adds.
-        stated: Of it the part that the data sheet states.
+        extra: What wandering adds to the covariance of the outputs: as the data sheet states it,
+            and what the session shows beyond.
 
     """
 
     positioning: float
     wandering: Floats
-    extra: Floats
-    stated: Floats
+    extra: tuple[Component, ...] = ()
+
+    @property
+    def stated(self) -> tuple[Component, ...]:
+        """The part of `extra` that the data sheet states."""
+        return tuple(c for c in self.extra if c.source is Source.BIAS_STATED)
 
 
 def excess(equations: Equations, state: Floats) -> Excess:
@@ -198,13 +204,11 @@ def excess(equations: Equations, state: Floats) -> Excess:
         state: (n,) a solution close to the final one.
 
     """
-    plain = replace(equations, extra=None, positioning=None)
+    plain = replace(equations, extra=(), positioning=None)
     evidence = plain.evidence
-    s, size = len(evidence.segments), len(plain.outputs)
     positioning = evidence.positioning
-    found = Excess(positioning, np.zeros(6), np.zeros((size, size)), np.zeros((size, size)))
-    if not s or plain.own_variances.max() <= SMALLEST_VARIANCE:
-        return found
+    if not evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
+        return Excess(positioning, np.zeros(6))
     covariance = plain.covariance(state)
     jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
     arrivals = plain.arrivals(state)
@@ -213,12 +217,16 @@ def excess(equations: Equations, state: Floats) -> Excess:
     candidates = _ARRIVAL_RATIOS * (accel.typical / evidence.site.gravity**2)
     weights = _posterior(accel, candidates)
     arrival = float(weights.arrivals @ candidates)
-    found.wandering[3:] = _spread_out(accel, weights, found)
+    of_accels, accels_extra = _spread_out(accel, weights)
     gyro = _triad(
         plain, 0, (jacobian, left, covariance + arrival * (arrivals @ arrivals.T), arrivals), state
     )
-    found.wandering[:3] = _spread_out(gyro, _posterior(gyro, np.zeros(1)), found)
-    return replace(found, positioning=float(np.sqrt(positioning**2 + arrival)))
+    of_gyros, gyros_extra = _spread_out(gyro, _posterior(gyro, np.zeros(1)))
+    return Excess(
+        float(np.sqrt(positioning**2 + arrival)),
+        np.repeat([of_gyros, of_accels], 3),
+        (*gyros_extra, *accels_extra),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,20 +273,23 @@ def _posterior(triad: _Triad, candidates: Floats) -> _Weights:
     return _Weights(np.exp(none - total), np.exp(some - total))
 
 
-def _spread_out(triad: _Triad, weights: _Weights, into: Excess) -> float:
-    """Add the posterior's mean of the wandering's covariance; return its standard deviation."""
+def _spread_out(triad: _Triad, weights: _Weights) -> tuple[float, tuple[Component, ...]]:
+    """Return the wandering's standard deviation, and the posterior's mean of its covariance."""
     means = len(triad.left) // 3
-    block = np.ix_(triad.rows, triad.rows)
     stated = weights.stated * triad.spread(triad.stated_kernel()[:means, :means])
-    into.stated[block] += stated
-    into.extra[block] += stated
-    total = weights.stated * triad.stated
+    found = np.zeros_like(stated)
+    by_ratio = weights.beyond.sum(axis=0)
     for k, time in enumerate(_TIMES):
-        variance = float(weights.beyond[:, k].sum(axis=0) @ _RATIOS) * triad.typical
         kernel = triad.wandering.kernel(time)[:means, :means]
-        into.extra[block] += variance * triad.spread(kernel)
-        total += variance
-    return float(np.sqrt(total))
+        found += float(by_ratio[k] @ _RATIOS) * triad.typical * triad.spread(kernel)
+    beyond = by_ratio.sum(axis=0)
+    total = weights.stated * triad.stated + float(beyond @ _RATIOS) * triad.typical
+    parts = []
+    if weights.stated * triad.stated:
+        parts.append(Component(Source.BIAS_STATED, Dense(triad.rows, stated)))
+    if beyond.any():
+        parts.append(Component(Source.BIAS_FOUND, Dense(triad.rows, found)))
+    return float(np.sqrt(total)), tuple(parts)
 
 
 def _triad(

@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
 from ..segmentation.session import Move
@@ -85,6 +86,7 @@ class Estimate:
         condition: Condition number of the system solved, columns scaled to unit length.
         scatter: What scatters beyond the noise.
         outliers: What counts for less.
+        gain: (n, m + 4) derivatives of the state by outputs and priors in standard deviations.
         turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
             for less; 1 where they agree.
         astray: Moves that were left out.
@@ -97,6 +99,7 @@ class Estimate:
     condition: float
     scatter: Excess
     outliers: tuple[Outlier, ...]
+    gain: Floats
     turns_scatter: float = 1.0
     astray: tuple[Astray, ...] = ()
 
@@ -104,6 +107,24 @@ class Estimate:
         """Return one of the nuisances and its standard deviation."""
         index = self.equations.sensors + which
         return float(self.state[index]), float(np.sqrt(self.covariance[index, index]))
+
+    def shares(self) -> dict[Source, Share]:
+        """Return the covariance of the parameters by source: of the outputs, and of the priors."""
+        equations = self.equations
+        n, m = equations.sensors, len(equations.outputs)
+        factor = np.linalg.cholesky(equations.covariance(self.state))
+        weights = scipy.linalg.solve_triangular(
+            factor, self.gain[:n, :m].T, lower=True, trans='T'
+        ).T
+        found = equations.shares(self.state, weights)
+        for source, which, freedom in (
+            (Source.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
+            (Source.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
+            (Source.CLOCK, [Nuisance.CLOCK], equations.evidence.clock_freedom),
+        ):
+            prior = self.gain[:n, m + np.array(which)]
+            found[source] = Share.of_parts([(prior @ prior.T, freedom)])
+        return found
 
 
 def estimate(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Estimate:
@@ -192,6 +213,7 @@ def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Es
         information.condition,
         scatter,
         tuple(outliers),
+        information.gain,
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import (
     AXES,
@@ -44,7 +45,8 @@ class Gains:
     Attributes:
         gyro: (u, s + t), or (3, u, s + t) where channels differ: three responses, the bias, and
             three g-sensitivities where u is 7, from the outputs of stretches, then turns.
-        accel: (4, s) three responses and the bias; None where they are not estimated.
+        accel: (4, s), or (3, 4, s), three responses and the bias; None where they are not
+            estimated.
         condition: Condition number of what was inverted, columns scaled to unit length.
 
     """
@@ -62,21 +64,27 @@ class Gains:
         """What the weights make of the outputs, those of accelerometers included."""
         return parameters_of([G_SENSITIVITY] if self.gyro.shape[-2] > BIAS + 1 else [])
 
+    @property
+    def _accel(self) -> Floats | None:
+        if self.accel is None:
+            return None
+        return np.broadcast_to(self.accel, (3, *self.accel.shape[-2:]))
+
     def model(self, evidence: Evidence) -> SensorModel:
         """Return the sensors that the outputs of a session give."""
         outputs = evidence.outputs()
         turned = np.array([t.statistics.mean[:3] for t in evidence.turns]).reshape(-1, 3)
         gyro = np.einsum('ium,mi->iu', self._gyro, np.vstack([outputs[:, :3], turned]))
         accel = Triad()
-        if self.accel is not None:
-            unknowns = (self.accel @ outputs[:, 3:]).T
+        if self._accel is not None:
+            unknowns = np.einsum('ium,mi->iu', self._accel, outputs[:, 3:])
             accel = Triad(unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS])
         model = SensorModel(Triad(gyro[:, :BIAS] - np.eye(3), gyro[:, BIAS]), accel)
         further = self.parameters[len(PARAMETERS) :]
         return model.with_values(further, gyro[:, BIAS + 1 :].ravel())
 
-    def covariance(self, evidence: Evidence, model: SensorModel) -> Floats:
-        """Return the covariance (n, n) of the parameters, NaN for what is not estimated."""
+    def rows(self, evidence: Evidence) -> Floats:
+        """Return the derivatives of the parameters by the outputs, (n, 6 s + 3 t)."""
         s, t = len(evidence.segments), len(evidence.turns)
         parameters = self.parameters
         rows = np.zeros((len(parameters), 6 * s + 3 * t))
@@ -88,18 +96,15 @@ class Gains:
                 gain = self._gyro[parameter.row, column]
                 row[parameter.row : 6 * s : 6] = gain[:s]
                 row[6 * s + parameter.row :: 3] = gain[s:]
-            elif self.accel is not None:
-                row[3 + parameter.row : 6 * s : 6] = self.accel[column]
-        state = np.concatenate([model.vector(), np.zeros(len(Nuisance))])
-        # A closed form knows no moves.
-        resting = Equations(replace(evidence, moves=()))
-        covariance = rows @ resting.covariance(state) @ rows.T
-        # All three scale factors share the error of the clocks' rate.
-        covariance[:3, :3] += evidence.clock_rate()[1] ** 2
-        if self.accel is None:
-            of_accels = [p.triad == 'a' for p in parameters]
-            covariance[of_accels], covariance[:, of_accels] = np.nan, np.nan
-        return np.asarray(covariance)
+            elif self._accel is not None:
+                row[3 + parameter.row : 6 * s : 6] = self._accel[parameter.row, column]
+            else:
+                row[:] = np.nan
+        return rows
+
+    def shares(self, evidence: Evidence, model: SensorModel) -> dict[Source, Share]:
+        """Return the covariance (n, n) by source, NaN for what is not estimated."""
+        return shares_of(evidence, model, self.rows(evidence))
 
     def conclude(
         self, evidence: Evidence, *, findings: Sequence[str] = (), north_known: bool
@@ -114,13 +119,32 @@ class Gains:
         return conclude(
             _without_g(evidence, model.g_sensitivity),
             model,
-            self.covariance(evidence, model),
+            self.shares(evidence, model),
             self.condition,
             parameters=self.parameters,
             findings=findings,
             north_known=north_known,
             accelerometers=lambda other: self.model(other).accel,
         )
+
+
+def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Source, Share]:
+    """Return by source the covariance of parameters that are linear in the outputs.
+
+    Args:
+        evidence: The session.
+        model: The sensors.
+        rows: (n, 6 s + 3 t) derivatives of the parameters by the outputs, NaN for what is not
+            estimated.
+
+    """
+    # A closed form knows no moves.
+    equations = Equations(replace(evidence, moves=()))
+    state = np.concatenate([model.vector(), np.zeros(len(Nuisance))])
+    found = equations.shares(state, rows)
+    clock = rows @ equations.clock_slope(state) * evidence.clock_rate()[1]
+    found[Source.CLOCK] = Share.of_parts([(np.outer(clock, clock), evidence.clock_freedom)])
+    return found
 
 
 def _without_g(evidence: Evidence, g: Floats) -> Evidence:

@@ -37,12 +37,14 @@ class Information:
         covariance: (n, n) of the whole state; rows of what is not observed are NaN.
         observed: (n,) whether an entry of the state is observed.
         condition: Largest over smallest singular value of the column-scaled system.
+        gain: (n, m) derivatives of the solution by the equations; its square is the covariance.
 
     """
 
     covariance: Floats
     observed: NDArray[np.bool_]
     condition: float
+    gain: Floats
 
     @classmethod
     def of(cls, jacobian: Floats) -> Information:
@@ -58,17 +60,18 @@ class Information:
         rows = jacobian / scale
         # Rows of zeros make the null space of too few equations come out as vectors of its own.
         rows = np.vstack([rows, np.zeros((max(0, len(norms) - len(rows)), len(norms)))])
-        _, values, vectors = np.linalg.svd(rows, full_matrices=False)
+        left, values, vectors = np.linalg.svd(rows, full_matrices=False)
         sound = values > _SINGULAR * values[0]
         mixed = np.linalg.norm(vectors[~sound], axis=0) > _MIXED
         observed = seen & ~mixed
         kept = vectors[sound] / values[sound, None]
         covariance = (kept.T @ kept) / np.outer(scale, scale)
+        gain = (kept.T @ left[: len(jacobian), sound].T) / scale[:, None]
         covariance[~observed, :] = np.nan
         covariance[:, ~observed] = np.nan
         smallest = float(values.min())
         condition = float(values[0]) / smallest if smallest > 0 else float('inf')
-        return cls(covariance, observed, condition)
+        return cls(covariance, observed, condition, gain)
 
 
 def reached(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Floats:

@@ -59,6 +59,7 @@ def _concluded(found: Estimate) -> Solution:
         (*_findings(found), *far_scales(model), *clocks(evidence)),
         found.scatter.wandering,
         equations.parameters,
+        found.shares(),
     )
 
 

@@ -1,8 +1,8 @@
 """The closed forms as what they are: linear maps from mean outputs to parameters.
 
 Per channel i the unknowns are its three responses delta_ij + M_ij and its bias. Each equation of a
-method reads `coefficients . unknowns = weights . outputs`, so that estimate and covariance both
-follow from one small matrix, and the covariance is that of the very weights used.
+method reads `coefficients . unknowns = weights . outputs`, so that the estimate follows from one
+small matrix, and its covariance from that of the outputs (`gains`).
 """
 
 from __future__ import annotations
@@ -38,12 +38,8 @@ class ChannelSystem:
         self.coefficients.append(coefficients)
         self.weights.append(weights)
 
-    def solve(self, outputs: Floats, variances: Floats) -> tuple[Floats, Floats, float]:
-        """Return unknowns (4,), their covariance (4, 4) and the condition number.
-
-        Args:
-            outputs: (size,) mean outputs.
-            variances: (size,) their variances.
+    def solve(self) -> tuple[Floats, float]:
+        """Return the weights (4, size) that make the unknowns of outputs, and the condition number.
 
         Raises:
             NotObservable: The equations do not determine the channel.
@@ -55,44 +51,38 @@ class ChannelSystem:
                 f'{len(matrix)} equations for the {UNKNOWNS} unknowns of a channel.'
             )
         scaled = matrix / np.linalg.norm(matrix, axis=0)
-        condition = float(np.linalg.cond(scaled))
-        gain = np.linalg.solve(matrix, weights)
-        return gain @ outputs, (gain * variances) @ gain.T, condition
+        return np.asarray(np.linalg.solve(matrix, weights)), float(np.linalg.cond(scaled))
 
 
-def solve_triad(
-    systems: Sequence[ChannelSystem], outputs: Floats, variances: Floats
-) -> tuple[Triad, Floats, float]:
-    """Return the triad of three channels, its (12, 12) covariance and the worst condition number.
+@dataclass(frozen=True, eq=False)
+class SolvedTriad:
+    """Three channels by the weights on their outputs.
+
+    Attributes:
+        triad: The parameters.
+        gain: (3, 4, size) weights that make responses and bias of each channel's outputs.
+        condition: The worst condition number.
+
+    """
+
+    triad: Triad
+    gain: Floats
+    condition: float
+
+
+def solve_triad(systems: Sequence[ChannelSystem], outputs: Floats) -> SolvedTriad:
+    """Solve three channels.
 
     Args:
         systems: The equations of channels x, y, z.
         outputs: (size, 3) mean outputs.
-        variances: (size, 3) their variances.
 
     Raises:
         NotObservable: The equations do not determine a channel.
 
     """
-    solved = [s.solve(outputs[:, i], variances[:, i]) for i, s in enumerate(systems)]
-    triad = Triad(*_parameters_of(np.array([unknowns for unknowns, _, _ in solved])))
-    covariance = _triad_covariance([square for _, square, _ in solved])
-    return triad, covariance, max(condition for _, _, condition in solved)
-
-
-def _parameters_of(unknowns: Floats) -> tuple[Floats, Floats]:
-    """Split (3, 4) unknowns of three channels into error matrix (3, 3) and bias (3,)."""
-    return unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS]
-
-
-def _triad_covariance(covariances: list[Floats]) -> Floats:
-    """Arrange the (4, 4) covariances of three channels in the order of `Triad.vector`."""
-    order = [(i, i) for i in range(3)]
-    order += [(i, j) for i in range(3) for j in range(3) if i != j]
-    order += [(i, BIAS) for i in range(3)]
-    result = np.zeros((12, 12))
-    for a, (row_a, column_a) in enumerate(order):
-        for b, (row_b, column_b) in enumerate(order):
-            if row_a == row_b:
-                result[a, b] = covariances[row_a][column_a, column_b]
-    return result
+    solved = [system.solve() for system in systems]
+    gain = np.array([weights for weights, _ in solved])
+    unknowns = np.einsum('ium,mi->iu', gain, outputs)
+    triad = Triad(unknowns[:, :BIAS] - np.eye(3), unknowns[:, BIAS])
+    return SolvedTriad(triad, gain, max(condition for _, condition in solved))

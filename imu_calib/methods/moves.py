@@ -29,13 +29,15 @@ _EDGES = 1 / 6
 class Link:
     """A move, and the indices of the segments at rest that it leads from and to.
 
-    `rounding` (3,) is the variance that rounding each sample leaves, rad^2.
+    `rounding` (3,) is the variance that rounding each sample leaves, `encoders` that by the noise
+    of the encoders at both ends, about any axis, rad^2.
     """
 
     first: int
     second: int
     move: Move
     rounding: Floats
+    encoders: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,8 @@ class Moves:
             before, after = segments[first].angles, segments[second].angles
             if before is None or after is None or np.array_equal(before, after):
                 continue
-            links.append(Link(first, second, move, _rounding(move, segments[first])))
+            encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
+            links.append(Link(first, second, move, _rounding(move, segments[first]), encoders))
         attitudes = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)
         return cls(tuple(links), attitudes)
 
@@ -137,17 +140,27 @@ class Moves:
         ]
         return np.array(blocks).reshape(-1, leaning.shape[2])
 
-    def variances(self, walk: Floats) -> Floats:
-        """Return the variances of `off` by random walk and pulses, (3 m,) rad^2.
+    def noise(self, walk: Floats) -> Floats:
+        """Return the variances of `off` by random walk, (3 m,) rad^2.
 
         Random walks of the three channels are alike: what of them the turning of the axes mixes
         stays what it was.
         """
         square = float(np.mean(walk[:3] ** 2))
-        found = [
-            square * k.move.duration + _EDGES * k.move.quantum**2 + k.rounding for k in self.links
-        ]
+        return np.repeat([square * link.move.duration for link in self.links], 3)
+
+    def quantisation(self) -> Floats:
+        """Return the variances of `off` by pulses and rounding, (3 m,) rad^2."""
+        found = [_EDGES * link.move.quantum**2 + link.rounding for link in self.links]
         return np.array(found).ravel()
+
+    def encoders(self) -> Floats:
+        """Return the variances of `off` by the encoders' noise at both ends, (3 m,) rad^2."""
+        return np.repeat([link.encoders for link in self.links], 3)
+
+    def variances(self, walk: Floats) -> Floats:
+        """Return the sum of all three, (3 m,) rad^2."""
+        return self.noise(walk) + self.quantisation() + self.encoders()
 
 
 def _rounding(move: Move, rest: Segment) -> Floats:

@@ -73,12 +73,13 @@ class RateTest:
         outputs = np.array([t.statistics.mean[:3] for t in evidence.turns])
         return cls(outputs, np.array(variances), np.array(inputs), np.array(axes), np.array(off))
 
-    def scatter(self) -> float | None:
+    def scatter(self) -> tuple[float, int]:
         """Hold the turns about each axis to a line, which their outputs must follow.
 
         Returns:
             Chi-square per degree of freedom where the turns scatter beyond their noise about
-            that line; None where they do not, or where two turns leave nothing to compare.
+            that line, 1 where they do not, or where two turns leave nothing to compare; the
+            degrees of freedom.
 
         """
         square, freedom = 0.0, 0
@@ -95,8 +96,8 @@ class RateTest:
                 freedom += len(mine) - _UNKNOWNS_OF_A_LINE
         noisy = bool(self.variances.max() > SMALLEST_VARIANCE)
         if not freedom or not noisy or scipy.special.chdtrc(freedom, square) > _SIGNIFICANT:
-            return None
-        return max(1.0, square / freedom)
+            return 1.0, freedom
+        return max(1.0, square / freedom), freedom
 
     def add_to(self, system: ChannelSystem, axis: int, first: int) -> None:
         """Add the equation for the response to one axis.

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import NotObservable
-from ..stream import Floats
-from .checks import conclude
 from .evidence import UP, Evidence
-from .positions import BiasEquation, accelerometers, assemble, solve_accelerometers, solve_gyros
+from .positions import BiasEquation, finish, solve_gyros
 from .solution import Solution
 
 
@@ -28,11 +26,7 @@ def solve(evidence: Evidence) -> Solution:
             '--azimuth), or run twelve positions. D_gx, D_gy, D_gz cannot be determined.'
         )
     gyros = solve_gyros(evidence, _bias_equation(evidence))
-    solved = assemble(evidence, gyros, solve_accelerometers(evidence))
-    north = evidence.azimuth is not None
-    return conclude(
-        evidence, *solved, findings=[], north_known=north, accelerometers=accelerometers
-    )
+    return finish(evidence, gyros, north_known=evidence.azimuth is not None)
 
 
 def _bias_equation(evidence: Evidence) -> BiasEquation:
@@ -45,11 +39,4 @@ def _bias_equation(evidence: Evidence) -> BiasEquation:
     earth = evidence.site.earth_rate
     if evidence.azimuth is not None:
         return BiasEquation(weights, mean @ earth)
-    return BiasEquation(weights, mean @ (UP * earth), _level_earth_rate(evidence) / positions**2)
-
-
-def _level_earth_rate(evidence: Evidence) -> Floats:
-    """Return the variances (3,) of its sum over positions of which nobody knows the headings."""
-    ups = {s.position: s.attitude[2] for s in evidence.segments if s.attitude is not None}
-    level = 1 - np.array(list(ups.values())) ** 2
-    return np.asarray(level.sum(axis=0) * evidence.site.north_rate**2 / 2)
+    return BiasEquation(weights, mean @ (UP * earth))

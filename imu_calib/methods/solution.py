@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..budget import Shares
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 
@@ -46,6 +47,7 @@ class Solution:
         wandering: (6,) standard deviation of wandering biases that the covariance allows for,
             rad/s and m/s^2; None for a method that knows of no such thing.
         parameters: (n,) what the rows of the covariance stand for.
+        shares: The covariance by source, which adds up to it; None for a method that does not tell.
 
     """
 
@@ -60,6 +62,7 @@ class Solution:
     findings: tuple[str, ...]
     wandering: Floats | None = None
     parameters: tuple[Parameter, ...] = PARAMETERS
+    shares: Shares | None = None
 
     def __post_init__(self) -> None:
         """Refuse a covariance of other parameters."""

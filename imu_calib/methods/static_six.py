@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..budget import total
 from ..earth import EARTH_RATE, Site
 from ..errors import NotObservable
 from ..model import PARAMETERS, ParameterKind
@@ -77,7 +78,7 @@ def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
     """
     at_rest = replace(evidence, turns=())
     gains = Gains(gyro, None, condition)
-    deviations = np.sqrt(np.diag(gains.covariance(at_rest, gains.model(at_rest))))
+    deviations = np.sqrt(np.diag(total(gains.shares(at_rest, gains.model(at_rest)))))
     poor = [
         f'{p.name} ({d:.2g})'
         for p, d in zip(PARAMETERS, deviations, strict=True)

@@ -11,9 +11,8 @@ import numpy as np
 from ..errors import NotObservable
 from ..model import AXES
 from ..stream import Floats
-from .checks import conclude
 from .evidence import Evidence
-from .positions import BiasEquation, accelerometers, assemble, solve_accelerometers, solve_gyros
+from .positions import BiasEquation, finish, solve_gyros
 from .solution import Solution
 
 _LEFT_OVER = 3e-3
@@ -31,10 +30,7 @@ def solve(evidence: Evidence) -> Solution:
     """
     weights, findings = _bias_weights(evidence)
     gyros = solve_gyros(evidence, BiasEquation(weights, np.zeros(3)))
-    solved = assemble(evidence, gyros, solve_accelerometers(evidence))
-    return conclude(
-        evidence, *solved, findings=findings, north_known=False, accelerometers=accelerometers
-    )
+    return finish(evidence, gyros, findings=findings, north_known=False)
 
 
 def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:

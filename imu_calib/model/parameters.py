@@ -85,6 +85,11 @@ class Product:
             factors.insert(0, f'{self.scale:.9g}')
         return ' '.join(factors)
 
+    @property
+    def degree_in_rate(self) -> int:
+        """How many factors are angular rates."""
+        return len(self.factors) + len(self.absolute) - self.degree_in_force
+
     def value(self, inputs: Floats) -> Floats:
         """Return the product, (...), at (..., 6) inputs."""
         result = np.full(inputs.shape[:-1], self.scale)

@@ -109,6 +109,7 @@ class CalibratorNode(ros.Node):
         imu = declare(self, 'imu', 'fog_medium', "name or file: what the IMU's numbers mean")
         table = declare(self, 'table', 'three_axis', 'name or file of the turntable')
         latitude = declare(self, 'latitude', math.nan, 'deg, negative in the south; required')
+        latitude_std = declare(self, 'latitude_std', math.nan, 'deg; nan: 0.01')
         height = declare(self, 'height', math.nan, 'm above the ellipsoid; nan: not known')
         height_std = declare(self, 'height_std', math.nan, 'm; nan: 0 where a height is stated')
         gravity = declare(
@@ -133,6 +134,7 @@ class CalibratorNode(ros.Node):
             _stated(gravity),
             height_std=_stated(height_std),
             gravity_std=_stated(gravity_std),
+            latitude_std=None if math.isnan(latitude_std) else latitude_std * DEG,
         )
         laid_out = load_plan(plan)
         if laid_out.by_hand:

@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..budget import Source
 from ..calibrator import Setup
 from ..errors import NotObservable
 from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free, method, skewed
+from ..methods.components import Component, Dense
 from ..methods.equations import Equations
 from ..methods.evidence import Evidence
 from ..methods.fit import check_observable
@@ -25,6 +27,7 @@ from ..methods.solution import Solution
 from ..model import AXES, PARAMETERS, Parameter, SensorModel
 from ..segmentation.segment import Statistics
 from ..stream import Floats
+from ..table_clock import clock_share
 from .expected import expected, wandering
 
 _STEP = 0.1
@@ -80,7 +83,7 @@ def forecast(
     """
     evidence = expected(setup, truth, azimuth)
     if setup.method_name == free.NAME:
-        return _with_gravity(_in_the_hand(setup, truth, evidence), truth)
+        return _with_common(_in_the_hand(setup, truth, evidence), setup, truth)
     # A closed form knows no moves.
     resting = replace(evidence, moves=())
     name = setup.method_name
@@ -106,7 +109,7 @@ def forecast(
         extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
         best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
-    return _with_gravity(Forecast(evidence, name, parameters, std, best, refusal), truth)
+    return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
 
 
 def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:
@@ -115,9 +118,12 @@ def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:
     return np.asarray(np.diag(gravity_covariance(truth, found.parameters, doubt)))
 
 
-def _with_gravity(found: Forecast, truth: SensorModel) -> Forecast:
-    """Allow for the doubt of gravity, as every calibration does."""
+def _with_common(found: Forecast, setup: Setup, truth: SensorModel) -> Forecast:
+    """Allow for the doubts of gravity and of the table's clock, as every calibration does."""
     share = gravity_variances(found, truth)
+    if setup.table is not None:
+        clock = clock_share(truth, found.parameters, setup.imu.units, setup.table.clock)
+        share = share + np.diag(clock.covariance)
     return replace(found, std=np.sqrt(found.std**2 + share), best=np.sqrt(found.best**2 + share))
 
 
@@ -186,9 +192,10 @@ def information(
 ) -> Information:
     """Return what a session tells at the truth (methods.md, section 11)."""
     equations = Equations(evidence, parameters)
-    modelled = len(equations.outputs)
     if extra is not None:
-        equations = replace(equations, extra=extra[:modelled, :modelled])
+        modelled = np.arange(len(equations.outputs))
+        part = Dense(modelled, extra[np.ix_(modelled, modelled)])
+        equations = replace(equations, extra=(Component(Source.BIAS_STATED, part),))
     return Information.of(equations.whitened(state_at(equations, truth))[0])
 
 

@@ -13,6 +13,7 @@ from ..calibrator import Result
 from ..imu import ImuSpec
 from . import allan_plot, repeatability, residuals, timeline
 from .assessment import assess, badge, summary, tables, worst
+from .budget import budget_section
 from .html import bullets, facts, paragraph, section
 from .noise import noise_of
 from .style import STYLE
@@ -62,6 +63,7 @@ def page(contents: Contents) -> str:
             _head(contents),
             section('Findings', bullets(calibration.findings)),
             _parameters(contents),
+            section('Uncertainty budget', *budget_section(calibration), kind='page'),
             _course(contents.result),
             _residuals(contents),
             _noise(contents),

@@ -188,6 +188,7 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
         imu=replace(its, id=mine.id),
         model=calibration.model.with_values(parameters, values),
         covariance=calibration.covariance * np.outer(factors, factors),
+        budget=None if calibration.budget is None else calibration.budget.scaled(factors),
     )
 
 

@@ -49,9 +49,12 @@ table.parameters th:nth-child(6) { width: 11%; }
 table.parameters th:nth-child(8) { width: 11%; }
 table.parameters.plain { table-layout: auto; }
 table.parameters svg { width: 100%; height: 16px; margin: 0; }
+table.budget th, table.budget td { padding: 1px 4px; font-size: 12px; }
 svg text { font: 12px system-ui, "Segoe UI", "DejaVu Sans", Arial, sans-serif; fill: #1a1a1a; }
 svg text.tick { font-size: 11px; fill: #333; }
 svg text.inside { font-size: 11px; font-weight: 600; fill: #fff; }
+svg text.inside.dark { fill: #1a1a1a; }
+svg .share { stroke: #fff; stroke-width: .6; }
 svg .grid { stroke: #e1e4e8; }
 svg .frame { fill: none; stroke: #888; }
 svg .zero { stroke: #888; }
@@ -74,6 +77,7 @@ svg .rejected { fill: #c2491d; }
   .outcome { margin: 8pt 0; padding: 6pt 10pt; }
   td { padding-top: 1px; padding-bottom: 1px; }
   table.parameters td { line-height: 1.25; }
+  table.budget th, table.budget td { padding: 0 3px; font-size: 7.6pt; }
   .dense dl { font-size: 8pt; gap: 2pt 12pt; line-height: 1.3; }
   .dense dt { font-size: 7pt; }
   h2 { font-size: 12.5pt; margin-top: 16pt; break-after: avoid; }
@@ -86,5 +90,6 @@ svg .rejected { fill: #c2491d; }
   body { margin: 0; padding: 18px; }
   dl, .dense dl { grid-template-columns: repeat(2, 1fr); }
   section { overflow-x: auto; }
+  .budget svg { min-width: 620px; }
 }
 """

@@ -116,11 +116,14 @@ class Segment:
             gravity: m/s^2; what the gyros see lean of the Earth rate is below all noise.
 
         """
-        variance = self.statistics.variance(walk)
+        return self.statistics.variance(walk) + self.encoder_variance(gravity)
+
+    def encoder_variance(self, gravity: float) -> Floats:
+        """Return what the encoders' noise adds to the variances of the mean outputs, (6,)."""
         if self.attitude is None or not self.attitude_error:
-            return variance
+            return np.zeros(6)
         across = (gravity * self.attitude_error) ** 2 * (1 - self.attitude[2] ** 2)
-        return np.asarray(variance + np.append(np.zeros(3), across))
+        return np.append(np.zeros(3), across)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +170,22 @@ class Turn:
                 ideal ones if nobody knows.
 
         """
+        own = self.statistics.variance(walk)[:3]
+        level, encoder = self.level_variance(north_rate, response), self.encoder_variance(response)
+        return np.asarray(own + level + encoder)
+
+    def level_variance(self, north_rate: float, response: Floats | None = None) -> Floats:
+        """Return what the level Earth rate leaves in the variances of the gyros' means, (3,)."""
+        return (self.level * north_rate) ** 2 / 2 * self._across(response)
+
+    def encoder_variance(self, response: Floats | None = None) -> Floats:
+        """Return what the encoders' noise across the axis adds to these variances, (3,)."""
+        return (self.up_error * self.rate()) ** 2 * self._across(response)
+
+    def _across(self, response: Floats | None) -> Floats:
+        """Return the square of what each gyro sees of a unit rate across the axis, (3,)."""
         rows = np.eye(3) if response is None else response
-        level = (rows**2).sum(axis=1) - (rows @ self.up) ** 2
-        across = (self.level * north_rate) ** 2 / 2 + (self.up_error * self.rate()) ** 2
-        return np.asarray(self.statistics.variance(walk)[:3] + across * level)
+        return np.asarray((rows**2).sum(axis=1) - (rows @ self.up) ** 2)
 
     def retimed(self, pace: Pace) -> Turn:
         """Return the same by the sample interval that all of a session tells."""

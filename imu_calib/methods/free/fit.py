@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ...budget import Share, Shares, Source
 from ...earth import Site
 from ...errors import NotObservable
 from ...model import PARAMETERS, SensorModel, Triad
@@ -54,6 +55,7 @@ class FreeFit:
         scatter: (3,) by how much accelerometers and gyros at rest and turns scatter more than
             their noise, as standard deviations.
         dropped: Indices of swings that fit nothing.
+        shares: The covariance by source.
 
     """
 
@@ -64,15 +66,19 @@ class FreeFit:
     condition: float
     scatter: Floats
     dropped: tuple[int, ...]
+    shares: Shares
 
 
-def solve(holds: Sequence[Hold], swings: Sequence[Swing], site: Site) -> FreeFit:
+def solve(
+    holds: Sequence[Hold], swings: Sequence[Swing], site: Site, freedom: float = np.inf
+) -> FreeFit:
     """Estimate 21 parameters from holds and the turns between them.
 
     Args:
         holds: At least nine, in as many attitudes.
         swings: Turns between neighbouring holds; those that are lost may be left out.
         site: Gravity, and what of the Earth's rate is known.
+        freedom: Degrees of freedom of the sensors' noise.
 
     Raises:
         NotObservable: Too few holds, or attitudes that leave parameters open; names them.
@@ -116,7 +122,44 @@ def solve(holds: Sequence[Hold], swings: Sequence[Swing], site: Site) -> FreeFit
         information.condition,
         system.scatter,
         tuple(sorted(dropped)),
+        _shares(system, information.gain, freedom),
     )
+
+
+def _shares(system: System, gain: Floats, freedom: float) -> dict[Source, Share]:
+    """Return the covariance (24, 24) of the parameters by source.
+
+    Args:
+        system: Holds and turns.
+        gain: (n, m) derivatives of all unknowns by the rows of `system`, in standard deviations.
+        freedom: Degrees of freedom of the sensors' noise.
+
+    """
+    pulses, groups = [], []
+    for hold in system.holds:
+        pulses += [hold.pulses[3:] / hold.accel_variance, hold.pulses[:3] / hold.gyro_variance]
+        groups += [0] * 3 + [1] * 3
+    for swing in system.swings:
+        pulses.append(np.full(2, swing.pulses / swing.variance))
+        groups += [2] * 2
+    rest, (unknowns, rows) = len(groups), gain.shape
+    own = 1 / system.scatter[groups] ** 2
+    counted = own * np.concatenate(pulses)
+    found = np.flatnonzero(FREE)
+
+    def share(columns: Floats, weights: Floats, known_by: float) -> Share:
+        covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
+        part = columns[: len(found)]
+        covariance[np.ix_(found, found)] = (part * weights) @ part.T
+        return Share.of_parts([(covariance, known_by)])
+
+    outputs, priors = gain[:, :rest], gain[:, rest:]
+    return {
+        Source.NOISE: share(outputs, own - counted, freedom),
+        Source.QUANTISATION: share(outputs, counted, np.inf),
+        Source.NORTH: share(priors, np.ones(rows - rest), np.inf),
+        Source.SCATTER: share(outputs, 1 - own, max(1.0, float(rows - unknowns))),
+    }
 
 
 def refuse(_: Evidence) -> Solution:

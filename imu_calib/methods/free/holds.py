@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ...stream import Floats
 
@@ -18,6 +18,7 @@ class Hold:
         accel: (3,) mean output, m/s^2.
         gyro_variance: (3,) of the means.
         accel_variance: (3,) of the means.
+        pulses: (6,) what of these variances, gyros first, is quantisation.
 
     """
 
@@ -27,6 +28,7 @@ class Hold:
     accel: Floats
     gyro_variance: Floats
     accel_variance: Floats
+    pulses: Floats = field(default_factory=lambda: np.zeros(6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,7 @@ class Swing:
         increments: (n, 3) angles counted in each sample interval, rad.
         period: Sample interval, s.
         variance: Of the angle that random walk and pulses leave, about any axis, rad^2.
+        pulses: What of it is quantisation, rad^2.
 
     """
 
@@ -45,6 +48,7 @@ class Swing:
     increments: Floats
     period: float
     variance: float
+    pulses: float = 0.0
 
     @property
     def seconds(self) -> float:

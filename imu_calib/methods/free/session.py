@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from ... import calibrator as table_session
+from ...budget import Budget
 from ...calibration import Calibration, ResidualRow
 from ...calibrator import Calibrator, Result, Review, Setup
 from ...errors import NotObservable
@@ -22,7 +23,7 @@ from ...segmentation.session import Segmented
 from ...segmentation.statistics import gap_free, sample_period, to_samples
 from ...stream import Block, Floats, ImuBlock, Stamps, TemperatureBlock, Units
 from .. import estimates
-from ..evidence import Evidence, noise
+from ..evidence import Evidence, known_noise, noise
 from ..solution import Residual, Solution
 from . import NAME
 from .fit import FreeFit, scatter_words, solve
@@ -101,10 +102,10 @@ class FreeCalibrator:
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
             raise NotObservable(' '.join([text, *lost]))
         segments = tuple(replace(s, position=str(k + 1)) for k, s in enumerate(session.segments))
-        walk = self._walk(segments)
+        walk, freedom = known_noise(segments, self._setup.imu)
         holds, swings = self._cut(segments, walk)
         try:
-            fit = solve(holds, swings, self._setup.site)
+            fit = solve(holds, swings, self._setup.site, float(freedom.min()))
         except NotObservable as error:
             raise NotObservable(' '.join([str(error), *lost])) from None
         return self._result(session, segments, walk, fit, len(swings))
@@ -168,7 +169,7 @@ class FreeCalibrator:
         for segment in segments:
             mean = segment.statistics.mean
             variance = segment.statistics.variance(walk) + _LEAST_STD**2
-            parts = (mean[:3], mean[3:], variance[:3], variance[3:])
+            parts = (mean[:3], mean[3:], variance[:3], variance[3:], segment.statistics.quantum)
             holds.append(Hold(segment.start, segment.end, *parts))
         stamp, values = np.concatenate(self._stamps), np.vstack(self._values)
         found = [
@@ -209,6 +210,7 @@ class FreeCalibrator:
             earth_up_std=float('inf'),
             condition=fit.condition,
             findings=tuple(findings),
+            shares=fit.shares,
         )
         rows = tuple(
             ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:]) for r in residuals
@@ -226,6 +228,7 @@ class FreeCalibrator:
             tuple(findings),
             provenance,
             setup.serial_number,
+            budget=Budget.of(fit.shares),
         )
         calibration = with_gravity(calibration, setup.site)
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
@@ -278,4 +281,4 @@ def swing(
     pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else spec.gyro.pulse
     variance = float(np.mean(walk[:3] ** 2)) * len(increments) * period + pulse**2 / 6
     variance += _LEAST_ANGLE**2
-    return Swing(first, increments, period, variance)
+    return Swing(first, increments, period, variance, pulse**2 / 6)

@@ -1,0 +1,223 @@
+"""The uncertainty budget of a calibration: what each source contributes to each parameter.
+
+A covariance is a sum of shares, one for each source. The budget keeps their standard deviations
+and degrees of freedom, and states the uncertainties expanded to 95 %.
+
+Source: JCGM 100:2008 (GUM), 5.1.2, 5.2.2 and annex G; docs/mathematics.md, 'Uncertainty budget'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .stream import Floats
+
+PROBABILITY = 0.95
+"""Level of confidence of the expanded uncertainties."""
+
+_LEAST_FREEDOM = 1.0
+
+
+class Source(Enum):
+    """What makes a parameter uncertain; the value is its name in files."""
+
+    NOISE = 'sensor_noise'
+    QUANTISATION = 'quantisation'
+    BIAS_STATED = 'bias_instability'
+    BIAS_FOUND = 'bias_drift'
+    ARRIVAL_STATED = 'positioning'
+    ARRIVAL_FOUND = 'positioning_found'
+    ENCODER_RATE = 'encoder_rate'
+    ENCODER_NOISE = 'encoder_noise'
+    AZIMUTH = 'azimuth'
+    TILT = 'tilt'
+    NORTH = 'unknown_north'
+    CLOCK = 'clock'
+    TABLE_CLOCK = 'table_clock'
+    GRAVITY = 'gravity'
+    LATITUDE = 'latitude'
+    SCATTER = 'scatter'
+
+    @property
+    def evaluation(self) -> str:
+        """'A' by statistics of the session, 'B' by other means (GUM 2.3.2, 2.3.3)."""
+        return _ROWS[self][0]
+
+    @property
+    def heading(self) -> str:
+        """Its name above a column, six letters at most."""
+        return _ROWS[self][1]
+
+    @property
+    def words(self) -> str:
+        """What it is, and where its size comes from."""
+        return _ROWS[self][2]
+
+
+_ROWS = {
+    Source.NOISE: ('A', 'noise', 'random walk of the sensors, from blocks at rest'),
+    Source.QUANTISATION: ('B', 'pulse', 'whole pulses and rounding, from the size of a step'),
+    Source.BIAS_STATED: ('B', 'bias', 'bias instability, as the IMU description states it'),
+    Source.BIAS_FOUND: ('A', 'drift', 'bias drift beyond that, as the session shows it'),
+    Source.ARRIVAL_STATED: ('B', 'pos', 'positioning of the table, as its description states it'),
+    Source.ARRIVAL_FOUND: ('A', 'pos+', 'positioning beyond that, as the session shows it'),
+    Source.ENCODER_RATE: ('A', 'rate', "the table's rate, from the scatter of its encoder"),
+    Source.ENCODER_NOISE: ('A', 'enc', "attitudes, from the encoders' noise"),
+    Source.AZIMUTH: ('B', 'azim', "prior of the table's azimuth"),
+    Source.TILT: ('B', 'tilt', "prior of the table's two tilts"),
+    Source.NORTH: ('B', 'north', 'level Earth rate where no encoder tells the heading'),
+    Source.CLOCK: ('A', 'clock', 'rate between the clocks of IMU and table'),
+    Source.TABLE_CLOCK: ('B', 't.clk', "the table's own clock, as its description states it"),
+    Source.GRAVITY: ('B', 'grav', 'gravity at the site'),
+    Source.LATITUDE: ('B', 'lat', 'latitude of the site'),
+    Source.SCATTER: ('A', 'scat', 'outputs that scatter beyond all that'),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Share:
+    """What a source adds to a covariance.
+
+    Attributes:
+        covariance: (n, n) SI units.
+        freedom: (n,) degrees of freedom of its variances; infinite for what is taken as known.
+
+    """
+
+    covariance: Floats
+    freedom: Floats
+
+    @classmethod
+    def known(cls, covariance: Floats) -> Share:
+        """Return a share whose size is taken as known (GUM G.4.3)."""
+        return cls(covariance, np.full(len(covariance), np.inf))
+
+    @classmethod
+    def of_parts(cls, parts: Sequence[tuple[Floats, float]]) -> Share:
+        """Add up independent parts: (n, n) covariances with the degrees of freedom of each."""
+        variances = np.array([np.diag(covariance) for covariance, _ in parts])
+        freedom = np.repeat(np.array([[f] for _, f in parts]), variances.shape[1], axis=1)
+        added = np.sum([covariance for covariance, _ in parts], axis=0)
+        return cls(np.asarray(added), effective_freedom(variances, freedom))
+
+
+Shares = Mapping[Source, Share]
+"""A covariance by source."""
+
+
+def total(shares: Shares) -> Floats:
+    """Return the covariance (n, n) that the shares add up to."""
+    return np.asarray(np.sum([share.covariance for share in shares.values()], axis=0))
+
+
+def effective_freedom(variances: Floats, freedom: Floats) -> Floats:
+    """Return the degrees of freedom of sums of variances, (n,).
+
+    Args:
+        variances: (k, n) of independent terms.
+        freedom: (k, n) of each term; infinite for what is known.
+
+    Source: Welch-Satterthwaite, GUM eq. (G.2b).
+    """
+    whole = variances.sum(axis=0)
+    weight = np.divide(variances, whole, out=np.zeros_like(variances), where=whole > 0)
+    doubt = np.sum(weight**2 / freedom, axis=0)
+    return np.asarray(np.divide(1.0, doubt, out=np.full(len(whole), np.inf), where=doubt > 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One source of a budget.
+
+    Attributes:
+        source: Which.
+        std: (n,) what it contributes to the standard deviation of each parameter, SI units.
+        freedom: (n,) degrees of freedom.
+
+    """
+
+    source: Source
+    std: Floats
+    freedom: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """The uncertainties of n parameters by source; parameters not estimated are NaN.
+
+    Attributes:
+        lines: Sources that contribute to any parameter.
+
+    """
+
+    lines: tuple[Line, ...]
+
+    @classmethod
+    def of(cls, shares: Shares) -> Budget:
+        """Return the budget of a covariance that is the sum of shares."""
+        lines = []
+        for source in Source:
+            if source not in shares:
+                continue
+            # Differences of nearly equal covariances may leave rounding below zero.
+            variance = np.diag(shares[source].covariance)
+            std = np.sqrt(np.where(variance < 0, 0.0, variance))
+            if np.nansum(std) > 0:
+                lines.append(Line(source, std, shares[source].freedom))
+        return cls(tuple(lines))
+
+    def with_share(self, source: Source, share: Share) -> Budget:
+        """Return the budget with another source, in the order of `Source`."""
+        order = list(Source)
+        added = Budget.of({source: share}).lines
+        lines = sorted((*self.lines, *added), key=lambda line: order.index(line.source))
+        return Budget(tuple(lines))
+
+    def scaled(self, factors: Floats) -> Budget:
+        """Return the budget of parameters that are (n,) times as large."""
+        scale = np.abs(factors)
+        return Budget(tuple(Line(x.source, x.std * scale, x.freedom) for x in self.lines))
+
+    @property
+    def variances(self) -> Floats:
+        """Variances (k, n) by source."""
+        return np.array([line.std**2 for line in self.lines])
+
+    @property
+    def std(self) -> Floats:
+        """Combined standard uncertainties (n,), GUM 5.1.2."""
+        return np.asarray(np.sqrt(self.variances.sum(axis=0)))
+
+    @property
+    def freedom(self) -> Floats:
+        """Effective degrees of freedom (n,)."""
+        return effective_freedom(self.variances, np.array([line.freedom for line in self.lines]))
+
+    @property
+    def coverage_factor(self) -> Floats:
+        """Factors (n,) from standard to expanded uncertainties: Student's t, GUM G.3.2."""
+        from scipy.special import stdtrit
+
+        freedom = np.maximum(self.freedom, _LEAST_FREEDOM)
+        return np.asarray(stdtrit(freedom, (1 + PROBABILITY) / 2))
+
+    @property
+    def expanded(self) -> Floats:
+        """Expanded uncertainties (n,) at `PROBABILITY`."""
+        return np.asarray(self.coverage_factor * self.std)
+
+    def matters(self, least: float) -> NDArray[np.bool_]:
+        """Say of each source whether it is more than a share of the variance of any parameter."""
+        return np.asarray(np.any(self.fractions > least, axis=1))
+
+    @property
+    def fractions(self) -> Floats:
+        """Share (k, n) of each source in the variance of each parameter; zero where it is zero."""
+        whole = np.nan_to_num(self.variances.sum(axis=0))
+        nothing = np.zeros_like(self.variances)
+        return np.asarray(np.divide(self.variances, whole, out=nothing, where=whole > 0))

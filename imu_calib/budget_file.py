@@ -1,0 +1,103 @@
+"""The uncertainty budget as `uncertainty_budget` of calibration.yaml: SI units, named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .budget import PROBABILITY, Budget, Line, Source
+from .config import Section
+from .errors import InputError
+from .model import Parameter
+from .stream import Floats
+
+
+def budget_document(
+    budget: Budget, parameters: Sequence[Parameter], known: NDArray[np.bool_]
+) -> dict[str, Any]:
+    """Return what the file keeps of a budget.
+
+    Args:
+        budget: Of n parameters.
+        parameters: Their names.
+        known: (n,) which of them were estimated; the others are left out.
+
+    """
+
+    def row(values: Floats) -> list[float]:
+        return [float(v) for v in values[known]]
+
+    estimated = [p for p, k in zip(parameters, known, strict=True) if k]
+    return {
+        'parameters': [p.name for p in estimated],
+        'units': [p.unit.si for p in estimated],
+        'standard_uncertainty': row(budget.std),
+        'effective_degrees_of_freedom': row(budget.freedom),
+        'coverage_probability': PROBABILITY,
+        'coverage_factor': row(budget.coverage_factor),
+        'expanded_uncertainty': row(budget.expanded),
+        'sources': [
+            {
+                'source': line.source.value,
+                'evaluation': line.source.evaluation,
+                'description': line.source.words,
+                'standard_uncertainty': row(line.std),
+                'degrees_of_freedom': row(line.freedom),
+            }
+            for line in budget.lines
+        ],
+    }
+
+
+def read_budget(
+    section: Section, parameters: Sequence[Parameter], known: NDArray[np.bool_]
+) -> Budget:
+    """Read a budget from its mapping; what follows from the sources is computed anew.
+
+    Args:
+        section: The mapping.
+        parameters: Those of the calibration, n.
+        known: (n,) which of them were estimated.
+
+    Raises:
+        InputError: Other parameters, an unknown source, or no standard deviations.
+
+    """
+    names = [p.name for p, k in zip(parameters, known, strict=True) if k]
+    if section.items('parameters') != names:
+        raise InputError(
+            f'{section.key("parameters")}: not the {len(names)} parameters of the covariance in '
+            'their order.'
+        )
+    lines = []
+    for entry in section.sections('sources'):
+        try:
+            source = Source(entry.text('source'))
+        except ValueError:
+            known_sources = ', '.join(s.value for s in Source)
+            raise InputError(
+                f'{entry.key("source")}: found {entry.text("source")!r}, expected one of '
+                f'{known_sources}.'
+            ) from None
+        rows = [_row(entry, key, known) for key in ('standard_uncertainty', 'degrees_of_freedom')]
+        if not np.isfinite(rows[0][known]).all():
+            raise InputError(f'{entry.key("standard_uncertainty")}: expected finite numbers.')
+        lines.append(Line(source, rows[0], rows[1]))
+    return Budget(tuple(lines))
+
+
+def _row(entry: Section, key: str, known: NDArray[np.bool_]) -> Floats:
+    """Return a row of numbers that are not negative, NaN for what was not estimated."""
+    try:
+        values = np.array(entry.items(key), dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f'{entry.key(key)}: found no numbers.') from None
+    count = int(known.sum())
+    if values.shape != (count,) or not (values >= 0).all():
+        raise InputError(f'{entry.key(key)}: expected {count} numbers, none of them negative.')
+    row = np.full(len(known), np.nan)
+    row[known] = values
+    return row

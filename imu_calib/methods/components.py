@@ -1,0 +1,142 @@
+"""The covariance of a session's outputs as a sum over sources, and what each does to parameters."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..budget import Share, Source
+from ..stream import Floats
+
+
+class Part(Protocol):
+    """A covariance (m, m) of outputs, kept by what it is made of."""
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+
+    def through(self, gain: Floats) -> Floats:
+        """Return what it is in parameters that are (n, m) times the outputs: (k, n, n).
+
+        The k terms are independent of each other.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Diagonal:
+    """Independent errors of every output, whose size is one and the same estimate.
+
+    Attributes:
+        variances: (m,).
+
+    """
+
+    variances: Floats
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+        matrix[np.diag_indices(len(matrix))] += self.variances
+
+    def through(self, gain: Floats) -> Floats:
+        """Return its covariance in parameters, (1, n, n)."""
+        return np.asarray((gain * self.variances) @ gain.T)[None]
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Errors that enter several outputs at once.
+
+    Attributes:
+        columns: (m, e) how the outputs change by one standard deviation of each error.
+
+    """
+
+    columns: Floats
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+        matrix += self.columns @ self.columns.T
+
+    def through(self, gain: Floats) -> Floats:
+        """Return its covariance in parameters, (1, n, n)."""
+        moved = gain @ self.columns
+        return np.asarray(moved @ moved.T)[None]
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Errors that three outputs share, independent between such threes.
+
+    Attributes:
+        rows: (k, 3) which outputs.
+        matrices: (k, 3, 3) their covariances.
+
+    """
+
+    rows: NDArray[np.intp]
+    matrices: Floats
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+        matrix[self.rows[:, :, None], self.rows[:, None, :]] += self.matrices
+
+    def through(self, gain: Floats) -> Floats:
+        """Return its covariance in parameters, (k, n, n)."""
+        weights = np.transpose(gain[:, self.rows], (1, 0, 2))
+        return np.asarray(weights @ self.matrices @ np.transpose(weights, (0, 2, 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """A covariance of some outputs, of which nothing more is known.
+
+    Attributes:
+        rows: (k,) which outputs.
+        matrix: (k, k).
+
+    """
+
+    rows: NDArray[np.intp]
+    matrix: Floats
+
+    def add_to(self, matrix: Floats) -> None:
+        """Add it to an (m, m) matrix."""
+        matrix[np.ix_(self.rows, self.rows)] += self.matrix
+
+    def through(self, gain: Floats) -> Floats:
+        """Return its covariance in parameters, (1, n, n)."""
+        own = gain[:, self.rows]
+        return np.asarray(own @ self.matrix @ own.T)[None]
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A part of the covariance of the outputs, and where it comes from.
+
+    Attributes:
+        source: Where from.
+        part: The covariance.
+        freedom: Degrees of freedom of its size; infinite where that is known.
+
+    """
+
+    source: Source
+    part: Part
+    freedom: float = np.inf
+
+
+def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]:
+    """Return the covariance of parameters that are (n, m) times the outputs, by source.
+
+    Source: docs/mathematics.md, 'Uncertainty budget'.
+    """
+    found: defaultdict[Source, list[tuple[Floats, float]]] = defaultdict(list)
+    for component in components:
+        terms = component.part.through(gain)
+        found[component.source] += [(term, component.freedom) for term in terms]
+    return {source: Share.of_parts(parts) for source, parts in found.items() if parts}

@@ -1,0 +1,112 @@
+"""What of the covariance of a session's outputs does not depend on how they are predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..budget import Source
+from ..stream import Floats
+from .components import Blocks, Component, Diagonal
+from .evidence import SMALLEST_VARIANCE, Evidence
+
+ENCODER_FREEDOM = 14.0
+"""Degrees of freedom of an encoder's rate, the least: sixteen blocks less a line's two unknowns
+(`segmentation/plateau.py`)."""
+
+
+def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, ...]:
+    """Return what each output has for itself: noise, quantisation, the encoders' noise.
+
+    Args:
+        evidence: The session.
+        inflation: (6 s + 3 t + 3 m,) factors on these variances, or None.
+
+    """
+    segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
+    led = evidence.led
+    statistics = [s.statistics for s in segments]
+    turned = [t.statistics for t in turns]
+    site = evidence.site
+
+    def rows(at_rest: Sequence[Floats], while_turning: Sequence[Floats], moved: Floats) -> Floats:
+        parts = (np.array(at_rest).reshape(-1, 6), np.array(while_turning).reshape(-1, 3))
+        return np.concatenate([*(part.ravel() for part in parts), moved])
+
+    noise = rows(
+        [walk**2 * s.walk_gain for s in statistics],
+        [walk[:3] ** 2 * s.walk_gain[:3] for s in turned],
+        led.noise(walk),
+    )
+    quantum = rows(
+        [s.quantum for s in statistics], [s.quantum[:3] for s in turned], led.quantisation()
+    )
+    encoder = rows(
+        [s.encoder_variance(site.gravity) for s in segments],
+        [t.encoder_variance() for t in turns],
+        led.encoders(),
+    )
+    total = noise + quantum + encoder
+    quantum = quantum + np.maximum(SMALLEST_VARIANCE - total, 0.0)
+    axes = np.arange(3.0)
+    # An axis at the end of a move is counted as the channel of its name: their noise is alike.
+    channel = rows([np.arange(6.0)] * len(segments), [axes] * len(turns), np.tile(axes, len(led)))
+    parts = [
+        Component(Source.NOISE, Diagonal(np.where(channel == c, noise, 0.0)), freedom)
+        for c, freedom in enumerate(evidence.walk_freedom.tolist())
+    ]
+    parts += [
+        Component(Source.QUANTISATION, Diagonal(quantum)),
+        Component(Source.ENCODER_NOISE, Diagonal(encoder)),
+    ]
+    if inflation is not None:
+        more = np.maximum(total, SMALLEST_VARIANCE) * (inflation - 1)
+        for c in range(6):
+            own = np.where(channel == c, more, 0.0)
+            # What scatters, less the two unknowns of a line.
+            freedom = max(1.0, np.count_nonzero(own) - 2.0)
+            parts.append(Component(Source.SCATTER, Diagonal(own), freedom))
+    return tuple(parts)
+
+
+def encoder_rates(evidence: Evidence, rates: Floats, response: Floats) -> Component:
+    """Return the error of the encoder's rate, which the three outputs of a turn share.
+
+    Args:
+        evidence: The session.
+        rates: (t,) of the turns, rad/s.
+        response: (3, 3) of the gyros.
+
+    """
+    turns = evidence.turns
+    ups = np.array([t.up for t in turns]).reshape(-1, 3)
+    errors = np.array([t.rate_error for t in turns]) * rates
+    felt = errors[:, None] * (ups @ response.T)
+    rows = 6 * len(evidence.segments) + np.arange(3 * len(turns)).reshape(-1, 3)
+    blocks = Blocks(rows, felt[:, :, None] * felt[:, None, :])
+    return Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM)
+
+
+def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Component:
+    """Count the level Earth rate as noise of its own size where nobody knows its direction.
+
+    By hand every stretch at rest has a heading of its own, and a turn from rest to rest does not
+    average all of it out.
+
+    Args:
+        evidence: The session.
+        ups: (s + t, 3) up in body axes.
+        response: (3, 3) of the gyros.
+
+    """
+    segments, turns = evidence.segments, evidence.turns
+    by_hand = 1.0 if evidence.plan.by_hand else 0.0
+    shares = np.array([*(by_hand for _ in segments), *(t.level for t in turns)])
+    across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
+    square = (shares * evidence.site.north_rate)[:, None, None] ** 2 / 2
+    rest = 6 * len(segments)
+    firsts = np.concatenate([np.arange(0, rest, 6), rest + 3 * np.arange(len(turns))])
+    rows, some = firsts[:, None] + np.arange(3), shares > 0
+    blocks = Blocks(rows[some], (response @ across @ response.T * square)[some])
+    return Component(Source.NORTH, blocks)

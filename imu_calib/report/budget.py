@@ -1,0 +1,295 @@
+"""The uncertainty budget for people: tables for the screen, a picture for the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from ..budget import PROBABILITY, Budget, Source
+from ..calibration import Calibration
+from ..model import Parameter
+from ..stream import Floats
+from .html import paragraph, table
+from .parameters import decimals, engineering
+from .svg import drawing, label, tag
+
+_LEAST = 0.005
+"""A source below half a percent of every variance has no column: it would show as zero."""
+
+_COLUMNS = 80
+_NAME = 9
+_WIDTH, _LEFT, _ROW, _BAR = 760.0, 58.0, 19.0, 15.0
+_MARGIN = 24.0
+_LETTER = 6.6
+_LEGEND_ROW = 18.0
+_MANY = 1000.0
+
+_COLOURS = {
+    Source.NOISE: '#0072b2',
+    Source.QUANTISATION: '#8ecbee',
+    Source.BIAS_STATED: '#00704f',
+    Source.BIAS_FOUND: '#86d1b0',
+    Source.ARRIVAL_STATED: '#c24e00',
+    Source.ARRIVAL_FOUND: '#f7b27a',
+    Source.ENCODER_RATE: '#6a3d9a',
+    Source.ENCODER_NOISE: '#cab2d6',
+    Source.AZIMUTH: '#7a4a12',
+    Source.TILT: '#d3b277',
+    Source.NORTH: '#4d4d4d',
+    Source.CLOCK: '#b0006d',
+    Source.TABLE_CLOCK: '#f4a6cd',
+    Source.GRAVITY: '#f0d000',
+    Source.LATITUDE: '#6b7300',
+    Source.SCATTER: '#b3261e',
+}
+"""Neighbours differ in lightness too, for readers that do not tell the hues apart."""
+
+_OTHER_COLOUR = '#b8bcc2'
+_NONE = 'The method does not say where its uncertainty comes from: there is no budget.'
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """A budget as it is shown.
+
+    Attributes:
+        parameters: (p,) those that were estimated.
+        rows: (p,) their places in the calibration.
+        budget: Of all parameters.
+        wide: (k,) which sources have a column of their own.
+
+    """
+
+    parameters: tuple[Parameter, ...]
+    rows: NDArray[np.intp]
+    budget: Budget
+    wide: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, calibration: Calibration, budget: Budget) -> _Shown:
+        rows = np.flatnonzero(np.isfinite(calibration.std))
+        parameters = tuple(calibration.parameters[k] for k in rows)
+        return cls(parameters, rows, budget, budget.matters(_LEAST))
+
+    @property
+    def sources(self) -> list[Source]:
+        return [x.source for x, wide in zip(self.budget.lines, self.wide, strict=True) if wide]
+
+    @property
+    def headings(self) -> list[str]:
+        other = [] if self.wide.all() else ['other']
+        return [source.heading for source in self.sources] + other
+
+    @property
+    def fractions(self) -> Floats:
+        """Shares of the variances, (p, columns)."""
+        every = self.budget.fractions[:, self.rows]
+        columns = [*every[self.wide]]
+        if not self.wide.all():
+            columns.append(every[~self.wide].sum(axis=0))
+        return np.array(columns).T
+
+    def expanded_rows(self) -> Iterator[list[str]]:
+        """Yield parameter, std, degrees of freedom, k, expanded uncertainty, unit."""
+        budget = self.budget
+        columns = (budget.std, budget.freedom, budget.coverage_factor, budget.expanded)
+        for parameter, *values in zip(
+            self.parameters, *(c[self.rows] for c in columns), strict=True
+        ):
+            std, freedom, factor, expanded = (float(v) for v in values)
+            shown = engineering(parameter)
+            std, expanded = std / shown.scale, expanded / shown.scale
+            places = decimals(std)
+            yield [
+                parameter.name,
+                f'{std:.{places}f}',
+                _freedom(freedom),
+                f'{factor:.2f}',
+                f'{expanded:.{places}f}',
+                shown.unit,
+            ]
+
+
+_EXPANDED = ('parameter', 'std', 'dof', 'k', f'U {PROBABILITY:.0%}', 'unit')
+
+
+def _freedom(value: float) -> str:
+    """Return degrees of freedom; where they are many, k does not depend on them any more."""
+    return f'{value:.0f}' if value < _MANY else f'>{_MANY:.0f}' if np.isfinite(value) else 'inf'
+
+
+def _percent(fraction: float) -> str:
+    """Return a share in percent; below one percent with a digit behind the point.
+
+    Examples:
+        >>> _percent(0.996), _percent(0.004), _percent(1e-9), _percent(0.0)
+        ('100', '0.4', '0.0', '-')
+
+    """
+    if not fraction:
+        return '-'
+    percent = 100 * fraction
+    return f'{percent:.0f}' if percent >= 0.95 else f'{percent:.1f}'
+
+
+def budget_tables(calibration: Calibration) -> list[Table | str]:
+    """Return what a terminal of 80 columns shows of a budget: tables and lines of text.
+
+    Expanded uncertainties first, then the shares in the variances, then what the columns mean.
+    """
+    if calibration.budget is None:
+        return [_NONE]
+    shown = _Shown.of(calibration, calibration.budget)
+    expanded = Table(box=None, pad_edge=False, header_style='bold')
+    for heading in _EXPANDED:
+        left = heading in {'parameter', 'unit'}
+        expanded.add_column(heading, justify='left' if left else 'right')
+    for row in shown.expanded_rows():
+        expanded.add_row(*row)
+    parts: list[Table | str] = [expanded, '\nShare of each source in the variance, percent']
+    parts += _share_tables(shown)
+    parts.append('\nsource type  dof        ')
+    for line, wide in zip(shown.budget.lines, shown.wide, strict=True):
+        heading = line.source.heading if wide else 'other'
+        freedom = _range(line.freedom[shown.rows], line.std[shown.rows])
+        parts.append(f'{heading:6} {line.source.evaluation:4} {freedom:11} {line.source.words}')
+    return parts
+
+
+def _share_tables(shown: _Shown) -> list[Table | str]:
+    """Return the shares, in as many tables as 80 columns need."""
+    headings, fractions = shown.headings, shown.fractions
+    each = max(4, *(len(h) for h in headings)) + 2
+    most = (_COLUMNS - _NAME) // each
+    found: list[Table | str] = []
+    for first in range(0, len(headings), most):
+        some = slice(first, first + most)
+        part = Table(box=None, pad_edge=False, header_style='bold')
+        part.add_column('parameter')
+        for heading in headings[some]:
+            part.add_column(heading, justify='right')
+        for parameter, row in zip(shown.parameters, fractions, strict=True):
+            part.add_row(parameter.name, *(_percent(float(f)) for f in row[some]))
+        found.append(part)
+    return found
+
+
+def _range(freedom: Floats, std: Floats) -> str:
+    """Return the degrees of freedom of a source where it contributes, from least to most."""
+    counted = freedom[std > 0]
+    low, high = _freedom(float(counted.min())), _freedom(float(counted.max()))
+    return low if low == high else f'{low} to {high}'
+
+
+def budget_section(calibration: Calibration) -> list[str]:
+    """Return picture and tables of a budget for the report; empty without one."""
+    if calibration.budget is None:
+        return []
+    shown = _Shown.of(calibration, calibration.budget)
+    rows = [
+        [
+            escape(expanded[0]),
+            *(_percent(float(f)) for f in shares),
+            *(escape(cell) for cell in expanded[1:]),
+        ]
+        for expanded, shares in zip(shown.expanded_rows(), shown.fractions, strict=True)
+    ]
+    sources = [
+        [
+            escape(line.source.heading if wide else 'other'),
+            line.source.evaluation,
+            _range(line.freedom[shown.rows], line.std[shown.rows]),
+            escape(line.source.words),
+        ]
+        for line, wide in zip(shown.budget.lines, shown.wide, strict=True)
+    ]
+    note = (
+        'Each bar is the variance of a parameter, shared out to its sources. U is the uncertainty '
+        f"expanded to {PROBABILITY:.0%}: the standard deviation times k, Student's t for the "
+        'effective degrees of freedom (JCGM 100:2008, G.4). Type A is evaluated from the scatter '
+        'of the session, type B from what is stated.'
+    )
+    headings = ['', *(f'{h}, %' for h in shown.headings), *_EXPANDED[1:]]
+    return [
+        _picture(shown),
+        paragraph(note, 'note'),
+        table(['source', 'type', 'dof', 'what it is'], sources, 'budget', 'llrl'),
+        table(headings, rows, 'budget', 'l' + 'r' * (len(headings) - 2) + 'l'),
+    ]
+
+
+def _picture(shown: _Shown) -> str:
+    """Draw the shares of every variance as one bar for each parameter."""
+    colours = [_COLOURS[source] for source in shown.sources]
+    headings, fractions = shown.headings, shown.fractions
+    colours += [_OTHER_COLOUR] * (len(headings) - len(colours))
+    legend, top = _legend(headings, colours)
+    parts, y = legend, top + 8
+    last = shown.parameters[0]
+    for parameter, row in zip(shown.parameters, fractions, strict=True):
+        if (parameter.triad, parameter.kind) != (last.triad, last.kind):
+            y += 6
+        last = parameter
+        parts.append(label(parameter.name, _LEFT - 8, y + 12, class_='tick', text_anchor='end'))
+        parts += _bar(y, row.tolist(), headings, colours, parameter.name)
+        y += _ROW
+    for k in range(5):
+        x = _LEFT + (_WIDTH - _LEFT - _MARGIN) * k / 4
+        parts.append(label(f'{25 * k} %', x, y + 14, class_='tick', text_anchor='middle'))
+    picture = drawing(parts, _WIDTH, y + 22, 'Shares of the sources in the variance of parameters')
+    return tag('div', picture, class_='budget')
+
+
+def _legend(headings: list[str], colours: list[str]) -> tuple[list[str], float]:
+    """Return the names of the colours, in rows, and where they end."""
+    parts, x, y = [], _LEFT, 4.0
+    for heading, colour in zip(headings, colours, strict=True):
+        width = 34 + _LETTER * len(heading)
+        if x + width > _WIDTH:
+            x, y = _LEFT, y + _LEGEND_ROW
+        parts.append(tag('rect', x=x, y=y, width=12.0, height=12.0, fill=colour))
+        parts.append(label(heading, x + 17, y + 10.5, class_='tick'))
+        x += width
+    return parts, y + _LEGEND_ROW
+
+
+def _bar(
+    y: float, fractions: list[float], headings: list[str], colours: list[str], name: str
+) -> list[str]:
+    parts, x = [], _LEFT
+    for fraction, heading, colour in zip(fractions, headings, colours, strict=True):
+        width = fraction * (_WIDTH - _LEFT - _MARGIN)
+        words = f'{name}: {heading} {_percent(fraction)} %'
+        if width >= 0.3:
+            parts.append(
+                tag(
+                    'rect',
+                    tag('title', escape(words)),
+                    x=x,
+                    y=y,
+                    width=width,
+                    height=_BAR,
+                    fill=colour,
+                    class_='share',
+                )
+            )
+        if width > _LETTER * len(heading) + 8:
+            kind = 'inside' if _dark(colour) else 'inside dark'
+            parts.append(label(heading, x + width / 2, y + 11.5, class_=kind, text_anchor='middle'))
+        x += width
+    return parts
+
+
+def _dark(colour: str) -> bool:
+    """Say whether white letters are read better on a colour than black ones.
+
+    Source: WCAG 2.1, relative luminance; at 0.179 the contrast with black and white is the same.
+    """
+    shares = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4 for s in shares]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2] < 0.179
