@@ -26,7 +26,7 @@ from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG
 from .components import Component, Diagonal, Factor, shares
 from .doubts import encoder_rates, own_parts, unknown_north
-from .evidence import Evidence
+from .evidence import SMALLEST_VARIANCE, Evidence
 
 
 class Nuisance(IntEnum):
@@ -267,7 +267,10 @@ class Equations:
     def own_variances(self) -> Floats:
         """Variances of the outputs by walk, quantisation and encoders, (6 s + 3 t + 3 m,)."""
         diagonals = [c.part.variances for c in self.own if isinstance(c.part, Diagonal)]
-        return np.asarray(np.sum(diagonals, axis=0)).reshape(len(self.outputs))
+        own = np.asarray(np.sum(diagonals, axis=0)).reshape(len(self.outputs))
+        # Parts that make up the smallest variance may round above it, and no noise is no scatter.
+        least = own < SMALLEST_VARIANCE * (1 + 1e-9)
+        return np.asarray(np.where(least, SMALLEST_VARIANCE, own))
 
     def shared(self, state: Floats) -> tuple[Component, ...]:
         """Return the parts of the covariance that outputs have in common.
