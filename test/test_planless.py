@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -266,6 +267,13 @@ def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
     assert np.abs(errors(result)).max() < 4.5
 
 
+def found_to_be(**found: tuple[object, ...]) -> Segmented:
+    """A session of which nothing else is known."""
+    empty: dict[str, Any] = {f.name: () for f in fields(Segmented) if f.default is MISSING}
+    known = {'clock': fit_clock([]), 'samples': 1, 'duration': 1.0}
+    return Segmented(**{**empty, **known, **found})
+
+
 def test_turns_that_come_again_are_numbered() -> None:
     """At one rate about one axis; those at another rate, or in the other sense, are told by it."""
     angles = (TURN, -TURN, TURN, 2 * TURN)
@@ -273,7 +281,7 @@ def test_turns_that_come_again_are_numbered() -> None:
         Turn(k * 10**12, k * 10**12 + 1, mean_of(np.zeros(6)), angle, 36.0, np.array([0.0, 0, 1]))
         for k, angle in enumerate(angles)
     )
-    found = Segmented((), turns, (), (), (), (), (), fit_clock([]), 1, 1.0, 0)
+    found = found_to_be(turns=turns)
     names = [t.position for t in label(found, UNPLANNED, TABLE).turns]
     assert names == ['Z up', 'Z up', 'Z up (2)', 'Z up']
 
@@ -295,7 +303,7 @@ def test_what_a_stop_on_the_way_is(durations: list[float], passing: int) -> None
         Segment(k * 10**12, k * 10**12 + 1, mean_of(output, seconds), np.eye(3))
         for k, seconds in enumerate(durations)
     )
-    found = Segmented(rests, (), (), (), (), (), (), fit_clock([]), 1, 1.0, 0)
+    found = found_to_be(segments=rests)
     assert len(label(found, UNPLANNED, TABLE).passing) == passing
 
 
