@@ -16,6 +16,7 @@ from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.methods import JOINT, METHODS, estimates, method
+from imu_calib.methods.free import in_frame_of_accelerometers
 from imu_calib.model import TERMS, chosen, parameters_of, terms_of
 from imu_calib.prediction import forecast
 from imu_calib.share import named_file, share_folder
@@ -136,3 +137,10 @@ def test_the_commands_take_terms_from_simulation_to_firmware(
     assert '45 degrees off the vertical' in refused
     words = ['--terms', 'gyro_cubic', '--method', 'six_position']
     assert 'no further terms' in run('calibrate', 'one', *words, '-o', 'x.yaml', code=2)
+
+
+def test_a_frame_of_holds_keeps_the_terms() -> None:
+    model = Calibration.load(named_file('truths', 'fog_navigation_terms')).model
+    kept = in_frame_of_accelerometers(model)
+    for term in terms_of(model.parameters):
+        assert kept.values(term.parameters).tolist() == model.values(term.parameters).tolist()

@@ -16,6 +16,7 @@ import scipy
 from ..calibrator import Setup
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
+from ..methods.equations import headings, whole
 from ..methods.evidence import Evidence
 from ..model import SensorModel, Skewed
 from ..profile import Course, moving
@@ -120,7 +121,9 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
     turns = []
     for turning in turnings:
         spin = turning.up * (turning.rate + setup.site.up_rate)
-        mean = np.concatenate(truth.predict(spin, turning.up * setup.site.gravity))
+        turned = headings(turning.up[None])
+        both = turned @ earth + turning.up * turning.rate, turned @ force
+        mean = whole(np.concatenate(truth.predict(*both), axis=-1))[0]
         spare = 0.0 if setup.plan.by_hand else _SPARE
         statistics = _turning(setup.imu, mean, turning.seconds, spare)
         askew = None

@@ -188,7 +188,8 @@ def scatter_words(scatter: Floats) -> list[str]:
 def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:
     """Return the same sensors seen from the frame of their accelerometers.
 
-    The rotation Q of (I + M_a) = L Q, L lower triangular, takes any body axes to that frame.
+    The rotation Q of (I + M_a) = L Q, L lower triangular, takes any body axes to that frame. The
+    coefficients of terms stay as they are: a rotation by misalignments is of second order in them.
     """
     orthogonal, upper = np.linalg.qr(model.accel.response.T)
     signs = np.sign(np.diag(upper))
@@ -197,6 +198,7 @@ def in_frame_of_accelerometers(model: SensorModel) -> SensorModel:
         Triad(model.gyro.response @ rotation.T - np.eye(3), model.gyro.bias),
         Triad(lower - np.eye(3), model.accel.bias),
         model.g_sensitivity @ rotation.T,
+        terms=model.terms,
     )
 
 
