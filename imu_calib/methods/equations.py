@@ -412,13 +412,11 @@ def headings(ups: Floats) -> Floats:
     """
     angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    result = np.zeros((len(ups), _HEADINGS, 3, 3))
-    for k, up in enumerate(ups):
-        first, second = _level_axes(up)
-        half = np.stack([cosine * first + sine * second, cosine * second - sine * first], -1)
-        result[k, :, :, :2] = np.concatenate([half, -half])
-        result[k, :, :, 2] = up
-    return result
+    first, second = (axes[:, None] for axes in _level_axes(ups))
+    half = np.stack([cosine * first + sine * second, cosine * second - sine * first], axis=-1)
+    level = np.concatenate([half, -half], axis=1)
+    up = np.broadcast_to(ups[:, None, :, None], (*level.shape[:3], 1))
+    return np.concatenate([level, up], axis=-1)
 
 
 def whole(values: Floats) -> Floats:
@@ -435,8 +433,8 @@ def _both(rotations: Floats) -> Floats:
 
 
 def _level_axes(up: Floats) -> tuple[Floats, Floats]:
-    """Return two unit vectors at right angles to `up` and to each other."""
-    other = np.eye(3)[int(np.argmin(np.abs(up)))]
+    """Return two unit vectors (..., 3) at right angles to (..., 3) `up` and to each other."""
+    other = np.eye(3)[np.abs(up).argmin(axis=-1)]
     first = np.cross(up, other)
-    first /= np.linalg.norm(first)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return first, np.cross(up, first)
