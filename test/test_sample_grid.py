@@ -12,10 +12,12 @@ from imu_calib.imu import load_imu
 from imu_calib.segmentation.bridging import bridged, steadily
 from imu_calib.segmentation.frozen import repeated
 from imu_calib.segmentation.grid import read_grid
+from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.pace import Pace
 from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.statistics import gap_free, statistics_at_rest
 from imu_calib.stream import Floats, Stamps
+from imu_calib.units import ARCSEC, DEG
 
 EPOCH = 1_700_000_000_000_000_000
 PERIOD = 0.01
@@ -262,3 +264,34 @@ def test_codes_of_little_noise_are_not_frozen(noise: float) -> None:
     drifting = np.rint(np.linspace(0.2, 0.8, 4000)[:, None] + noise * (codes(4000, 1.0) - 0.4) / 9)
     if noise < 0.2:
         assert not repeated(drifting, counted=False).any()
+
+
+# Encoders that are noisy.
+
+
+def tracked(position: Floats, cut: int) -> list[Rest | Motion]:
+    """What a tracker makes of joint states at 100 Hz that come in pieces."""
+    tracker, found = JointTracker(), []
+    stamp = stamps(np.arange(len(position)) * PERIOD)
+    for first in range(0, len(stamp), cut):
+        found += tracker.feed(stamp[first : first + cut], position[first : first + cut])
+    return [*found, *tracker.finish()]
+
+
+def test_noise_of_encoders_is_no_motion() -> None:
+    rng = np.random.default_rng(11)
+    # Rest, a degree per second, rest; the second joint stands.
+    angle = np.concatenate([np.zeros(3000), 0.01 * DEG * np.arange(3000), np.full(3000, 30 * DEG)])
+    position = np.column_stack([angle, np.zeros(9000)])
+    position += 15 * ARCSEC * rng.standard_normal(position.shape)
+    found = tracked(position, 1000)
+    assert [type(thing) for thing in found] == [Rest, Motion, Rest]
+    for rest, truth in ((found[0], 0.0), (found[2], 30 * DEG)):
+        assert isinstance(rest, Rest)
+        assert rest.angles is not None
+        # All readings of a rest are averaged: 15 arcsec of some 3000.
+        assert rest.angle_error == pytest.approx(15 * ARCSEC / 3000**0.5, rel=0.1)
+        assert np.abs(rest.angles - [truth, 0.0]).max() < 5 * rest.angle_error
+    pieces = tracked(position, 7)
+    assert [(thing.start, thing.end) for thing in pieces] == [(t.start, t.end) for t in found]
+    assert (pieces[2].angles == found[2].angles).all()  # type: ignore[union-attr]
