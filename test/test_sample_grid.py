@@ -61,6 +61,11 @@ def stalled(made: Floats, rng: np.random.Generator) -> Floats:
     return queue(made + wait)
 
 
+def in_fives(made: Floats, rng: np.random.Generator) -> Floats:
+    last = np.minimum(np.arange(len(made)) // 5 * 5 + 4, len(made) - 1)
+    return queue(made[last])
+
+
 def in_bunches(made: Floats, rng: np.random.Generator) -> Floats:
     last = np.minimum(np.arange(len(made)) // 4 * 4 + 3, len(made) - 1)
     return queue(made[last])
@@ -72,6 +77,7 @@ LINES: list[Callable[[Floats, np.random.Generator], Floats]] = [
     late,
     stalled,
     in_bunches,
+    in_fives,
 ]
 
 
@@ -80,7 +86,7 @@ LINES: list[Callable[[Floats, np.random.Generator], Floats]] = [
 def test_samples_are_found_on_their_grid(
     line: Callable[[Floats, np.random.Generator], Floats], share: float
 ) -> None:
-    if line is in_bunches and share:
+    if line in {in_bunches, in_fives} and share:
         pytest.skip(
             'Bunches are of samples that were made: which of one is lost is not to be seen.'
         )
@@ -93,6 +99,16 @@ def test_samples_are_found_on_their_grid(
     # White jitter of 1 ms leaves 1e-3 * 12^0.5 / 4000^1.5 s; what is late is left out.
     assert grid.period == pytest.approx(PERIOD, abs=5 * 1e-3 * 12**0.5 / 4000**1.5)
     assert abs(grid.period - PERIOD) < 5 * grid.period_std + 1e-13
+
+
+@pytest.mark.parametrize('count', [60, 189, 500])
+@pytest.mark.parametrize('line', [in_bunches, in_fives])
+def test_short_stretches_in_bunches_lack_nothing(
+    line: Callable[[Floats, np.random.Generator], Floats], count: int
+) -> None:
+    rng = np.random.default_rng(3)
+    grid = read_grid(stamps(line(np.arange(count) * PERIOD, rng)))
+    assert (grid.index == np.arange(count)).all()
 
 
 def test_the_stated_error_of_the_interval_is_meant() -> None:

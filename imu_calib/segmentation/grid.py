@@ -36,8 +36,8 @@ _HASTE = 0.5
 """Of the interval: where a quarter of the steps are shorter, samples come in bunches."""
 
 _LAG = 240
-"""Samples whose time tells the interval then: a multiple of any small bunch, and short enough that
-some of so many in a row are without a gap."""
+"""Most samples whose time tells the interval then, in whole bunches: short enough that some of so
+many in a row are without a gap."""
 
 _LAGS = 4
 """Fewest lags of a stretch: their lower ones are then within it."""
@@ -137,7 +137,9 @@ def _first_period(time: Floats) -> tuple[float, bool]:
     typical, single = float(np.median(time[few:] - time[:-few])) / few, float(np.median(steps))
     if not float(np.quantile(steps, 0.25)) < _HASTE * typical:
         return typical if abs(typical - single) < _CLOSE * single else single, False
-    lag = min(_LAG, max(1, len(steps) // _LAGS))
+    waits = np.flatnonzero(steps > _HASTE * typical)
+    bunch = max(1, int(np.median(np.diff(waits)))) if len(waits) > 1 else 1
+    lag = max(bunch, min(_LAG, len(steps) // _LAGS) // bunch * bunch)
     return float(np.quantile(time[lag:] - time[:-lag], _WITHOUT_GAP)) / lag, True
 
 

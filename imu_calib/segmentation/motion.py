@@ -115,7 +115,7 @@ class JointTracker:
         """End of the stream: return the rest or motion that was going on."""
         if not len(self._stamp):
             return []
-        done = self._judge(last=True)
+        done = self._judge(ended=True)
         end, start = int(self._stamp[-1]), self._start or 0
         return [*done, self._motion(end) if self._moving else self._rest(start, end)]
 
@@ -127,12 +127,12 @@ class JointTracker:
         self._start = end
         return rest
 
-    def _judge(self, *, last: bool = False) -> list[Rest | Motion]:
+    def _judge(self, *, ended: bool = False) -> list[Rest | Motion]:
         """Go through new samples: a sample moves if the window before it shows a rate.
 
         The first ones wait until they show how noisy they are.
         """
-        if self._start is None and len(self._stamp) < _RECENT + 2 and not last:
+        if self._start is None and len(self._stamp) < _RECENT + 2 and not ended:
             return []
         before = np.searchsorted(self._stamp, self._stamp - _WINDOW_NS, side='right') - 1
         before = np.clip(np.minimum(before, np.arange(len(before)) - 1), 0, None)

@@ -83,7 +83,7 @@ class Pace:
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
         """Return the grid of a stretch, (n,) stamps in ns, and its timing by all so far."""
-        grid = read_grid(stamp, self._long()[0] or self._reference or None)
+        grid = read_grid(stamp, self._long()[0] or None)
         if not self._reference:
             self._start, self._reference = int(stamp[0]), grid.period
         if np.isfinite(grid.period_std):
