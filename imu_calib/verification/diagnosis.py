@@ -184,9 +184,17 @@ def diagnose(system: System, sensors: Sensors, factor: Floats) -> Diagnosis:
 
 def _under(system: System, hypothesis: Hypothesis, factor: Floats) -> Fit | None:
     reading = system.reading * hypothesis.reading
+    return _fit(replace(system, reading=reading), hypothesis.sensors, factor)
+
+
+def _fit(system: System, sensors: Sensors, factor: Floats) -> Fit | None:
+    """Fit a hypothesis; None where it comes to a model without an inverse, which is no unit's.
+
+    Six lengths hold nine parameters of a term by their prior alone: they go where they may.
+    """
     try:
-        return replace(system, reading=reading).fit(hypothesis.sensors, factor)
-    except np.linalg.LinAlgError:
+        return system.fit(sensors, factor)
+    except (np.linalg.LinAlgError, NotObservable):
         return None
 
 
@@ -255,11 +263,15 @@ def _freed(system: System, sensors: Sensors, factor: Floats) -> list[_Tried]:
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
         when, why = _FREED.get(kind) or _freed_term(kind)
         columns = [k for k, p in enumerate(mine) if p.kind is kind]
-        fit = system.fit(sensors, np.hstack([factor, wide[:, columns]]))
+        fit = _fit(system, sensors, np.hstack([factor, wide[:, columns]]))
+        if fit is None:
+            continue
         moved = [Moved(mine[k], float(fit.delta[k]), float(fit.std[k])) for k in columns]
         far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
         tried.append(_Tried(Diagnosis(why, far), when, fit, len(columns)))
-    tried += [_added(system, sensors, factor, term) for term in TERMS if _lacks(system, term)]
+    for term in TERMS:
+        if _lacks(system, term) and (added := _added(system, sensors, factor, term)) is not None:
+            tried.append(added)
     if system.observed.with_attitudes:
         fit = system.fit(sensors, factor, mount_free=True)
         angle = float(np.linalg.norm(fit.mounted))
@@ -278,13 +290,15 @@ def _lacks(system: System, term: Term) -> bool:
     return of_gyros is system.gyros and term.kind not in {p.kind for p in system.parameters}
 
 
-def _added(system: System, sensors: Sensors, factor: Floats, term: Term) -> _Tried:
+def _added(system: System, sensors: Sensors, factor: Floats, term: Term) -> _Tried | None:
     """Add a term that the calibration was made without."""
     parameters = (*system.parameters, *term.parameters)
     larger = replace(system, parameters=parameters)
     known, count = len(system.parameters), len(term.parameters)
     wide = scipy.linalg.block_diag(factor, _wide(larger)[known:, known:])
-    fit = larger.fit(replace(sensors, parameters=parameters), wide)
+    fit = _fit(larger, replace(sensors, parameters=parameters), wide)
+    if fit is None:
+        return None
     moved = [
         Moved(p, float(d), float(s))
         for p, d, s in zip(term.parameters, fit.delta[known:], fit.std[known:], strict=True)
