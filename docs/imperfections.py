@@ -14,7 +14,6 @@ import json
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -165,7 +164,7 @@ def run(wanted: Iterable[tuple[str, str, int]], path: Path, jobs: int) -> None:
     done = rows_of(path)
     missing = [w for w in wanted if (w[0], CONDITIONS[w[0]], w[1], w[2]) not in done]
     with single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
-        sessions = pool.map(partial(_session), missing)
+        sessions = pool.map(_session, missing)
         for row in sessions:
             with path.open('a', encoding='utf-8') as file:
                 file.write(json.dumps(row) + '\n')
@@ -233,7 +232,8 @@ def page(rows: list[dict[str, Any]], seeds: int) -> str:
                 f'| {verdict(these)} | {_short(said)} |'
             )
     lines.append('\nThe files:\n')
-    lines += [f'- {name}: `{text}`' for name, text in CONDITIONS.items()]
+    run_already = {r['condition'] for r in rows}
+    lines += [f'- {name}: `{text}`' for name, text in CONDITIONS.items() if name in run_already]
     return '\n'.join(lines) + '\n'
 
 
@@ -268,13 +268,14 @@ def main() -> None:
     parser.add_argument('--seeds', type=int, default=2)
     parser.add_argument('--jobs', type=int, default=1)
     parser.add_argument('--rows', type=Path, default=Path('imperfections.jsonl'))
+    parser.add_argument('--grades', nargs='+', choices=GRADES, default=list(GRADES))
     parser.add_argument('--only', default='', help='conditions whose names hold this')
     a = parser.parse_args()
     wanted = [
         (condition, grade, seed)
         for seed in range(a.seeds)
         for condition in CONDITIONS
-        for grade in GRADES
+        for grade in a.grades
         if a.only in condition or condition == PERFECT
     ]
     run(wanted, a.rows, a.jobs)

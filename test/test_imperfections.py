@@ -11,6 +11,7 @@ import pytest
 from other_world import DEG, Flaw, World, applied, attitude, rotation_vector, times, transposed
 from sessions import SITE, quick_plan, truth
 
+from imu_calib.cli.main import main
 from imu_calib.config import Section
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
@@ -391,3 +392,24 @@ def test_the_true_table_is_written_beside_the_described_one(tmp_path: Path) -> N
     wobble = outer.section('wobble').items('errors')[0]
     cosine = true.joints[0].wobble[0][0][0]
     assert float(wobble['cos_1'].split()[0]) * ARCSEC == pytest.approx(cosine)
+
+
+def test_the_command_writes_both_truths_and_refuses_what_it_cannot_simulate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = tmp_path / 'wrong.yaml'
+    wrong.write_text('table: {zeros: 30 arcsec}\nsamples: {lost: 1 %}\n', encoding='utf-8')
+    stated = ('--imperfections', str(wrong), '--seed', '4')
+    session = tmp_path / 'session'
+    assert main(['simulate', 'static_six', '-o', str(session), *stated]) == 0
+    assert 'true_table.yaml' in capsys.readouterr().out
+    written = Section.load(session / 'true_table.yaml').sections('joints')
+    drawn = TrueTable.drawn(TABLE, TableSizes(zeros=30 * ARCSEC), 4)
+    for joint, true in zip(written, drawn.joints, strict=True):
+        assert float(joint.text('zero').split()[0]) * DEG == pytest.approx(true.zero)
+    by_hand = ['simulate', 'six_position_by_hand', '-o', str(tmp_path / 'hand'), *stated]
+    assert main(by_hand) == 2
+    assert 'held by hand' in capsys.readouterr().err
+    named = ['simulate', 'static_six', '-o', str(tmp_path / 'no'), '--imperfections', 'nothing']
+    assert main(named) == 2
+    assert 'there are: laboratory' in capsys.readouterr().err
