@@ -47,14 +47,15 @@ def read_rest(
     stamp = samples.stamp
     if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_REST:
         return []
-    frozen = repeated(values, counted=sensor.counted)
+    saturated = sensor.saturated(values, samples)
+    # The end of a range repeats itself, too.
+    frozen = repeated(values, counted=sensor.counted) & ~saturated
     if frozen.any():
         seconds = frozen.sum() * samples.period
         note = f'its samples are frozen for {seconds:.1f} s, repeating one; left out'
         kept = samples.at(~frozen), values[~frozen]
         rest = read_rest(sensor, *kept, angles, attitude, attitude_error)
         return [_with_note(note, thing) for thing in rest]
-    saturated = sensor.saturated(values, samples)
     if saturated.mean() > _MOSTLY:
         return [Rejected(int(stamp[0]), int(stamp[-1]), 'the sensor is saturated')]
     sound = sound_part(samples, sensor.walk, saturated)
