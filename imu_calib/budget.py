@@ -37,6 +37,7 @@ class Source(Enum):
     AZIMUTH = 'azimuth'
     TILT = 'tilt'
     NORTH = 'unknown_north'
+    TABLE = 'table'
     CLOCK = 'clock'
     TABLE_CLOCK = 'table_clock'
     GRAVITY = 'gravity'
@@ -70,6 +71,11 @@ _ROWS = {
     Source.ENCODER_NOISE: ('A', 'enc', "attitudes, from the encoders' noise"),
     Source.AZIMUTH: ('B', 'azim', "prior of the table's azimuth"),
     Source.TILT: ('B', 'tilt', "prior of the table's two tilts"),
+    Source.TABLE: (
+        'B',
+        'table',
+        'axes, zeros and encoders of the table, as its description states them',
+    ),
     Source.NORTH: ('B', 'north', 'level Earth rate where no encoder tells the heading'),
     Source.CLOCK: ('A', 'clock', 'rate between the clocks of IMU and table'),
     Source.TABLE_CLOCK: ('B', 't.clk', "the table's own clock, as its description states it"),

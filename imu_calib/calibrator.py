@@ -240,6 +240,7 @@ class Calibrator:
             np.repeat([setup.imu.gyro.bias_instability, setup.imu.accel.bias_instability], 3),
             freedom,
             session.moves,
+            setup.table,
         )
 
     def _estimate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from .config import Section
 from .errors import InputError
 from .share import named_file
 from .stream import Floats
+from .table_errors import JointPoses, TableErrors, leaning
 from .units import DEG, PPM, Dimension
 
 TURN = 2 * math.pi
@@ -19,6 +20,8 @@ _UP = np.array([0.0, 0.0, 1.0])
 _REACH_TOLERANCE = 1e-6
 _WORST_CLOCK = 1e-3
 """Ten times what a plain quartz may be off: beyond, the number is of another unit."""
+_WORST_GEOMETRY = 1 * DEG
+"""A table so far off its description is described wrongly: angles lean by errors to first order."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 
 
@@ -81,6 +84,7 @@ class Table:
         positioning: Standard deviation of an arrival's error that the encoder does not show, rad;
             0 when not stated.
         clock: Standard deviation of the rate of its clock, relative; 0 when not stated.
+        errors: What is left open of its axes, zeros and encoders; nothing when not stated.
 
     """
 
@@ -90,6 +94,7 @@ class Table:
     azimuth: float | None = None
     positioning: float = 0.0
     clock: float = 0.0
+    errors: TableErrors = field(default_factory=TableErrors)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,6 +117,25 @@ class Table:
         for k, joint in enumerate(self.joints):
             result = result @ rotation(np.array(joint.axis), angles[..., k] + joint.zero)
         return np.asarray(result @ self.mount)
+
+    def leaning(self, angles: Floats) -> Floats:
+        """Return how attitudes lean by what is left open of the table.
+
+        Args:
+            angles: (n, k) encoder angles, rad.
+
+        Returns:
+            (n, 3, e) rotations about the body axes by one standard deviation of each error, rad.
+
+        """
+        poses: list[JointPoses] = []
+        body = np.broadcast_to(self.mount, (len(angles), 3, 3))
+        for k in reversed(range(len(self.joints))):
+            joint, read = self.joints[k], angles[:, k]
+            turned = rotation(np.array(joint.axis), read + joint.zero)
+            poses.append(JointPoses(np.array(joint.axis), read, turned, body))
+            body = turned @ body
+        return leaning(poses[::-1], self.errors)
 
     def joint_axis(self, index: int, angles: Floats) -> Floats:
         """Return the axis about which a joint turns, in the body frame.
@@ -318,7 +342,15 @@ def read_table(section: Section) -> Table:
             f'{_WORST_CLOCK / PPM:g} ppm.'
         )
     name = section.text('name')
-    table = Table(name, joints, _read_mount(section), azimuth, positioning, clock)
+    sizes = {f.name: section.quantity(f.name, Dimension.ANGLE, 0.0) for f in fields(TableErrors)}
+    for key, value in sizes.items():
+        if not 0 <= value <= _WORST_GEOMETRY:
+            raise InputError(
+                f'{section.key(key)}: found {value / DEG:g} deg, expected 0 to '
+                f'{_WORST_GEOMETRY / DEG:g} deg.'
+            )
+    errors = TableErrors(**sizes)
+    table = Table(name, joints, _read_mount(section), azimuth, positioning, clock, errors)
     section.finish()
     return table
 

@@ -287,6 +287,9 @@ class Equations:
             *self.extra,
             *self._positioning(state),
         ]
+        at_rest, turning = evidence.leaning
+        if at_rest.shape[2]:
+            found.append(Component(Source.TABLE, Factor(self._leaning(state, at_rest, turning))))
         if evidence.site.latitude_std:
             slope = self.latitude_slope(state) * evidence.site.latitude_std
             found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
@@ -343,35 +346,39 @@ class Equations:
         The vertical joint's own is another for each stretch, and whole turns do not feel it. A
         move sees what the stretches at its ends do not share.
         """
-        _, rate, force, turning, felt = self._inputs(state)
-        s = len(rate)
+        s = len(self.evidence.segments)
         ups = np.vstack([self._attitudes[:, 2], self._turning[0]])
-        rates = np.vstack([rate, whole(turning)])
-        forces = np.vstack([force, whole(felt)])
-        slopes = self.model(state).slopes(rates, forces)
         groups = self._groups(ups)
         count = int(groups.max(initial=-1)) + 1
-        result = np.zeros((len(self.outputs), 2 * count + s))
-        leaning = np.zeros((s, 3, 2 * count + s))
+        leaning = np.zeros((len(ups), 3, 2 * count + s))
         for k, up in enumerate(ups):
             first = groups == groups[k]
-            level = _level_axes(ups[first][0])
-            columns = [2 * groups[k], 2 * groups[k] + 1]
-            axes = [*level]
+            leaning[k, :, 2 * groups[k] : 2 * groups[k] + 2] = np.transpose(
+                _level_axes(ups[first][0])
+            )
             if k < s:
-                columns.append(2 * count + k)
-                axes.append(up)
-            about = np.array(axes).T
-            moved = np.vstack([np.cross(v[k], about.T).T for v in (rates, forces)])
-            if k < s:
-                leaning[k][:, columns] = about
-                result[6 * k : 6 * k + 6, columns] = slopes[k] @ moved
-            else:
-                row = 6 * s + 3 * (k - s)
-                result[row : row + 3, columns] = slopes[k, :3] @ moved
-        first = 6 * s + 3 * len(self.evidence.turns)
-        result[first:] = self.evidence.led.by_attitudes(self.model(state), leaning)
-        return result
+                leaning[k, :, 2 * count + k] = up
+        return self._leaning(state, leaning[:s], leaning[s:])
+
+    def _leaning(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
+        """Return what attitudes that lean do to the outputs, (6 s + 3 t + 3 m, e).
+
+        Args:
+            state: (n,) of sensors and table.
+            at_rest: (s, 3, e) rotations of the stretches about the body axes, rad.
+            turned: (t, 3, e) of the turns.
+
+        """
+        _, rate, force, turning, felt = self._inputs(state)
+        model, s = self.model(state), len(rate)
+        rates, forces = np.vstack([rate, whole(turning)]), np.vstack([force, whole(felt)])
+        about = np.swapaxes(np.concatenate([at_rest, turned]), 1, 2)
+        moved = [np.swapaxes(np.cross(v[:, None], about), 1, 2) for v in (rates, forces)]
+        changed = model.slopes(rates, forces) @ np.concatenate(moved, axis=1)
+        count = at_rest.shape[2]
+        led = self.evidence.led.by_attitudes(model, at_rest)
+        blocks = (changed[:s].reshape(6 * s, count), changed[s:, :3].reshape(-1, count), led)
+        return np.vstack(blocks)
 
     def _groups(self, ups: Floats) -> NDArray[np.intp]:
         """Number stretches and turns by runs in time of one and the same direction of up."""

@@ -16,11 +16,14 @@ from ..segmentation.segment import Segment, Turn
 from ..segmentation.session import Move
 from ..segmentation.statistics import pooled_walk
 from ..stream import Floats
+from ..turntable import TURN, Table
 from .moves import Moves
 
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 _QUARTZ = 50e-6
+_HEADINGS = 8
+"""Over which a turn is averaged: errors go round at most three times in it."""
 _STATED_FREEDOM = 10.0
 _ENOUGH_FREEDOM = 20.0
 
@@ -49,6 +52,7 @@ class Evidence:
             m/s^2; 0 when not stated.
         walk_freedom: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
         moves: What the gyros saw between one stretch and the next.
+        table: What turned the unit; None where nobody says how far its axes may be off.
 
     """
 
@@ -63,11 +67,31 @@ class Evidence:
     instability: Floats = field(default_factory=lambda: np.zeros(6))
     walk_freedom: Floats = field(default_factory=lambda: np.full(6, np.inf))
     moves: tuple[Move, ...] = ()
+    table: Table | None = None
 
     @cached_property
     def led(self) -> Moves:
         """The moves that count as observations."""
         return Moves.between(self.segments, self.turns, self.moves)
+
+    @cached_property
+    def leaning(self) -> tuple[Floats, Floats]:
+        """How attitudes lean by what is left open of the table, rad per standard deviation.
+
+        (s, 3, e) of the stretches at rest and (t, 3, e) of the turns, about the body axes, turns
+        the mean over all angles of the joint that turns.
+        """
+        known = [s.angles for s in self.segments] + [t.angles for t in self.turns]
+        if self.table is None or self.table.errors.exact or any(a is None for a in known):
+            return np.zeros((len(self.segments), 3, 0)), np.zeros((len(self.turns), 3, 0))
+        angles = np.array(known).reshape(len(known), -1)
+        at_rest = self.table.leaning(angles[: len(self.segments)])
+        turning = []
+        for turn, held in zip(self.turns, angles[len(self.segments) :], strict=True):
+            around = np.repeat(held[None], _HEADINGS, axis=0)
+            around[:, turn.joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
+            turning.append(self.table.leaning(around).mean(axis=0))
+        return at_rest, np.array(turning).reshape(len(self.turns), *at_rest.shape[1:])
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

@@ -77,6 +77,8 @@ class _Turning:
     start: float
     seconds: float
     rate: float
+    angles: Floats | None = None
+    joint: int | None = None
 
 
 def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> Evidence:
@@ -143,6 +145,8 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
                 skewed=askew,
                 each=_each(setup.imu, statistics, askew, turning),
                 level=_BY_HAND_LEVEL if setup.plan.by_hand else 0.0,
+                angles=turning.angles,
+                joint=turning.joint,
             )
         )
     moves = [
@@ -163,6 +167,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         walk,
         positioning,
         moves=tuple(moves),
+        table=setup.table,
     )
 
 
@@ -189,7 +194,9 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
             rate = float(step.rates[joint])
             seconds = TURN * step.turns / abs(rate)
             start = (visit.begin + visit.rest - seconds) / 2
-            turnings.append(_Turning(step.position, up, start, seconds, sense * rate))
+            turnings.append(
+                _Turning(step.position, up, start, seconds, sense * rate, step.angles, joint)
+            )
             at = None
         elif step.dwell:
             attitude = table.attitude(step.angles)

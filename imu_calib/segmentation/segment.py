@@ -144,6 +144,8 @@ class Turn:
         each: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
         level: What share of a level rate does not average out: whole turns at a constant rate
             leave nothing, turns from rest to rest what passes while they are slow.
+        angles: (k,) mean joint angles, rad; None without joint states.
+        joint: Which of them turns.
 
     """
 
@@ -159,6 +161,8 @@ class Turn:
     skewed: Statistics | None = None
     each: Floats | None = None
     level: float = 0.0
+    angles: Floats | None = None
+    joint: int | None = None
 
     def variance(self, walk: Floats, north_rate: float, response: Floats | None = None) -> Floats:
         """Return the variances of the gyros' means, (3,): noise, level Earth rate, error of `up`.

@@ -131,6 +131,8 @@ def _read_turn(
         up_error=up_error,
         skewed=None if skewed is None else skewed[0],
         each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
+        angles=angles,
+        joint=turns.joint,
     )
 
 
