@@ -269,9 +269,8 @@ def _freed(system: System, sensors: Sensors, factor: Floats) -> list[_Tried]:
         moved = [Moved(mine[k], float(fit.delta[k]), float(fit.std[k])) for k in columns]
         far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
         tried.append(_Tried(Diagnosis(why, far), when, fit, len(columns)))
-    for term in TERMS:
-        if _lacks(system, term) and (added := _added(system, sensors, factor, term)) is not None:
-            tried.append(added)
+    added = [_added(system, sensors, factor, term) for term in TERMS if _lacks(system, term)]
+    tried += [one for one in added if one is not None]
     if system.observed.with_attitudes:
         fit = system.fit(sensors, factor, mount_free=True)
         angle = float(np.linalg.norm(fit.mounted))
