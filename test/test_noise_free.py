@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import SITE, calibrate, quick_plan, session, stand, truth
+from sessions import SITE, calibrate, fed, gathered, quick_plan, session, stand, truth
 
 from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Setup
 from imu_calib.errors import InputError
 from imu_calib.exports import EXPORTS
 from imu_calib.exports.exported import Source
 from imu_calib.imu import load_imu
+from imu_calib.methods.equations import Equations
 from imu_calib.plan import Plan, RateTest
 from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.turntable import load_table
@@ -53,6 +55,29 @@ def test_a_stream_without_noise_is_solved_to_rounding_and_claims_no_more(name: s
     assert (np.abs(error) < 4.5 * calibration.std).all()
     # Outputs at rest are rounded at 1e-14 of SI units; the Earth's rate is the smallest input.
     assert (calibration.std[:24] < 1e-8).all()
+
+
+def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> None:
+    """At 50 Hz a turn at 70 deg/s is no whole number of samples, and joints start within one."""
+    plan = quick_plan('optimised_twelve', 12.0)
+    odd = RateTest((70 * DEG, -70 * DEG), turns=1)
+    plan = replace(
+        plan,
+        positions=tuple(replace(p, rate_test=odd if p.rate_test else None) for p in plan.positions),
+    )
+    blocks = session(plan, stand(azimuth=0.3, sample_rate=50.0), seed=1, spec=SPEC)
+    evidence = gathered(fed(blocks, Setup(SPEC, plan, load_table('three_axis'), SITE, None)))
+    equations = Equations(evidence)
+    state = np.concatenate([truth().model.vector(), [0.3, 0.0, 0.0, 0.0]])
+    left = equations.outputs - equations.predict(state)
+    covariance = equations.covariance(state)
+    first = 6 * len(evidence.segments)
+    assert len(evidence.turns) == 6
+    assert len(evidence.led) > 5
+    for k in range(first, len(left), 3):
+        rows = slice(k, k + 3)
+        off = np.linalg.solve(np.linalg.cholesky(covariance[rows, rows]), left[rows])
+        assert np.abs(off).max() < 4.5
 
 
 def test_a_stream_without_noise_is_verified_in_fast_turns() -> None:

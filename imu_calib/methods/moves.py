@@ -29,8 +29,9 @@ _EDGES = 1 / 6
 class Link:
     """A move, and the indices of the segments at rest that it leads from and to.
 
-    `rounding` (3,) is the variance that rounding each sample leaves, `encoders` that by the noise
-    of the encoders at both ends, about any axis, rad^2.
+    `rounding` (3,) is the variance that rounding each sample leaves, `bent` that of what a rate
+    that does not change linearly leaves, `encoders` that by the noise of the encoders at both ends,
+    about any axis, rad^2.
     """
 
     first: int
@@ -38,6 +39,7 @@ class Link:
     move: Move
     rounding: Floats
     encoders: float
+    bent: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,8 @@ class Moves:
             if before is None or after is None or np.array_equal(before, after):
                 continue
             encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
-            links.append(Link(first, second, move, _rounding(move, segments[first]), encoders))
+            rounding = _rounding(move, segments[first])
+            links.append(Link(first, second, move, rounding, encoders, _bent(move)))
         attitudes = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)
         return cls(tuple(links), attitudes)
 
@@ -150,8 +153,10 @@ class Moves:
         return np.repeat([square * link.move.duration for link in self.links], 3)
 
     def quantisation(self) -> Floats:
-        """Return the variances of `off` by pulses and rounding, (3 m,) rad^2."""
-        found = [_EDGES * link.move.quantum**2 + link.rounding for link in self.links]
+        """Return the variances of `off` by pulses, rounding and samples' length, (3 m,) rad^2."""
+        found = [
+            _EDGES * link.move.quantum**2 + link.rounding + link.bent for link in self.links
+        ]
         return np.array(found).ravel()
 
     def encoders(self) -> Floats:
@@ -170,3 +175,14 @@ def _rounding(move: Move, rest: Segment) -> Floats:
     """
     left = rest.statistics.quantum[:3] * move.duration**2
     return np.where(move.quantum > 0, 0.0, left)
+
+
+def _bent(move: Move) -> float:
+    """Return the variance of an angle by what coning leaves out beyond the second order, rad^2.
+
+    Of a rate that changes linearly the cross product of one step with the next is the same all
+    the way, and a twelfth of it is what the directions add: a joint that starts or stops, and
+    directions that turn, change it. By as much each step may be off, for itself.
+    """
+    crossed = np.cross(move.turned[:-1], move.turned[1:])
+    return float((np.diff(crossed, axis=0) ** 2).sum()) / 12**2

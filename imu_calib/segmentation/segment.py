@@ -143,7 +143,8 @@ class Turn:
         skewed: What a skewed gyro says, its first channel that gyro; None where there is none.
         each: (n, 3) gyro means of the single turns, (n, 4) with a skewed one; None for one turn.
         level: What share of a level rate does not average out: whole turns at a constant rate
-            leave nothing, turns from rest to rest what passes while they are slow.
+            leave what cuts within samples miss of it, turns from rest to rest what passes while
+            they are slow.
         angles: (k,) mean joint angles, rad; None without joint states.
         joint: Which of them turns.
 

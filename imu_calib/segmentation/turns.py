@@ -129,6 +129,7 @@ def _read_turn(
         up,
         rate_error=turns.rate_error,
         up_error=up_error,
+        level=_level_left(part, start, turns),
         skewed=None if skewed is None else skewed[0],
         each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
         angles=angles,
@@ -219,6 +220,21 @@ def _between(
     edges = first + np.arange(count + 1) * (seconds / samples.period / count)
     each = [statistics_between(samples, a, b, walk).mean for a, b in pairwise(edges.tolist())]
     return statistics, np.array(each)
+
+
+def _level_left(samples: Samples, start: float, turns: WholeTurns) -> float:
+    """Return what share of a level rate is left where cuts fall within samples.
+
+    In body axes a level rate goes round by w dt within a sample. A sample shared in proportion at
+    the fraction c misses c (1 - c) / 2 w dt^2 of it. A whole turn on the rate has the same
+    direction again: what both cuts miss cancels but for their fractions.
+    """
+    period = samples.period
+    first = (start - _line_origin(samples)) / (period * 1e9)
+    cuts = np.array([first, first + turns.seconds / period]) % 1.0
+    missed = np.diff(cuts * (1 - cuts)) / 2
+    # (angle / T) dt^2 over T seconds.
+    return float(np.abs(missed[0] * turns.angle)) * (period / turns.seconds) ** 2
 
 
 def _line_origin(samples: Samples) -> float:
