@@ -22,6 +22,7 @@ from imu_calib.methods.free import fit as free
 from imu_calib.methods.free.guidance import Stage, guide
 from imu_calib.methods.free.holds import Hold
 from imu_calib.methods.free.session import FreeCalibrator
+from imu_calib.methods.free.system import System, level_axes
 from imu_calib.methods.path import led
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.plan import load_plan
@@ -156,6 +157,57 @@ def test_the_level_earth_rate_is_one_vector_and_no_noise_of_each_hold() -> None:
     assert low < square < high
     # The level rate itself, spread over 18 holds, would leave 1/sqrt(3 * 18) of it in a bias.
     assert np.sqrt(np.mean(np.square(biases))) < SITE.north_rate / np.sqrt(3 * 18)
+
+
+def on_the_earth(seed: int, first: list[float]) -> tuple[System, SensorModel, Floats]:
+    """Twelve holds, the first with a given up, and turns that see a north that was estimated."""
+    rng, model = np.random.default_rng(seed), in_frame_of_accelerometers(unit(3))
+    ups = np.vstack([first, rng.standard_normal((11, 3))])
+    ups /= np.linalg.norm(ups, axis=1)[:, None]
+    holds, swings = held(model, ups, rng)
+    return (
+        System(tuple(holds), tuple(swings), SITE, np.ones(3), np.array([0.8, -1.1])),
+        model,
+        ups,
+    )
+
+
+def test_what_gyros_turn_too_much_turns_every_heading_after() -> None:
+    system, model, ups = on_the_earth(4, [0.3, -0.5, 0.8])
+    jacobian, _, groups = system.rows(model, ups)
+    of_gyros = groups == 1
+    for k, step in enumerate(1e-6 * np.eye(len(PARAMETERS))[:12]):
+        ahead, behind = (
+            system.rows(SensorModel.from_vector(model.vector() + s), ups)[1][of_gyros]
+            for s in (step, -step)
+        )
+        found = (behind - ahead) / 2e-6
+        # Errors count in the middle of steps of up to 9 degrees: a 24th of its square off in each.
+        assert jacobian[of_gyros, k] == pytest.approx(found, abs=0.01 * np.abs(found).max())
+
+
+def test_a_tilt_of_a_hold_takes_the_vertical_earth_rate_along() -> None:
+    system, model, ups = on_the_earth(4, [0.3, -0.5, 0.8])
+    jacobian, left, groups = system.rows(model, ups)
+    last, step = len(ups) - 1, 1e-6
+    for column, axis in zip(jacobian.T[-2:], level_axes(ups[last]), strict=True):
+        moved = ups.copy()
+        moved[last] += step * axis
+        found = (left - system.rows(model, moved)[1])[groups == 1][-3:] / step
+        assert column[groups == 1][-3:] == pytest.approx(found, abs=0.02 * np.abs(found).max())
+
+
+def test_headings_do_not_jump_where_up_lies_along_an_axis() -> None:
+    """Of two axes across that are as good, steps of the fit would take one and then the other."""
+    system, model, ups = on_the_earth(4, [0.0, 0.0, 1.0])
+    groups = system.rows(model, ups)[2]
+    seen = []
+    for tilt in ((1e-6, 2e-6), (2e-6, 1e-6)):
+        tilted = ups.copy()
+        tilted[0, :2] = tilt
+        seen.append(system.rows(model, tilted)[1][groups == 1])
+    # The Earth rate is three standard deviations of these gyros.
+    assert seen[0] == pytest.approx(seen[1], abs=0.01)
 
 
 def test_north_goes_round_with_the_earth_from_hold_to_hold() -> None:

@@ -13,7 +13,7 @@ from ...errors import NotObservable
 from ...model import PARAMETERS, ParameterKind, SensorModel
 from ...stream import Floats
 from ..information import Information
-from ..path import led
+from ..path import led, rotations
 from .holds import Hold, Swing
 
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
@@ -85,13 +85,15 @@ class System:
         count = end - len(PARAMETERS)
         north = self.north if len(self.north) == count else np.zeros(count)
         paths = {swing.first: _Path.of(swing, model) for swing in self.swings}
-        level = self._level_rates(paths, ups)
+        level, turned = self._level_rates(paths, ups)
         jacobian, left, groups = [], [], []
         for k, hold in enumerate(self.holds):
             own = slice(2 * int(runs[k]), 2 * int(runs[k]) + 2)
             beside = level[k] @ north[own]
             both = self._hold(k, hold, model, ups, beside)
-            both[1][1][:, len(PARAMETERS) : end][:, own] = model.gyro.response @ level[k]
+            seen = both[1][1]
+            seen[:, len(PARAMETERS) : end][:, own] = model.gyro.response @ level[k]
+            seen[:, :12] += model.gyro.response @ np.outer(_cross(ups[k]) @ beside, turned[k])
             for group, block, rest, variance in both:
                 weight = 1 / (np.sqrt(variance) * self.scatter[group])
                 jacobian.append(block * weight[:, None])
@@ -105,6 +107,8 @@ class System:
             moved = -_cross(ups[second]) @ level[second] * swing.seconds
             block[:, len(PARAMETERS) : end][:, own] = level_axes(ups[second]) @ moved
             rest = unmoved - level_axes(ups[second]) @ moved @ north[own]
+            about = _cross(ups[second]) @ moved @ north[own]
+            block[:, :12] += level_axes(ups[second]) @ np.outer(about, turned[second])
             spread = np.sqrt(swing.variance) * self.scatter[2]
             jacobian.append(block / spread)
             left.append(rest / spread)
@@ -118,24 +122,34 @@ class System:
             np.array(groups),
         )
 
-    def _level_rates(self, paths: Mapping[int, _Path], ups: Floats) -> list[Floats]:
-        """Return for each hold the (3, 2) level Earth rates that one unit of north stands for.
+    def _level_rates(self, paths: Mapping[int, _Path], ups: Floats) -> tuple[list[Floats], Floats]:
+        """Return the level Earth rates that one unit of north stands for, and what turns them.
 
         Turns lead what stands still among the stars. What stands still on the Earth goes round
-        with it: of that the vertical rate turns a level direction.
+        with it: of that the vertical rate turns a level direction. What the gyros turn too much
+        about up is missing in every heading after.
+
+        Returns:
+            For each hold (3, 2) rad/s, and (k, 12) the derivatives of their angles about up by the
+            gyros' parameters.
+
         """
         size = self.site.north_rate / np.sqrt(2)
         found: list[Floats] = []
+        turned = np.zeros((len(ups), 12))
         for k, up in enumerate(ups):
-            first = level_axes(up)[0]
+            # By what was read, which stays as it is while up is sought: the heading that components
+            # of north are counted from must not change axes between one step and the next.
+            first = _across(up, int(np.argmin(np.abs(self.holds[k].accel))))
             if k - 1 in paths:
                 path = paths[k - 1]
                 first = path.whole @ found[-1][:, 0]
                 first = first + path.seconds * self.site.up_rate * _cross(up) @ first
                 first = first - up * (up @ first)
                 first = first / (np.linalg.norm(first) or 1.0)
+                turned[k] = turned[k - 1] - up @ path.by_parameters()
             found.append(np.column_stack([first, _cross(up) @ first]))
-        return [size * axes for axes in found]
+        return [size * axes for axes in found], turned
 
     def _hold(
         self, k: int, hold: Hold, model: SensorModel, ups: Floats, level_rate: Floats
@@ -149,6 +163,9 @@ class System:
         felt[:, own] = model.accel.response @ level.T * self.site.gravity
         seen = np.zeros((3, size))
         seen[:, :12] = _by_parameters(rate)
+        # Up takes the vertical rate along, and level rates off the vertical.
+        tilted = level.T * self.site.up_rate - np.outer(up, level @ level_rate)
+        seen[:, own] = model.gyro.response @ tilted
         read = model.predict(rate, force)
         return [
             (0, felt, hold.accel - read[1], hold.accel_variance),
@@ -164,7 +181,7 @@ class System:
         by_angle = level @ _cross(led)
         start, size = self.size
         block = np.zeros((2, size))
-        block[:, :12] = by_angle @ _leaning(path.angles, path.carried, swing.period)
+        block[:, :12] = by_angle @ path.by_parameters()
         own = slice(start + 2 * first, start + 2 * first + 2)
         block[:, own] = level @ path.whole @ level_axes(ups[first]).T
         block[:, start + 2 * second : start + 2 * second + 2] = -np.eye(2)
@@ -194,7 +211,15 @@ class _Path:
         inverse = np.linalg.inv(model.gyro.response)
         angles = (swing.increments - model.gyro.bias * swing.period) @ inverse.T
         whole, after = led(angles)
-        return cls(angles, whole, after @ inverse, swing.seconds)
+        # An error over an interval counts as one in its middle, to the second order of its angle.
+        return cls(angles, whole, after @ rotations(-angles / 2) @ inverse, swing.seconds)
+
+    def by_parameters(self) -> Floats:
+        """Return how the angle of the whole turn follows the gyros' parameters, (3, 12) rad."""
+        by_response = np.einsum('nij,nk->ijk', self.carried, self.angles)
+        by_bias = self.carried.sum(axis=0) * (self.seconds / len(self.angles))
+        moments = np.concatenate([by_response, by_bias[:, :, None]], axis=2)
+        return np.asarray(-np.einsum('jpc,ijc->ip', _PATTERN, moments))
 
 
 def check_observable(system: System, model: SensorModel, ups: Floats) -> None:
@@ -239,27 +264,16 @@ def _by_parameters(inputs: Floats) -> Floats:
     return np.asarray(np.einsum('ipc,c->ip', _PATTERN, np.append(inputs, 1.0)))
 
 
-def _leaning(angles: Floats, carried: Floats, period: float) -> Floats:
-    """Return how the whole turn follows the gyros' parameters, (3, 12).
-
-    Args:
-        angles: (n, 3) turned in each interval, rad.
-        carried: (n, 3, 3) takes an error of the outputs to the end of the turn.
-        period: Sample interval, s.
-
-    """
-    by_response = np.einsum('nij,nk->ijk', carried, angles)
-    by_bias = carried.sum(axis=0) * period
-    moments = np.concatenate([by_response, by_bias[:, :, None]], axis=2)
-    return np.asarray(-np.einsum('jpc,ijc->ip', _PATTERN, moments))
-
-
 def level_axes(up: Floats) -> Floats:
     """Return two unit vectors (2, 3) at right angles to `up`, right-handed with it."""
-    cross = _cross(up)
-    first = cross[:, int(np.argmin(np.abs(up)))]
-    first = first / np.linalg.norm(first)
-    return np.array([first, cross @ first])
+    first = _across(up, int(np.argmin(np.abs(up))))
+    return np.array([first, _cross(up) @ first])
+
+
+def _across(up: Floats, axis: int) -> Floats:
+    """Return the unit vector (3,) at right angles to `up` and to a body axis."""
+    across = _cross(up)[:, axis]
+    return np.asarray(across / np.linalg.norm(across))
 
 
 def _cross(vector: Floats) -> Floats:
