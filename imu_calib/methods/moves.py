@@ -154,9 +154,7 @@ class Moves:
 
     def quantisation(self) -> Floats:
         """Return the variances of `off` by pulses, rounding and samples' length, (3 m,) rad^2."""
-        found = [
-            _EDGES * link.move.quantum**2 + link.rounding + link.bent for link in self.links
-        ]
+        found = [_EDGES * link.move.quantum**2 + link.rounding + link.bent for link in self.links]
         return np.array(found).ravel()
 
     def encoders(self) -> Floats:
