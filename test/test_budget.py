@@ -71,6 +71,8 @@ WHATEVER_THE_METHOD = {
     Source.TABLE_CLOCK,
     Source.GRAVITY,
     Source.LATITUDE,
+    # What cuts within samples leave of the level Earth rate in a turn.
+    Source.NORTH,
 }
 
 
