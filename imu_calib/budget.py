@@ -76,7 +76,7 @@ _ROWS = {
         'table',
         'axes, zeros and encoders of the table, as its description states them',
     ),
-    Source.NORTH: ('B', 'north', 'level Earth rate that turns or headings do not tell apart'),
+    Source.NORTH: ('B', 'north', 'level Earth rate of unknown heading, or left by turns'),
     Source.CLOCK: ('A', 'clock', 'rate between the clocks of IMU and table'),
     Source.TABLE_CLOCK: ('B', 't.clk', "the table's own clock, as its description states it"),
     Source.GRAVITY: ('B', 'grav', 'gravity at the site'),
