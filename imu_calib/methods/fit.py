@@ -147,6 +147,9 @@ def estimate(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS)
     state = _fit(resting, state)
     kept, astray = _moves_that_fit(resting, state, evidence)
     equations = replace(resting, evidence=replace(evidence, moves=kept))
+    if not Information.of(equations.whitened(state)[0]).observed.all():
+        # See `information.before`.
+        equations = resting
     found = _without_outliers(equations, _fit(equations, state), turns=True)
     if _turns_disagree(evidence, found.outliers):
         equations, scatter = _turns_weighed_down(equations, state)
