@@ -13,7 +13,7 @@ from imu_calib.errors import ImuCalibError
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib import middleware as ros
-    from imu_calib.cli import stand
+    from imu_calib.cli.processes import free_port
     from imu_calib.nodes.calibrator_node import CalibratorNode
     from imu_calib.nodes.diagnostics import Diagnostics, Level
     from imu_calib.nodes.stand_node import StandNode
@@ -96,7 +96,7 @@ def wire(monkeypatch, tmp_path):
 
 
 def test_every_status_is_a_sentence_with_figures_about_something(wire):
-    port = stand.free_port()
+    port = free_port()
     heard, spin = wire(StandNode, CalibratorNode, port=port, latitude=34.65)
     expected = {
         'lab/stand_node: table', 'lab/stand_node: IMU', 'lab/calibrator_node: calibration',
@@ -118,7 +118,7 @@ def test_every_status_is_a_sentence_with_figures_about_something(wire):
 
 
 def test_the_table_says_where_it_is_and_what_it_does(wire):
-    heard, spin = wire(TurntableNode, StandNode, port=stand.free_port(), supervised='false')
+    heard, spin = wire(TurntableNode, StandNode, port=free_port(), supervised='false')
     name = 'lab/turntable_node: plan'
     assert spin(lambda: name in heard and len(heard[name][-1].values) > 5)
     figures = {v.key: v.value for v in heard[name][-1].values}

@@ -91,7 +91,9 @@ def test_a_stand_ends_in_a_stream_that_shows_gravity_and_the_earths_rate(tmp_pat
         assert stand.reaches(State.DONE, seconds=60)
         ears = Ears(stand.node)
         stand.states.clear()
-        assert stand.call('turntable_node/start')[0]
+        # The calibrator has finished its session: a new one is asked for.
+        assert stand.call('calibrator_node/reset')[0]
+        assert stand.wait(lambda: stand.call('turntable_node/start')[0])
         assert stand.wait(lambda: stand.state.steps > 0)
         assert stand.reaches(State.DWELLING, step=stand.state.steps - 1, seconds=240)
         # The end of the plan would wait for the calibrator, whose session is over.

@@ -13,7 +13,10 @@ _WINDOW_NS = 250_000_000
 _STILL_RATE = 0.05 * DEG
 _TURN = 2 * np.pi
 _SAMPLES_FOR_ANGLES = 4096
-"""Readings of a rest that are averaged: 41 s at 100 Hz leave 0.1 arcsec of noise of 7."""
+"""Readings of a rest that are averaged, at most: at 100 Hz they leave 0.1 arcsec of noise of 7."""
+
+_ANGLES_NS = 40_000_000_000
+"""Within which they lie, ns: a rest is not split before, whenever its readings come."""
 
 _RECENT = 32
 """Readings before one that show the encoders' noise, by their second differences: what turns at one
@@ -120,9 +123,16 @@ class JointTracker:
         return [*done, self._motion(end) if self._moving else self._rest(start, end)]
 
     def split_rest(self, end: int) -> Rest | None:
-        """Close the rest that goes on at `end` (ns) and go on with another; None in motion."""
+        """Close the rest that goes on at `end` (ns) and go on with another.
+
+        None in motion, and while readings that its angles are the mean of may still come.
+        """
         if self._moving or self._start is None:
             return None
+        if self._angles is None:
+            if self._stamp[-1] < self._start + _ANGLES_NS:
+                return None
+            self._angles = self._mean(self._start, self._start + _ANGLES_NS)
         rest = self._rest(self._start, end)
         self._start = end
         return rest
@@ -181,9 +191,13 @@ class JointTracker:
     def _rest(self, start: int, end: int) -> Rest:
         """Close a rest; its angles are those of its first samples, however it is split."""
         if self._angles is None:
-            inside = (self._stamp >= start) & (self._stamp <= end)
-            self._angles = averaged(self._position[inside][:_SAMPLES_FOR_ANGLES])
+            self._angles = self._mean(start, min(end, start + _ANGLES_NS))
         return Rest(start, end, *self._angles)
+
+    def _mean(self, start: int, end: int) -> tuple[Floats, float]:
+        """Return the mean angles from one instant to another, ns, and their deviation by noise."""
+        inside = (self._stamp >= start) & (self._stamp <= end)
+        return averaged(self._position[inside][:_SAMPLES_FOR_ANGLES])
 
     def _motion(self, end: int) -> Motion:
         first = int(np.searchsorted(self._stamp, self._start or 0, side='left'))

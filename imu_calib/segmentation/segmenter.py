@@ -207,9 +207,10 @@ class Segmenter:
             if (tracker.known_until or 0) < end + MARGIN_NS:
                 return
             rest = tracker.split_rest(end)
-            if rest is not None:
-                self._rest(rest)
-                self._intake.imu.drop_until(end + self._offset_ns - 2 * MARGIN_NS)
+            if rest is None:
+                return
+            self._rest(rest)
+            self._intake.imu.drop_until(end + self._offset_ns - 2 * MARGIN_NS)
 
     def _rest(self, rest: Rest) -> None:
         start, end = rest.start + self._offset_ns, rest.end + self._offset_ns
