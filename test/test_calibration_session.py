@@ -85,7 +85,7 @@ def independent(error: Floats, covariance: Floats) -> Floats:
 
 @cache
 def a_hundred_sessions() -> list[dict[str, tuple[Floats, ...]]]:
-    return in_parallel(one_session, range(100))
+    return in_parallel(one_session, range(100, 200))
 
 
 @pytest.mark.parametrize('name', ['joint', 'twelve_position'])
