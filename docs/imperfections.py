@@ -255,6 +255,9 @@ in [simulation.md](simulation.md). Worst: the parameter whose error is the large
 standard deviations. Widened: the largest ratio of the stated deviations of K and of D to those of
 the perfect stand. Wrong: an error of more than 4.5 deviations; silently, where nothing is said.
 
+The file of the table states nothing of its axes, zeros and encoders here: they are taken as exact.
+One that states them ([tables.md](tables.md)) has them in the covariance.
+
 The truth is that of the mean over the session; of pulses K_a and the biases are by the unit's own
 clock, whose interval divides them.
 
