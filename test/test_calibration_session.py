@@ -59,7 +59,7 @@ def normalised(result: Result) -> Floats:
 
 
 def one_session(seed: int) -> dict[str, tuple[Floats, ...]]:
-    """Errors in standard deviations, these, and independent combinations of the errors, by the default and by the closed form."""
+    """Errors in standard deviations, these, and independent combinations; default and closed form."""
     azimuth = np.random.default_rng(seed + 1000).uniform(-np.pi, np.pi)
     blocks = session(options=economical(stand(azimuth=azimuth)), seed=seed)
     setup = Setup(paper_imu(), load_plan('twelve_position'), load_table('three_axis'), SITE)
@@ -71,10 +71,11 @@ def one_session(seed: int) -> dict[str, tuple[Floats, ...]]:
         found.provenance['method']: (found.values - true, found.covariance),
         'twelve_position': (closed.model.vector() - true, closed.covariance),
     }
-    return {
-        name: (error / np.sqrt(np.diag(square)), np.sqrt(np.diag(square)), independent(error, square))
-        for name, (error, square) in both.items()
-    }
+    found_of = {}
+    for name, (error, square) in both.items():
+        std = np.sqrt(np.diag(square))
+        found_of[name] = (error / std, std, independent(error, square))
+    return found_of
 
 
 def independent(error: Floats, covariance: Floats) -> Floats:
