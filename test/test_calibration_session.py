@@ -59,7 +59,7 @@ def normalised(result: Result) -> Floats:
 
 
 def one_session(seed: int) -> dict[str, tuple[Floats, ...]]:
-    """Errors in standard deviations, these, and independent combinations; default and closed form."""
+    """Errors in standard deviations, these, and independent ones, by default and closed form."""
     azimuth = np.random.default_rng(seed + 1000).uniform(-np.pi, np.pi)
     blocks = session(options=economical(stand(azimuth=azimuth)), seed=seed)
     setup = Setup(paper_imu(), load_plan('twelve_position'), load_table('three_axis'), SITE)
