@@ -207,19 +207,23 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
             'resume': bool(arguments.resume),
         },
     }
+    # What plays the stand, or the hand.
+    played = {
+        'truth': arguments.truth,
+        'imperfections': arguments.imperfections or '',
+        'sample_rate': arguments.sample_rate,
+        'seed': arguments.seed,
+        'start': arguments.start,
+        'speed': arguments.speed,
+        'port': port,
+    }
     if load_plan(arguments.plan).by_hand:
         del nodes['turntable_node'], nodes['calibrator_node']['table']
         if simulated:
             nodes['hand_node'] = {
                 **site,
                 'imu': arguments.imu,
-                'truth': arguments.truth,
-                'imperfections': arguments.imperfections or '',
-                'sample_rate': arguments.sample_rate,
-                'seed': arguments.seed,
-                'start': arguments.start,
-                'speed': arguments.speed,
-                'port': port,
+                **played,
             }
         return nodes
     if simulated:
@@ -230,14 +234,8 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
         nodes['stand_node'] = {
             **described,
             **site,
-            'truth': arguments.truth,
             'azimuth': arguments.azimuth,
-            'imperfections': arguments.imperfections or '',
-            'sample_rate': arguments.sample_rate,
-            'seed': arguments.seed,
-            'start': arguments.start,
-            'speed': arguments.speed,
-            'port': port,
+            **played,
         }
     return nodes
 
