@@ -83,12 +83,11 @@ def test_there_is_a_move_from_each_position_to_the_next_but_those_with_turns() -
 def test_derivatives_are_those_of_the_prediction() -> None:
     equations = Equations(evidence())
     state = np.concatenate([truth().model.vector(), [0.3, 1e-4, 2e-4, 0.0]])
-    jacobian = equations.jacobian(state)
-    first = len(equations.outputs) - 3 * len(equations.evidence.led)
+    jacobian, moves = equations.jacobian(state), equations.rows.move
     for k, step in enumerate(1e-6 * np.eye(len(state))):
         found = (equations.predict(state + step) - equations.predict(state - step)) / 2e-6
         # At the truth what a move is off is an arcsecond: the logarithm's own slope is one.
-        assert jacobian[first:, k] == pytest.approx(found[first:], rel=1e-3, abs=1e-4)
+        assert jacobian[moves, k] == pytest.approx(found[moves], rel=1e-3, abs=1e-4)
 
 
 def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
@@ -98,11 +97,10 @@ def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
     segments = list(evidence().segments)
     segments[5] = replace(segments[5], attitude=segments[5].attitude @ turned_by(lean))
     leaning = Equations(replace(evidence(), segments=tuple(segments)))
-    first = len(equations.outputs) - 3 * len(equations.evidence.led)
-    found = (leaning.predict(state) - equations.predict(state))[first:]
+    found = (leaning.predict(state) - equations.predict(state))[equations.rows.move]
     columns = np.zeros((12, 3, 1))
     columns[5, :, 0] = lean
-    short = evidence().led.by_attitudes(truth().model, columns)[:, 0]
+    short = evidence().led.by_attitudes(truth().model, columns)[..., 0]
     assert short == pytest.approx(found, abs=1e-3 * ARCSEC)
     assert np.abs(short).max() > 1 * ARCSEC
 
@@ -116,7 +114,7 @@ def test_by_the_true_sensors_moves_are_off_by_their_noise(unit) -> None:
     rate = np.array([0.0, np.cos(world.latitude), np.sin(world.latitude)]) * 7.292115e-5
     rate = turned_by(np.array([0.0, 0.0, -world.azimuth])) @ rate
     moves = found.led
-    off = moves.off(real, rate) / np.sqrt(moves.variances(found.walk))
+    off = (moves.off(real, rate) / np.sqrt(moves.variances(found.walk))).ravel()
     assert len(moves) >= 5
     assert chi2.ppf(1e-4, len(off)) < off @ off < chi2.isf(1e-4, len(off))
 

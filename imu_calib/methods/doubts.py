@@ -30,28 +30,25 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
     turned = [t.statistics for t in turns]
     site = evidence.site
 
-    def rows(at_rest: Sequence[Floats], while_turning: Sequence[Floats], moved: Floats) -> Floats:
-        parts = (np.array(at_rest).reshape(-1, 6), np.array(while_turning).reshape(-1, 3))
-        return np.concatenate([*(part.ravel() for part in parts), moved])
+    def joined(at_rest: Sequence[Floats], turned: Sequence[Floats], moved: Floats) -> Floats:
+        return evidence.rows.joined(np.array(at_rest).reshape(-1, 6), np.array(turned), moved)
 
-    noise = rows(
+    noise = joined(
         [walk**2 * s.walk_gain for s in statistics],
         [walk[:3] ** 2 * s.walk_gain[:3] for s in turned],
         led.noise(walk),
     )
-    quantum = rows(
+    quantum = joined(
         [s.quantum for s in statistics], [s.quantum[:3] for s in turned], led.quantisation()
     )
-    encoder = rows(
+    encoder = joined(
         [s.encoder_variance(site.gravity) for s in segments],
         [t.encoder_variance() for t in turns],
         led.encoders(),
     )
     total = noise + quantum + encoder
     quantum = quantum + np.maximum(SMALLEST_VARIANCE - total, 0.0)
-    axes = np.arange(3.0)
-    # An axis at the end of a move is counted as the channel of its name: their noise is alike.
-    channel = rows([np.arange(6.0)] * len(segments), [axes] * len(turns), np.tile(axes, len(led)))
+    channel = evidence.rows.channels
     parts = [
         Component(Source.NOISE, Diagonal(np.where(channel == c, noise, 0.0)), freedom)
         for c, freedom in enumerate(evidence.walk_freedom.tolist())
@@ -83,8 +80,7 @@ def encoder_rates(evidence: Evidence, rates: Floats, response: Floats) -> Compon
     ups = np.array([t.up for t in turns]).reshape(-1, 3)
     errors = np.array([t.rate_error for t in turns]) * rates
     felt = errors[:, None] * (ups @ response.T)
-    rows = 6 * len(evidence.segments) + np.arange(3 * len(turns)).reshape(-1, 3)
-    blocks = Blocks(rows, felt[:, :, None] * felt[:, None, :])
+    blocks = Blocks(evidence.rows.turn, felt[:, :, None] * felt[:, None, :])
     return Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM)
 
 
@@ -105,8 +101,7 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
     shares = np.array([*(by_hand for _ in segments), *(t.level for t in turns)])
     across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
     square = (shares * evidence.site.north_rate)[:, None, None] ** 2 / 2
-    rest = 6 * len(segments)
-    firsts = np.concatenate([np.arange(0, rest, 6), rest + 3 * np.arange(len(turns))])
-    rows, some = firsts[:, None] + np.arange(3), shares > 0
+    rows = np.vstack([evidence.rows.rest[:, :3], evidence.rows.turn])
+    some = shares > 0
     blocks = Blocks(rows[some], (response @ across @ response.T * square)[some])
     return Component(Source.NORTH, blocks)

@@ -27,6 +27,7 @@ from ..units import ARCMIN, ARCSEC, DEG
 from .components import Component, Diagonal, Factor, shares
 from .doubts import encoder_rates, own_parts, unknown_north
 from .evidence import SMALLEST_VARIANCE, Evidence
+from .rows import Rows
 
 
 class Nuisance(IntEnum):
@@ -110,7 +111,7 @@ class Surroundings:
 class Equations:
     """The equations of a session.
 
-    Rows are six for each stretch at rest, then three for each turn, then three for each move.
+    Their order is that of `rows`.
 
     Attributes:
         evidence: The session.
@@ -138,6 +139,11 @@ class Equations:
         return len(self.parameters)
 
     @property
+    def rows(self) -> Rows:
+        """Where the outputs of rests, turns and moves lie."""
+        return self.evidence.rows
+
+    @property
     def size(self) -> int:
         """Length of the state."""
         return self.sensors + len(Nuisance)
@@ -150,9 +156,9 @@ class Equations:
     @cached_property
     def outputs(self) -> Floats:
         """What was read, (6 s + 3 t + 3 m,) rad/s, m/s^2 and rad: moves read no difference."""
-        turned = [t.statistics.mean[:3] for t in self.evidence.turns]
-        read = [self.evidence.outputs().ravel(), np.array(turned).ravel()]
-        return np.concatenate([*read, np.zeros(3 * len(self.evidence.led))])
+        turned = np.array([t.statistics.mean[:3] for t in self.evidence.turns])
+        moved = np.zeros(self.rows.move.shape)
+        return self.rows.joined(self.evidence.outputs(), turned, moved)
 
     @cached_property
     def prior(self) -> tuple[Floats, Floats]:
@@ -231,8 +237,7 @@ class Equations:
         model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
         turned = whole(model.predict(turning, felt)[0])
-        led = self.evidence.led.off(model, around.rate)
-        return np.asarray(np.concatenate([at_rest.ravel(), turned.ravel(), led]))
+        return self.rows.joined(at_rest, turned, self.evidence.led.off(model, around.rate))
 
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (6 s + 3 t + 3 m, n)."""
@@ -252,7 +257,7 @@ class Equations:
         led = np.zeros((len(self.evidence.led), 3, self.size))
         led[:, :, :n] = self.evidence.led.by_parameters(model, self.parameters)
         led[:, :, n : n + 3] = self.evidence.led.by_rate() @ around.rate_slopes
-        return np.vstack([block.reshape(-1, self.size) for block in (at_rest, turned, led)])
+        return self.rows.joined(at_rest, turned, led)
 
     @property
     def _to_body(self) -> Floats:
@@ -320,8 +325,7 @@ class Equations:
         at_rest = np.einsum('sij,sj->si', model.slopes(rate, force)[..., :3], self._to_body @ moved)
         slopes = model.slopes(turning, felt)[..., :3, :3]
         turned = whole(np.einsum('thij,thj->thi', slopes, self._headings @ moved))
-        led = self.evidence.led.by_rate() @ moved
-        return np.concatenate([at_rest.ravel(), turned.ravel(), led.ravel()])
+        return self.rows.joined(at_rest, turned, self.evidence.led.by_rate() @ moved)
 
     def clock_slope(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the rate between the clocks."""
@@ -375,10 +379,8 @@ class Equations:
         about = np.swapaxes(np.concatenate([at_rest, turned]), 1, 2)
         moved = [np.swapaxes(np.cross(v[:, None], about), 1, 2) for v in (rates, forces)]
         changed = model.slopes(rates, forces) @ np.concatenate(moved, axis=1)
-        count = at_rest.shape[2]
         led = self.evidence.led.by_attitudes(model, at_rest)
-        blocks = (changed[:s].reshape(6 * s, count), changed[s:, :3].reshape(-1, count), led)
-        return np.vstack(blocks)
+        return self.rows.joined(changed[:s], changed[s:, :3], led)
 
     def _groups(self, ups: Floats) -> NDArray[np.intp]:
         """Number stretches and turns by runs in time of one and the same direction of up."""

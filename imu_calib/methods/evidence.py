@@ -18,6 +18,7 @@ from ..segmentation.statistics import pooled_walk
 from ..stream import Floats
 from ..turntable import TURN, Table
 from .moves import Moves
+from .rows import Rows
 
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
@@ -73,6 +74,11 @@ class Evidence:
     def led(self) -> Moves:
         """The moves that count as observations."""
         return Moves.between(self.segments, self.turns, self.moves)
+
+    @cached_property
+    def rows(self) -> Rows:
+        """Where the outputs lie among the equations."""
+        return Rows(len(self.segments), len(self.turns), len(self.led))
 
     @cached_property
     def leaning(self) -> tuple[Floats, Floats]:

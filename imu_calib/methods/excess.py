@@ -297,12 +297,10 @@ def _triad(
 ) -> _Triad:
     """Cut out gyros (first = 0, with the turns) or accelerometers (first = 3)."""
     evidence = equations.evidence
-    s = len(evidence.segments)
-    rows = (6 * np.arange(s)[:, None] + first + np.arange(3)).ravel()
+    rows = equations.rows.gyros if first == 0 else equations.rows.accels
     stretches = [(x.statistics, x.start) for x in evidence.segments]
     moves: list[Move] = []
     if first == 0:
-        rows = np.concatenate([rows, np.arange(6 * s, len(equations.outputs))])
         stretches += [(x.statistics, x.start) for x in evidence.turns]
         moves = [link.move for link in evidence.led.links]
     jacobian, left, covariance, arrivals = parts
@@ -339,7 +337,7 @@ def _triad(
         slope_left,
         slope_variances,
         wandering,
-        float(np.median(equations.own_variances[rows[: 3 * s]])),
+        float(np.median(equations.own_variances[equations.rows.rest[:, first : first + 3]])),
         float(evidence.instability[first] ** 2),
     )
 

@@ -178,18 +178,17 @@ def _moves_that_fit(
     scatter = excess(resting, state)
     known = Information.of(_weighted(resting, scatter).whitened(state)[0]).covariance
     moving = replace(resting, evidence=evidence, positioning=scatter.positioning)
-    first = len(resting.outputs)
-    jacobian = np.nan_to_num(moving.jacobian(state)[first:])
-    spread = moving.covariance(state)[first:, first:] + jacobian @ np.nan_to_num(known) @ jacobian.T
-    off = moving.predict(state)[first:].reshape(-1, 3)
+    predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))
+    covariance, known = moving.covariance(state), np.nan_to_num(known)
     kept, astray = [], []
-    for k, link in enumerate(evidence.led.links):
-        block = spread[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
-        if off[k] @ np.linalg.solve(block, off[k]) <= scipy.special.chdtri(3, _ASTRAY):
+    for link, rows in zip(evidence.led.links, moving.rows.move, strict=True):
+        off, slopes = predicted[rows], jacobian[rows]
+        spread = covariance[np.ix_(rows, rows)] + slopes @ known @ slopes.T
+        if off @ np.linalg.solve(spread, off) <= scipy.special.chdtri(3, _ASTRAY):
             kept.append(link.move)
             continue
         ends = [str(evidence.segments[end].position) for end in (link.first, link.second)]
-        astray.append(Astray((ends[0], ends[1]), float(np.linalg.norm(off[k]))))
+        astray.append(Astray((ends[0], ends[1]), float(np.linalg.norm(off))))
     return tuple(kept), tuple(astray)
 
 
@@ -235,7 +234,7 @@ def _turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations,
     axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
     for axis in range(3):
         for channel in range(3):
-            rows = 6 * len(evidence.segments) + 3 * np.flatnonzero(axes == axis) + channel
+            rows = equations.rows.turn[axes == axis, channel]
             freedom, square = float(free[rows].sum()), float(left[rows] @ left[rows])
             if freedom >= 1 and scipy.special.chdtrc(freedom, square) < _UNLIKE:
                 equations = _weighed_down(equations, rows, square / freedom)
@@ -249,8 +248,8 @@ def _turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
     Rates beyond the range, say: two turns of four agree with each other and not with the rest.
     """
     axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
-    fallen = np.unique([(o.rows[0] - 6 * len(evidence.segments)) // 3 for o in outliers])
-    fallen = axes[fallen[(fallen >= 0) & (fallen < len(axes))].astype(int)]
+    rows = [o.rows[0] for o in outliers]
+    fallen = axes[np.isin(evidence.rows.turn[:, 0], rows)]
     return any((fallen == axis).sum() > _MOST_OUTLIERS * (axes == axis).sum() for axis in fallen)
 
 
@@ -364,20 +363,18 @@ def _weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) -
 
 def _candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[np.intp]]]:
     """Name what may be an outlier as a whole: three outputs of one kind at a time."""
-    three, rest = np.arange(3), 6 * len(evidence.segments)
+    rows = evidence.rows
     found = []
-    for k, segment in enumerate(evidence.segments):
-        found.append((f'the gyros at position {segment.position}', 6 * k + three))
-        found.append((f'the accelerometers at position {segment.position}', 6 * k + 3 + three))
-    for k, turn in enumerate(evidence.turns if turns else ()):
-        rate = turn.rate() / DEG
-        found.append(
-            (f'a turn at {rate:.3g} deg/s at position {turn.position}', rest + 3 * k + three)
-        )
-    rest += 3 * len(evidence.turns)
-    for k, link in enumerate(evidence.led.links):
+    for segment, mine in zip(evidence.segments, rows.rest, strict=True):
+        found.append((f'the gyros at position {segment.position}', mine[:3]))
+        found.append((f'the accelerometers at position {segment.position}', mine[3:]))
+    for turn, mine in zip(evidence.turns, rows.turn, strict=True):
+        if turns:
+            rate = turn.rate() / DEG
+            found.append((f'a turn at {rate:.3g} deg/s at position {turn.position}', mine))
+    for link, mine in zip(evidence.led.links, rows.move, strict=True):
         ends = [evidence.segments[end].position for end in (link.first, link.second)]
-        found.append((f'the move from position {ends[0]} to {ends[1]}', rest + 3 * k + three))
+        found.append((f'the move from position {ends[0]} to {ends[1]}', mine))
     return found
 
 

@@ -28,6 +28,7 @@ from ..stream import Floats
 from .checks import conclude
 from .equations import Equations, Nuisance
 from .evidence import Evidence
+from .rows import Rows
 from .solution import Solution
 
 BIAS = 3
@@ -87,17 +88,18 @@ class Gains:
         """Return the derivatives of the parameters by the outputs, (n, 6 s + 3 t)."""
         s, t = len(evidence.segments), len(evidence.turns)
         parameters = self.parameters
-        rows = np.zeros((len(parameters), 6 * s + 3 * t))
+        where = Rows(s, t)
+        rows = np.zeros((len(parameters), len(where)))
         for row, parameter in zip(rows, parameters, strict=True):
             column = BIAS if parameter.column is None else parameter.column
             if parameter.kind is ParameterKind.G_SENSITIVITY:
                 column += BIAS + 1
             if parameter.triad == 'g':
                 gain = self._gyro[parameter.row, column]
-                row[parameter.row : 6 * s : 6] = gain[:s]
-                row[6 * s + parameter.row :: 3] = gain[s:]
+                row[where.rest[:, parameter.row]] = gain[:s]
+                row[where.turn[:, parameter.row]] = gain[s:]
             elif self._accel is not None:
-                row[3 + parameter.row : 6 * s : 6] = self._accel[parameter.row, column]
+                row[where.rest[:, 3 + parameter.row]] = self._accel[parameter.row, column]
             else:
                 row[:] = np.nan
         return rows

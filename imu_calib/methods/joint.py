@@ -65,9 +65,9 @@ def _concluded(found: Estimate) -> Solution:
 
 def _residuals(found: Estimate) -> tuple[Residual, ...]:
     equations, evidence = found.equations, found.equations.evidence
-    rest = 6 * len(evidence.segments)
-    left = (equations.outputs - equations.predict(found.state))[:rest].reshape(-1, 6)
-    std = np.sqrt(np.diag(equations.covariance(found.state))[:rest]).reshape(-1, 6)
+    rest = equations.rows.rest
+    left = (equations.outputs - equations.predict(found.state))[rest]
+    std = np.sqrt(np.diag(equations.covariance(found.state))[rest])
     return tuple(
         Residual(str(segment.position), segment.start, value, deviation)
         for segment, value, deviation in zip(evidence.segments, left, std, strict=True)
@@ -90,12 +90,11 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     state, sensors = found.state, found.equations.sensors
     response = plain.model(state).gyro.response
     free = np.zeros((len(plain.outputs), 3))
-    for k, attitude in enumerate(evidence.attitudes()):
-        free[6 * k : 6 * k + 3] = response @ attitude.T
-    rest = 6 * len(evidence.segments)
-    for k, turn in enumerate(evidence.turns):
-        free[rest + 3 * k : rest + 3 * k + 3, 2] = response @ turn.up
-    free[rest + 3 * len(evidence.turns) :] = evidence.led.by_rate().reshape(-1, 3)
+    for attitude, rows in zip(evidence.attitudes(), plain.rows.rest[:, :3], strict=True):
+        free[rows] = response @ attitude.T
+    for turn, rows in zip(evidence.turns, plain.rows.turn, strict=True):
+        free[rows, 2] = response @ turn.up
+    free[plain.rows.move] = evidence.led.by_rate()
     factor = np.linalg.cholesky(plain.covariance(state))
     free = scipy.linalg.solve_triangular(factor, free, lower=True)
     jacobian, left = plain.whitened(state)

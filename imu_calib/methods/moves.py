@@ -97,7 +97,7 @@ class Moves:
         return self._memo[key]
 
     def off(self, model: SensorModel, earth_rate: Floats) -> Floats:
-        """Return what the gyros' attitude at the end is off the encoders', (3 m,) rad.
+        """Return what the gyros' attitude at the end is off the encoders', (m, 3) rad.
 
         Args:
             model: The sensors.
@@ -109,7 +109,7 @@ class Moves:
             turned = rotations(-(earth_rate * link.move.duration)[None])[0]
             shown = self.attitudes[link.second].T @ turned @ self.attitudes[link.first]
             found.append(rotation_vector(path.whole @ shown.T))
-        return np.array(found).ravel()
+        return np.array(found).reshape(-1, 3)
 
     def by_parameters(self, model: SensorModel, parameters: tuple[Parameter, ...]) -> Floats:
         """Return the derivatives of `off` by parameters of the sensors, (m, 3, p)."""
@@ -134,36 +134,40 @@ class Moves:
             leaning: (s, 3, e) rotations of the attitudes in body axes, per unit of e errors.
 
         Returns:
-            (3 m, e).
+            (m, 3, e).
 
         """
         blocks = [
             leaning[link.second] - path.whole @ leaning[link.first]
             for link, path in zip(self.links, self.paths(model), strict=True)
         ]
-        return np.array(blocks).reshape(-1, leaning.shape[2])
+        return np.array(blocks).reshape(len(self), 3, leaning.shape[2])
 
     def noise(self, walk: Floats) -> Floats:
-        """Return the variances of `off` by random walk, (3 m,) rad^2.
+        """Return the variances of `off` by random walk, (m, 3) rad^2.
 
         Random walks of the three channels are alike: what of them the turning of the axes mixes
         stays what it was.
         """
         square = float(np.mean(walk[:3] ** 2))
-        return np.repeat([square * link.move.duration for link in self.links], 3)
+        return _thrice([square * link.move.duration for link in self.links])
 
     def quantisation(self) -> Floats:
-        """Return the variances of `off` by pulses, rounding and samples' length, (3 m,) rad^2."""
+        """Return the variances of `off` by pulses, rounding and samples' length, (m, 3) rad^2."""
         found = [_EDGES * link.move.quantum**2 + link.rounding + link.bent for link in self.links]
-        return np.array(found).ravel()
+        return np.array(found).reshape(-1, 3)
 
     def encoders(self) -> Floats:
-        """Return the variances of `off` by the encoders' noise at both ends, (3 m,) rad^2."""
-        return np.repeat([link.encoders for link in self.links], 3)
+        """Return the variances of `off` by the encoders' noise at both ends, (m, 3) rad^2."""
+        return _thrice([link.encoders for link in self.links])
 
     def variances(self, walk: Floats) -> Floats:
-        """Return the sum of all three, (3 m,) rad^2."""
+        """Return the sum of all three, (m, 3) rad^2."""
         return self.noise(walk) + self.quantisation() + self.encoders()
+
+
+def _thrice(values: Sequence[float]) -> Floats:
+    return np.array(values).repeat(3).reshape(-1, 3)
 
 
 def _rounding(move: Move, rest: Segment) -> Floats:

@@ -395,16 +395,13 @@ def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats
     n = len(spans)
     means = kernel.reshape(n, _NODES, n, _NODES).mean(axis=(1, 3))
     askew = [len(rests) + k for k, t in enumerate(turns) if t.skewed is not None]
-    channel = [*range(6)] * len(rests) + [*range(3)] * (len(turns) + len(moves))
-    channel += [6] * len(askew)
-    threes = len(turns) + len(moves)
-    which = np.repeat(np.arange(n), [6] * len(rests) + [3] * threes)
-    which = np.concatenate([which, np.array(askew, dtype=int)])
+    rows = evidence.rows
+    channel = [*rows.channels.tolist(), *[6] * len(askew)]
+    which = np.concatenate([rows.stretch, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*_triads(spec), spec.skewed or TriadSpec())]
     instability = np.array(figures)[channel]
-    first = 6 * len(rests) + 3 * len(turns)
     # Moves give angles.
-    instability[first : first + 3 * len(moves)] *= np.repeat([m.duration for m in moves], 3)
+    instability[rows.move] *= np.array([m.duration for m in moves]).reshape(-1, 1)
     same = np.equal.outer(channel, channel)
     return np.asarray(same * means[np.ix_(which, which)] * np.outer(instability, instability))
 

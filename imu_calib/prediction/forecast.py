@@ -246,20 +246,18 @@ def _own_variances(evidence: Evidence) -> Floats:
 
 def _moved(evidence: Evidence, output: int, step: float) -> Evidence:
     """Return the evidence with one of its outputs changed."""
-    at_rest = 6 * len(evidence.segments)
-    if output < at_rest:
-        k, c = divmod(output, 6)
+    rows, turns = evidence.rows, evidence.turns
+    for k, c in np.argwhere(rows.rest == output).tolist():
         segment = evidence.segments[k]
         changed = replace(segment, statistics=_with_mean(segment.statistics, c, step))
         segments = (*evidence.segments[:k], changed, *evidence.segments[k + 1 :])
         return replace(evidence, segments=segments)
-    turns = evidence.turns
-    if output < at_rest + 3 * len(turns):
-        k, c = divmod(output - at_rest, 3)
+    for k, c in np.argwhere(rows.turn == output).tolist():
         turned = replace(turns[k], statistics=_with_mean(turns[k].statistics, c, step))
+        break
     else:
         askew = [k for k, turn in enumerate(turns) if turn.skewed is not None]
-        k = askew[output - at_rest - 3 * len(turns)]
+        k = askew[output - len(rows)]
         seen = turns[k].skewed
         assert seen is not None
         turned = replace(turns[k], skewed=_with_mean(seen, 0, step))

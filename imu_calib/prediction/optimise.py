@@ -158,10 +158,9 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
     state = state_at(equations, truth)
     jacobian, variances = equations.jacobian(state), equations.own_variances
     rows = jacobian / np.sqrt(variances)[:, None]
-    at_rest = 6 * len(choices)
-    each = rows[:at_rest].reshape(len(choices), 6, -1)
+    each, turned = rows[equations.rows.rest], rows[equations.rows.turn.ravel()]
     prior = equations.prior_rows(state)[:, :-1]
-    rest = rows[at_rest:].T @ rows[at_rest:] + prior.T @ prior
+    rest = turned.T @ turned + prior.T @ prior
     return np.einsum('cri,crj->cij', each, each), rest
 
 

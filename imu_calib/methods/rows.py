@@ -1,0 +1,84 @@
+"""Where the outputs of a session lie among its equations: this module alone knows their order.
+
+Six for each rest (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
+for each move (angles).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The layout of a session's outputs.
+
+    Attributes:
+        rests: Their number.
+        turns: Likewise.
+        moves: Likewise.
+
+    """
+
+    rests: int
+    turns: int = 0
+    moves: int = 0
+
+    def __len__(self) -> int:
+        """Return the number of outputs."""
+        return 6 * self.rests + 3 * (self.turns + self.moves)
+
+    @cached_property
+    def rest(self) -> Indices:
+        """Of the rests, (s, 6): gyros, then accelerometers."""
+        return np.arange(6 * self.rests).reshape(-1, 6)
+
+    @cached_property
+    def turn(self) -> Indices:
+        """Of the turns' gyros, (t, 3)."""
+        return 6 * self.rests + np.arange(3 * self.turns).reshape(-1, 3)
+
+    @cached_property
+    def move(self) -> Indices:
+        """Of the moves' angles, (m, 3)."""
+        return 6 * self.rests + 3 * self.turns + np.arange(3 * self.moves).reshape(-1, 3)
+
+    @cached_property
+    def gyros(self) -> Indices:
+        """Of all that gyros gave, in groups of three: rests, turns, moves."""
+        return np.concatenate([self.rest[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
+
+    @cached_property
+    def accels(self) -> Indices:
+        """Of all that accelerometers gave, in groups of three: rests."""
+        return self.rest[:, 3:].ravel()
+
+    @cached_property
+    def channels(self) -> Indices:
+        """Which channel each output is of, 0 to 5; an axis at the end of a move counts as one."""
+        result = np.empty(len(self), dtype=np.intp)
+        result[self.rest] = np.arange(6)
+        result[self.turn] = result[self.move] = np.arange(3)
+        return result
+
+    @cached_property
+    def stretch(self) -> Indices:
+        """Which rest, turn or move each output is of: these counted on in this order."""
+        result = np.empty(len(self), dtype=np.intp)
+        result[self.rest] = np.arange(self.rests)[:, None]
+        result[self.turn] = self.rests + np.arange(self.turns)[:, None]
+        result[self.move] = self.rests + self.turns + np.arange(self.moves)[:, None]
+        return result
+
+    def joined(self, rest: Floats, turn: Floats, move: Floats) -> Floats:
+        """Return values (s, 6, ...), (t, 3, ...) and (m, 3, ...) in the order of the outputs."""
+        parts = ((rest, self.rest), (turn, self.turn), (move, self.move))
+        return np.concatenate([part.reshape(at.size, *rest.shape[2:]) for part, at in parts])

@@ -1,0 +1,35 @@
+"""The order of a session's outputs: every index once, each where `joined` puts its value."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imu_calib.methods.rows import Rows
+
+
+@pytest.mark.parametrize('counts', [(4, 3, 2), (3, 0, 0), (0, 2, 0), (0, 0, 0)])
+def test_values_are_where_the_indices_say(counts: tuple[int, int, int]) -> None:
+    rows = Rows(*counts)
+    shapes = [(count, width, 2) for count, width in zip(counts, (6, 3, 3), strict=True)]
+    rest, turn, move = (k + np.random.default_rng(k).random(s) for k, s in enumerate(shapes))
+    joined = rows.joined(rest, turn, move)
+    assert joined.shape == (len(rows), 2)
+    assert np.array_equal(joined[rows.rest], rest)
+    assert np.array_equal(joined[rows.turn], turn)
+    assert np.array_equal(joined[rows.move], move)
+
+
+def test_gyros_and_accelerometers_share_out_all_outputs() -> None:
+    rows = Rows(4, 3, 2)
+    assert sorted([*rows.gyros, *rows.accels]) == list(range(len(rows)))
+    assert set(rows.channels[rows.gyros]) == {0, 1, 2}
+    assert set(rows.channels[rows.accels]) == {3, 4, 5}
+    assert np.array_equal(rows.channels[rows.gyros].reshape(-1, 3), [[0, 1, 2]] * (4 + 3 + 2))
+
+
+def test_each_output_is_of_one_rest_turn_or_move() -> None:
+    rows = Rows(4, 3, 2)
+    assert rows.stretch[rows.rest].tolist() == [[k] * 6 for k in range(4)]
+    assert rows.stretch[rows.turn].tolist() == [[k] * 3 for k in (4, 5, 6)]
+    assert rows.stretch[rows.move].tolist() == [[k] * 3 for k in (7, 8)]
