@@ -32,6 +32,7 @@ class Source(Enum):
     BIAS_FOUND = 'bias_drift'
     ARRIVAL_STATED = 'positioning'
     ARRIVAL_FOUND = 'positioning_found'
+    STOPS = 'stops_found'
     ENCODER_RATE = 'encoder_rate'
     ENCODER_NOISE = 'encoder_noise'
     AZIMUTH = 'azimuth'
@@ -67,6 +68,7 @@ _ROWS = {
     Source.BIAS_FOUND: ('A', 'drift', 'bias drift beyond that, as the session shows it'),
     Source.ARRIVAL_STATED: ('B', 'pos', 'positioning of the table, as its description states it'),
     Source.ARRIVAL_FOUND: ('A', 'pos+', 'positioning beyond that, as the session shows it'),
+    Source.STOPS: ('A', 'stop', 'what each stop leans of its own, as the session shows it'),
     Source.ENCODER_RATE: ('A', 'rate', "the table's rate, from the scatter of its encoder"),
     Source.ENCODER_NOISE: ('A', 'enc', "attitudes, from the encoders' noise"),
     Source.AZIMUTH: ('B', 'azim', "prior of the table's azimuth"),

@@ -24,6 +24,7 @@ from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG
+from .arrivals import NO_ARRIVALS, Arrivals, level_axes
 from .components import Component, Diagonal, Factor, shares
 from .doubts import encoder_rates, own_parts, unknown_north
 from .evidence import SMALLEST_VARIANCE, Evidence
@@ -48,7 +49,6 @@ GIVEN_AZIMUTH = 1 * ARCMIN
 LEVELLED = 20 * ARCSEC
 """How well a table stands level, about either axis."""
 
-_SAME_UP = 0.01
 _GENERATORS = np.array(
     [
         [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
@@ -118,8 +118,7 @@ class Equations:
         parameters: Of the sensors, in the order of the state, which they begin.
         levelled: Standard deviation of the table's tilt about either axis, rad.
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
-        positioning: Standard deviation of an arrival that the encoder does not show, rad; None
-            for what the table states.
+        arriving: What arrivals scatter by beyond what the table states.
         extra: Further parts of the covariance of the outputs.
         inflation: (6 s + 3 t + 3 m,) factors on the variance of each output's own noise, or None.
 
@@ -129,7 +128,7 @@ class Equations:
     parameters: tuple[Parameter, ...] = PARAMETERS
     levelled: float = LEVELLED
     any_heading: bool = False
-    positioning: float | None = None
+    arriving: Arrivals = NO_ARRIVALS
     extra: tuple[Component, ...] = field(default=(), repr=False)
     inflation: Floats | None = field(default=None, repr=False)
 
@@ -290,7 +289,7 @@ class Equations:
             encoder_rates(evidence, rates, response),
             unknown_north(evidence, ups, response),
             *self.extra,
-            *self._positioning(state),
+            *self._arriving(state),
         ]
         at_rest, turning = evidence.leaning
         if at_rest.shape[2]:
@@ -331,38 +330,31 @@ class Equations:
         """Return the derivatives of `predict` by the rate between the clocks."""
         return np.asarray(self.jacobian(state)[:, -1])
 
-    def _positioning(self, state: Floats) -> list[Component]:
-        stated = self.evidence.positioning
-        found = max(0.0, (self.positioning or 0.0) ** 2 - stated**2)
-        if not stated and not found:
-            return []
-        arrivals = self.arrivals(state)
-        parts = [Component(Source.ARRIVAL_STATED, Factor(arrivals * stated))]
-        if found:
-            parts.append(Component(Source.ARRIVAL_FOUND, Factor(arrivals * np.sqrt(found))))
+    def _arriving(self, state: Floats) -> list[Component]:
+        stated, found = self.evidence.positioning, self.arriving
+        parts = []
+        if stated or found.joints:
+            joints = self.arrivals(state)[0]
+            for source, size in (
+                (Source.ARRIVAL_STATED, stated),
+                (Source.ARRIVAL_FOUND, found.joints),
+            ):
+                if size:
+                    parts.append(Component(source, Factor(joints * size)))
+        if found.stops:
+            parts.append(Component(Source.STOPS, Factor(self.arrivals(state)[1] * found.stops)))
         return parts
 
-    def arrivals(self, state: Floats) -> Floats:
-        """Return how errors of arrival enter the outputs: (6 s + 3 t + 3 m, errors), per rad.
+    def arrivals(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return how arrivals enter the outputs: (6 s + 3 t + 3 m, errors), per rad.
 
-        While up stays the same in body axes only the vertical joint moves: the error of the others
-        is one and the same for all stretches and turns of such a group, about both level axes.
-        The vertical joint's own is another for each stretch, and whole turns do not feel it. A
-        move sees what the stretches at its ends do not share.
+        Those of joints that stop, and what each stop leans of its own.
         """
-        s = len(self.evidence.segments)
-        ups = np.vstack([self._attitudes[:, 2], self._turning[0]])
-        groups = self._groups(ups)
-        count = int(groups.max(initial=-1)) + 1
-        leaning = np.zeros((len(ups), 3, 2 * count + s))
-        for k, up in enumerate(ups):
-            first = groups == groups[k]
-            leaning[k, :, 2 * groups[k] : 2 * groups[k] + 2] = np.transpose(
-                _level_axes(ups[first][0])
-            )
-            if k < s:
-                leaning[k, :, 2 * count + k] = up
-        return self._leaning(state, leaning[:s], leaning[s:])
+        joints, stops = (
+            self._leaning(state, leaning.at_rest, leaning.turning)
+            for leaning in self.evidence.arrivals
+        )
+        return joints, stops
 
     def _leaning(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
         """Return what attitudes that lean do to the outputs, (6 s + 3 t + 3 m, e).
@@ -381,18 +373,6 @@ class Equations:
         changed = model.slopes(rates, forces) @ np.concatenate(moved, axis=1)
         led = self.evidence.led.by_attitudes(model, at_rest)
         return self.rows.joined(changed[:s], changed[s:, :3], led)
-
-    def _groups(self, ups: Floats) -> NDArray[np.intp]:
-        """Number stretches and turns by runs in time of one and the same direction of up."""
-        starts = [s.start for s in self.evidence.segments]
-        starts += [t.start for t in self.evidence.turns]
-        groups = np.zeros(len(starts), dtype=np.intp)
-        current, last = -1, None
-        for k in np.argsort(starts, kind='stable').tolist():
-            if last is None or np.linalg.norm(ups[k] - last) > _SAME_UP:
-                current, last = current + 1, ups[k]
-            groups[k] = current
-        return groups
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations, the priors' rows last.
@@ -421,7 +401,7 @@ def headings(ups: Floats) -> Floats:
     """
     angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    first, second = (axes[:, None] for axes in _level_axes(ups))
+    first, second = (axes[:, None] for axes in level_axes(ups))
     half = np.stack([cosine * first + sine * second, cosine * second - sine * first], axis=-1)
     level = np.concatenate([half, -half], axis=1)
     up = np.broadcast_to(ups[:, None, :, None], (*level.shape[:3], 1))
@@ -439,11 +419,3 @@ def _both(rotations: Floats) -> Floats:
     result = np.zeros((*rotations.shape[:-2], 6, 6))
     result[..., :3, :3] = result[..., 3:, 3:] = rotations
     return result
-
-
-def _level_axes(up: Floats) -> tuple[Floats, Floats]:
-    """Return two unit vectors (..., 3) at right angles to (..., 3) `up` and to each other."""
-    other = np.eye(3)[np.abs(up).argmin(axis=-1)]
-    first = np.cross(up, other)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return first, np.cross(up, first)

@@ -17,6 +17,7 @@ from ..segmentation.session import Move
 from ..segmentation.statistics import pooled_walk
 from ..stream import Floats
 from ..turntable import TURN, Table
+from .arrivals import Leaning, of_joints, of_stops
 from .moves import Moves
 from .rows import Rows
 
@@ -98,6 +99,14 @@ class Evidence:
             around[:, turn.joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
             turning.append(self.table.leaning(around).mean(axis=0))
         return at_rest, np.array(turning).reshape(len(self.turns), *at_rest.shape[1:])
+
+    @cached_property
+    def arrivals(self) -> tuple[Leaning, Leaning]:
+        """How attitudes lean where joints stop beside their mark, and by each stop of its own."""
+        return (
+            of_joints(self.segments, self.turns, self.table),
+            of_stops(self.segments, self.turns),
+        )
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

@@ -18,8 +18,9 @@ Source: methods.md, section 11 (weights from the data, drift within and between 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import scipy
@@ -28,17 +29,24 @@ from numpy.typing import NDArray
 from ..budget import Source
 from ..segmentation.session import Move
 from ..stream import Floats
+from .arrivals import NO_ARRIVALS, Arrivals
 from .components import Component, Dense
 from .equations import Equations
 from .evidence import SMALLEST_VARIANCE
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
-_ARRIVAL_RATIOS = np.concatenate([[0.0], 10.0 ** np.arange(-1, 6.1, 0.5)])
+_ARRIVAL_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
+_KINDS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
+"""Shares of stops in the variance of arrivals: none, all, and mixtures of both."""
+
 _CALLED_FOR = 4.5
 _STATED_TIME = 1000.0
 _SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
 _LOG_ODDS = np.log([1 / 33, 1 / 33, 1 / 33, 10 / 11])
+_UNLIKELY = 1e-3
+"""Of a case that is as good as none: it moves variances by less than their own spread by far."""
+
 _NODES = 8
 _BLOCKS_FOR_A_SLOPE = 4
 
@@ -76,6 +84,10 @@ class _Wandering:
         """Length of the session, s."""
         return max(float(np.ptp(self.nodes)), 1.0)
 
+    def stated_kernel(self) -> Floats:
+        """Return `kernel` of the wandering that a data sheet states."""
+        return self.kernel(_STATED_TIME / self.span)
+
     def kernel(self, time: float) -> Floats:
         """Return the covariance of means and slopes for unit variance.
 
@@ -89,79 +101,85 @@ class _Wandering:
 
 @dataclass(frozen=True, eq=False)
 class _Triad:
-    """The equations of three channels of a kind, with slopes, whitened but for the excess."""
+    """What three channels of a kind leave that no parameter takes up, in units of its noise.
+
+    In these r coordinates the noise has the covariance 1 and a scatter that the outputs share the
+    covariance given here: the likelihood of what is left is the restricted one.
+
+    Attributes:
+        rows: (k,) of the outputs.
+        left: (r,) what is left.
+        calm: (r, r) covariance by the wandering that the data sheet states.
+        beyond: (r, r) covariances by wandering of each time of `_TIMES`, for unit ratios.
+        arrivals: (r, r) covariances by joints that stop, and by stops, for one rad^2.
+        wandering: Where the bias is looked at.
+        typical: What a ratio of one stands for, SI units squared.
+        stated: Variance of the wandering stated, SI units squared.
+
+    """
 
     rows: NDArray[np.intp]
-    jacobian: Floats
     left: Floats
-    base: Floats
-    arrivals: Floats
-    prior: Floats
-    slope_left: Floats
-    slope_variances: Floats
+    calm: Floats
+    beyond: tuple[Floats, ...]
+    arrivals: tuple[Floats, ...]
     wandering: _Wandering
     typical: float
     stated: float
 
-    def weigh(self, arrival: float) -> tuple[Floats, Floats]:
-        """Return log likelihoods for one error of arrival.
+    def arriving(self, joints: float, stops: float) -> Floats:
+        """Return the covariance by noise and arrivals of these variances, rad^2."""
+        found = np.eye(len(self.left))
+        for variance, pattern in zip((joints, stops), self.arrivals, strict=True):
+            if variance:
+                found += variance * pattern
+        return found
 
-        Args:
-            arrival: Its variance, rad^2.
+    def weigh(self, joints: float = 0.0, stops: float = 0.0) -> tuple[Floats, Floats]:
+        """Return log likelihoods for arrivals of these variances, rad^2.
 
         Returns:
             (shares,) for shares of the wandering stated, and (taus, ratios) for what comes on top
             of it.
 
         """
-        covariance = self.base + arrival * (self.arrivals @ self.arrivals.T)
-        factor = np.linalg.cholesky(covariance)
-        columns = np.column_stack([self.jacobian, self.left])
-        columns = np.vstack(
-            [
-                scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False),
-                self.prior,
-            ]
-        )
-        full, triangle = np.linalg.qr(columns[:, :-1], mode='complete')
-        free = full[:, triangle.shape[1] :]
-        # The volume of the parameters' and of the noise's own ellipsoid, for unlike arrivals.
-        volume = -np.log(np.diag(factor)).sum() - np.log(np.abs(np.diag(triangle))).sum()
-        slopes = self.slope_left / np.sqrt(self.slope_variances)
-        z = np.concatenate([free.T @ columns[:, -1], slopes])
-        rows = len(self.left)
-        back = scipy.linalg.solve_triangular(factor, np.eye(rows), lower=True, check_finite=False)
-        project = np.zeros((rows + len(slopes), len(z)))
-        project[:rows, : free.shape[1]] = back.T @ free[:rows]
-        project[rows:, free.shape[1] :] = np.diag(1 / np.sqrt(self.slope_variances))
-        stated, *beyond = self.kernels
-        beforehand = project.T @ stated @ project
-        calm = volume + _likelihoods(beforehand, z, _SHARES)
-        if self.stated > 0:
-            root = np.linalg.cholesky(np.eye(len(z)) + beforehand)
-            volume -= np.log(np.diag(root)).sum()
-            z = scipy.linalg.solve_triangular(root, z, lower=True, check_finite=False)
-            project = scipy.linalg.solve_triangular(
-                root, project.T, lower=True, check_finite=False
-            ).T
-        found = [volume + _likelihoods(project.T @ k @ project, z, _RATIOS) for k in beyond]
-        return calm, np.array(found)
+        base = self.arriving(joints, stops)
+        calm = _along(base, self.calm, self.left, _SHARES)
+        whole = base + self.calm
+        return calm, np.array([_along(whole, k, self.left, _RATIOS) for k in self.beyond])
 
-    @cached_property
-    def kernels(self) -> list[Floats]:
-        """Covariances of the rows: by the wandering stated, and by unit ratios of each time."""
-        stated = self.spread(self.stated_kernel())
-        beyond = [self.spread(self.wandering.kernel(time)) for time in _TIMES]
-        return [stated, *(kernel * self.typical for kernel in beyond)]
+    def wander(self, share: float, time: int, ratio: float) -> Floats:
+        """Return the covariance by a share of the wandering stated and one beyond it."""
+        found = share * self.calm
+        return found + ratio * self.beyond[time] if ratio else found
 
-    def stated_kernel(self) -> Floats:
-        """Return the covariance of means and slopes by the wandering that is stated."""
-        kernel = self.wandering.kernel(_STATED_TIME / self.wandering.span)
-        return np.asarray(self.stated * kernel)
+    def lines(self, wander: Floats, variances: Floats) -> Floats:
+        """Return the log likelihoods of arrivals, (kinds, v), beside a wandering (r, r).
 
-    def spread(self, kernel: Floats) -> Floats:
-        """Repeat a kernel over stretches for three channels, in the order of the rows."""
-        return np.asarray(np.kron(kernel, np.eye(3)), dtype=float)
+        Args:
+            wander: Its covariance.
+            variances: (v,) of the arrivals, rad^2, split between joints and stops by `_KINDS`.
+
+        """
+        base = np.eye(len(self.left)) + wander
+        joints, stops = self.arrivals
+        mixed = [(1 - share) * joints + share * stops for share in _KINDS]
+        return np.array([_along(base, kernel, self.left, variances) for kernel in mixed])
+
+
+def _spread(kernel: Floats) -> Floats:
+    """Repeat a kernel over stretches for three channels, in the order of the rows."""
+    return np.asarray(np.kron(kernel, np.eye(3)), dtype=float)
+
+
+def _along(base: Floats, kernel: Floats, left: Floats, ratios: Floats) -> Floats:
+    """Return the log likelihoods of what is left with covariances base + ratio kernel."""
+    root = np.linalg.cholesky(base)
+    columns = np.column_stack([kernel, left])
+    columns = scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False)
+    kernel, left = columns[:, :-1], columns[:, -1]
+    kernel = scipy.linalg.solve_triangular(root, kernel.T, lower=True, check_finite=False)
+    return np.asarray(_likelihoods(kernel, left, ratios) - np.log(np.diag(root)).sum())
 
 
 def _likelihoods(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
@@ -179,14 +197,14 @@ class Excess:
     """What scatters beyond random walk and quantisation, as the session shows it.
 
     Attributes:
-        positioning: Standard deviation of an arrival's error, rad.
+        arriving: Arrivals beyond what the table states.
         wandering: (6,) standard deviation of the wandering biases, rad/s and m/s^2.
         extra: What wandering adds to the covariance of the outputs: as the data sheet states it,
             and what the session shows beyond.
 
     """
 
-    positioning: float
+    arriving: Arrivals
     wandering: Floats
     extra: tuple[Component, ...] = ()
 
@@ -199,101 +217,191 @@ class Excess:
 def excess(equations: Equations, state: Floats) -> Excess:
     """Estimate the excess scatter of a session about a solution.
 
+    What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
+    without it. Then the other cases share the weight: a few arrivals that miss and a bias that
+    wanders slowly look alike, and do unlike harm.
+
     Args:
         equations: The session, any earlier excess is ignored.
         state: (n,) a solution close to the final one.
 
     """
-    plain = replace(equations, extra=(), positioning=None)
-    evidence = plain.evidence
-    positioning = evidence.positioning
-    if not evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
-        return Excess(positioning, np.zeros(6))
-    covariance = plain.covariance(state)
-    jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
-    arrivals = plain.arrivals(state)
-
-    accel = _triad(plain, 3, (jacobian, left, covariance, arrivals), state)
-    candidates = _ARRIVAL_RATIOS * (accel.typical / evidence.site.gravity**2)
-    weights = _posterior(accel, candidates)
-    arrival = float(weights.arrivals @ candidates)
-    of_accels, accels_extra = _spread_out(accel, weights)
-    gyro = _triad(
-        plain, 0, (jacobian, left, covariance + arrival * (arrivals @ arrivals.T), arrivals), state
-    )
-    of_gyros, gyros_extra = _spread_out(gyro, _posterior(gyro, np.zeros(1)))
+    plain = replace(equations, extra=(), arriving=NO_ARRIVALS)
+    if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
+        return Excess(NO_ARRIVALS, np.zeros(6))
+    triads = _triads(plain, state)
+    still = [_Wander.of(*triad.weigh()) for triad in triads]
+    share, joints, stops = _arrivals(triads, still, _variances(plain))
+    found = [[(1 - share, wander)] for wander in still]
+    if share:
+        for mixture, triad in zip(found, triads, strict=True):
+            mixture.append((share, _Wander.of(*triad.weigh(joints, stops))))
+    spread = [_spread_out(triad, mixture) for triad, mixture in zip(triads, found, strict=True)]
     return Excess(
-        float(np.sqrt(positioning**2 + arrival)),
-        np.repeat([of_gyros, of_accels], 3),
-        (*gyros_extra, *accels_extra),
+        Arrivals(math.sqrt(share * joints), math.sqrt(share * stops)),
+        np.repeat([deviation for deviation, _ in spread], 3),
+        tuple(part for _, parts in spread for part in parts),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Weights:
-    """Posterior weights: (a, shares) of what is stated, (a, taus, ratios) of what is beyond."""
+class _Wander:
+    """How likely wanderings are: (shares,) of what is stated, (taus, ratios) of what is beyond.
+
+    Attributes:
+        calm: Log likelihoods with the odds of the data sheet.
+        beyond: Log likelihoods, a weight of one spread over all.
+
+    """
 
     calm: Floats
     beyond: Floats
 
-    @property
-    def arrivals(self) -> Floats:
-        """Weights of the errors of arrival, (a,)."""
-        return np.asarray(self.calm.sum(axis=1) + self.beyond.sum(axis=(1, 2)))
+    @classmethod
+    def of(cls, calm: Floats, beyond: Floats) -> _Wander:
+        """Weigh what `_Triad.weigh` returns."""
+        return cls(calm + _LOG_ODDS, beyond - np.log(beyond.size))
 
     @property
-    def stated(self) -> float:
-        """Mean share of the wandering stated."""
-        return float(self.calm.sum(axis=0) @ _SHARES + self.beyond.sum())
+    def known(self) -> float:
+        """Log likelihood of what is known beforehand."""
+        return float(scipy.special.logsumexp(self.calm))
+
+    @property
+    def unknown(self) -> float:
+        """Log likelihood of what is beyond it."""
+        return float(scipy.special.logsumexp(self.beyond))
+
+    @property
+    def highest(self) -> float:
+        """Log likelihood of the likeliest of what is beyond, nothing spread."""
+        return float(self.beyond.max()) + math.log(self.beyond.size)
+
+    @property
+    def called_for(self) -> bool:
+        """Whether the likelihood asks for more than is known."""
+        return self.highest > self.known + _CALLED_FOR
+
+    def weights(self) -> tuple[Floats, Floats]:
+        """Return the posterior of both, of sum one."""
+        if self.called_for:
+            return np.zeros_like(self.calm), np.exp(self.beyond - self.unknown)
+        return np.exp(self.calm - self.known), np.zeros_like(self.beyond)
+
+    def hypotheses(self, triad: _Triad) -> list[tuple[float, Floats]]:
+        """Return the likeliest wandering of either kind: its weight's logarithm, covariance."""
+        calm, (time, ratio) = (
+            int(self.calm.argmax()),
+            divmod(int(self.beyond.argmax()), len(_RATIOS)),
+        )
+        return [
+            (
+                self.known - float(self.calm[calm]) + float(_LOG_ODDS[calm]),
+                triad.wander(_SHARES[calm], 0, 0.0),
+            ),
+            (
+                self.unknown - self.highest,
+                triad.wander(1.0, time, float(_RATIOS[ratio])),
+            ),
+        ]
 
 
-def _posterior(triad: _Triad, candidates: Floats) -> _Weights:
-    """Return the weights over a grid of arrival errors (none of which comes first) and wanderings.
+def _variances(equations: Equations) -> Floats:
+    """Return the variances of arrivals that may be, (v,) rad^2.
 
-    What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
-    without it. Then the other cases share the weight: a few arrivals that miss and a bias that
-    wanders slowly look alike, and do unlike harm.
+    From a tenth of what the noise of the sharpest outputs hides.
     """
-    pairs = [triad.weigh(float(arrival)) for arrival in candidates]
-    calm = np.array([pair[0] for pair in pairs]) + _LOG_ODDS
-    beyond = np.array([pair[1] for pair in pairs])
-    known = float(scipy.special.logsumexp(calm[0]))
-    some, none = np.zeros_like(beyond), np.zeros_like(calm)
-    if (
-        max(float(beyond.max()), float(scipy.special.logsumexp(calm, axis=1).max()))
-        < known + _CALLED_FOR
-    ):
-        none[0] = np.exp(calm[0] - known)
-        return _Weights(none, some)
-    still, moved = slice(0, 1), slice(1, None)
-    for part in (still, moved):
-        some[part] = beyond[part] - np.log(max(1, beyond[part].size))
-    none[still], none[moved] = -np.inf, calm[moved] - np.log(max(1, len(calm) - 1))
-    total = float(scipy.special.logsumexp(np.concatenate([none.ravel(), some.ravel()])))
-    return _Weights(np.exp(none - total), np.exp(some - total))
+    evidence = equations.evidence
+    at_rest = equations.own_variances[equations.rows.accels]
+    sharpest = float(np.median(at_rest)) / evidence.site.gravity**2
+    if len(evidence.led):
+        sharpest = min(sharpest, float(np.median(evidence.led.variances(evidence.walk))))
+    return np.asarray(_ARRIVAL_RATIOS * sharpest)
 
 
-def _spread_out(triad: _Triad, weights: _Weights) -> tuple[float, tuple[Component, ...]]:
+def _arrivals(
+    triads: Sequence[_Triad], still: Sequence[_Wander], variances: Floats
+) -> tuple[float, float, float]:
+    """Return how likely arrivals miss, and by which variances of joints and of stops, rad^2.
+
+    Those of a triad count beside the likeliest of its wanderings, with none of the arrivals and
+    with the likeliest.
+    """
+    hypotheses = [wander.hypotheses(triad) for triad, wander in zip(triads, still, strict=True)]
+    found = _lines(triads, hypotheses, variances)
+    kind, size = divmod(int(found.argmax()), len(variances))
+    joints = (1 - float(_KINDS[kind])) * float(variances[size])
+    stops = float(_KINDS[kind]) * float(variances[size])
+    for triad, its in zip(triads, hypotheses, strict=True):
+        its.append(_Wander.of(*triad.weigh(joints, stops)).hypotheses(triad)[1])
+    found = _lines(triads, hypotheses, variances)
+    known = sum(wander.known for wander in still)
+    highest = sum(max(wander.known, wander.highest) for wander in still)
+    if max(float(found.max()), highest) < known + _CALLED_FOR:
+        return 0.0, 0.0, 0.0
+    either = sum(float(np.logaddexp(wander.known, wander.unknown)) for wander in still)
+    # Of what does not move the arrivals all but what is known beforehand.
+    none = either + math.log(max(-math.expm1(known - either), np.finfo(float).tiny))
+    found -= math.log(found.size)
+    some = float(scipy.special.logsumexp(found))
+    share = 1 / (1 + math.exp(min(none - some, 700.0)))
+    if not _UNLIKELY < share < 1 - _UNLIKELY:
+        share = round(share)
+    weights = np.exp(found - some)
+    joints = float((weights * np.outer(1 - _KINDS, variances)).sum())
+    stops = float((weights * np.outer(_KINDS, variances)).sum())
+    return share, joints, stops
+
+
+def _lines(
+    triads: Sequence[_Triad],
+    hypotheses: Sequence[list[tuple[float, Floats]]],
+    variances: Floats,
+) -> Floats:
+    """Return the log likelihoods of arrivals by all triads, (kinds, v), wanderings averaged."""
+    found = np.zeros((len(_KINDS), len(variances)))
+    for triad, its in zip(triads, hypotheses, strict=True):
+        each = [weight + triad.lines(wander, variances) for weight, wander in its]
+        found += scipy.special.logsumexp(each, axis=0)
+    return found
+
+
+def _spread_out(
+    triad: _Triad, mixture: list[tuple[float, _Wander]]
+) -> tuple[float, tuple[Component, ...]]:
     """Return the wandering's standard deviation, and the posterior's mean of its covariance."""
-    means = len(triad.left) // 3
-    stated = weights.stated * triad.spread(triad.stated_kernel()[:means, :means])
+    calm, by_ratio = 0.0, np.zeros((len(_TIMES), len(_RATIOS)))
+    for weight, wander in mixture:
+        of_calm, of_beyond = wander.weights()
+        calm += weight * float(of_calm @ _SHARES + of_beyond.sum())
+        by_ratio += weight * of_beyond
+    means = len(triad.rows) // 3
+    stated = calm * triad.stated * _spread(triad.wandering.stated_kernel()[:means, :means])
     found = np.zeros_like(stated)
-    by_ratio = weights.beyond.sum(axis=0)
     for k, time in enumerate(_TIMES):
         kernel = triad.wandering.kernel(time)[:means, :means]
-        found += float(by_ratio[k] @ _RATIOS) * triad.typical * triad.spread(kernel)
-    beyond = by_ratio.sum(axis=0)
-    total = weights.stated * triad.stated + float(beyond @ _RATIOS) * triad.typical
+        found += float(by_ratio[k] @ _RATIOS) * triad.typical * _spread(kernel)
+    total = calm * triad.stated + float((by_ratio @ _RATIOS).sum()) * triad.typical
     parts = []
-    if weights.stated * triad.stated:
+    if calm * triad.stated:
         parts.append(Component(Source.BIAS_STATED, Dense(triad.rows, stated)))
-    if beyond.any():
+    if by_ratio.any():
         parts.append(Component(Source.BIAS_FOUND, Dense(triad.rows, found)))
-    return float(np.sqrt(total)), tuple(parts)
+    return math.sqrt(total), tuple(parts)
+
+
+def _triads(plain: Equations, state: Floats) -> list[_Triad]:
+    """Return gyros, with turns and moves, and accelerometers."""
+    jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
+    parts = (jacobian, left, plain.covariance(state), plain.arrivals(state))
+    return [_triad(plain, first, parts, state) for first in (0, 3)]
 
 
 def _triad(
-    equations: Equations, first: int, parts: tuple[Floats, Floats, Floats, Floats], state: Floats
+    equations: Equations,
+    first: int,
+    parts: tuple[Floats, Floats, Floats, tuple[Floats, ...]],
+    state: Floats,
 ) -> _Triad:
     """Cut out gyros (first = 0, with the turns) or accelerometers (first = 3)."""
     evidence = equations.evidence
@@ -327,19 +435,60 @@ def _triad(
         units,
         np.array(with_slope + [False] * len(moves), dtype=bool),
     )
-    return _Triad(
-        rows,
+    project, z = _restricted(
         jacobian[np.ix_(rows, seen)],
         left[rows],
         covariance[np.ix_(rows, rows)],
-        arrivals[rows],
         prior[:, np.append(seen, equations.size)],
-        slope_left,
-        slope_variances,
-        wandering,
-        float(np.median(equations.own_variances[equations.rows.rest[:, first : first + 3]])),
-        float(evidence.instability[first] ** 2),
     )
+    slopes = 1 / np.sqrt(slope_variances)
+    both = scipy.linalg.block_diag(project, np.diag(slopes))
+    typical = float(np.median(equations.own_variances[equations.rows.rest[:, first : first + 3]]))
+    stated = float(evidence.instability[first] ** 2)
+
+    def seen_by(kernel: Floats, variance: float) -> Floats:
+        return np.asarray(both.T @ (variance * _spread(kernel)) @ both)
+
+    moved = [
+        np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in arrivals
+    ]
+    return _Triad(
+        rows,
+        np.concatenate([z, slope_left * slopes]),
+        seen_by(wandering.stated_kernel(), stated),
+        tuple(seen_by(wandering.kernel(time), typical) for time in _TIMES),
+        tuple(np.asarray(m @ m.T) for m in moved),
+        wandering,
+        typical,
+        stated,
+    )
+
+
+def _restricted(
+    jacobian: Floats, left: Floats, covariance: Floats, prior: Floats
+) -> tuple[Floats, Floats]:
+    """Return what of outputs no parameter takes up, in units of their noise.
+
+    Args:
+        jacobian: (k, p) of the outputs.
+        left: (k,) of them.
+        covariance: (k, k) of their noise.
+        prior: (q, p + 1) further equations in standard deviations, what they leave last.
+
+    Returns:
+        (k, r) by which the outputs' scatter enters, and (r,) what is left.
+
+    """
+    factor = np.linalg.cholesky(covariance)
+    columns = np.column_stack([jacobian, left])
+    columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
+    columns = np.vstack([columns, prior])
+    full, triangle = np.linalg.qr(columns[:, :-1], mode='complete')
+    free = full[:, triangle.shape[1] :]
+    project = scipy.linalg.solve_triangular(
+        factor, free[: len(left)], lower=True, trans='T', check_finite=False
+    )
+    return np.asarray(project), np.asarray(free.T @ columns[:, -1])
 
 
 def _slope_variance(blocks: Floats, walk: float) -> float:

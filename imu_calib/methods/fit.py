@@ -176,8 +176,23 @@ def _moves_that_fit(
     if not len(evidence.led):
         return (), ()
     scatter = excess(resting, state)
-    known = Information.of(_weighted(resting, scatter).whitened(state)[0]).covariance
-    moving = replace(resting, evidence=evidence, positioning=scatter.positioning)
+    kept: tuple[Move, ...] = ()
+    while True:
+        fitting, astray = _judged(_weighted(resting, scatter), state, evidence)
+        if not astray or len(fitting) <= len(kept):
+            return fitting, astray
+        # Moves show arrivals that hide in the noise of rests: with those that fit, others may.
+        kept = fitting
+        moved = replace(resting, evidence=replace(evidence, moves=kept))
+        scatter = replace(scatter, arriving=excess(moved, state).arriving)
+
+
+def _judged(
+    resting: Equations, state: Floats, evidence: Evidence
+) -> tuple[tuple[Move, ...], tuple[Astray, ...]]:
+    """Hold each move against rests and turns, which scatter as they are said to."""
+    known = Information.of(resting.whitened(state)[0]).covariance
+    moving = replace(resting, evidence=evidence, extra=())
     predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))
     covariance, known = moving.covariance(state), np.nan_to_num(known)
     kept, astray = [], []
@@ -327,7 +342,7 @@ def _least_squares(jacobian: Floats, left: Floats) -> Floats:
 
 
 def _weighted(equations: Equations, scatter: Excess) -> Equations:
-    return replace(equations, extra=scatter.extra, positioning=scatter.positioning)
+    return replace(equations, extra=scatter.extra, arriving=scatter.arriving)
 
 
 def _levelled(equations: Equations, state: Floats) -> Equations:

@@ -16,6 +16,7 @@ import scipy
 from ..model import Term, parameters_of
 from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
+from .arrivals import NO_ARRIVALS
 from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatter
 from .equations import LEVELLED, Nuisance
 from .evidence import Evidence
@@ -86,7 +87,7 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
 
     """
     evidence = found.equations.evidence
-    plain = replace(found.equations, extra=found.scatter.stated, positioning=None)
+    plain = replace(found.equations, extra=found.scatter.stated, arriving=NO_ARRIVALS)
     state, sensors = found.state, found.equations.sensors
     response = plain.model(state).gyro.response
     free = np.zeros((len(plain.outputs), 3))
@@ -156,13 +157,18 @@ def _scattering(found: Estimate) -> list[str]:
     """Say what scatters beyond the noise and beyond what table and data sheet state."""
     evidence, scatter = found.equations.evidence, found.scatter
     notes = []
-    arrivals = np.sqrt(max(0.0, scatter.positioning**2 - evidence.positioning**2))
-    if arrivals > _TELLING * evidence.positioning:
-        stated = f'{evidence.positioning / ARCSEC:.3g} arcsec' if evidence.positioning else 'none'
+    stated = f'{evidence.positioning / ARCSEC:.3g} arcsec' if evidence.positioning else 'none'
+    joints, stops = scatter.arriving.joints, scatter.arriving.stops
+    if joints > _TELLING * evidence.positioning:
         notes.append(
-            f'The accelerometers scatter as if the table arrived {arrivals / ARCSEC:.2g} arcsec '
-            f'off what its encoders show (its description states {stated}): the standard '
-            'deviations allow for it.'
+            f'The sensors scatter as if joints stopped {joints / ARCSEC:.2g} arcsec off what their '
+            f"encoders show (the table's description states {stated}): the standard deviations "
+            'allow for it.'
+        )
+    if stops > _TELLING * max(joints, evidence.positioning):
+        notes.append(
+            f'The sensors scatter as if the table leaned by {stops / ARCSEC:.2g} arcsec about any '
+            'axis, another way at each stop: the standard deviations allow for it.'
         )
     for name, first, unit, symbol in (
         ('gyros', 0, DEG_H, 'deg/h'),

@@ -36,6 +36,7 @@ _COLOURS = {
     Source.BIAS_FOUND: '#86d1b0',
     Source.ARRIVAL_STATED: '#c24e00',
     Source.ARRIVAL_FOUND: '#f7b27a',
+    Source.STOPS: '#8a3300',
     Source.ENCODER_RATE: '#6a3d9a',
     Source.ENCODER_NOISE: '#cab2d6',
     Source.AZIMUTH: '#7a4a12',

@@ -1,0 +1,168 @@
+"""How a table that stops beside its mark leans the attitudes of rests and turns.
+
+A joint that stops is off what its encoder reads until it moves again: rests and turns in between
+share that error, about the joint's axis. And each stop leans and turns a little of its own,
+whichever joint moved. Nobody sees either but the sensors.
+
+Source: docs/mathematics.md, "Arrivals".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..segmentation.segment import Segment, Turn
+from ..stream import Floats
+from ..turntable import TURN, Table
+from ..units import DEG
+
+SAME_UP = 0.01
+_MOVED = 0.05 * DEG
+"""By how much the readings of a joint that has moved differ at least: far above what encoders
+scatter by (seconds of arc), far below the moves of any plan."""
+
+_HEADINGS = 8
+"""Over which a turn is averaged: the direction of an axis goes round once in it."""
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Standard deviations of arrivals beyond what the table states, rad.
+
+    Attributes:
+        joints: Of a joint that stops, about its axis.
+        stops: Of a stop, about each of three axes.
+
+    """
+
+    joints: float = 0.0
+    stops: float = 0.0
+
+
+NO_ARRIVALS = Arrivals()
+"""What the table states, and nothing beyond."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leaning:
+    """How attitudes turn about the body axes by one radian of each of e errors.
+
+    Attributes:
+        at_rest: (s, 3, e) of the stretches at rest.
+        turning: (t, 3, e) of the turns.
+
+    """
+
+    at_rest: Floats
+    turning: Floats
+
+    @classmethod
+    def of(cls, columns: list[Floats], stretches: int, parts: int) -> Leaning:
+        """Take (s + t, 3) rotations, one by one error, apart."""
+        whole = np.stack(columns, axis=2) if columns else np.zeros((parts, 3, 0))
+        return cls(whole[:stretches], whole[stretches:])
+
+
+def of_joints(
+    segments: tuple[Segment, ...], turns: tuple[Turn, ...], table: Table | None
+) -> Leaning:
+    """Return what joints that stop beside their mark do.
+
+    Without joint angles it is the attitudes that say what moved: while up stays the same in body
+    axes the vertical joint alone turns. The error of the others is then common to all stretches and
+    turns of such a group, about both level axes; its own is another for each stretch.
+    """
+    parts: list[Segment | Turn] = [*segments, *turns]
+    known = [part.angles for part in parts]
+    if table is None or any(angles is None for angles in known):
+        return _by_up(segments, turns)
+    angles = np.array(known).reshape(len(parts), -1)
+    order = np.argsort([part.start for part in parts], kind='stable')
+    columns: list[Floats] = []
+    for joint in range(angles.shape[1]):
+        about = _axes(table, joint, angles, turns)
+        for run in _runs(joint, angles[:, joint], parts, order.tolist()):
+            column = np.zeros((len(parts), 3))
+            column[run] = about[run]
+            columns.append(column)
+    return Leaning.of(columns, len(segments), len(parts))
+
+
+def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
+    """Return what stops do that lean and turn of their own: three errors for each stretch."""
+    count = len(segments)
+    at_rest = np.zeros((count, 3, 3 * count))
+    for k in range(count):
+        at_rest[k, :, 3 * k : 3 * k + 3] = np.eye(3)
+    return Leaning(at_rest, np.zeros((len(turns), 3, 3 * count)))
+
+
+def _axes(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -> Floats:
+    """Return the axis of a joint in body axes, (s + t, 3), over a turn its mean.
+
+    The error of a joint that turns is its encoder's, and goes round.
+    """
+    about = np.array(table.joint_axis(joint, angles), dtype=float)
+    first = len(angles) - len(turns)
+    for k, turn in enumerate(turns, start=first):
+        if turn.joint == joint:
+            about[k] = 0.0
+        elif turn.joint is not None:
+            around = np.repeat(angles[k][None], _HEADINGS, axis=0)
+            around[:, turn.joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
+            about[k] = table.joint_axis(joint, around).mean(axis=0)
+    return about
+
+
+def _runs(
+    joint: int, readings: Floats, parts: list[Segment | Turn], order: list[int]
+) -> list[list[int]]:
+    """Return the stretches and turns of each stop of a joint, in time."""
+    found: list[list[int]] = []
+    last = None
+    for k in order:
+        part = parts[k]
+        if isinstance(part, Turn) and part.joint == joint:
+            last = None
+            continue
+        if last is None or abs(readings[k] - last) > _MOVED:
+            found.append([])
+        found[-1].append(k)
+        last = readings[k]
+    return found
+
+
+def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
+    attitudes = [s.attitude[2] for s in segments if s.attitude is not None]
+    ups = np.array([*attitudes, *(t.up for t in turns)]).reshape(-1, 3)
+    starts = [s.start for s in segments] + [t.start for t in turns]
+    groups = _groups(ups, starts)
+    columns: list[Floats] = []
+    for group in range(int(groups.max(initial=-1)) + 1):
+        mine = groups == group
+        columns += [np.where(mine[:, None], axis, 0.0) for axis in level_axes(ups[mine][0])]
+    own = np.eye(len(ups))[: len(segments), :, None] * ups
+    columns += list(own)
+    return Leaning.of(columns, len(segments), len(ups))
+
+
+def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:
+    """Number stretches and turns by runs in time of one and the same direction of up."""
+    groups = np.zeros(len(starts), dtype=np.intp)
+    current, last = -1, None
+    for k in np.argsort(starts, kind='stable').tolist():
+        if last is None or np.linalg.norm(ups[k] - last) > SAME_UP:
+            current, last = current + 1, ups[k]
+        groups[k] = current
+    return groups
+
+
+def level_axes(up: Floats) -> tuple[Floats, Floats]:
+    """Return two unit vectors (..., 3) at right angles to (..., 3) `up` and to each other."""
+    other = np.eye(3)[np.abs(up).argmin(axis=-1)]
+    first = np.cross(up, other)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    return first, np.cross(up, first)
