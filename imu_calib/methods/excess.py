@@ -3,17 +3,19 @@
 Both are estimated from the session itself by restricted maximum likelihood (Patterson and Thompson
 1971, Biometrika 58, 545): the likelihood of what the parameters cannot explain. A bias wanders as
 a first-order Gauss-Markov process, variance s^2 and correlation time tau, seen between the
-stretches by their means and within them by their slopes; an arrival errs as `Equations.arrivals`
-says. Correlation times reach to three lengths of the session: what is slower yet is no other than
-a bias. Either counts where the likelihood asks for it, so that a session of pure noise keeps the
-weights that suit it. One session tells neither s nor tau well: the covariance that then counts is
-the mean of the posterior over a grid, not the most likely one, which would be too sure of itself.
+stretches by their means and within them by their slopes; arrivals err as `Equations.arrivals` says,
+and gyros and accelerometers see the same ones. Correlation times reach to three lengths of the
+session: what is slower yet is no other than a bias. Either counts where the likelihood asks for it,
+so that a session of pure noise keeps the weights that suit it. One session tells neither s nor tau
+well, nor the arrivals of a dozen stops: the covariance that then counts is the mean of the
+posterior over a grid, not the most likely one, which would be too sure of itself.
 
 A wandering that the data sheet states (bias instability) is a floor: a session of half an hour
 does not show a drift of the size of its own noise, and its mean errs by it all the same. It is
 weighed against less of it by what the data says, with odds of ten to one for the data sheet.
 
-Source: methods.md, section 11 (weights from the data, drift within and between segments).
+Source: methods.md, section 11 (weights from the data, drift within and between segments);
+docs/mathematics.md, "Arrivals".
 """
 
 from __future__ import annotations

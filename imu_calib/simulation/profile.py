@@ -54,6 +54,19 @@ class Track:
         change = self.acceleration[index] * elapsed
         return self.value[index] + (rate + change / 2) * elapsed, rate + change
 
+    def stopping(self, offset: float, target: float) -> Track:
+        """Return the same course at an offset, until it brakes: it stops at another value.
+
+        Needs a track of one column whose last piece but one brakes.
+        """
+        value, rate, acceleration = self.value + offset, self.rate.copy(), self.acceleration.copy()
+        way = float(value[-1, 0] - value[-2, 0])
+        longer = (target - float(value[-2, 0])) / way
+        rate[-2] *= longer
+        acceleration[-2] *= longer
+        value[-1] = target
+        return Track(self.start, value, rate, acceleration)
+
     def mapped(self, origin: float, target: float) -> Track:
         """Return the same course in time from another value to another value.
 

@@ -48,12 +48,16 @@ class TableState:
 
 @dataclass(frozen=True, eq=False)
 class _Order:
-    """Where the joints are to come to rest: by the goal, by the encoder, in truth; and how fast."""
+    """Where the joints are to come to rest: by the goal, by the encoder, in truth; and how fast.
+
+    `turns` says whether one turns whole turns.
+    """
 
     goal: Floats
     encoder: Floats
     true: Floats
     cruise: Floats
+    turns: bool = False
 
 
 class SimulatedTable:
@@ -328,7 +332,7 @@ class SimulatedTable:
         if self.options.arrival:
             hidden = np.where(rates != 0, self._hidden(), hidden)
         encoder = np.where(rates != 0, goal + servo, before.encoder)
-        return _Order(goal, encoder, encoder + hidden, cruise)
+        return _Order(goal, encoder, encoder + hidden, cruise, turns=True)
 
     def _turning_joint(
         self, setpoint: Setpoint, angles: Floats, rates: Floats, before: _Order
@@ -367,7 +371,12 @@ class SimulatedTable:
             rate = float(self._order.cruise[k])
             move = trapezoid(start, origin, target, rate, self._acceleration(joint))
             moves.append(move)
-            truths.append(move.mapped(true, float(self._order.true[k])))
+            stops = float(self._order.true[k])
+            if self.options.arrival and self._order.turns:
+                # A joint that turns is where its encoder reads: it errs again where it stops.
+                truths.append(move.stopping(true - origin, stops))
+            else:
+                truths.append(move.mapped(true, stops))
         self._track = self._track.followed_by(side_by_side(moves + truths))
         if self._leans and self._track.end > start:
             self._base = self._base.followed_by(self._leaning(start, self._track.end))
