@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from .alignment import Angles, free_of_frame
 from .budget import Budget, Share, Source
 from .budget_file import budget_document, read_budget
 from .config import Section
@@ -95,6 +96,11 @@ class Calibration:
         """Values of `parameters`, SI units."""
         return self.model.values(self.parameters)
 
+    @property
+    def free_of_frame(self) -> tuple[Angles, ...]:
+        """The angles between input axes, which no table's frame is in."""
+        return free_of_frame(self.model, self.covariance, self.parameters)
+
     def with_share(self, source: Source, share: Share) -> Calibration:
         """Return the calibration with what another source adds to its covariance."""
         budget = None if self.budget is None else self.budget.with_share(source, share)
@@ -134,6 +140,7 @@ class Calibration:
                 else _spec_document(self.imu.accel)
             ),
             **self._skewed_document(),
+            'free_of_frame': self._free_document(),
             'covariance': {
                 'parameters': [p.name for p, k in zip(self.parameters, known, strict=True) if k],
                 'matrix': _rows(self.covariance[np.ix_(known, known)]),
@@ -149,6 +156,14 @@ class Calibration:
             + self._head_of_further()
         )
         return head + dump(document, _Dumper, width=200)
+
+    def _free_document(self) -> dict[str, Any]:
+        """Return the angles between input axes: for who reads the file, `read` finds them anew."""
+        found = self.free_of_frame
+        return {
+            **{angles.group.key: _row(angles.values) for angles in found},
+            'std': {angles.group.key: _row(angles.std) for angles in found},
+        }
 
     def _budget_document(self, known: NDArray[np.bool_]) -> dict[str, Any]:
         if self.budget is None:

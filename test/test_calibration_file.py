@@ -8,7 +8,8 @@ from sessions import truth
 from imu_calib.calibration import Calibration, ResidualRow
 from imu_calib.errors import InputError
 from imu_calib.model import SensorModel
-from imu_calib.report.parameters import comparison_table, parameter_table
+from imu_calib.report.parameters import angle_table, comparison_table, parameter_table
+from imu_calib.units import ARCMIN
 
 
 def example() -> Calibration:
@@ -32,6 +33,25 @@ def test_a_calibration_comes_back_from_its_file_bit_for_bit(tmp_path: Path) -> N
     assert np.array_equal(loaded.model.vector(), saved.model.vector())
     assert np.array_equal(loaded.covariance, saved.covariance)
     assert [p.name for p in tmp_path.iterdir()] == ['calibration.yaml']
+
+
+def test_the_file_says_the_angles_between_input_axes_and_cannot_contradict_itself() -> None:
+    calibration = example()
+    text = calibration.to_yaml()
+    document = yaml.safe_load(text)
+    written = document['free_of_frame']
+    axes = np.eye(3) + np.array(document['gyro']['error_matrix'])
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    between = [np.pi / 2 - np.arccos(axes[i] @ axes[j]) for i, j in ((0, 1), (0, 2), (1, 2))]
+    assert written['gyro_nonorthogonality'] == pytest.approx(between, abs=1e-12)
+    assert set(written) - {'std'} == set(written['std'])
+    found = {a.group.key: a for a in calibration.free_of_frame}
+    assert written['std']['gyro_to_accelerometer'] == list(found['gyro_to_accelerometer'].std)
+    # Somebody changes the block: what is read follows from matrices and covariance alone.
+    first = written['gyro_nonorthogonality'][0]
+    changed = text.replace(repr(first), '0.5')
+    assert changed != text
+    assert Calibration.from_yaml(changed, 'c.yaml').to_yaml() == text
 
 
 def test_the_file_alone_is_enough_to_apply_it() -> None:
@@ -94,6 +114,20 @@ def test_the_truth_of_the_paper_prints_as_the_paper_prints_it() -> None:
         assert rows[name][0] == pytest.approx(value, abs=1e-6)
         assert rows[name][1] == unit
     assert list(rows)[:4] == ['K_GX', 'K_GY', 'K_GZ', 'E_GXY']
+
+
+def test_the_screen_shows_the_angles_of_the_file_beside_those_of_the_truth() -> None:
+    calibration = example()
+    rows = rendered(angle_table(calibration, calibration))
+    shown = [pair for a in calibration.free_of_frame for pair in zip(a.values, a.std, strict=True)]
+    assert len(rows) == len(shown) == 9
+    for (_, value, std, unit, true, ratio), (wanted, deviation) in zip(rows, shown, strict=True):
+        places = len(std.partition('.')[2])
+        assert float(value) == pytest.approx(wanted / ARCMIN, abs=0.51 * 10**-places)
+        assert float(std) == pytest.approx(deviation / ARCMIN, rel=0.06)
+        assert (unit, true, float(ratio)) == ('arcmin', value, 0.0)
+    names = ['gyros xy', 'accelerometers xz', 'gyros to accelerometers Z']
+    assert [row[0] for row in rows[::4]] == names
 
 
 def test_the_table_shows_as_many_digits_as_the_deviation_deserves() -> None:

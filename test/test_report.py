@@ -87,6 +87,18 @@ def test_all_parameters_are_there_with_the_numbers_of_the_calibration(
         assert float(bar) > 0
 
 
+def test_the_angles_between_input_axes_are_there(text: str, result: Result) -> None:
+    (table,) = [t for t in parsed(text).iter('table') if t.get('class') == 'angles']
+    rows = [[words(cell) for cell in row] for row in table.find('tbody') or ()]
+    groups = result.calibration.free_of_frame
+    assert len(rows) == 9
+    assert [row[0] for row in rows[::3]] == [f'{g.group.words} {g.group.names[0]}' for g in groups]
+    for row, value in zip(rows, np.concatenate([g.values for g in groups]), strict=True):
+        places = len(row[1].partition('.')[2])
+        shown = float(row[1].replace('−', '-'))
+        assert shown == pytest.approx(value / ARCMIN, abs=0.51 * 10**-places)
+
+
 def test_verdicts_stand_beside_the_limits_of_the_specification(text: str) -> None:
     # Truth of Table 1 against fog_medium.yaml: E_azy 7.55 arcmin of 6, K_gx 1927 ppm of 3000.
     rows = parameter_rows(text)

@@ -16,7 +16,7 @@ from ..methods import METHODS
 from ..methods.free.session import calibrator_of
 from ..report.budget import budget_tables
 from ..report.noise import noise_lines
-from ..report.parameters import parameter_table
+from ..report.parameters import parameter_tables
 from ..stream import Block
 from ..units import DEG, DEG_H, MICRO_G, PPM
 from . import options
@@ -126,7 +126,8 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     """Print the 24 parameters and what a person should know of how they came about."""
     session, solution, setup = result.session, result.solution, result.calibration.provenance
     clock = session.clock
-    OUTPUT.print(parameter_table(result.calibration, truth))
+    for part in parameter_tables(result.calibration, truth):
+        OUTPUT.print(part)
     without = '' if setup['plan'] else ' without a plan'
     OUTPUT.print(
         f'\n{setup["method"]}{without}: {setup["segments"]} stretches at rest, '

@@ -21,7 +21,7 @@ from ..methods import free
 from ..model import NO_TERMS
 from ..plan import Plan, load_plan
 from ..prediction import check_session
-from ..report.parameters import parameter_table
+from ..report.parameters import parameter_tables
 from ..simulation import StandOptions, load_imperfections
 from ..turntable import Table, load_table
 from . import by_hand, options, resume
@@ -134,7 +134,8 @@ def run(
     if truth is not None:
         truth.save(folder / 'truth.yaml')
         _save_true_table(arguments, folder)
-    OUTPUT.print(parameter_table(calibration, truth))
+    for part in parameter_tables(calibration, truth):
+        OUTPUT.print(part)
     seconds = time.monotonic() - began
     OUTPUT.print(
         f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '

@@ -9,6 +9,7 @@ from html import escape
 
 import numpy as np
 
+from ..alignment import SCALE, SHOWN
 from ..calibration import Calibration
 from ..model import TERMS, Parameter, ParameterKind
 from ..specification import COVERAGE, Specification, Verdict, judge
@@ -103,6 +104,25 @@ def tables(assessed: Sequence[Assessed]) -> str:
             inside = tag('h3', title) + inside
             parts.append(tag('div', inside, class_='whole'))
     return ''.join(parts)
+
+
+def angles_table(calibration: Calibration) -> str:
+    """Return the table of the angles between input axes."""
+    rows = []
+    for angles in calibration.free_of_frame:
+        for name, value, std in zip(angles.group.names, angles.values, angles.std, strict=True):
+            places = decimals(std / SCALE)
+            rows.append(
+                [
+                    tag('b', f'{angles.group.words} {name}'),
+                    f'{value / SCALE:.{places}f}'.replace('-', '\u2212'),
+                    f'{COVERAGE * std / SCALE:.{places}f}',
+                    SHOWN,
+                ]
+            )
+    headings = ['', 'value', f'\u00b1 {COVERAGE:g} std', 'unit']
+    inside = tag('h3', 'Free of frame') + table(headings, rows, 'angles', 'lrrl')
+    return tag('div', inside, class_='whole')
 
 
 def _row(assessed: Assessed) -> list[str]:

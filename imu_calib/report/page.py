@@ -12,10 +12,11 @@ from ..calibration import Calibration
 from ..calibrator import Result
 from ..imu import ImuSpec
 from . import allan_plot, repeatability, residuals, timeline
-from .assessment import assess, badge, summary, tables, worst
+from .assessment import angles_table, assess, badge, summary, tables, worst
 from .budget import budget_section
 from .html import bullets, facts, paragraph, section
 from .noise import noise_of
+from .parameters import FREE_OF_FRAME
 from .style import STYLE
 from .svg import tag
 
@@ -134,6 +135,8 @@ def _parameters(contents: Contents) -> str:
         tables(assessed),
         note if specification is not None else '',
         bullets(missing),
+        angles_table(contents.calibration),
+        paragraph(FREE_OF_FRAME, 'note'),
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from rich.table import Table
 
+from ..alignment import SCALE, SHOWN
 from ..calibration import Calibration
 from ..errors import InputError
 from ..model import AXES, PARAMETERS, TERMS, Parameter, ParameterKind, positions
@@ -81,6 +82,58 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
             ratio = f'{(value - true) / deviation:+.2f}' if deviation > 0 else '-'
             row += [f'{true:.{places}f}', ratio]
         table.add_row(*row)
+    return table
+
+
+FREE_OF_FRAME = (
+    'xy: the angle between the input axes x and y is so much less than 90 deg. X: the gyros are '
+    'turned about X so much against the accelerometers. Errors of the table, which are in E, '
+    'cancel here as far as they turn the unit as a whole.'
+)
+"""What `angle_table` shows, for a person."""
+
+
+def parameter_tables(
+    calibration: Calibration, truth: Calibration | None = None
+) -> list[Table | str]:
+    """Return what a terminal shows of a calibration: its parameters, and its angles.
+
+    Args:
+        calibration: What to show.
+        truth: What a simulation was given; adds the errors in standard deviations.
+
+    """
+    angles = angle_table(calibration, truth)
+    return [parameter_table(calibration, truth), '', angles, FREE_OF_FRAME]
+
+
+def angle_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
+    """Return the angles between input axes: value, standard deviation, unit.
+
+    Args:
+        calibration: What to show.
+        truth: What a simulation was given; adds the error in standard deviations.
+
+    """
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    headings = ['free of frame', 'value', 'std', 'unit']
+    if truth is not None:
+        headings += ['truth', 'error/std']
+    for heading in headings:
+        left = heading in {'free of frame', 'unit'}
+        table.add_column(heading, justify='left' if left else 'right')
+    true = {} if truth is None else {a.group: a.values for a in truth.free_of_frame}
+    for angles in calibration.free_of_frame:
+        known = true.get(angles.group, angles.values)
+        rows = zip(angles.group.names, angles.values, angles.std, known, strict=True)
+        for name, value, std, right in rows:
+            places = decimals(std / SCALE)
+            shown = [f'{v / SCALE:.{places}f}' for v in (value, std, right)]
+            row = [f'{angles.group.words} {name}', *shown[:2], SHOWN]
+            if truth is not None:
+                row += [shown[2], f'{(value - right) / std:+.2f}' if std > 0 else '-']
+            table.add_row(*row)
+        table.add_section()
     return table
 
 
