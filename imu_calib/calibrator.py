@@ -290,7 +290,7 @@ class Calibrator:
         except NotObservable as error:
             raise type(error)(' '.join([str(error), *lost])) from None
         contradiction = comparison.finding() if comparison is not None else []
-        findings = (*solution.findings, *contradiction, *lost)
+        findings = (*solution.findings, *contradiction, *lost, *_assumed(setup))
         calibration = Calibration(
             setup.imu,
             solution.model,
@@ -364,6 +364,12 @@ def _what_was_lost(
     ]
     sentences += [f'{loss}.' for loss in (*labelled.notes, *session.losses)]
     return list(dict.fromkeys(sentences))
+
+
+def _assumed(setup: Setup) -> list[str]:
+    """Say what is assumed of the table, which its file does not state."""
+    table = None if setup.plan.by_hand else setup.table
+    return [table.assumption] if table is not None and table.assumption else []
 
 
 def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:

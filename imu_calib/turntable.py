@@ -12,7 +12,7 @@ from .config import Section
 from .errors import InputError
 from .share import named_file
 from .stream import Floats
-from .table_errors import JointPoses, TableErrors, leaning
+from .table_errors import LEVELLED, JointPoses, TableErrors, assumption, leaning, read_doubts
 from .units import DEG, PPM, Dimension
 
 TURN = 2 * math.pi
@@ -20,8 +20,6 @@ _UP = np.array([0.0, 0.0, 1.0])
 _REACH_TOLERANCE = 1e-6
 _WORST_CLOCK = 1e-3
 """Ten times what a plain quartz may be off: beyond, the number is of another unit."""
-_WORST_GEOMETRY = 1 * DEG
-"""A table so far off its description is described wrongly: angles lean by errors to first order."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 
 
@@ -81,10 +79,11 @@ class Table:
         joints: From the base to the unit.
         mount: (3, 3) columns are the body axes in the frame of the last joint.
         azimuth: Heading of the table's zero against north about up, rad; None when unknown.
-        positioning: Standard deviation of an arrival's error that the encoder does not show, rad;
-            0 when not stated.
+        positioning: Standard deviation of an arrival's error that the encoder does not show, rad.
         clock: Standard deviation of the rate of its clock, relative; 0 when not stated.
-        errors: What is left open of its axes, zeros and encoders; nothing when not stated.
+        errors: What is left open of its axes, zeros and encoders.
+        level: Standard deviation of its tilt about either level axis, rad.
+        assumed: Keys that its file leaves out: what stands for them is usual, and not stated.
 
     """
 
@@ -95,6 +94,13 @@ class Table:
     positioning: float = 0.0
     clock: float = 0.0
     errors: TableErrors = field(default_factory=TableErrors)
+    level: float = LEVELLED
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def assumption(self) -> str:
+        """A sentence on what its file leaves out; empty where it states all."""
+        return assumption(self.name, self.assumed) if self.assumed else ''
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -331,26 +337,26 @@ def read_table(section: Section) -> Table:
     azimuth = None
     if section.has('azimuth') and section.raw('azimuth') != 'unknown':
         azimuth = section.quantity('azimuth', Dimension.ANGLE)
-    positioning = section.quantity('positioning', Dimension.ANGLE, 0.0)
     clock = section.quantity('clock', Dimension.RATIO, 0.0)
-    for key, value in (('positioning', positioning), ('clock', clock)):
-        if value < 0:
-            raise InputError(f'{section.key(key)}: cannot be negative.')
+    if clock < 0:
+        raise InputError(f'{section.key("clock")}: cannot be negative.')
     if clock > _WORST_CLOCK:
         raise InputError(
             f'{section.key("clock")}: found {clock / PPM:g} ppm, expected at most '
             f'{_WORST_CLOCK / PPM:g} ppm.'
         )
-    name = section.text('name')
-    sizes = {f.name: section.quantity(f.name, Dimension.ANGLE, 0.0) for f in fields(TableErrors)}
-    for key, value in sizes.items():
-        if not 0 <= value <= _WORST_GEOMETRY:
-            raise InputError(
-                f'{section.key(key)}: found {value / DEG:g} deg, expected 0 to '
-                f'{_WORST_GEOMETRY / DEG:g} deg.'
-            )
-    errors = TableErrors(**sizes)
-    table = Table(name, joints, _read_mount(section), azimuth, positioning, clock, errors)
+    sizes, assumed = read_doubts(section, len(joints))
+    table = Table(
+        section.text('name'),
+        joints,
+        _read_mount(section),
+        azimuth,
+        sizes['positioning'],
+        clock,
+        TableErrors(**{f.name: sizes[f.name] for f in fields(TableErrors)}),
+        sizes['level'],
+        assumed,
+    )
     section.finish()
     return table
 

@@ -19,7 +19,7 @@ from imu_calib.cli.main import main
 from imu_calib.earth import Site
 from imu_calib.errors import InputError
 from imu_calib.methods import method
-from imu_calib.methods.equations import GIVEN_AZIMUTH, LEVELLED, Nuisance
+from imu_calib.methods.equations import GIVEN_AZIMUTH, Nuisance
 from imu_calib.methods.evidence import Evidence
 from imu_calib.methods.fit import estimate
 from imu_calib.methods.solution import Solution
@@ -29,6 +29,7 @@ from imu_calib.session import describe, described_site
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, Units
 from imu_calib.table_clock import clock_share
+from imu_calib.table_errors import LEVELLED
 from imu_calib.turntable import load_table
 from imu_calib.units import ARCSEC, DEG, DEG_H, MICRO_G, PPM
 

@@ -197,7 +197,13 @@ def test_six_positions_on_a_tilted_table_keep_their_biases() -> None:
     assert np.abs(errors(closed)[ACCEL_BIAS]).max() > 300 * MICRO_G
     assert np.abs(errors(found)[ACCEL_BIAS]).max() < 20 * MICRO_G
     assert np.abs(normalised(found)).max() < 4.5
-    assert any('tilted by' in finding for finding in found.findings)
+    assert any('more than the 20 arcsec' in finding for finding in found.findings)
+    # A table of which this is stated is as it should be; one that claims more is named by that.
+    for level, named in ((0.05 * DEG, False), (10 * ARCSEC, True)):
+        stated = replace(load_table('three_axis'), level=level)
+        findings = joint.solve(replace(evidence, table=stated)).findings
+        assert any('more than the 10 arcsec' in finding for finding in findings) == named
+        assert named or not any('tilted by' in finding for finding in findings)
 
 
 def on_a_tilted_table(tilt: tuple[float, float], plan: str = 'twelve_position') -> Evidence:

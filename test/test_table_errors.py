@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import SITE, fed, gathered, paper_imu, quick_plan, session, stand, truth
+from sessions import SITE, calibrate, fed, gathered, paper_imu, quick_plan, session, stand, truth
+from test_information import evidence_of
 
+from imu_calib.alignment import free_of_frame
 from imu_calib.budget import Source
-from imu_calib.calibrator import Setup
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Result, Setup
+from imu_calib.cli.calibrate import show
+from imu_calib.cli.main import main
 from imu_calib.config import Section
 from imu_calib.errors import InputError
+from imu_calib.imu import load_imu
 from imu_calib.methods import joint
+from imu_calib.methods.equations import Equations
 from imu_calib.methods.evidence import Evidence
+from imu_calib.methods.information import Information
+from imu_calib.model import PARAMETERS, ParameterKind
+from imu_calib.prediction.expected import expected
+from imu_calib.prediction.forecast import information, state_at
+from imu_calib.segmentation.clock import fit_clock
 from imu_calib.simulation.true_table import TableSizes, TrueTable
 from imu_calib.stream import Floats
-from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import load_table, read_table
-from imu_calib.units import ARCSEC
+from imu_calib.table_errors import ASSUMED, LEVELLED, TableErrors
+from imu_calib.turntable import Table, load_table, read_table
+from imu_calib.units import ARCMIN, ARCSEC
 
 TABLE = load_table('three_axis')
 SIZES = {
@@ -117,15 +131,48 @@ def test_an_axis_that_leans_turns_the_body_as_the_table_would(joint_number, dire
     assert spans(wobble[:, :, 8 * joint_number : 8 * (joint_number + 1)], lean_of(once))
 
 
+PLAN = quick_plan('twelve_position', 20.0)
+
+
+def true_table(sizes: Mapping[str, float], seed: int) -> TrueTable:
+    """A table that is off by as much, drawn once per seed."""
+    pairs = {k: (v, v) if k in {'wobble', 'encoder'} else v for k, v in sizes.items()}
+    return TrueTable.drawn(TABLE, TableSizes(**pairs), seed)
+
+
 @cache
 def recorded(seed: int) -> Evidence:
-    """A session on a table with all of it, drawn once per seed; its description says how large."""
-    sizes = {k: (v, v) if k in {'wobble', 'encoder'} else v for k, v in SIZES.items()}
-    options = replace(stand(), true=TrueTable.drawn(TABLE, TableSizes(**sizes), seed))
+    """A session on a table with all of it; its description says how large."""
+    options = replace(stand(), true=true_table(SIZES, seed))
     told = replace(TABLE, errors=TableErrors(**SIZES))
-    plan = quick_plan('twelve_position', 20.0)
-    blocks = session(plan, options, seed=seed)
-    return gathered(fed(blocks, Setup(paper_imu(), plan, told, SITE, None)))
+    blocks = session(PLAN, options, seed=seed)
+    return gathered(fed(blocks, Setup(paper_imu(), PLAN, told, SITE, None)))
+
+
+SILENT = """
+name: ours
+joints:
+  - {name: outer, axis: z, max_rate: 400 deg/s, max_acceleration: 200 deg/s^2}
+  - {name: middle, axis: x, max_rate: 200 deg/s, max_acceleration: 100 deg/s^2}
+  - {name: inner, axis: z, max_rate: 400 deg/s, max_acceleration: 200 deg/s^2}
+"""
+"""The shipped table without a word of how good it is."""
+
+
+def described(more: str = '') -> Table:
+    return read_table(Section.parse(SILENT + more, 'ours.yaml'))
+
+
+@pytest.fixture(scope='module')
+def unstated() -> Result:
+    """A session on a laboratory's table, as good as is assumed, whose file says nothing of it."""
+    sizes = {f.name: ASSUMED[f.name] for f in fields(TableErrors)}
+    options = stand(
+        true=true_table(sizes, 3),
+        positioning_error=np.sqrt(3) * ASSUMED['positioning'],
+        tilt=(ASSUMED['level'], -ASSUMED['level']),
+    )
+    return calibrate(session(PLAN, options, seed=3), PLAN, table=described())
 
 
 @pytest.mark.parametrize('seed', [1, 2])
@@ -150,6 +197,142 @@ def test_the_budget_has_a_line_for_it() -> None:
     assert np.sqrt(share[3, 3]) > 0.5 * told.std[3]
     assert np.sqrt(share[9, 9]) < 0.2 * told.std[9]
     assert Source.TABLE not in exact.shares
+
+
+def test_what_a_file_leaves_out_is_assumed_and_not_exact(unstated: Result) -> None:
+    calibration = unstated.calibration
+    off = (calibration.values - truth().model.vector()) / calibration.std
+    assert np.abs(off).max() < 4.5
+    misaligned = [k for k, p in enumerate(PARAMETERS) if p.kind is ParameterKind.MISALIGNMENT]
+    # The doubt of a zero is whole in some of them, and far above the noise in all that feel it.
+    assert calibration.std[misaligned].max() == pytest.approx(ASSUMED['zeros'], rel=0.1)
+    assert {line.source for line in calibration.budget.lines} > {
+        Source.TABLE,
+        Source.ARRIVAL_STATED,
+    }
+
+
+def test_what_is_assumed_is_said_once_with_figures_and_keys(unstated: Result) -> None:
+    calibration = unstated.calibration
+    (sentence,) = [f for f in calibration.findings if 'assumed' in f]
+    assert 'table ours' in sentence
+    for key, size in ASSUMED.items():
+        assert f'{key} {size / ARCSEC:g} arcsec' in sentence
+    assert Calibration.from_yaml(calibration.to_yaml(), 'c').findings == calibration.findings
+
+
+def test_the_screen_says_it_once_and_shows_the_angles(unstated: Result, capsys) -> None:
+    show(unstated)
+    shown = capsys.readouterr().out
+    assert ' '.join(shown.split()).count(described().assumption) == 1
+    (row,) = [line.split() for line in shown.splitlines() if 'gyros to accelerometers Z' in line]
+    (angles,) = [a for a in unstated.calibration.free_of_frame if a.group.triads == 'ga']
+    assert float(row[4]) == pytest.approx(angles.values[2] / ARCMIN, abs=0.001)
+
+
+def test_nothing_is_assumed_of_a_table_that_states_all_nor_without_one() -> None:
+    for name in ('one_axis', 'two_axis', 'two_axis_off_axis', 'three_axis'):
+        table = load_table(name)
+        assert (table.assumed, table.assumption, table.positioning) == ((), '', 0.0)
+        assert table.errors.exact
+        assert table.level == LEVELLED == 20 * ARCSEC
+    alone = calibrate(session(PLAN, seed=1), PLAN, imu_only=True).calibration
+    assert not any('assumed' in finding for finding in alone.findings)
+    assert Source.TABLE not in {line.source for line in alone.budget.lines}
+    hand = Evidence((), (), PLAN, SITE, fit_clock([]), None, np.ones(6))
+    assert (hand.level, hand.positioning) == (LEVELLED, 0.0)
+
+
+def test_a_file_may_state_some_and_leave_the_others() -> None:
+    table = described('zeros: 1 arcsec\nlevel: 5 arcsec\npositioning: 0 arcsec\n')
+    assert table.assumed == ('orthogonality', 'wobble', 'encoder')
+    assert (table.errors.zeros, table.level, table.positioning) == (ARCSEC, 5 * ARCSEC, 0.0)
+    assert table.errors.wobble == ASSUMED['wobble']
+    assert 'zeros' not in table.assumption and 'orthogonality 3 arcsec' in table.assumption
+    # One axis alone has no other to be at right angles to, and its zero is the azimuth.
+    lines = SILENT.splitlines()
+    one = read_table(Section.parse('\n'.join(lines[:4]), 'one.yaml'))
+    assert one.assumed == ('positioning', 'level', 'wobble', 'encoder')
+    with pytest.raises(InputError, match='level: found 0 deg, expected more than 0 to 1 deg'):
+        described('level: 0 arcsec\n')
+
+
+def test_a_prediction_says_what_it_assumes(tmp_path: Path, capsys) -> None:
+    (tmp_path / 'ours.yaml').write_text(SILENT, encoding='utf-8')
+    asked = ['plans', 'twelve_position', '--imu', 'fog_medium', '--table']
+    assert main([*asked, str(tmp_path / 'ours.yaml')]) == 0
+    assert ' '.join(capsys.readouterr().out.split()).count(described().assumption) == 1
+    assert main([*asked, 'three_axis']) == 0
+    assert 'assumed' not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('level', [5 * ARCSEC, 60 * ARCSEC])
+def test_the_level_that_a_table_states_is_the_prior_of_its_tilts(level: float) -> None:
+    # Six positions do not see one of the tilts: it is in how channel z answers to X (test_budget).
+    evidence = replace(evidence_of('six_position'), azimuth=0.0, table=replace(TABLE, level=level))
+    share = joint.solve(evidence).shares[Source.TILT].covariance
+    place = next(k for k, p in enumerate(PARAMETERS) if p.name == 'E_azx')
+    assert np.sqrt(share[place, place]) == pytest.approx(level, rel=0.01)
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_angles_between_input_axes_are_told_by_sensors_and_moves_on_any_table(seed: int) -> None:
+    evidence = recorded(seed)
+    solution = joint.solve(evidence)
+    found = free_of_frame(solution.model, solution.covariance, PARAMETERS)
+    right = free_of_frame(truth().model, np.zeros((24, 24)), PARAMETERS)
+    for angles, true in zip(found, right, strict=True):
+        assert np.abs((angles.values - true.values) / angles.std).max() < 4.5
+    std = np.concatenate([angles.std for angles in found])
+    misaligned = [k for k, p in enumerate(PARAMETERS) if p.kind is ParameterKind.MISALIGNMENT]
+    assert solution.std[misaligned].max() > 0.9 * SIZES['zeros'] > 5 * std.max()
+    # A hundred times the doubt of axes and zeros: they stay what sensors and moves tell of them.
+    vague = replace(TableErrors(**SIZES), zeros=3000 * ARCSEC, orthogonality=1000 * ARCSEC)
+    equations = Equations(replace(evidence, table=replace(TABLE, errors=vague)))
+    state = state_at(equations, solution.model)
+    unknown = Information.of(equations.whitened(state)[0]).covariance[:24, :24]
+    assert np.sqrt(np.diag(unknown))[misaligned].max() > 90 * SIZES['zeros']
+    widened = np.concatenate([a.std for a in free_of_frame(solution.model, unknown, PARAMETERS)])
+    assert np.all(widened < 1.2 * std)
+
+
+DOCUMENT = Path(__file__).parents[1] / 'docs' / 'tables.md'
+BOTH = TableErrors(zeros=30 * ARCSEC, orthogonality=30 * ARCSEC)
+
+
+def predicted(imu: str, table: Table, *, moves: bool) -> list[float]:
+    """Largest deviations of misalignments, angles within triads and between them, microradians."""
+    positions = tuple(replace(p, dwell=40.0 if p.dwell else 0.0) for p in PLAN.positions)
+    setup = Setup(load_imu(imu), replace(PLAN, positions=positions), table, SITE)
+    evidence = expected(setup, truth().model)
+    evidence = evidence if moves else replace(evidence, moves=())
+    square = information(evidence, truth().model).covariance[:24, :24]
+    misaligned = [k for k, p in enumerate(PARAMETERS) if p.kind is ParameterKind.MISALIGNMENT]
+    gyros, accels, both = free_of_frame(truth().model, square, PARAMETERS)
+    within = max(gyros.std.max(), accels.std.max())
+    return [v * 1e6 for v in (np.sqrt(np.diag(square))[misaligned].max(), within, both.std.max())]
+
+
+@pytest.mark.parametrize(
+    ('row', 'table', 'moves'),
+    [
+        ('exact', TABLE, True),
+        ('`zeros: 30', replace(TABLE, errors=replace(BOTH, orthogonality=0.0)), True),
+        ('and `orthogonality', replace(TABLE, errors=BOTH), True),
+        ('the same without', replace(TABLE, errors=BOTH), False),
+        ('nothing stated', described(), True),
+    ],
+)
+def test_the_figures_of_the_page_are_those_of_the_prediction(
+    row: str, table: Table, moves: bool
+) -> None:
+    line = next(x for x in DOCUMENT.read_text().splitlines() if x.startswith(f'| {row}'))
+    shown = [float(cell) for cell in line.strip('|').split('|')[1:]]
+    found = [
+        v for imu in ('fog_navigation', 'fog_medium') for v in predicted(imu, table, moves=moves)
+    ]
+    # Two digits are shown.
+    assert shown == pytest.approx(found, rel=0.05)
 
 
 def test_sizes_are_read_and_kept_within_reason() -> None:

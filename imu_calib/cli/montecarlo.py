@@ -95,6 +95,8 @@ def run(arguments: argparse.Namespace) -> None:
         'Worst: the largest error. Normalised: root mean square of errors over the standard '
         'deviations stated with them.'
     )
+    if setup.table is not None and setup.table.assumption:
+        OUTPUT.print(setup.table.assumption)
     sentence_list(f'Refused: {len(outcome.refused)} runs', refusals[:5])
     if target is not None:
         known = np.isfinite(outcome.mean_stated)

@@ -125,6 +125,8 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
     OUTPUT.print(f'{plan.title} ({plan.source})')
     where = 'by hand' if plan.by_hand else f'on table {table.name}'
     OUTPUT.print(f'{where} with IMU {imu.id}, latitude {site.latitude / DEG:.3f} deg\n')
+    if held is not None and held.assumption:
+        OUTPUT.print(f'{held.assumption}\n')
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return

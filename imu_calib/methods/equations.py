@@ -23,7 +23,7 @@ from ..budget import Share, Source
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
-from ..units import ARCMIN, ARCSEC, DEG
+from ..units import ARCMIN, DEG
 from .arrivals import NO_ARRIVALS, Arrivals, level_axes
 from .components import Component, Diagonal, Factor, shares
 from .doubts import encoder_rates, own_parts, unknown_north
@@ -45,9 +45,6 @@ ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
 
 GIVEN_AZIMUTH = 1 * ARCMIN
 """How well a table's azimuth is known where its configuration states it."""
-
-LEVELLED = 20 * ARCSEC
-"""How well a table stands level, about either axis."""
 
 _GENERATORS = np.array(
     [
@@ -116,7 +113,8 @@ class Equations:
     Attributes:
         evidence: The session.
         parameters: Of the sensors, in the order of the state, which they begin.
-        levelled: Standard deviation of the table's tilt about either axis, rad.
+        levelled: Standard deviation of the table's tilt about either axis, rad; None for what the
+            table states.
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
         arriving: What arrivals scatter by beyond what the table states.
         extra: Further parts of the covariance of the outputs.
@@ -126,7 +124,7 @@ class Equations:
 
     evidence: Evidence
     parameters: tuple[Parameter, ...] = PARAMETERS
-    levelled: float = LEVELLED
+    levelled: float | None = None
     any_heading: bool = False
     arriving: Arrivals = NO_ARRIVALS
     extra: tuple[Component, ...] = field(default=(), repr=False)
@@ -166,7 +164,8 @@ class Equations:
         azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
         clock, clock_std = evidence.clock_rate()
         # A clock that has no say still needs a width above zero to be whitened by.
-        deviations = [azimuth, self.levelled, self.levelled, max(clock_std, 1e-15)]
+        level = evidence.level if self.levelled is None else self.levelled
+        deviations = [azimuth, level, level, max(clock_std, 1e-15)]
         return np.array([0.0, 0.0, 0.0, clock]), np.array(deviations)
 
     def prior_rows(self, state: Floats) -> Floats:

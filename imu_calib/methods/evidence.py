@@ -16,6 +16,7 @@ from ..segmentation.segment import Segment, Turn
 from ..segmentation.session import Move
 from ..segmentation.statistics import pooled_walk
 from ..stream import Floats
+from ..table_errors import LEVELLED
 from ..turntable import TURN, Table
 from .arrivals import Leaning, of_joints, of_stops
 from .moves import Moves
@@ -107,6 +108,11 @@ class Evidence:
             of_joints(self.segments, self.turns, self.table),
             of_stops(self.segments, self.turns),
         )
+
+    @property
+    def level(self) -> float:
+        """Standard deviation of the table's tilt about either level axis, rad."""
+        return LEVELLED if self.table is None else self.table.level
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

@@ -24,7 +24,7 @@ from ..segmentation.session import Move
 from ..stream import Floats
 from ..units import DEG
 from .converge import least_squares
-from .equations import LEVELLED, Equations, Nuisance
+from .equations import Equations, Nuisance
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess import Excess, excess
 from .information import Information, before, told, undetermined, unobserved
@@ -353,7 +353,8 @@ def _levelled(equations: Equations, state: Floats) -> Equations:
     """
     first = equations.sensors + Nuisance.TILT_X
     seen = float(np.abs(state[first : first + 2]).max())
-    return replace(equations, levelled=seen) if seen > _TILTED * LEVELLED else equations
+    level = equations.evidence.level
+    return replace(equations, levelled=seen) if seen > _TILTED * level else equations
 
 
 def _headed(equations: Equations, state: Floats) -> Equations:

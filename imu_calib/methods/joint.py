@@ -18,7 +18,7 @@ from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
 from .arrivals import NO_ARRIVALS
 from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatter
-from .equations import LEVELLED, Nuisance
+from .equations import Nuisance
 from .evidence import Evidence
 from .fit import Estimate, estimate
 from .solution import Residual, Solution
@@ -129,12 +129,12 @@ def _findings(found: Estimate) -> list[str]:
             f'The gyros see north {azimuth / DEG:.1f} +- {std / DEG:.1f} deg off the azimuth '
             'given, which is therefore not used.'
         )
-    if found.equations.levelled > LEVELLED:
+    if found.equations.levelled is not None:
         tilts = [found.nuisance(which)[0] for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
-        tilt = float(np.linalg.norm(tilts))
+        tilt, level = float(np.linalg.norm(tilts)), found.equations.evidence.level
         notes.append(
             f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
-            f'{LEVELLED / ARCSEC:.0f} arcsec to which it was taken to be level.'
+            f'{level / ARCSEC:.3g} arcsec to which it was taken to be level.'
         )
     return [*notes, *_scattering(found)]
 

@@ -86,9 +86,8 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
 
 
 FREE_OF_FRAME = (
-    'xy: the angle between the input axes x and y is so much less than 90 deg. X: the gyros are '
-    'turned about X so much against the accelerometers. Errors of the table, which are in E, '
-    'cancel here as far as they turn the unit as a whole.'
+    'xy: the input axes x and y are so much less than 90 deg apart. X: the gyros are turned so '
+    "much about X against the accelerometers. The table's frame is in none of these."
 )
 """What `angle_table` shows, for a person."""
 
