@@ -103,8 +103,8 @@ def assumption(table: str, keys: Sequence[str]) -> str:
     """Say what is assumed of a table of this name, whose file leaves out some keys."""
     figures = ', '.join(f'{key} {ASSUMED[key] / ARCSEC:g} arcsec' for key in keys)
     return (
-        f'The file of table {table} does not say how good the table is: standard deviations of a '
-        f'laboratory table are assumed ({figures}); state its own under these keys.'
+        f'Table {table} is assumed to be as good as a laboratory table where its file says '
+        f'nothing: {figures} (standard deviations); state its own under these keys.'
     )
 
 

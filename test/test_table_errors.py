@@ -215,7 +215,7 @@ def test_what_a_file_leaves_out_is_assumed_and_not_exact(unstated: Result) -> No
 def test_what_is_assumed_is_said_once_with_figures_and_keys(unstated: Result) -> None:
     calibration = unstated.calibration
     (sentence,) = [f for f in calibration.findings if 'assumed' in f]
-    assert 'table ours' in sentence
+    assert sentence.startswith('Table ours ')
     for key, size in ASSUMED.items():
         assert f'{key} {size / ARCSEC:g} arcsec' in sentence
     assert Calibration.from_yaml(calibration.to_yaml(), 'c').findings == calibration.findings
