@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from test_information import evidence_of
 from imu_calib.alignment import free_of_frame
 from imu_calib.budget import Source
 from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Result, Setup
+from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
 from imu_calib.config import Section
@@ -228,6 +229,21 @@ def test_the_screen_says_it_once_and_shows_the_angles(unstated: Result, capsys) 
     (row,) = [line.split() for line in shown.splitlines() if 'gyros to accelerometers Z' in line]
     (angles,) = [a for a in unstated.calibration.free_of_frame if a.group.triads == 'ga']
     assert float(row[4]) == pytest.approx(angles.values[2] / ARCMIN, abs=0.001)
+
+
+def test_a_session_on_such_a_table_is_reviewed_from_its_first_block_on() -> None:
+    # What a review finds at first: nothing at all, then turns, then a rest as well.
+    calibrator = Calibrator(Setup(paper_imu(), PLAN, described(), SITE))
+    seen = set()
+    for count, (_, block) in enumerate(islice(session(PLAN, seed=1), 500)):
+        if count % 20 == 0:
+            review = calibrator.snapshot().review()
+            assert review.result is None and review.refusal
+            seen.add((bool(review.session.segments), bool(review.session.turns)))
+        if len(seen) == 3:
+            break
+        calibrator.feed(block)
+    assert seen == {(False, False), (False, True), (True, True)}
 
 
 def test_nothing_is_assumed_of_a_table_that_states_all_nor_without_one() -> None:

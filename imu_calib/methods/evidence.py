@@ -92,7 +92,7 @@ class Evidence:
         known = [s.angles for s in self.segments] + [t.angles for t in self.turns]
         if self.table is None or self.table.errors.exact or any(a is None for a in known):
             return np.zeros((len(self.segments), 3, 0)), np.zeros((len(self.turns), 3, 0))
-        angles = np.array(known).reshape(len(known), -1)
+        angles = np.array(known).reshape(-1, len(self.table.joints))
         at_rest = self.table.leaning(angles[: len(self.segments)])
         turning = []
         for turn, held in zip(self.turns, angles[len(self.segments) :], strict=True):
