@@ -44,6 +44,8 @@ class Source(Enum):
     GRAVITY = 'gravity'
     LATITUDE = 'latitude'
     SCATTER = 'scatter'
+    TIME_CONSTANT = 'time_constant'
+    TEMPERATURE = 'temperature'
 
     @property
     def evaluation(self) -> str:
@@ -80,6 +82,12 @@ _ROWS = {
     Source.GRAVITY: ('B', 'grav', 'gravity at the site'),
     Source.LATITUDE: ('B', 'lat', 'latitude of the site'),
     Source.SCATTER: ('A', 'scat', 'outputs that scatter beyond all that'),
+    Source.TIME_CONSTANT: ('A', 'warm', 'time constant of a warm-up, by its likelihood'),
+    Source.TEMPERATURE: (
+        'B',
+        'temp',
+        'temperature that moved, by the coefficients that the IMU description states',
+    ),
 }
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .alignment import Angles, free_of_frame
 from .budget import Budget, Share, Source
 from .budget_file import budget_document, read_budget
+from .changes import KEY, Changes, read_changes
 from .config import Section
 from .errors import InputError
 from .imu import ImuSpec, TriadSpec
@@ -68,6 +69,8 @@ class Calibration:
         parameters: What the rows of the covariance stand for: the 24, the terms', the skewed
             gyros', as `model.parameters_of` orders them.
         budget: The variances by source; None where the method does not tell.
+        changes: By which parameters changed during the session; None where nobody asked. Those that
+            follow the temperature are applied (`compensation/thermal`), others end with it.
 
     """
 
@@ -80,6 +83,7 @@ class Calibration:
     serial_number: str = ''
     parameters: tuple[Parameter, ...] = PARAMETERS
     budget: Budget | None = None
+    changes: Changes | None = None
 
     def __post_init__(self) -> None:
         """Refuse a covariance of other parameters than the model's."""
@@ -146,6 +150,7 @@ class Calibration:
                 'matrix': _rows(self.covariance[np.ix_(known, known)]),
             },
             **self._budget_document(known),
+            **({} if self.changes is None else {KEY: self.changes.document()}),
             'residuals': [_residual_document(r) for r in self.residuals],
             'findings': list(self.findings),
             'provenance': self.provenance,
@@ -303,6 +308,7 @@ class Calibration:
             serial_number,
             parameters,
             budget,
+            read_changes(section.section(KEY), parameters) if section.has(KEY) else None,
         )
         check_plausible(calibration, section.where)
         return calibration

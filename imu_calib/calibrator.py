@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime, timezone
 
 import numpy as np
@@ -15,13 +15,14 @@ from .calibration import Calibration, ResidualRow
 from .earth import Site
 from .errors import Contradiction, InputError, NotObservable
 from .gravity import gravity_covariance, with_gravity
-from .imu import ImuSpec
+from .imu import ImuSpec, TriadSpec
 from .methods import JOINT, check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
 from .methods.evidence import Evidence, known_noise
 from .methods.information import reached
 from .methods.solution import Solution
 from .model import AXES, Parameter, SensorModel, Term
+from .model.session_terms import Change, spelled
 from .noise import session_noise
 from .plan import Plan
 from .progress import unsupported_steps
@@ -49,6 +50,7 @@ class Setup:
             own method.
         serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
         terms: To be estimated besides what the method estimates.
+        changes: Coefficients of the session's terms, likewise.
 
     """
 
@@ -59,6 +61,7 @@ class Setup:
     method: str | None = None
     serial_number: str = ''
     terms: tuple[Term, ...] = ()
+    changes: tuple[Change, ...] = ()
 
     @property
     def method_name(self) -> str:
@@ -138,7 +141,7 @@ class Calibrator:
     def __init__(self, setup: Setup) -> None:
         check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
-        self._solver = method(setup.method_name, setup.terms)
+        self._solver = method(setup.method_name, setup.terms, setup.changes)
         self._segmenter = Segmenter(setup.imu, setup.table)
 
     def feed(self, block: Block) -> None:
@@ -241,6 +244,9 @@ class Calibrator:
             freedom,
             session.moves,
             setup.table,
+            setup.imu.units,
+            session.temperature,
+            np.array([_thermal(setup.imu.gyro), _thermal(setup.imu.accel)]),
         )
 
     def _estimate(
@@ -304,6 +310,7 @@ class Calibrator:
             setup.serial_number,
             solution.parameters,
             None if solution.shares is None else Budget.of(solution.shares),
+            solution.changes,
         )
         calibration = with_gravity(calibration, setup.site)
         if setup.table is not None and setup.table.clock:
@@ -406,7 +413,7 @@ def _provenance(
     return {
         'recorded': _date(session.start),
         'method': setup.method_name,
-        'terms': [term.name for term in setup.terms],
+        'terms': [*(term.name for term in setup.terms), *spelled(setup.changes)],
         'plan': setup.plan.name or None,
         'table': setup.table.name if setup.table is not None else None,
         'table_clock_std': setup.table.clock if setup.table is not None else None,
@@ -428,7 +435,7 @@ def _provenance(
         'residual_rms': [_or_none(v) for v in rms],
         'condition_number': solution.condition,
         'highest_rate': max((abs(float(t.rate())) for t in evidence.turns), default=None),
-        'temperature': None if session.temperature is None else asdict(session.temperature),
+        'temperature': _temperature(session),
         **special,
         'clock': {
             'offset_s': clock.offset,
@@ -450,6 +457,17 @@ def _date(stamp: int | None) -> str | None:
     if stamp is None or not _YEAR_2000 < stamp < _YEAR_2200:
         return None
     return datetime.fromtimestamp(stamp // 10**9, timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
+
+
+def _thermal(triad: TriadSpec) -> tuple[float, float]:
+    return triad.scale_factor_temperature, triad.bias_temperature
+
+
+def _temperature(session: Segmented) -> dict[str, float] | None:
+    seen = session.temperature
+    if seen is None:
+        return None
+    return {'mean': seen.mean, 'lowest': seen.lowest, 'highest': seen.highest}
 
 
 def _or_none(value: float) -> float | None:

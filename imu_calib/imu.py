@@ -12,8 +12,13 @@ from .errors import InputError
 from .share import named_file
 from .specification import Specification, read_specification
 from .stream import Units
-from .units import Dimension
+from .units import PPM, Dimension
 from .yaml_text import dump
+
+_PER_KELVIN = {
+    Dimension.RATE: Dimension.RATE_PER_KELVIN,
+    Dimension.ACCELERATION: Dimension.ACCELERATION_PER_KELVIN,
+}
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,9 @@ class TriadSpec:
         range: Largest rate or specific force, rad/s or m/s^2; inf when not stated.
         pulse: Of SI values that were computed from a counter: its pulse, rad or m/s, whose
             remainder goes on into the next sample; 0 where there is none.
+        scale_factor_temperature: By how much scale factors follow the temperature, one standard
+            deviation, 1/K; 0 when not stated.
+        bias_temperature: The same of biases, (rad/s)/K or (m/s^2)/K.
 
     """
 
@@ -35,6 +43,8 @@ class TriadSpec:
     bias_instability: float = 0.0
     range: float = math.inf
     pulse: float = 0.0
+    scale_factor_temperature: float = 0.0
+    bias_temperature: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,6 +109,7 @@ def _compensated_triad(triad: TriadSpec, units: Units, gain: float) -> TriadSpec
         random_walk=triad.random_walk * gain,
         bias_instability=triad.bias_instability * gain,
         pulse=gain * (triad.scale_factor if units is Units.PULSES else triad.pulse),
+        bias_temperature=triad.bias_temperature * gain,
     )
 
 
@@ -126,6 +137,12 @@ def imu_text(spec: ImuSpec) -> str:
             document[name]['range'] = f'{triad.range!r} {unit}'
         if triad.pulse:
             document[name]['pulse'] = f'{triad.pulse!r} {pulse}/pulse'
+        if triad.scale_factor_temperature:
+            document[name]['scale_factor_temperature'] = (
+                f'{triad.scale_factor_temperature / PPM!r} ppm/K'
+            )
+        if triad.bias_temperature:
+            document[name]['bias_temperature'] = f'{triad.bias_temperature!r} ({unit})/K'
     return dump(document, width=200)
 
 
@@ -212,8 +229,17 @@ def _read_triad(
         section.quantity('bias_instability', value, 0.0),
         section.quantity('range', value, math.inf),
         section.quantity('pulse', pulse, 0.0) if scale is None else 0.0,
+        section.quantity('scale_factor_temperature', Dimension.RATIO_PER_KELVIN, 0.0),
+        section.quantity('bias_temperature', _PER_KELVIN[value], 0.0),
     )
-    if min(spec.random_walk, spec.bias_instability, spec.pulse) < 0 or spec.range <= 0:
+    figures = (
+        spec.random_walk,
+        spec.bias_instability,
+        spec.pulse,
+        spec.scale_factor_temperature,
+        spec.bias_temperature,
+    )
+    if min(figures) < 0 or spec.range <= 0:
         raise InputError(f'{section.where}: noise figures cannot be negative, the range not zero.')
     section.finish()
     return spec

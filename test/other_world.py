@@ -46,6 +46,8 @@ class Unit:
         gyro_pulse, accel_pulse: rad and m/s.
         rate: Samples per second.
         arm: Where the accelerometers are from the crossing of the joint axes, m.
+        gyro_drift, accel_drift: Of the biases per second, rad/s^2 and m/s^3.
+        gyro_growth, accel_growth: Of the responses per second, 1/s.
 
     """
 
@@ -59,6 +61,10 @@ class Unit:
     accel_pulse: float = 0.01
     rate: float = 100.0
     arm: Vector = NOTHING
+    gyro_drift: Vector = NOTHING
+    accel_drift: Vector = NOTHING
+    gyro_growth: float = 0.0
+    accel_growth: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -419,10 +425,17 @@ def _record_imu(
             still = (after, turned, pushed) if after == before else None
             r_before = r_after
         before = after
-        outputs = (
+        outputs = [
             *_answer(unit.gyro_m, unit.gyro_d, turned, dt),
             *_answer(unit.accel_m, unit.accel_d, pushed, dt),
-        )
+        ]
+        since = (k + 0.5) * dt
+        for c in range(3):
+            g, a = outputs[c], outputs[3 + c]
+            g += unit.gyro_growth * since * (g - unit.gyro_d[c] * dt)
+            a += unit.accel_growth * since * (a - unit.accel_d[c] * dt)
+            outputs[c] = g + unit.gyro_drift[c] * since * dt
+            outputs[3 + c] = a + unit.accel_drift[c] * since * dt
         counted = []
         for c in range(6):
             sums[c] += outputs[c] + walks[c] * math.sqrt(dt) * draw.gauss(0, 1)

@@ -20,6 +20,7 @@ from imu_calib.errors import InputError
 from imu_calib.model import SensorModel, Triad
 from imu_calib.segmentation.thermometer import Thermometer
 from imu_calib.simulation import ThermalDrift, Warming
+from imu_calib.stream import TemperatureBlock
 from imu_calib.units import DEG_H, MICRO_G
 
 TEMPERATURES = (-20.0, 20.0, 55.0)
@@ -84,15 +85,30 @@ def test_a_session_tells_its_temperature():
 def test_a_temperature_is_the_same_however_it_came_in():
     rng = np.random.default_rng(0)
     celsius = np.append(rng.normal(20.0, 3.0, 1000), [np.nan, 1e9])
+    stamp = 10**9 * np.arange(len(celsius)) + 7
     whole = Thermometer()
-    whole.feed(celsius)
+    whole.feed(TemperatureBlock(stamp, celsius))
     for seed in range(5):
         order = np.random.default_rng(seed).permutation(len(celsius))
         parts = Thermometer()
-        for piece in np.array_split(celsius[order], 17):
-            parts.feed(piece)
+        for piece in np.array_split(order, 17):
+            parts.feed(TemperatureBlock(stamp[piece], celsius[piece]))
         assert parts.temperature == whole.temperature
+        assert (parts.temperature.course == whole.temperature.course).all()
     assert whole.temperature.mean == pytest.approx(celsius[:1000].mean(), abs=1e-6)
+
+
+def test_a_mean_over_a_stretch_follows_the_course():
+    seconds = np.arange(600)
+    thermometer = Thermometer()
+    thermometer.feed(TemperatureBlock(10**9 * seconds, 20.0 + 0.01 * seconds))
+    seen = thermometer.temperature
+    # Of a straight line it is the middle, wherever the stretch begins and however short it is.
+    starts, ends = np.array([33, 120, 301]) * 10**9, np.array([153, 121, 555]) * 10**9
+    wanted = 20.0 + 0.01 * (starts + ends) / 2e9
+    assert seen.over(starts, ends) == pytest.approx(wanted, abs=1e-6)
+    # Beyond what was seen the last mean of ten seconds holds: that of 590 to 599 s.
+    assert seen.over(np.array([700 * 10**9]), np.array([800 * 10**9])) == pytest.approx(25.945)
 
 
 def test_beyond_the_ends_the_nearest_calibration_holds():

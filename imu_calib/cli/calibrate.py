@@ -16,7 +16,7 @@ from ..methods import METHODS
 from ..methods.free.session import calibrator_of
 from ..report.budget import budget_tables
 from ..report.noise import noise_lines
-from ..report.parameters import parameter_tables
+from ..report.parameters import change_note, change_table, parameter_tables
 from ..stream import Block
 from ..units import DEG, DEG_H, MICRO_G, PPM
 from . import options
@@ -75,6 +75,7 @@ def open_offline(arguments: argparse.Namespace) -> Offline:
         arguments.method,
         options.find_serial(arguments, data, where),
         options.find_terms(arguments),
+        options.find_changes(arguments),
     )
     return Offline(recording, setup, streams)
 
@@ -128,6 +129,11 @@ def show(result: Result, truth: Calibration | None = None) -> None:
     clock = session.clock
     for part in parameter_tables(result.calibration, truth):
         OUTPUT.print(part)
+    changes = change_table(result.calibration)
+    if changes is not None:
+        OUTPUT.print()
+        OUTPUT.print(changes)
+        OUTPUT.print(change_note(result.calibration), markup=False)
     without = '' if setup['plan'] else ' without a plan'
     OUTPUT.print(
         f'\n{setup["method"]}{without}: {setup["segments"]} stretches at rest, '

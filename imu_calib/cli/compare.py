@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..calibration import Calibration
-from ..compensation.thermal import load_calibration
+from ..compensation.thermal import ThermalCalibration, first_of, load_calibration
 from ..errors import InputError
 from ..report.parameters import comparison_table, unmatched
 from .terminal import OUTPUT
@@ -45,6 +45,6 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _load(path: Path) -> Calibration:
     loaded = load_calibration(path)
-    if not isinstance(loaded, Calibration):
+    if isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1:
         raise InputError(f'{path} combines calibrations at several temperatures: compare one.')
-    return loaded
+    return first_of(loaded)

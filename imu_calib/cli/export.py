@@ -6,8 +6,8 @@ import argparse
 import math
 from pathlib import Path
 
-from ..calibration import Calibration, write_whole
-from ..compensation.thermal import first_of, load_calibration
+from ..calibration import write_whole
+from ..compensation.thermal import ThermalCalibration, first_of, load_calibration
 from ..errors import InputError
 from ..exports import EXPORTS, Source
 from ..imu import load_imu
@@ -50,7 +50,8 @@ def run(arguments: argparse.Namespace) -> None:
     if target.absolute() == path:
         raise InputError(f'--output: {target} is the calibration itself.')
     loaded = load_calibration(path)
-    if not isinstance(loaded, Calibration) and arguments.format != 'ros':
+    combined = isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1
+    if combined and arguments.format != 'ros':
         raise InputError(
             f'{path} combines calibrations at several temperatures, which format '
             f'{arguments.format} cannot carry: export one of them.'

@@ -112,9 +112,9 @@ def _study(arguments: argparse.Namespace) -> Study:
     azimuth = table.azimuth if arguments.azimuth is None else arguments.azimuth * DEG
     table = replace(table, azimuth=azimuth)
     plan = load_plan(arguments.plan)
-    terms = options.find_terms(arguments)
+    terms, changes = options.find_terms(arguments), options.find_changes(arguments)
     if arguments.method is not None:
-        method(arguments.method, terms)
+        method(arguments.method, terms, changes)
     if plan.by_hand:
         raise InputError(f'Plan {plan.name} is run by hand: only a table can be simulated here.')
     plan.steps(table)
@@ -123,7 +123,9 @@ def _study(arguments: argparse.Namespace) -> Study:
         positioning_error=math.sqrt(3) * table.positioning,
         bias_instability=arguments.bias_instability,
     )
-    setup = Setup(load_imu(arguments.imu), plan, table, site, arguments.method, terms=terms)
+    setup = Setup(
+        load_imu(arguments.imu), plan, table, site, arguments.method, terms=terms, changes=changes
+    )
     truth = Calibration.load(named_file('truths', arguments.truth)).model
     return Study(setup, truth, economical(stand), azimuth)
 

@@ -16,6 +16,7 @@ from ..earth import HEIGHT_STD, LATITUDE_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
 from ..model import NO_TERMS, TERMS, Term, chosen
+from ..model.session_terms import SESSION_TERMS, Change, parted
 from ..plan import UNPLANNED, Plan, load_plan, read_plan
 from ..session import SERIAL_NUMBER, described_imu, described_site, imu_key
 from ..share import named_file
@@ -112,7 +113,7 @@ def add_method_option(parser: argparse.ArgumentParser) -> None:
         metavar='NAME',
         help="the estimator (default: joint where it applies, else the plan's own)",
     )
-    names = ', '.join(term.name for term in TERMS)
+    names = ', '.join([*(term.name for term in TERMS), *SESSION_TERMS])
     parser.add_argument(
         '--terms',
         metavar='NAME,NAME',
@@ -128,7 +129,17 @@ def find_terms(arguments: argparse.Namespace) -> tuple[Term, ...]:
         InputError: No such term.
 
     """
-    return chosen(NO_TERMS if arguments.terms is None else arguments.terms)
+    return chosen(parted(NO_TERMS if arguments.terms is None else arguments.terms)[0])
+
+
+def find_changes(arguments: argparse.Namespace) -> tuple[Change, ...]:
+    """Return the coefficients of the session's terms that --terms names.
+
+    Raises:
+        InputError: No such term, or two that exclude each other.
+
+    """
+    return parted(NO_TERMS if arguments.terms is None else arguments.terms)[1]
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:

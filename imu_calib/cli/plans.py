@@ -119,6 +119,11 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     truth = Calibration.load(named_file('truths', arguments.truth)).model
     terms = options.find_terms(arguments)
+    if options.find_changes(arguments):
+        raise InputError(
+            f'--terms: found {arguments.terms!r}, expected terms of the sensors alone: '
+            'how a session drifts is nothing of its plan (calibrate --terms estimates it).'
+        )
     held = None if plan.by_hand else table
     setup = Setup(imu, plan, held, site, arguments.method, terms=terms)
     check_plan(setup.method_name, plan, site)

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..imu import ImuSpec, load_imu
 from ..methods import JOINT
 from ..model import NO_TERMS, terms_of
+from ..model.session_terms import SESSION_TERMS
 from ..report.page import Contents, page
 from . import options
 from .calibrate import calibrate, open_offline
@@ -81,6 +82,11 @@ def _recalibrate(arguments: argparse.Namespace, calibration: Calibration) -> tup
         arguments.method = calibration.provenance.get('method')
     if arguments.terms is None and arguments.method in JOINT:
         names = [term.name for term in terms_of(calibration.parameters)]
+        names += [
+            name
+            for name in calibration.provenance.get('terms') or []
+            if name.partition(':')[0] in SESSION_TERMS
+        ]
         arguments.terms = ','.join(names) or NO_TERMS
     if arguments.plan is None and calibration.provenance.get('plan', '') is None:
         arguments.plan = options.NO_PLAN

@@ -49,8 +49,8 @@ def check(
     # Which runtime there is, is asked here alone: the other commands need none.
     from . import monitor  # noqa: F401
 
-    terms = options.find_terms(arguments)
-    setup = Setup(imu, plan, table, site, arguments.method, terms=terms)
+    terms, changes = options.find_terms(arguments), options.find_changes(arguments)
+    setup = Setup(imu, plan, table, site, arguments.method, terms=terms, changes=changes)
     _check_session(setup)
     if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
         raise InputError(

@@ -36,9 +36,11 @@ class ThermalCalibration:
     neighbour shows how much the parameters bend there, p'' (T - a) (b - T) / 2 is added as doubt
     (the remainder of linear interpolation, e.g. Abramowitz and Stegun, 25.2.1).
     Beyond the ends nothing is known: the nearest calibration holds.
+    A single session that knows what follows the temperature (`--terms thermal`) is one, too: its
+    parameters and their covariance then are p + c (T - T_0) between the ends of what it saw.
 
     Attributes:
-        calibrations: At least two of one unit, coldest first.
+        calibrations: At least two of one unit, coldest first, or one that knows coefficients.
         order: Of the polynomial; None for straight lines.
 
     """
@@ -65,6 +67,8 @@ class ThermalCalibration:
 
     def at(self, celsius: float) -> Calibration:
         """Return the calibration at a temperature; beyond the ends that of the end."""
+        if len(self.calibrations) == 1:
+            return _by_coefficients(self.calibrations[0], celsius)
         weights = self.weights(celsius)
         values = np.array([c.values for c in self.calibrations])
         square = np.array([without_gravity(c) for c in self.calibrations])
@@ -89,6 +93,7 @@ class ThermalCalibration:
             budget=None,
             residuals=(),
             provenance=provenance,
+            changes=None,
         )
 
     def _bend(self, celsius: float, values: Floats) -> Floats:
@@ -198,7 +203,10 @@ def load_calibration(path: Path) -> AnyCalibration:
     """
     section = Section.load(path)
     if not section.has('calibrations'):
-        return Calibration.load(path)
+        calibration = Calibration.load(path)
+        if calibration.changes is not None and calibration.changes.follows_temperature:
+            _check_temperature(calibration, str(path))
+        return by_temperature(calibration)
     version = section.number('format')
     if version != _FORMAT:
         raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
@@ -212,6 +220,37 @@ def load_calibration(path: Path) -> AnyCalibration:
     names = [part.where for part in parts]
     order = None if text == 'lines' else int(text)
     return combine([Calibration.read(part) for part in parts], names, order)
+
+
+def by_temperature(calibration: Calibration) -> AnyCalibration:
+    """Return a calibration as it is to be applied: with the temperature, where it follows it."""
+    if calibration.changes is None or not calibration.changes.follows_temperature:
+        return calibration
+    return ThermalCalibration((calibration,))
+
+
+def _by_coefficients(calibration: Calibration, celsius: float) -> Calibration:
+    """Return a calibration at a temperature by the coefficients that its session found.
+
+    Source: docs/mathematics.md, 'Terms of a session'.
+    """
+    assert calibration.changes is not None
+    seen, changes = calibration.provenance['temperature'], calibration.changes
+    held = float(np.clip(celsius, seen['lowest'], seen['highest']))
+    slopes = changes.by_kelvin(calibration.parameters) * (held - float(seen['mean']))
+    both = changes.cross @ slopes.T
+    covariance = calibration.covariance + both + both.T + slopes @ changes.covariance @ slopes.T
+    values = calibration.values + slopes @ changes.values
+    at = {'mean': celsius, 'lowest': celsius, 'highest': celsius}
+    return replace(
+        calibration,
+        model=calibration.model.with_values(calibration.parameters, values),
+        covariance=covariance,
+        budget=None,
+        residuals=(),
+        changes=None,
+        provenance={**calibration.provenance, 'temperature': at},
+    )
 
 
 def _check_temperature(calibration: Calibration, name: str) -> None:

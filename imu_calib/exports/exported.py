@@ -99,6 +99,8 @@ def always_left_out(calibration: Calibration, export: str) -> list[str]:
             f'The parameters hold at {float(temperature["mean"]):.1f} degrees Celsius; the file '
             'does not say so.'
         )
+    if calibration.changes is not None and calibration.changes.follows_temperature:
+        sentences.append('By how much they follow the temperature (term thermal) is left out.')
     if not calibration.has_accelerometers:
         sentences.append('The accelerometers were not calibrated: theirs are those of ideal ones.')
     return sentences

@@ -8,6 +8,7 @@ from functools import partial
 from ..earth import Site
 from ..errors import InputError
 from ..model import G_SENSITIVITY, PARAMETERS, Parameter, Term, parameters_of
+from ..model.session_terms import Change, names_of
 from ..plan import Plan
 from . import (
     free,
@@ -72,12 +73,15 @@ _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
 }
 
 
-def method(name: str, terms: tuple[Term, ...] = ()) -> Callable[[Evidence], Solution]:
+def method(
+    name: str, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
+) -> Callable[[Evidence], Solution]:
     """Return the solver of a name.
 
     Args:
         name: Of the method.
         terms: To be estimated besides what the method estimates.
+        changes: By which parameters change during the session, likewise.
 
     Raises:
         InputError: No such method, which lists those that exist, or one that knows no terms.
@@ -85,14 +89,15 @@ def method(name: str, terms: tuple[Term, ...] = ()) -> Callable[[Evidence], Solu
     """
     if name not in METHODS:
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
-    if not terms:
+    if not terms and not changes:
         return METHODS[name]
     if name not in JOINT:
         raise InputError(
             f'Method {name} estimates its own parameters and no further terms '
-            f'({", ".join(t.name for t in terms)}); {" and ".join(JOINT)} do.'
+            f'({", ".join([*(t.name for t in terms), *names_of(changes)])}); '
+            f'{" and ".join(JOINT)} do.'
         )
-    return partial(joint.solve, terms=(*JOINT[name], *terms))
+    return partial(joint.solve, terms=(*JOINT[name], *terms), changes=changes)
 
 
 def estimates(name: str, terms: tuple[Term, ...] = ()) -> tuple[Parameter, ...]:

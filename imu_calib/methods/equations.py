@@ -11,6 +11,7 @@ methods.md, section 11, for what goes into the state.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
@@ -22,12 +23,14 @@ from numpy.typing import NDArray
 from ..budget import Share, Source
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
+from ..model.session_terms import Change
 from ..stream import Floats
 from ..units import ARCMIN, DEG
 from .arrivals import NO_ARRIVALS, Arrivals, level_axes
 from .components import Component, Diagonal, Factor, shares
 from .doubts import encoder_rates, own_parts, unknown_north
 from .evidence import SMALLEST_VARIANCE, Evidence
+from .modulation import columns, stated_changes
 from .rows import Rows
 
 
@@ -119,6 +122,8 @@ class Equations:
         arriving: What arrivals scatter by beyond what the table states.
         extra: Further parts of the covariance of the outputs.
         inflation: (6 s + 3 t + 3 m,) factors on the variance of each output's own noise, or None.
+        changes: Coefficients by which parameters change during the session: the end of the state.
+        time_constant: Of a warm-up among them, as a fraction of the session.
 
     """
 
@@ -129,6 +134,8 @@ class Equations:
     arriving: Arrivals = NO_ARRIVALS
     extra: tuple[Component, ...] = field(default=(), repr=False)
     inflation: Floats | None = field(default=None, repr=False)
+    changes: tuple[Change, ...] = ()
+    time_constant: float = 1.0
 
     @property
     def sensors(self) -> int:
@@ -143,7 +150,22 @@ class Equations:
     @property
     def size(self) -> int:
         """Length of the state."""
-        return self.sensors + len(Nuisance)
+        return self.sensors + len(Nuisance) + len(self.changes)
+
+    @property
+    def table(self) -> slice:
+        """Where the nuisances lie in the state."""
+        return slice(self.sensors, self.sensors + len(Nuisance))
+
+    @property
+    def clock(self) -> int:
+        """Where the rate between the clocks lies in the state."""
+        return self.sensors + Nuisance.CLOCK
+
+    @property
+    def changing(self) -> slice:
+        """Where the coefficients of the session's terms lie in the state."""
+        return slice(self.sensors + len(Nuisance), self.size)
 
     @property
     def north_known(self) -> bool:
@@ -175,18 +197,18 @@ class Equations:
         """
         mean, deviation = self.prior
         rows = np.zeros((len(Nuisance), self.size + 1))
-        rows[:, self.sensors : self.size] = np.diag(1 / deviation)
-        rows[:, -1] = (mean - state[self.sensors :]) / deviation
+        rows[:, self.table] = np.diag(1 / deviation)
+        rows[:, -1] = (mean - state[self.table]) / deviation
         if not self.north_known:
             rows[Nuisance.AZIMUTH, -1] = 0.0
         return rows
 
     def nominal(self) -> Floats:
         """Return the state (n,) of ideal sensors on the table as it is described."""
-        return np.concatenate([np.zeros(self.sensors), self.prior[0]])
+        return np.concatenate([np.zeros(self.sensors), self.prior[0], np.zeros(len(self.changes))])
 
     def model(self, state: Floats) -> SensorModel:
-        """Return the sensors that a state (n,) describes: parameters, then `Nuisance`."""
+        """Return the sensors that a state (n,) describes, in the mean over the session."""
         return SensorModel().with_values(self.parameters, state[: self.sensors])
 
     def surroundings(self, state: Floats) -> Surroundings:
@@ -194,7 +216,7 @@ class Equations:
 
         An azimuth that is given is already in the attitudes: the state holds what is left of it.
         """
-        azimuth, tilt_x, tilt_y, _ = state[self.sensors :]
+        azimuth, tilt_x, tilt_y, _ = state[self.table]
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 
     @cached_property
@@ -220,7 +242,7 @@ class Equations:
         """
         around = self.surroundings(state)
         ups, rates, timed = self._turning
-        rates = rates / np.where(timed, 1 + state[-1], 1.0)
+        rates = rates / np.where(timed, 1 + state[self.clock], 1.0)
         return (
             around,
             around.rate @ self._attitudes,
@@ -235,10 +257,16 @@ class Equations:
         model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
         turned = whole(model.predict(turning, felt)[0])
-        return self.rows.joined(at_rest, turned, self.evidence.led.off(model, around.rate))
+        predicted = self.rows.joined(at_rest, turned, self.evidence.led.off(model, around.rate))
+        if not state[self.changing].any():
+            return predicted
+        return np.asarray(predicted + self.jacobian(state)[:, self.changing] @ state[self.changing])
 
     def jacobian(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict`, (6 s + 3 t + 3 m, n)."""
+        """Return the derivatives of `predict`, (6 s + 3 t + 3 m, n).
+
+        By the table they are those of the mean parameters: what changes of these is parts in 1e5.
+        """
         around, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         s, t, n = len(rate), len(turning), self.sensors
@@ -251,11 +279,24 @@ class Equations:
         turned[:, :, n : n + 3] = whole(slopes @ _both(self._headings) @ world)
         ups, rates, timed = self._turning
         answers = np.einsum('tij,tj->ti', whole(slopes[..., :3]), ups)
-        turned[:, :, -1] = -answers * (np.where(timed, rates, 0.0) / (1 + state[-1]) ** 2)[:, None]
+        slower = np.where(timed, rates, 0.0) / (1 + state[self.clock]) ** 2
+        turned[:, :, self.clock] = -answers * slower[:, None]
         led = np.zeros((len(self.evidence.led), 3, self.size))
         led[:, :, :n] = self.evidence.led.by_parameters(model, self.parameters)
         led[:, :, n : n + 3] = self.evidence.led.by_rate() @ around.rate_slopes
-        return self.rows.joined(at_rest, turned, led)
+        result = self.rows.joined(at_rest, turned, led)
+        result[:, self.changing] = self.columns(self.changes, result)
+        return result
+
+    def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
+        """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
+
+        Args:
+            changes: The k coefficients.
+            derivatives: (m, n) by the parameters of the sensors, as `jacobian` begins.
+
+        """
+        return columns(self.evidence, changes, derivatives, self.parameters, self.time_constant)
 
     @property
     def _to_body(self) -> Floats:
@@ -296,7 +337,14 @@ class Equations:
         if evidence.site.latitude_std:
             slope = self.latitude_slope(state) * evidence.site.latitude_std
             found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
+        if evidence.temperature is not None and evidence.thermal.any():
+            found.append(self._warmth(self.jacobian(state)))
         return tuple(found)
+
+    def _warmth(self, derivatives: Floats) -> Component:
+        """Return what the temperature does by the coefficients that the data sheet states."""
+        changes, sizes = stated_changes(self.parameters, self.evidence.thermal)
+        return Component(Source.TEMPERATURE, Factor(self.columns(changes, derivatives) * sizes))
 
     def covariance(self, state: Floats) -> Floats:
         """Return the covariance of the outputs, (6 s + 3 t + 3 m,) square."""
@@ -327,7 +375,7 @@ class Equations:
 
     def clock_slope(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the rate between the clocks."""
-        return np.asarray(self.jacobian(state)[:, -1])
+        return np.asarray(self.jacobian(state)[:, self.clock])
 
     def _arriving(self, state: Floats) -> list[Component]:
         stated, found = self.evidence.positioning, self.arriving

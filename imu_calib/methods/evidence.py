@@ -15,7 +15,8 @@ from ..segmentation.clock import ClockFit
 from ..segmentation.segment import Segment, Turn
 from ..segmentation.session import Move
 from ..segmentation.statistics import pooled_walk
-from ..stream import Floats
+from ..segmentation.thermometer import Temperature
+from ..stream import Floats, Units
 from ..table_errors import LEVELLED
 from ..turntable import TURN, Table
 from .arrivals import Leaning, of_joints, of_stops
@@ -56,6 +57,10 @@ class Evidence:
         walk_freedom: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
         moves: What the gyros saw between one stretch and the next.
         table: What turned the unit; None where nobody says how far its axes may be off.
+        units: Of the numbers of the unit's stream.
+        temperature: Of the session; None where no thermometer shows it.
+        thermal: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data
+            sheet, standard deviations, 1/K and SI/K; 0 where not stated.
 
     """
 
@@ -71,6 +76,9 @@ class Evidence:
     walk_freedom: Floats = field(default_factory=lambda: np.full(6, np.inf))
     moves: tuple[Move, ...] = ()
     table: Table | None = None
+    units: Units = Units.PULSES
+    temperature: Temperature | None = None
+    thermal: Floats = field(default_factory=lambda: np.zeros((2, 2)))
 
     @cached_property
     def led(self) -> Moves:

@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
+from ..model.session_terms import Change
 from ..segmentation.session import Move
 from ..stream import Floats
 from ..units import DEG
+from .changing import doubt_of_time_constant, timed, with_changes
 from .converge import least_squares
 from .equations import Equations, Nuisance
 from .evidence import SMALLEST_VARIANCE, Evidence
@@ -90,6 +92,9 @@ class Estimate:
         turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
             for less; 1 where they agree.
         astray: Moves that were left out.
+        constant: Coefficients of the session's terms that it cannot tell, left out.
+        between: (n, n) what the doubt of a warm-up's time constant adds to the covariance, which
+            holds it.
 
     """
 
@@ -102,6 +107,8 @@ class Estimate:
     gain: Floats
     turns_scatter: float = 1.0
     astray: tuple[Astray, ...] = ()
+    constant: tuple[Change, ...] = ()
+    between: Floats | None = None
 
     def nuisance(self, which: Nuisance) -> tuple[float, float]:
         """Return one of the nuisances and its standard deviation."""
@@ -124,15 +131,22 @@ class Estimate:
         ):
             prior = self.gain[:n, m + np.array(which)]
             found[source] = Share.of_parts([(prior @ prior.T, freedom)])
+        if self.between is not None:
+            found[Source.TIME_CONSTANT] = Share.known(self.between[:n, :n])
         return found
 
 
-def estimate(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Estimate:
+def estimate(
+    evidence: Evidence,
+    parameters: tuple[Parameter, ...] = PARAMETERS,
+    changes: tuple[Change, ...] = (),
+) -> Estimate:
     """Fit all of a session at once.
 
     Args:
         evidence: The session.
         parameters: Of the sensors.
+        changes: By which they change during the session.
 
     Raises:
         NotObservable: Names what the session cannot observe.
@@ -140,9 +154,11 @@ def estimate(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS)
     """
     equations = Equations(evidence, parameters)
     check_observable(equations)
+    equations, constant = with_changes(equations, changes)
     # Moves lead from attitude to attitude of a table that is known; they say less of where it is.
     resting = replace(equations, evidence=replace(evidence, moves=()))
-    state = _fit(resting, _start(resting))
+    resting, state = timed(resting, _start(resting))
+    state = _fit(resting, state)
     resting = _headed(_levelled(resting, state), state)
     state = _fit(resting, state)
     kept, astray = _moves_that_fit(resting, state, evidence)
@@ -155,7 +171,9 @@ def estimate(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS)
         equations, scatter = _turns_weighed_down(equations, state)
         found = _without_outliers(equations, _fit(equations, state), turns=False)
         found = replace(found, turns_scatter=scatter)
-    return replace(found, astray=astray)
+    between = doubt_of_time_constant(found.equations, found.state)
+    covariance = found.covariance if between is None else found.covariance + between
+    return replace(found, covariance=covariance, astray=astray, constant=constant, between=between)
 
 
 def _moves_that_fit(

@@ -13,7 +13,9 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from ..changes import Changes
 from ..model import Term, parameters_of
+from ..model.session_terms import Change, Course, names_of
 from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
 from .arrivals import NO_ARRIVALS
@@ -21,21 +23,30 @@ from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatte
 from .equations import Nuisance
 from .evidence import Evidence
 from .fit import Estimate, estimate
+from .modulation import spans
 from .solution import Residual, Solution
+from .warmth import moved_temperature
 
 _TELLING = 0.1
 _NAMED = 3
 
 
-def solve(evidence: Evidence, terms: tuple[Term, ...] = ()) -> Solution:
+def solve(
+    evidence: Evidence, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
+) -> Solution:
     """Estimate the 24 parameters, and those of terms, from a session of any plan.
+
+    Args:
+        evidence: The session.
+        terms: Of the sensors, besides.
+        changes: By which parameters change during the session.
 
     Raises:
         NotObservable: Names what the session cannot observe, or what contradicts itself.
         InputError: The outputs are not in the units that the IMU's description states.
 
     """
-    return _concluded(estimate(evidence, parameters_of(terms)))
+    return _concluded(estimate(evidence, parameters_of(terms), changes))
 
 
 def _concluded(found: Estimate) -> Solution:
@@ -61,6 +72,23 @@ def _concluded(found: Estimate) -> Solution:
         found.scatter.wandering,
         equations.parameters,
         found.shares(),
+        _changes(found),
+    )
+
+
+def _changes(found: Estimate) -> Changes | None:
+    equations = found.equations
+    if not equations.changes:
+        return None
+    own, sensors = equations.changing, slice(0, equations.sensors)
+    warming = any(c.course is Course.WARM_UP for c in equations.changes)
+    _, ends = spans(equations.evidence)
+    return Changes(
+        equations.changes,
+        found.state[own],
+        found.covariance[own, own],
+        found.covariance[sensors, own],
+        equations.time_constant * float(ends.max()) if warming else float('nan'),
     )
 
 
@@ -136,7 +164,17 @@ def _findings(found: Estimate) -> list[str]:
             f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
             f'{level / ARCSEC:.3g} arcsec to which it was taken to be level.'
         )
-    return [*notes, *_scattering(found)]
+    notes += [_constant(found)] if found.constant else []
+    return [*notes, *moved_temperature(found), *_scattering(found)]
+
+
+def _constant(found: Estimate) -> str:
+    names = ', '.join(c.name for c in found.constant)
+    return (
+        f'The session does not tell how {names} change ({" and ".join(names_of(found.constant))}): '
+        'taken as constant. Moves between rests, or turns about each axis at the beginning and at '
+        'the end, would tell of gyros; rests with each axis up and down there of accelerometers.'
+    )
 
 
 def _astray(found: Estimate) -> str:

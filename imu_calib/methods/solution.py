@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..budget import Shares
+from ..changes import Changes
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 
@@ -48,6 +49,7 @@ class Solution:
             rad/s and m/s^2; None for a method that knows of no such thing.
         parameters: (n,) what the rows of the covariance stand for.
         shares: The covariance by source, which adds up to it; None for a method that does not tell.
+        changes: By which the parameters change during the session; None where none were asked for.
 
     """
 
@@ -63,6 +65,7 @@ class Solution:
     wandering: Floats | None = None
     parameters: tuple[Parameter, ...] = PARAMETERS
     shares: Shares | None = None
+    changes: Changes | None = None
 
     def __post_init__(self) -> None:
         """Refuse a covariance of other parameters."""

@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..units import DEG
 from .kinds import ParameterKind
 from .parameters import AXES, Parameter, Product
+from .session_terms import SESSION_TERMS
 
 NO_TERMS = 'none'
 """What a person writes for the 24 parameters alone."""
@@ -217,5 +218,5 @@ def term(name: str) -> Term:
     for known in TERMS:
         if known.name == name:
             return known
-    names = ', '.join(known.name for known in TERMS)
+    names = ', '.join([*(known.name for known in TERMS), *SESSION_TERMS])
     raise InputError(f'No term is called {name!r}; there are: {names}.')

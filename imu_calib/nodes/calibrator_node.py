@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..imu import load_imu
 from ..middleware import messages
 from ..model import NO_TERMS, Parameter, chosen
+from ..model.session_terms import parted
 from ..plan import load_plan
 from ..report.parameters import engineering
 from ..session import describe
@@ -122,9 +123,10 @@ class CalibratorNode(ros.Node):
             self, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
         )
         method = declare(self, 'method', '', 'the estimator; empty: joint where it applies')
-        terms = chosen(
+        named, changes = parted(
             declare(self, 'terms', NO_TERMS, 'that the joint estimate adds; names with commas')
         )
+        terms = chosen(named)
         serial = declare(self, 'serial_number', '', 'of the unit; empty: not stated')
         if math.isnan(latitude):
             raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
@@ -139,12 +141,16 @@ class CalibratorNode(ros.Node):
         laid_out = load_plan(plan)
         if laid_out.by_hand:
             self._description = describe(plan, imu, None, site, serial)
-            return Setup(load_imu(imu), laid_out, None, site, method or None, serial, terms)
+            return Setup(
+                load_imu(imu), laid_out, None, site, method or None, serial, terms, changes
+            )
         described = load_table(table)
         if not math.isnan(azimuth):
             described = replace(described, azimuth=azimuth * DEG)
         self._description = describe(plan, imu, table, site, serial)
-        return Setup(load_imu(imu), laid_out, described, site, method or None, serial, terms)
+        return Setup(
+            load_imu(imu), laid_out, described, site, method or None, serial, terms, changes
+        )
 
     def _kinds(self) -> list[Kind]:
         """List what there is to listen to: no table, no joint states; no skewed gyro, no topic."""

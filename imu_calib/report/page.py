@@ -14,9 +14,9 @@ from ..imu import ImuSpec
 from . import allan_plot, repeatability, residuals, timeline
 from .assessment import angles_table, assess, badge, summary, tables, worst
 from .budget import budget_section
-from .html import bullets, facts, paragraph, section
+from .html import bullets, facts, paragraph, section, table
 from .noise import noise_of
-from .parameters import FREE_OF_FRAME
+from .parameters import FREE_OF_FRAME, change_note, decimals
 from .style import STYLE
 from .svg import tag
 
@@ -64,6 +64,7 @@ def page(contents: Contents) -> str:
             _head(contents),
             section('Findings', bullets(calibration.findings)),
             _parameters(contents),
+            _changes(contents.calibration),
             section('Uncertainty budget', *budget_section(calibration), kind='page'),
             _course(contents.result),
             _residuals(contents),
@@ -137,6 +138,22 @@ def _parameters(contents: Contents) -> str:
         bullets(missing),
         angles_table(contents.calibration),
         paragraph(FREE_OF_FRAME, 'note'),
+    )
+
+
+def _changes(calibration: Calibration) -> str:
+    if calibration.changes is None:
+        return ''
+    rows = []
+    for term, name, value, std, unit in calibration.changes.shown():
+        places = decimals(std)
+        cells = (term, name, f'{value:.{places}f}', f'{std:.{places}f}', unit)
+        rows.append([escape(cell) for cell in cells])
+    headings = ['term', 'of', 'value', 'std', 'unit']
+    return section(
+        'Terms of the session',
+        table(headings, rows, 'parameters plain', 'llrrl'),
+        paragraph(change_note(calibration), 'note'),
     )
 
 

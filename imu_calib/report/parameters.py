@@ -49,6 +49,39 @@ def three_digits(value: float) -> str:
     return f'{value:.0f}' if abs(value) >= 1000 else f'{value:.3g}'
 
 
+def change_table(calibration: Calibration) -> Table | None:
+    """Return what terms of the session found; None where none were asked for."""
+    if calibration.changes is None:
+        return None
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    for heading in ('term', 'of', 'value', 'std', 'unit'):
+        table.add_column(heading, justify='right' if heading in {'value', 'std'} else 'left')
+    for term, name, value, deviation, unit in calibration.changes.shown():
+        places = decimals(deviation)
+        table.add_row(term, name, f'{value:.{places}f}', f'{deviation:.{places}f}', unit)
+    return table
+
+
+def change_note(calibration: Calibration) -> str:
+    """Say of which state the parameters are, and what becomes of the coefficients."""
+    changes = calibration.changes
+    if changes is None:
+        return ''
+    if changes.follows_temperature:
+        mean = calibration.provenance['temperature']['mean']
+        return (
+            f'K, E and D are those of {mean:.2f} degC, the mean of the session; compensation adds '
+            'what follows the temperature, as far as the session saw it.'
+        )
+    fading = ''
+    if np.isfinite(changes.time_constant):
+        fading = f' The warm-up fades with {changes.time_constant:.0f} s.'
+    return (
+        'K, E and D are those of the mean over the session. How they changed in it is past, and no '
+        f'part of compensation.{fading}'
+    )
+
+
 def parameter_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """Return the parameters that were estimated: value, standard deviation, unit.
 

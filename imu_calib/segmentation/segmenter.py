@@ -106,7 +106,7 @@ class Segmenter:
         elif isinstance(block, SkewBlock):
             self._intake.take_skew(block)
         elif isinstance(block, TemperatureBlock):
-            self._thermometer.feed(block.celsius)
+            self._thermometer.feed(block)
         self._work()
 
     def _note_interruptions(self, stamp: Stamps) -> None:

@@ -1,50 +1,91 @@
-"""The temperature of a session: its mean and its ends, the same however its blocks were cut."""
+"""The temperature of a session: its course, mean and ends, the same however its blocks were cut."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..stream import Floats
+from ..stream import Floats, Stamps, TemperatureBlock
 
 _STEP = 1e-6
 _COLDEST, _HOTTEST = -273.15, 1000.0
+_CELL = 10 * 10**9
+"""What a thermometer shows in 10 s is kept as one, ns: a session of a day has 8640 of them, and no
+unit warms by more than a small part of its range in that time."""
 
 
 @dataclass(frozen=True)
 class Temperature:
-    """Mean, lowest and highest temperature, degrees Celsius."""
+    """Temperature of a session, degrees Celsius.
+
+    Attributes:
+        mean: Over all that the thermometer showed.
+        lowest: Of that.
+        highest: Of that.
+        course: (c, 2) instants, ns of the IMU's clock, and means of 10 s about them, in order.
+
+    """
 
     mean: float
     lowest: float
     highest: float
+    course: Floats = field(default_factory=lambda: np.zeros((0, 2)), compare=False, repr=False)
+
+    def over(self, starts: Stamps, ends: Stamps) -> Floats:
+        """Return the means (n,) over intervals (n,) to (n,), ns, degrees Celsius.
+
+        Between the points of the course it is linear, before the first and after the last constant.
+        """
+        if not len(self.course):
+            return np.full(len(starts), self.mean)
+        origin = self.course[0, 0]
+        time, celsius = (self.course[:, 0] - origin) * 1e-9, self.course[:, 1]
+        found = []
+        for start, end in zip(
+            (np.asarray(starts) - origin) * 1e-9, (np.asarray(ends) - origin) * 1e-9, strict=True
+        ):
+            inside = time[(time > start) & (time < end)]
+            at = np.concatenate([[start], inside, [end]])
+            shown = np.interp(at, time, celsius)
+            area = float((np.diff(at) * (shown[1:] + shown[:-1])).sum()) / 2
+            found.append(area / (end - start) if end > start else float(shown[0]))
+        return np.array(found)
 
 
 class Thermometer:
     """Sums temperatures as whole micro-kelvins: their sum knows no order and no rounding."""
 
     def __init__(self) -> None:
-        self._sum = 0
-        self._count = 0
+        self._cells: defaultdict[int, list[int]] = defaultdict(lambda: [0, 0, 0])
         self._lowest = np.inf
         self._highest = -np.inf
 
-    def feed(self, celsius: Floats) -> None:
-        """Take (n,) degrees Celsius in; what no thermometer shows is left out."""
+    def feed(self, block: TemperatureBlock) -> None:
+        """Take temperatures in; what no thermometer shows is left out."""
         with np.errstate(invalid='ignore'):
-            sound = celsius[(celsius >= _COLDEST) & (celsius <= _HOTTEST)]
-        if not len(sound):
+            sound = (block.celsius >= _COLDEST) & (block.celsius <= _HOTTEST)
+        celsius, stamp = block.celsius[sound], block.stamp[sound]
+        if not len(celsius):
             return
-        self._sum += int(np.rint(sound / _STEP).astype(np.int64).sum())
-        self._count += len(sound)
-        self._lowest = min(self._lowest, float(sound.min()))
-        self._highest = max(self._highest, float(sound.max()))
+        micro = np.rint(celsius / _STEP).astype(np.int64)
+        for cell in np.unique(stamp // _CELL).tolist():
+            mine = stamp // _CELL == cell
+            sums = self._cells[cell]
+            sums[0] += int(micro[mine].sum())
+            sums[1] += int((stamp[mine] - cell * _CELL).sum())
+            sums[2] += int(mine.sum())
+        self._lowest = min(self._lowest, float(celsius.min()))
+        self._highest = max(self._highest, float(celsius.max()))
 
     @property
     def temperature(self) -> Temperature | None:
         """What it showed; None where it showed nothing."""
-        if not self._count:
+        if not self._cells:
             return None
-        mean = self._sum / self._count * _STEP
-        return Temperature(mean, float(self._lowest), float(self._highest))
+        cells = sorted(self._cells.items())
+        total, count = sum(c[0] for _, c in cells), sum(c[2] for _, c in cells)
+        course = [(k * _CELL + c[1] / c[2], c[0] / c[2] * _STEP) for k, c in cells]
+        mean = total / count * _STEP
+        return Temperature(mean, float(self._lowest), float(self._highest), np.array(course))

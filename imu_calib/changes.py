@@ -1,0 +1,144 @@
+"""What a session found of parameters that change with time or temperature: a value and its section.
+
+Source: docs/mathematics.md, 'Terms of a session'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .config import Section
+from .errors import InputError
+from .model import Parameter
+from .model.session_terms import Change, Course, change, names_of
+from .stream import Floats
+
+KEY = 'session_terms'
+"""Its section in calibration.yaml."""
+
+
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """Coefficients of a session's terms, as it found them.
+
+    Attributes:
+        changes: The k coefficients.
+        values: (k,) SI units.
+        covariance: (k, k) of them.
+        cross: (n, k) covariance of the parameters of the sensors and them.
+        time_constant: Of a warm-up, s; NaN where there is none.
+
+    """
+
+    changes: tuple[Change, ...]
+    values: Floats
+    covariance: Floats
+    cross: Floats
+    time_constant: float = float('nan')
+
+    @property
+    def std(self) -> Floats:
+        """(k,) standard deviations, SI units."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def follows_temperature(self) -> bool:
+        """Whether parameters change with the temperature, which compensation knows."""
+        return any(c.course is Course.THERMAL for c in self.changes)
+
+    def by_kelvin(self, parameters: Sequence[Parameter]) -> Floats:
+        """Return the derivatives of parameters by the coefficients, per K, (n, k)."""
+        found = np.zeros((len(parameters), len(self.changes)))
+        for k, one in enumerate(self.changes):
+            if one.course is Course.THERMAL:
+                found[[parameters.index(p) for p in one.parameters], k] = 1.0
+        return found
+
+    def shown(self) -> list[tuple[str, str, float, float, str]]:
+        """Return term, coefficient, value, standard deviation and unit as engineers write them."""
+        rows = []
+        for one, value, std in zip(self.changes, self.values, self.std, strict=True):
+            words, per = one.course.shown_per
+            scale = one.unit.scale * per
+            rows.append(
+                (
+                    one.course.value,
+                    one.name,
+                    float(value / scale),
+                    float(std / scale),
+                    f'{one.unit.shown}{words}',
+                )
+            )
+        return rows
+
+    def document(self) -> dict[str, Any]:
+        """Return its section of a file."""
+        found: dict[str, Any] = {
+            'coefficients': [
+                {
+                    'term': one.course.value,
+                    'of': one.name,
+                    'value': float(value),
+                    'std': float(std),
+                    'unit': one.si,
+                }
+                for one, value, std in zip(self.changes, self.values, self.std, strict=True)
+            ],
+            'covariance': [[float(v) for v in row] for row in self.covariance],
+            'cross_covariance': [[float(v) for v in row] for row in self.cross],
+        }
+        if np.isfinite(self.time_constant):
+            found['time_constant'] = float(self.time_constant)
+        return found
+
+
+def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
+    """Read a file's section.
+
+    Raises:
+        InputError: A wrong name or number; names the key.
+
+    """
+    coefficients, values = [], []
+    for row in section.sections('coefficients'):
+        name = row.text('term')
+        if name not in {course.value for course in Course}:
+            known = ', '.join(course.value for course in Course)
+            raise InputError(f'{row.key("term")}: found {name!r}, expected one of {known}.')
+        coefficients.append(change(Course(name), row.text('of')))
+        values.append(row.number('value'))
+        row.number('std')
+        if (unit := row.text('unit')) != coefficients[-1].si:
+            raise InputError(
+                f'{row.key("unit")}: found {unit!r}, expected {coefficients[-1].si!r}.'
+            )
+        row.finish()
+    k = len(coefficients)
+    covariance = _numbers(section, 'covariance', (k, k))
+    cross = _numbers(section, 'cross_covariance', (len(parameters), k))
+    time_constant = section.number('time_constant', float('nan'))
+    section.finish()
+    return Changes(tuple(coefficients), np.array(values), covariance, cross, time_constant)
+
+
+def sentence(changes: Changes) -> str:
+    """Say what the terms found, by how many of their deviations at most."""
+    names = ' and '.join(names_of(changes.changes))
+    far = np.abs(changes.values) / changes.std
+    worst = int(np.argmax(far))
+    _, name, value, std, unit = changes.shown()[worst]
+    return f'{names}: {name} {value:.3g} +- {std:.2g} {unit} is the most, {far[worst]:.1f} sigma'
+
+
+def _numbers(section: Section, key: str, shape: tuple[int, int]) -> Floats:
+    try:
+        values = np.array(section.raw(key), dtype=float).reshape(shape)
+    except (TypeError, ValueError):
+        raise InputError(f'{section.key(key)}: expected {shape[0]}x{shape[1]} numbers.') from None
+    if not np.isfinite(values).all():
+        raise InputError(f'{section.key(key)}: found what is no number.')
+    return values

@@ -1,0 +1,144 @@
+"""Which changes a session tells, and how fast a warm-up fades.
+
+Source: docs/mathematics.md, 'Terms of a session'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import NotObservable
+from ..model.session_terms import Change, Course, names_of
+from ..stream import Floats
+from .converge import least_squares
+from .equations import Equations
+from .evidence import Evidence
+from .information import Information, before, told
+from .modulation import TIME_CONSTANTS, check_temperature, courses
+
+_USEFUL = 1e-3
+"""Standard deviation of the change of a scale factor over a session that is of use: that of terms,
+see `information`."""
+
+_QUARTER = 0.25
+"""The time constant for which a plan is judged, as a fraction of the session."""
+
+_STEPS = 100
+
+
+def with_changes(
+    equations: Equations, changes: Sequence[Change]
+) -> tuple[Equations, tuple[Change, ...]]:
+    """Let parameters change by the coefficients that a session tells.
+
+    Those of scale factors that nobody asked for by name are left out where it does not.
+
+    Returns:
+        The equations, and the coefficients left out.
+
+    Raises:
+        NotObservable: Names what the session cannot tell, and what it takes.
+
+    """
+    if not changes:
+        return equations, ()
+    if any(c.course is Course.THERMAL for c in changes):
+        check_temperature(equations.evidence)
+    changing = replace(equations, changes=tuple(changes), time_constant=_QUARTER)
+    known, parameters = _told(changing)
+    if known.all() and parameters.all():
+        return changing, ()
+    of_choice = np.array([c.of_scale_factor and not c.asked for c in changes])
+    gone = of_choice & (~known if parameters.all() else True)
+    changing = replace(
+        changing, changes=tuple(c for c, out in zip(changes, gone, strict=True) if not out)
+    )
+    known, parameters = _told(changing)
+    if known.all() and parameters.all():
+        return changing, tuple(c for c, out in zip(changes, gone, strict=True) if out)
+    raise NotObservable(_refusal(changing, known, parameters))
+
+
+def _told(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Say of coefficients (k,) and of parameters (n,) whether the session tells them."""
+    found = before(equations)
+    parameters = told(found, equations.parameters)
+    std = np.sqrt(np.diag(found.covariance)[equations.changing])
+    moves = [change_of(equations, c) for c in equations.changes]
+    limits = [_USEFUL if c.of_scale_factor else np.inf for c in equations.changes]
+    with np.errstate(invalid='ignore'):
+        known = np.isfinite(std) & ~(std * moves > limits)
+    return known, parameters
+
+
+def change_of(equations: Equations, change: Change) -> float:
+    """Return by how much a coefficient of one changes its parameters during the session."""
+    return float(np.ptp(courses(equations.evidence, change.course, equations.time_constant)))
+
+
+def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray[np.bool_]) -> str:
+    mine = [c.name for c, sure in zip(equations.changes, known, strict=True) if not sure]
+    others = [p.name for p, sure in zip(equations.parameters, parameters, strict=True) if not sure]
+    apart = f' apart from {", ".join(others)}' if others else ''
+    named = f' ({", ".join(mine)})' if mine else ''
+    evidence: Evidence = equations.evidence
+    return (
+        f'{len(evidence.segments)} stretches at rest and {len(evidence.turns)} turns cannot tell '
+        f'{" and ".join(names_of(equations.changes))}{named}{apart}: not observable. To determine '
+        'it takes rests with each axis up, down and level at the beginning and at the end, and '
+        'turns about each axis there for what changes scale factors of gyros; or leave it out '
+        '(--terms).'
+    )
+
+
+def timed(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
+    """Choose the time constant of a warm-up that explains most, and go there.
+
+    Args:
+        equations: With or without a warm-up.
+        state: (n,) to start from.
+
+    """
+    if not _warming(equations):
+        return equations, state
+    best: tuple[float, Equations, Floats] | None = None
+    for fraction in TIME_CONSTANTS.tolist():
+        there = replace(equations, time_constant=fraction)
+        found = least_squares(state, there.whitened, np.add, _STEPS)
+        left = there.whitened(found)[1]
+        if best is None or float(left @ left) < best[0]:
+            best = float(left @ left), there, found
+    assert best is not None
+    return best[1], best[2]
+
+
+def doubt_of_time_constant(equations: Equations, state: Floats) -> Floats | None:
+    """Return how far the state goes over the likely time constants, (n, n); None without a warm-up.
+
+    Each counts by its likelihood; the outputs are linear in the coefficients, and one step goes
+    there.
+    """
+    if not _warming(equations):
+        return None
+    steps, squares = [], []
+    for fraction in TIME_CONSTANTS.tolist():
+        there = replace(equations, time_constant=fraction)
+        start = state.copy()
+        start[equations.changing] = 0.0
+        jacobian, left = there.whitened(start)
+        step = Information.of(jacobian).gain @ left
+        remains = left - jacobian @ step
+        steps.append(start + step - state)
+        squares.append(float(remains @ remains))
+    weights = np.exp(-0.5 * (np.array(squares) - min(squares)))
+    weights /= weights.sum()
+    off = np.array(steps)
+    return np.asarray(np.einsum('k,ki,kj->ij', weights, off, off))
+
+
+def _warming(equations: Equations) -> bool:
+    return any(c.course is Course.WARM_UP for c in equations.changes)

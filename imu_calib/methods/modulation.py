@@ -1,0 +1,148 @@
+"""Parameters that change during a session: their courses at its outputs, and the derivatives.
+
+The derivative by a coefficient is its course, the mean over the stretch, times the sum of the
+derivatives by the parameters that it changes: the outputs are linear in the parameters, but for a
+second order in moves that is below 1e-9 rad (a bias off by 1 deg/h for a minute, squared).
+
+Source: docs/mathematics.md, 'Terms of a session'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..errors import NotObservable
+from ..model import Parameter, ParameterKind
+from ..model.session_terms import Change, Course
+from ..segmentation.segment import Segment, Turn
+from ..segmentation.session import Move
+from ..stream import Floats, Stamps
+from .evidence import Evidence
+
+LEAST_RISE = 0.5
+"""By so many kelvins the temperature of the outputs must differ to tell what follows it:
+thermometers of IMUs resolve a sixteenth to a half of one, and sessions that are combined differ by
+as much."""
+
+TIME_CONSTANTS = 2.0 ** np.arange(-4, 1.5, 0.5)
+"""Grid of the time constant of a warm-up, as fractions of the session: a shorter one has faded
+within the first rest, and a longer one is a trend."""
+
+
+def spans(evidence: Evidence) -> tuple[Floats, Floats]:
+    """Return start and end of each rest, turn and move, (s + t + m,) s since the first began."""
+    starts, ends = _instants(evidence)
+    origin = starts.min(initial=np.iinfo(np.int64).max)
+    return (starts - origin) * 1e-9, (ends - origin) * 1e-9
+
+
+def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
+    moves = [link.move for link in evidence.led.links]
+    parts: list[Segment | Turn | Move] = [*evidence.segments, *evidence.turns, *moves]
+    starts = np.array([part.start for part in parts], dtype=np.int64)
+    return starts, np.array([part.end for part in parts], dtype=np.int64)
+
+
+def courses(evidence: Evidence, course: Course, time_constant: float) -> Floats:
+    """Return the means of a course over each rest, turn and move, (s + t + m,).
+
+    Args:
+        evidence: The session.
+        course: Which.
+        time_constant: Of a warm-up, as a fraction of the session.
+
+    """
+    starts, ends = spans(evidence)
+    whole = float(ends.max(initial=0.0))
+    if course is Course.TREND:
+        return np.asarray((starts + ends) / 2 - whole / 2)
+    if course is Course.WARM_UP:
+        tau = time_constant * whole
+        mean = -time_constant * np.expm1(-1 / time_constant)
+        lasting = np.maximum(ends - starts, 1e-9) / tau
+        return np.asarray(np.exp(-starts / tau) * -np.expm1(-lasting) / lasting - mean)
+    return temperatures(evidence) - reference(evidence)
+
+
+def temperatures(evidence: Evidence) -> Floats:
+    """Return the mean temperature over each rest, turn and move, (s + t + m,) degrees Celsius.
+
+    Raises:
+        NotObservable: The session has no temperature.
+
+    """
+    if evidence.temperature is None:
+        raise NotObservable(
+            'Term thermal: the session has no temperature (topic imu/temperature), and nothing '
+            'tells what follows it. Record one, or leave the term out (--terms).'
+        )
+    return evidence.temperature.over(*_instants(evidence))
+
+
+def reference(evidence: Evidence) -> float:
+    """Return the session's mean temperature, degrees Celsius, at which its parameters hold."""
+    assert evidence.temperature is not None
+    return evidence.temperature.mean
+
+
+def check_temperature(evidence: Evidence) -> None:
+    """Refuse a session whose temperature does not move, or is not known.
+
+    Raises:
+        NotObservable: Says by how much it moves and by how much it must.
+
+    """
+    seen = temperatures(evidence)
+    if np.ptp(seen) < LEAST_RISE:
+        raise NotObservable(
+            f'Term thermal: the temperature of the outputs moves by {np.ptp(seen):.2f} K (from '
+            f'{seen.min():.2f} to {seen.max():.2f} degC), expected {LEAST_RISE:g} K or more: '
+            'nothing tells what follows it. Let the unit warm up or cool down during the session, '
+            'or leave the term out (--terms).'
+        )
+
+
+def columns(
+    evidence: Evidence,
+    changes: Sequence[Change],
+    derivatives: Floats,
+    parameters: Sequence[Parameter],
+    time_constant: float,
+) -> Floats:
+    """Return the derivatives of the outputs by coefficients, (m, k).
+
+    Args:
+        evidence: The session.
+        changes: The k coefficients.
+        derivatives: (m, n) of the outputs by parameters.
+        parameters: What the first columns of these stand for.
+        time_constant: Of a warm-up, as a fraction of the session.
+
+    """
+    found = np.zeros((len(derivatives), len(changes)))
+    known = {c: courses(evidence, c, time_constant) for c in {change.course for change in changes}}
+    for k, change in enumerate(changes):
+        own = [parameters.index(p) for p in change.parameters]
+        found[:, k] = known[change.course][evidence.rows.stretch] * derivatives[:, own].sum(axis=1)
+    return found
+
+
+def stated_changes(
+    parameters: Sequence[Parameter], thermal: Floats
+) -> tuple[tuple[Change, ...], Floats]:
+    """Return a coefficient per K for each scale factor and bias, and what the data sheet states.
+
+    Args:
+        parameters: Of the sensors.
+        thermal: (2, 2) as in `Evidence`.
+
+    Returns:
+        The k coefficients, and (k,) standard deviations, SI units per K.
+
+    """
+    kinds = {ParameterKind.SCALE_FACTOR_ERROR: 0, ParameterKind.BIAS: 1}
+    mine = [p for p in parameters if p.kind in kinds]
+    sizes = [thermal['ga'.index(p.triad), kinds[p.kind]] for p in mine]
+    return tuple(Change(Course.THERMAL, p.name, (p,)) for p in mine), np.array(sizes)

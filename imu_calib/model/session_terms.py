@@ -1,0 +1,170 @@
+"""Terms of a session: by how much parameters change while it lasts, with time or temperature.
+
+A coefficient c changes each of its parameters p by c times a known function of the output's time or
+temperature, so that the outputs change by that times their derivative by p. The functions are
+centred: parameters are those of the session's mean state. Scale factors of a triad change together
+unless it is asked otherwise, since twelve positions see that of each axis once.
+
+Source: docs/mathematics.md, 'Terms of a session'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from ..errors import InputError
+from .kinds import ParameterKind, Unit
+from .parameters import PARAMETERS, Parameter
+
+_BY_DEFAULT = ('D_g', 'D_a', 'K_g', 'K_a')
+_SECONDS_PER_HOUR = 3600.0
+
+
+class Course(Enum):
+    """What the parameters follow; the value is the name of the term."""
+
+    TREND = 'trend'
+    """Time, s, from the middle of the session."""
+    WARM_UP = 'warm_up'
+    """exp(-t / tau) since the session began, less its mean; tau is found on a grid."""
+    THERMAL = 'thermal'
+    """Temperature, K, from the session's mean."""
+
+    @property
+    def per(self) -> str:
+        """What a coefficient is per, in SI, with its sign of division."""
+        return {Course.TREND: '/s', Course.WARM_UP: '', Course.THERMAL: '/K'}[self]
+
+    @property
+    def shown_per(self) -> tuple[str, float]:
+        """The same as engineers write it, and how much of the SI unit that is."""
+        return {
+            Course.TREND: (' per h', 1 / _SECONDS_PER_HOUR),
+            Course.WARM_UP: ('', 1.0),
+            Course.THERMAL: (' per K', 1.0),
+        }[self]
+
+
+@dataclass(frozen=True)
+class Change:
+    """One coefficient.
+
+    Attributes:
+        course: What it is multiplied by.
+        name: Of its parameter, or of the triad's scale factors in common: K_g, K_a.
+        parameters: What changes by it.
+        asked: Whether it was asked for by name; else it goes where the session cannot tell it.
+
+    """
+
+    course: Course
+    name: str
+    parameters: tuple[Parameter, ...]
+    asked: bool = False
+
+    @property
+    def unit(self) -> Unit:
+        """Units of the parameters that it changes; its own are `Course.per` of that."""
+        return self.parameters[0].unit
+
+    @property
+    def si(self) -> str:
+        """Its unit in files."""
+        return f'{self.unit.si}{self.course.per}'
+
+    @property
+    def of_scale_factor(self) -> bool:
+        """Whether it changes scale factors."""
+        return self.parameters[0].kind is ParameterKind.SCALE_FACTOR_ERROR
+
+
+SESSION_TERMS = tuple(course.value for course in Course)
+"""Names of all terms of a session."""
+
+
+def session_term(text: str) -> tuple[Change, ...]:
+    """Return the coefficients of a term: 'trend', or with what it acts on 'trend:D_a+K_ax'.
+
+    D_g and D_a stand for the three biases of a triad, K_g and K_a for its scale factors in common;
+    all four are taken where nothing is named.
+
+    Raises:
+        InputError: No such term, or no such parameter.
+
+    """
+    name, _, acts_on = text.partition(':')
+    course = Course(name)
+    if not acts_on:
+        return tuple(c for of in _BY_DEFAULT for c in _changes(course, of, asked=False))
+    return tuple(
+        dict.fromkeys(c for of in acts_on.split('+') for c in _changes(course, of, asked=True))
+    )
+
+
+def parted(text: str) -> tuple[str, tuple[Change, ...]]:
+    """Take the terms of a session out of a list with commas between.
+
+    Returns:
+        What else is in it, or 'none', and their coefficients.
+
+    Raises:
+        InputError: A name that is wrong, or trend and warm-up at once.
+
+    """
+    names = [name.strip() for name in text.split(',')]
+    mine = [name for name in names if name.partition(':')[0] in SESSION_TERMS]
+    others = ','.join(name for name in names if name not in mine)
+    changes = tuple(dict.fromkeys(c for name in mine for c in session_term(name)))
+    if {Course.TREND, Course.WARM_UP} <= {c.course for c in changes}:
+        raise InputError(
+            'Terms: found trend and warm_up, expected one of them: over one session a slow warm-up '
+            'is a trend, and the two cannot be told apart.'
+        )
+    return others or 'none', changes
+
+
+def change(course: Course, name: str) -> Change:
+    """Return a coefficient by its name, as in files.
+
+    Raises:
+        InputError: No such parameter.
+
+    """
+    found = _changes(course, name, asked=True)
+    if len(found) != 1:
+        raise InputError(f'{course.value}: found {name!r}, expected one parameter, or K_g or K_a.')
+    return found[0]
+
+
+def names_of(changes: Sequence[Change]) -> tuple[str, ...]:
+    """Return the names of the terms that coefficients belong to, in order."""
+    return tuple(dict.fromkeys(c.course.value for c in changes))
+
+
+def spelled(changes: Sequence[Change]) -> list[str]:
+    """Return terms as a person would ask for them (`session_term`), in order."""
+    found = []
+    for course in dict.fromkeys(c.course for c in changes):
+        mine = [c for c in changes if c.course is course]
+        chosen = all(c.asked for c in mine)
+        found.append(f'{course.value}:{"+".join(c.name for c in mine)}' if chosen else course.value)
+    return found
+
+
+def _changes(course: Course, name: str, *, asked: bool) -> tuple[Change, ...]:
+    kinds = {'K': ParameterKind.SCALE_FACTOR_ERROR, 'D': ParameterKind.BIAS}
+    symbol, _, triad = name.partition('_')
+    if symbol in kinds and triad in ('g', 'a'):
+        of = tuple(p for p in PARAMETERS if p.kind is kinds[symbol] and p.triad == triad)
+        if symbol == 'K':
+            return (Change(course, name, of, asked),)
+        return tuple(Change(course, p.name, (p,), asked) for p in of)
+    found = [p for p in PARAMETERS if p.name == name]
+    if not found:
+        raise InputError(
+            f'{course.value}: found {name!r}, expected D_g, D_a, K_g, K_a or one of the 24 '
+            'parameters, several with + between (trend:D_g+D_a).'
+        )
+    return (Change(course, name, (found[0],), asked),)
