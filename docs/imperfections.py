@@ -32,7 +32,7 @@ from imu_calib.plan import Plan, load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedStand, StandOptions
 from imu_calib.simulation.imperfections import read_imperfections
-from imu_calib.stream import Floats, Units
+from imu_calib.stream import Floats
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG
 
@@ -117,7 +117,7 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
         found = calibrator.finish().calibration
     except ImuCalibError as error:
         return {**row, 'refused': str(error)}
-    wanted = truth(unit, options, stand.duration, imu.units)
+    wanted = truth(unit, options, stand.duration)
     off = (found.values[:24] - wanted) / found.std[:24]
     return {
         **row,
@@ -127,14 +127,12 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
     }
 
 
-def truth(unit: SensorModel, options: StandOptions, duration: float, units: Units) -> Floats:
-    """Return the 24 parameters that a session should find: mean biases, by the unit's clock."""
+def truth(unit: SensorModel, options: StandOptions, duration: float) -> Floats:
+    """Return the 24 parameters that a session should find: in the mean, by the table's clock."""
     times = np.linspace(0.0, duration, 1000)
     kelvin = float(options.warming.excess(times).mean())
     faded = float(np.exp(-times / options.warm_up.time_constant).mean())
     drift, fading = options.thermal_drift, options.warm_up
-    # Pulses know no clock but that by whose interval they are divided; K_g is then the table's.
-    slow = 1 / (1 + options.clock_rate_error) if units is Units.PULSES else 1.0
     gyro, accel = unit.gyro, unit.accel
     gyro_scale = (1 + kelvin * np.broadcast_to(drift.gyro_scale, 3))[:, None]
     accel_scale = (1 + kelvin * np.broadcast_to(drift.accel_scale, 3))[:, None]
@@ -146,8 +144,8 @@ def truth(unit: SensorModel, options: StandOptions, duration: float, units: Unit
         accel.bias + kelvin * np.asarray(drift.accel_bias) + faded * np.asarray(fading.accel_bias)
     )
     return SensorModel(
-        Triad(gyro_scale * gyro.response - eye, gyro_bias * slow),
-        Triad(accel_scale * accel.response * slow - eye, accel_bias * slow),
+        Triad(gyro_scale * gyro.response - eye, gyro_bias),
+        Triad(accel_scale * accel.response - eye, accel_bias),
     ).vector()
 
 
@@ -258,8 +256,7 @@ the perfect stand. Wrong: an error of more than 4.5 deviations; silently, where 
 The file of the table states nothing of its axes, zeros and encoders here: they are taken as exact.
 One that states them ([tables.md](tables.md)) has them in the covariance.
 
-The truth is that of the mean over the session; of pulses K_a and the biases are by the unit's own
-clock, whose interval divides them.
+The truth is that of the mean over the session, in seconds of the table's clock.
 
 | condition | unit | worst | K widened | D widened | verdict | what is said |
 |---|---|---|---|---|---|---|"""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from .alignment import Angles, free_of_frame
 from .budget import Budget, Share, Source
 from .budget_file import budget_document, read_budget
-from .changes import KEY, Changes, read_changes
+from .changes import KEY as CHANGES
+from .changes import Changes, read_changes
 from .config import Section
 from .errors import InputError
 from .imu import ImuSpec, TriadSpec
@@ -34,6 +35,8 @@ from .model import (
     terms_of,
 )
 from .plausibility import check_plausible
+from .stamping import KEY as CLOCK
+from .stamping import StampingClock, read_clock
 from .stream import Floats, Units
 from .yaml_text import SafeDumper, dump
 
@@ -71,6 +74,8 @@ class Calibration:
         budget: The variances by source; None where the method does not tell.
         changes: By which parameters changed during the session; None where nobody asked. Those that
             follow the temperature are applied (`compensation/thermal`), others end with it.
+        clock: That stamps the samples, where the session compared it with the table's: pulses are
+            per second of the table's then, else of the stamps'.
 
     """
 
@@ -84,6 +89,7 @@ class Calibration:
     parameters: tuple[Parameter, ...] = PARAMETERS
     budget: Budget | None = None
     changes: Changes | None = None
+    clock: StampingClock | None = None
 
     def __post_init__(self) -> None:
         """Refuse a covariance of other parameters than the model's."""
@@ -150,7 +156,8 @@ class Calibration:
                 'matrix': _rows(self.covariance[np.ix_(known, known)]),
             },
             **self._budget_document(known),
-            **({} if self.changes is None else {KEY: self.changes.document()}),
+            **({} if self.changes is None else {CHANGES: self.changes.document()}),
+            **({} if self.clock is None else {CLOCK: self.clock.document()}),
             'residuals': [_residual_document(r) for r in self.residuals],
             'findings': list(self.findings),
             'provenance': self.provenance,
@@ -308,7 +315,8 @@ class Calibration:
             serial_number,
             parameters,
             budget,
-            read_changes(section.section(KEY), parameters) if section.has(KEY) else None,
+            read_changes(section.section(CHANGES), parameters) if section.has(CHANGES) else None,
+            read_clock(section.section(CLOCK)) if section.has(CLOCK) else None,
         )
         check_plausible(calibration, section.where)
         return calibration

@@ -29,6 +29,7 @@ from .progress import unsupported_steps
 from .segmentation.labelling import Labelled, label
 from .segmentation.segmenter import Segmenter
 from .segmentation.session import Segmented
+from .stamping import StampingClock
 from .stream import Block, Floats
 from .table_clock import clock_share
 from .turntable import Table
@@ -311,6 +312,7 @@ class Calibrator:
             solution.parameters,
             None if solution.shares is None else Budget.of(solution.shares),
             solution.changes,
+            _stamping(setup, evidence),
         )
         calibration = with_gravity(calibration, setup.site)
         if setup.table is not None and setup.table.clock:
@@ -457,6 +459,15 @@ def _date(stamp: int | None) -> str | None:
     if stamp is None or not _YEAR_2000 < stamp < _YEAR_2200:
         return None
     return datetime.fromtimestamp(stamp // 10**9, timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
+
+
+def _stamping(setup: Setup, evidence: Evidence) -> StampingClock | None:
+    """Return the clock that stamps the samples, where motions compare it with the table's."""
+    if setup.table is None or not evidence.clocks_compared:
+        return None
+    unit = ' '.join([setup.imu.id, setup.serial_number]).strip()
+    faster, std = evidence.clock_rate()
+    return StampingClock(f'stamps of {unit}', f'clock of table {setup.table.name}', faster, std)
 
 
 def _thermal(triad: TriadSpec) -> tuple[float, float]:

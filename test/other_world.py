@@ -46,6 +46,7 @@ class Unit:
         gyro_pulse, accel_pulse: rad and m/s.
         rate: Samples per second.
         arm: Where the accelerometers are from the crossing of the joint axes, m.
+        counts: Whether it delivers rates and forces, rounded to `pulse` per second.
         gyro_drift, accel_drift: Of the biases per second, rad/s^2 and m/s^3.
         gyro_growth, accel_growth: Of the responses per second, 1/s.
 
@@ -61,6 +62,7 @@ class Unit:
     accel_pulse: float = 0.01
     rate: float = 100.0
     arm: Vector = NOTHING
+    counts: bool = False
     gyro_drift: Vector = NOTHING
     accel_drift: Vector = NOTHING
     gyro_growth: float = 0.0
@@ -440,8 +442,11 @@ def _record_imu(
         for c in range(6):
             sums[c] += outputs[c] + walks[c] * math.sqrt(dt) * draw.gauss(0, 1)
             total = math.floor(sums[c] / pulses[c])
+            if unit.counts:
+                total = math.floor(sums[c] / dt / pulses[c] + 0.5)
+                sums[c] = 0.0
             counted.append(float(total - told[c]))
-            told[c] = total
+            told[c] = 0 if unit.counts else total
         time = (k + 1) * dt
         stamp = time * (1 + world.clock) + world.offset + world.stamp_jitter * draw.gauss(0, 1)
         recording.imu_stamps.append(stamp)

@@ -197,14 +197,18 @@ def test_an_error_of_the_encoders_rate_goes_into_the_slope_on_the_rates() -> Non
 
 
 @pytest.mark.parametrize(('plan', 'name'), METHODS)
-def test_the_rate_between_the_clocks_goes_into_every_scale_factor_of_the_gyros(
+def test_the_rate_between_the_clocks_goes_into_every_scale_factor_of_pulses(
     plan: str, name: str
 ) -> None:
     evidence = loaded(plan)
     found = std_of(method(name)(evidence), Source.CLOCK)
     std = evidence.clock_rate()[1]
     assert found[K_G] == pytest.approx(RESPONSES[K_G] * std, rel=0.01)
-    assert (found[K_A] < 1e-3 * std).all()
+    # The interval that divides the pulses of accelerometers is the table's, through the stamps'.
+    assert found[K_A] == pytest.approx(RESPONSES[K_A] * std, rel=0.01)
+    # Counts and SI values are rates by themselves, against rates by the table's clock.
+    rates = std_of(method(name)(replace(evidence, units=Units.COUNTS)), Source.CLOCK)
+    assert (rates[[*K_G, *K_A]] < 1e-3 * std).all()
 
 
 def test_the_degrees_of_freedom_are_those_of_the_estimates_behind_them() -> None:

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import truth
+from other_world import World
+from sessions import gathered, truth
 from test_information import evidence_of
+from test_other_world import NAVIGATION, errors, fed
 
+from imu_calib.calibration import Calibration
+from imu_calib.compensation.apply import Compensation
+from imu_calib.compensation.thermal import combine
+from imu_calib.errors import InputError
+from imu_calib.exports import EXPORTS, Source
 from imu_calib.methods import method
 from imu_calib.methods.evidence import Evidence
 from imu_calib.segmentation.clock import ClockFit, ClockSample, fit_clock
 from imu_calib.segmentation.segment import Segment, Turn
+from imu_calib.stamping import StampingClock
+from imu_calib.stream import Units
+from imu_calib.verification import Verdict, observe, verify
 
 PPM = 1e-6
 
@@ -37,15 +48,14 @@ def by_a_clock(evidence: Evidence, faster: float) -> Evidence:
 
 @pytest.mark.parametrize('faster', [50 * PPM, -50 * PPM])
 @pytest.mark.parametrize('name', ['twelve_position', 'six_position', 'joint'])
-def test_the_clocks_rate_is_no_scale_factor_of_the_gyros(name: str, faster: float) -> None:
+def test_the_clocks_rate_is_no_scale_factor(name: str, faster: float) -> None:
     plan = 'twelve_position' if name == 'joint' else name
     evidence = by_a_clock(evidence_of(plan, truth().model, known=True), faster)
     found = method(name)(evidence).model
     # 1e-10 of rate_std beside the 50 ppm that quartz may err leaves nothing of this size.
     assert found.gyro.error_matrix == pytest.approx(truth().model.gyro.error_matrix, abs=1e-2 * PPM)
-    # Gravity has no clock: what counts it is smaller by the clock's rate.
-    smaller = truth().model.accel.response / (1 + faster) - np.eye(3)
-    assert found.accel.error_matrix == pytest.approx(smaller, abs=1e-2 * PPM)
+    wanted = truth().model.accel.error_matrix
+    assert found.accel.error_matrix == pytest.approx(wanted, abs=1e-2 * PPM)
 
 
 @pytest.mark.parametrize('jump', [0.0, 0.2])
@@ -68,3 +78,95 @@ def test_the_deviations_of_offset_and_rate_are_those_of_their_errors(jump: float
     square = np.mean(np.square(ratios), axis=0)
     # A thousand of them: 5 %, four deviations of that.
     assert square == pytest.approx([freedom / (freedom - 2)] * 2, rel=0.2)
+
+
+NAMED = {
+    'pulses 500 ppm': (NAVIGATION, 500 * PPM),
+    'counts 50 ppm': (
+        replace(NAVIGATION, counts=True, gyro_pulse=1e-6, accel_pulse=1e-5),
+        50 * PPM,
+    ),
+    'counts 500 ppm': (
+        replace(NAVIGATION, counts=True, gyro_pulse=1e-6, accel_pulse=1e-5),
+        500 * PPM,
+    ),
+}
+
+
+@pytest.mark.parametrize('name', NAMED)
+def test_parameters_are_by_the_clock_of_the_table(name: str) -> None:
+    unit, faster = NAMED[name]
+    world = World(dwell=15.0, clock=faster, offset=0.02)
+    calibrator = fed(world, unit)
+    found = calibrator.finish().calibration
+    off = errors(found, unit)
+    assert np.abs(off).max() < 4.5, np.round(off, 1)
+    # It would show: the scale factors are known to a tenth of what the clocks differ by.
+    of_clock = found.std[:3] if unit.counts else found.std[12:15]
+    assert of_clock.max() < 0.1 * faster
+    clock = found.clock
+    assert clock is not None
+    assert clock.name == 'stamps of other'
+    assert abs(clock.faster - faster) < 4.5 * clock.std < 2 * PPM
+    read = Calibration.from_yaml(found.to_yaml(), 'calibration.yaml')
+    assert read.clock == clock
+    # Compensated by the intervals between its stamps a unit at rest feels gravity.
+    evidence = gathered(fed(world, unit))
+    rest = evidence.segments[-1].statistics
+    per = 1.0 if unit.counts else 0.01 * (1 + faster)
+    pulses = np.array([unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3)
+    raw = (rest.mean * per / pulses)[None]
+    felt = Compensation(read).apply(raw[:, :3], raw[:, 3:], np.array([0.01 * (1 + faster)]))
+    size = float(np.linalg.norm(felt.force))
+    noise = np.sqrt(rest.variance(evidence.walk)[3:].max())
+    assert abs(size - world.gravity) < 4.5 * np.hypot(noise, world.gravity * found.std[12:15].max())
+
+
+def test_numbers_that_no_clock_has_are_refused() -> None:
+    for faster, std, words in ((0.2, 1e-6, 'faster: found 0.2'), (1e-6, -1.0, 'faster_std: found')):
+        wrong = replace(truth(), clock=StampingClock('stamps', 'table', faster, std))
+        with pytest.raises(InputError, match=words):
+            Calibration.from_yaml(wrong.to_yaml(), 'calibration.yaml')
+
+
+def test_firmware_is_told_by_which_clock_its_interval_is() -> None:
+    known = replace(truth(), clock=StampingClock('stamps of A', 'clock of B', 40 * PPM, PPM))
+    exported = EXPORTS['c'](Source(known, Path('calibration.yaml')))
+    assert 'divide an interval between them by 1.000040000' in exported.text
+    assert any('40.0 ppm fast' in sentence for sentence in exported.left_out)
+    counts = replace(known, imu=replace(known.imu, units=Units.COUNTS))
+    exported = EXPORTS['c'](Source(counts, Path('calibration.yaml')))
+    assert 'fast' not in ' '.join([exported.text, *exported.left_out])
+
+
+def test_intervals_of_sessions_that_are_combined_are_those_of_each() -> None:
+    # One by the table's clock, 40 ppm slower than the stamps', one by the stamps' own.
+    points = [
+        replace(
+            truth(),
+            provenance={'temperature': {'mean': t, 'lowest': t, 'highest': t}},
+            clock=clock,
+        )
+        for t, clock in (
+            (0.0, StampingClock('stamps', 'table', 40 * PPM, 1 * PPM)),
+            (10.0, None),
+        )
+    ]
+    clock = combine(points, ['a', 'b']).at(2.5).clock
+    assert clock is not None
+    assert clock.faster == pytest.approx(30 * PPM)
+    assert clock.std == pytest.approx(0.75 * PPM)
+
+
+def test_a_recording_by_another_clock_bears_a_calibration_out() -> None:
+    made, seen = World(dwell=15.0, clock=500 * PPM), World(dwell=15.0, clock=-300 * PPM)
+    calibrator = fed(made, NAVIGATION)
+    found = calibrator.finish().calibration
+    other = fed(seen, NAVIGATION, seed=5)
+    setup = other._setup
+    session = other._segmenter.finish()
+    observed = observe(session, setup.imu, setup.site, setup.plan, setup.table, found.clock)
+    assert verify(found, observed).verdict is Verdict.PASS
+    # By the stamps' own seconds its pulses would be 300 ppm too many.
+    stamped = observe(session, setup.imu, setup.site, setup.plan, setup.table)
+    assert verify(found, stamped).verdict is Verdict.FAIL

@@ -280,6 +280,7 @@ def test_a_message_holds_what_the_file_holds():
     assert again.imu.gyro.scale_factor == calibration.imu.gyro.scale_factor
     assert again.imu.accel.range == calibration.imu.accel.range
     assert again.serial_number == calibration.serial_number == ''
+    assert again.clock == calibration.clock is not None
     for key in ('random_walk', 'highest_rate', 'temperature'):
         assert again.provenance[key] == calibration.provenance[key]
     message.parameter_names = list(message.parameter_names)[1:]

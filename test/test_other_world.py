@@ -53,18 +53,6 @@ def true_vector(unit: Unit) -> Floats:
     return np.array(parts)
 
 
-def by_its_clock(unit: Unit, world: World) -> Unit:
-    """What the accelerometers are to who divides by the time of a clock that is fast.
-
-    Pulses of angle need no clock, since the table says how far it turned (methods, docs).
-    """
-    slow = 1 / (1 + world.clock)
-    rows = [
-        tuple((unit.accel_m[i][j] + (i == j)) * slow - (i == j) for j in range(3)) for i in range(3)
-    ]
-    return replace(unit, accel_m=tuple(rows), accel_d=tuple(d * slow for d in unit.accel_d))
-
-
 def calibrated(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Calibration:
     return fed(world, unit, seed, plan).finish().calibration
 
@@ -77,7 +65,7 @@ def segmented(world: World, unit: Unit, seed: int = 0) -> Evidence:
 def fed(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Calibrator:
     spec = ImuSpec(
         'other',
-        Units.PULSES,
+        Units.COUNTS if unit.counts else Units.PULSES,
         unit.rate,
         TriadSpec(unit.gyro_pulse, unit.gyro_walk),
         TriadSpec(unit.accel_pulse, unit.accel_walk),
@@ -134,7 +122,7 @@ def test_no_parameter_is_further_off_than_stated(name: str, grade: str) -> None:
         unit = replace(unit, arm=(0.1, -0.05, 0.08))
     world = WORLDS[name]
     found = calibrated(world, unit)
-    off = errors(found, by_its_clock(unit, world))
+    off = errors(found, unit)
     # 24 parameters in each of 13 sessions: chance passes 4.5 deviations once in 450 times.
     assert np.abs(off).max() < 4.5, np.round(off, 1)
     # Nor are they wide: chi-square of 24 is below 4.3 with a probability of 1e-6.
@@ -168,7 +156,7 @@ def test_a_program_without_a_plan_is_no_further_off_than_stated(
     unplanned: tuple[Calibration, World],
 ) -> None:
     calibration, world = unplanned
-    off = errors(calibration, by_its_clock(MEDIUM, world))
+    off = errors(calibration, MEDIUM)
     # One session: chance passes 4.5 deviations once in 6000 times, and 4.3 once in a million.
     assert np.abs(off).max() < 4.5, np.round(off, 1)
     assert (off**2).sum() > 4.3

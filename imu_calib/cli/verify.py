@@ -91,8 +91,8 @@ def _verify(
         for _, block in recording.read(kinds, show):
             segmenter.feed(block)
     session = segmenter.finish()
-    observed = observe(session, imu, site, plan, table)
     calibration, notes = _at(loaded, session.temperature)
+    observed = observe(session, imu, site, plan, table, calibration.clock)
     observed = replace(observed, notes=(*notes, *observed.notes))
     same = calibration.provenance.get('sha256') == recording.sha256()
     return verify(calibration, observed), same

@@ -87,8 +87,9 @@ class Compensation:
 
     f = (I + M_a)^-1 (dW / tau - d_a), w = (I + M_g)^-1 (dTheta / tau - d_g - G f), with dW and
     dTheta the pulses of one sample times the nominal scale factor and tau the sample interval
-    (Luo 2018, eqs. (2-190) to (2-193)); where the model has further terms, f and w that answer so
-    with them, by Newton's method (docs/mathematics.md, 'Terms'). With skewed gyros the rate is the
+    (Luo 2018, eqs. (2-190) to (2-193)), by the table's clock where the calibration knows it; where
+    the model has further terms, f and w that answer so with them, by Newton's method
+    (docs/mathematics.md, 'Terms'). With skewed gyros the rate is the
     weighted least-squares solution of all of them, weighted by their noise, and what is left over
     is their parity.
 
@@ -113,6 +114,7 @@ class Compensation:
         self.calibration = calibration
         self._units = calibration.imu.units
         self._mark = mark
+        self._faster = 1.0 if calibration.clock is None else 1 + calibration.clock.faster
         model, imu = calibration.model, calibration.imu
         channels = model.skewed if skewed else None
         specs = [imu.gyro] * 3 + [imu.skewed or imu.gyro] * (len(channels.bias) if channels else 0)
@@ -165,7 +167,7 @@ class Compensation:
         Args:
             gyro: (n, 3) as the sensor delivers them: pulses, counts or SI.
             accel: (n, 3) likewise.
-            interval: (n,) sample intervals, s.
+            interval: (n,) sample intervals, s by the clock that stamps the samples.
             skewed: (n, k) skewed gyros likewise, where `takes_skewed`.
 
         """
@@ -182,7 +184,7 @@ class Compensation:
     # Infinite values are marked, not warned of.
     @np.errstate(invalid='ignore')
     def _apply(self, raw: Floats, interval: Floats) -> Compensated:
-        tau = interval[:, None]
+        tau = interval[:, None] / self._faster
         outputs = raw * self._scale
         if self._units is Units.PULSES:
             outputs = outputs / tau

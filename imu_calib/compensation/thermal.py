@@ -15,6 +15,7 @@ from ..config import Section
 from ..errors import InputError
 from ..gravity import gravity_deviation, without_gravity
 from ..imu import ImuSpec
+from ..stamping import StampingClock
 from ..stream import Floats
 from ..yaml_text import dump, load
 
@@ -94,7 +95,17 @@ class ThermalCalibration:
             residuals=(),
             provenance=provenance,
             changes=None,
+            clock=self._clock(weights),
         )
+
+    def _clock(self, weights: Floats) -> StampingClock | None:
+        """Return the clock of the samples; a session that knows none is by the stamps' own."""
+        known = [(w, c.clock) for w, c in zip(weights, self.calibrations, strict=True) if c.clock]
+        if not known:
+            return None
+        faster = sum(float(w) * clock.faster for w, clock in known)
+        std = float(np.sqrt(sum((float(w) * clock.std) ** 2 for w, clock in known)))
+        return replace(known[0][1], faster=faster, std=std)
 
     def _bend(self, celsius: float, values: Floats) -> Floats:
         """Return by how much straight lines may miss each parameter, (p,)."""

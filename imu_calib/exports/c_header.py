@@ -8,11 +8,12 @@ from textwrap import indent
 
 import numpy as np
 
+from ..calibration import Calibration
 from ..errors import NotObservable
 from ..imu import ImuSpec
 from ..model import AXES, Product, SensorModel, terms_of
 from ..stream import Floats, Units
-from ..units import DEG, STANDARD_GRAVITY
+from ..units import DEG, PPM, STANDARD_GRAVITY
 from .exported import Exported, Source, always_left_out
 
 _EXACT = 1e-17
@@ -69,6 +70,7 @@ def export(source: Source) -> Exported:
         what=what,
         constants=constants,
         per_interval=per_interval,
+        interval=_by_clock(calibration) if per_interval else '',
         unused='' if per_interval else '    (void)seconds;\n',
         **_with_terms(model, imu, per_interval),
     )
@@ -159,6 +161,18 @@ def _vector(name: str, values: Floats, comment: str) -> str:
     return f'/* {comment} */\nstatic const imu_calib_real {name}[3] = {{{row}}};'
 
 
+def _by_clock(calibration: Calibration) -> str:
+    """Say by which clock the interval is, where the session told."""
+    clock = calibration.clock
+    if clock is None:
+        return ''
+    return (
+        f'\n * By the {_comment(clock.against)}: the {_comment(clock.name)} are of a clock that '
+        f'runs {clock.faster / PPM:+.2f} ppm fast;\n * divide an interval between them by '
+        f'{1 + clock.faster:.9f}.'
+    )
+
+
 def _matrix(name: str, matrix: Floats, comment: str) -> str:
     rows = ',\n'.join(f'    {{{", ".join(_number(v) for v in row)}}}' for row in matrix)
     return f'/* {comment} */\nstatic const imu_calib_real {name}[3][3] = {{\n{rows}}};'
@@ -189,7 +203,7 @@ typedef double imu_calib_real;
 
 {constants}
 
-{terms}/* seconds: the sample interval; it counts for pulses alone. */
+{terms}/* seconds: the sample interval; it counts for pulses alone.{interval} */
 static inline void imu_calib_compensate(const imu_calib_real raw_gyro[3],
                                         const imu_calib_real raw_accel[3],
                                         imu_calib_real seconds, imu_calib_real rate[3],

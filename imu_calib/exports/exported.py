@@ -11,6 +11,8 @@ from ..calibration import Calibration
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..model import Carried
+from ..stream import Units
+from ..units import PPM
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +100,13 @@ def always_left_out(calibration: Calibration, export: str) -> list[str]:
         sentences.append(
             f'The parameters hold at {float(temperature["mean"]):.1f} degrees Celsius; the file '
             'does not say so.'
+        )
+    clock = calibration.clock
+    if clock is not None and calibration.imu.units is Units.PULSES:
+        sentences.append(
+            f'Pulses count over seconds of the {clock.against}; the {clock.name} are of a clock '
+            f'that is {clock.faster / PPM:+.1f} ppm fast: an interval by it is to be divided by '
+            f'{1 + clock.faster:.7f}, which the file leaves to its user.'
         )
     if calibration.changes is not None and calibration.changes.follows_temperature:
         sentences.append('By how much they follow the temperature (term thermal) is left out.')

@@ -23,6 +23,7 @@ from . import (
 )
 from .evidence import Evidence
 from .solution import Solution
+from .timebase import in_table_time
 
 METHODS: dict[str, Callable[[Evidence], Solution]] = {
     free.NAME: free.refuse,
@@ -90,14 +91,19 @@ def method(
     if name not in METHODS:
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
     if not terms and not changes:
-        return METHODS[name]
+        return partial(_in_table_time, METHODS[name])
     if name not in JOINT:
         raise InputError(
             f'Method {name} estimates its own parameters and no further terms '
             f'({", ".join([*(t.name for t in terms), *names_of(changes)])}); '
             f'{" and ".join(JOINT)} do.'
         )
-    return partial(joint.solve, terms=(*JOINT[name], *terms), changes=changes)
+    solve = partial(joint.solve, terms=(*JOINT[name], *terms), changes=changes)
+    return partial(_in_table_time, solve)
+
+
+def _in_table_time(solve: Callable[[Evidence], Solution], evidence: Evidence) -> Solution:
+    return solve(in_table_time(evidence))
 
 
 def estimates(name: str, terms: tuple[Term, ...] = ()) -> tuple[Parameter, ...]:

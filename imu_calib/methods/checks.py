@@ -181,7 +181,7 @@ def clocks(evidence: Evidence) -> list[str]:
         One sentence, or none.
 
     """
-    std = evidence.clock_rate()[1]
+    std = evidence.turns_clock_std
     if std < _WELL_KNOWN_CLOCKS:
         return []
     return [

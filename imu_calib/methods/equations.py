@@ -24,7 +24,7 @@ from ..budget import Share, Source
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..model.session_terms import Change
-from ..stream import Floats
+from ..stream import Floats, Units
 from ..units import ARCMIN, DEG
 from .arrivals import NO_ARRIVALS, Arrivals, level_axes
 from .components import Component, Diagonal, Factor, shares
@@ -114,7 +114,7 @@ class Equations:
     Their order is that of `rows`.
 
     Attributes:
-        evidence: The session.
+        evidence: The session, in the time of its table (`timebase`).
         parameters: Of the sensors, in the order of the state, which they begin.
         levelled: Standard deviation of the table's tilt about either axis, rad; None for what the
             table states.
@@ -184,11 +184,11 @@ class Equations:
         """What is known of the nuisances beforehand: means and standard deviations, (4,) each."""
         evidence = self.evidence
         azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
-        clock, clock_std = evidence.clock_rate()
+        clock_std = evidence.clock_rate()[1]
         # A clock that has no say still needs a width above zero to be whitened by.
         level = evidence.level if self.levelled is None else self.levelled
         deviations = [azimuth, level, level, max(clock_std, 1e-15)]
-        return np.array([0.0, 0.0, 0.0, clock]), np.array(deviations)
+        return np.zeros(len(Nuisance)), np.array(deviations)
 
     def prior_rows(self, state: Floats) -> Floats:
         """Return the priors as equations: (4, n + 1), derivatives and what is left.
@@ -241,8 +241,7 @@ class Equations:
         Turns are seen at eight headings: of what is linear the mean is the part along the axis.
         """
         around = self.surroundings(state)
-        ups, rates, timed = self._turning
-        rates = rates / np.where(timed, 1 + state[self.clock], 1.0)
+        ups, rates, _ = self._turning
         return (
             around,
             around.rate @ self._attitudes,
@@ -253,14 +252,22 @@ class Equations:
 
     def predict(self, state: Floats) -> Floats:
         """Return what a state says that should be read, (6 s + 3 t + 3 m,)."""
+        predicted = self._predicted(state)
+        if not state[self.changing].any():
+            return predicted
+        return np.asarray(predicted + self.jacobian(state)[:, self.changing] @ state[self.changing])
+
+    def _predicted(self, state: Floats) -> Floats:
+        """Return what is read by the parameters of the session's mean, (6 s + 3 t + 3 m,)."""
         around, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = np.hstack(model.predict(rate, force))
         turned = whole(model.predict(turning, felt)[0])
         predicted = self.rows.joined(at_rest, turned, self.evidence.led.off(model, around.rate))
-        if not state[self.changing].any():
-            return predicted
-        return np.asarray(predicted + self.jacobian(state)[:, self.changing] @ state[self.changing])
+        predicted[self._divided] /= 1 + state[self.clock]
+        if state[self.clock]:
+            predicted[self.rows.move] += self._led_by_clock(model) * state[self.clock]
+        return predicted
 
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (6 s + 3 t + 3 m, n).
@@ -277,16 +284,35 @@ class Equations:
         at_rest[:, :, n : n + 3] = model.slopes(rate, force) @ _both(self._to_body) @ world
         slopes = model.slopes(turning, felt)[..., :3, :]
         turned[:, :, n : n + 3] = whole(slopes @ _both(self._headings) @ world)
-        ups, rates, timed = self._turning
-        answers = np.einsum('tij,tj->ti', whole(slopes[..., :3]), ups)
-        slower = np.where(timed, rates, 0.0) / (1 + state[self.clock]) ** 2
-        turned[:, :, self.clock] = -answers * slower[:, None]
         led = np.zeros((len(self.evidence.led), 3, self.size))
         led[:, :, :n] = self.evidence.led.by_parameters(model, self.parameters)
         led[:, :, n : n + 3] = self.evidence.led.by_rate() @ around.rate_slopes
         result = self.rows.joined(at_rest, turned, led)
+        faster, divided = 1 + state[self.clock], self._divided
+        result[divided] /= faster
+        result[divided, self.clock] = -self._predicted(state)[divided] / faster
+        result[self.rows.move, self.clock] = self._led_by_clock(model)
         result[:, self.changing] = self.columns(self.changes, result)
         return result
+
+    @cached_property
+    def _divided(self) -> NDArray[np.intp]:
+        """Which outputs are counts over seconds of the stamping clock.
+
+        Where no motions compare the clocks these seconds are taken as they are, but for turns: the
+        table's own clock times those.
+        """
+        if self.evidence.units is not Units.PULSES:
+            return np.zeros(0, dtype=np.intp)
+        if self.evidence.clocks_compared:
+            return np.setdiff1d(np.arange(len(self.rows)), self.rows.move)
+        return self.rows.turn[self._turning[2]].ravel()
+
+    def _led_by_clock(self, model: SensorModel) -> Floats:
+        """Return the derivatives of the moves by the rate between the clocks, (m, 3)."""
+        if self.evidence.units is Units.PULSES:
+            return np.zeros(self.rows.move.shape)
+        return self.evidence.led.by_clock(model)
 
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).

@@ -175,6 +175,21 @@ class Evidence:
         return share * self.clock.rate, float(np.sqrt(share)) * self.clock.rate_std
 
     @property
+    def clocks_compared(self) -> bool:
+        """Whether motions of a table tell how fast the clock is that stamps the samples."""
+        timed = any(turn.seconds is not None for turn in self.turns)
+        return timed and bool(np.isfinite(self.clock.rate_std))
+
+    @property
+    def turns_clock_std(self) -> float:
+        """Standard deviation of the clocks' rate, as far as responses to turns feel it.
+
+        Pulses are counted over seconds of the one clock and turns timed by the other; counts and SI
+        values are rates by themselves.
+        """
+        return self.clock_rate()[1] if self.units is Units.PULSES else 0.0
+
+    @property
     def clock_freedom(self) -> float:
         """Degrees of freedom of the deviation of `clock_rate`; infinite where quartz alone says."""
         if not np.isfinite(self.clock.rate_std):

@@ -206,8 +206,7 @@ def rate_test(evidence: Evidence) -> tuple[Floats, float]:
     Source: Luo 2018, eqs. (2-175) to (2-183), as corrected in methods.md, section 2.
     """
     ups = np.array([turn.up for turn in evidence.turns]).reshape(-1, 3)
-    clock = evidence.clock_rate()[0]
-    rates = np.array([turn.rate(clock) for turn in evidence.turns])
+    rates = np.array([turn.rate() for turn in evidence.turns])
     for axis, name in enumerate(AXES):
         if not np.any(np.abs(ups[:, axis]) > _SAME_UP):
             raise NotObservable(

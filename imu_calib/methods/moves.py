@@ -120,6 +120,17 @@ class Moves:
             result[k] = path.following(answers)
         return result
 
+    def by_clock(self, model: SensorModel) -> Floats:
+        """Return the derivatives of `off` by how fast the clock is that times rates, (m, 3) rad.
+
+        Over the shorter seconds the same rates turn by less.
+        """
+        found = [
+            path.following((path.rates @ model.gyro.response.T)[:, :, None])[:, 0]
+            for path in self.paths(model)
+        ]
+        return np.array(found).reshape(-1, 3)
+
     def by_rate(self) -> Floats:
         """Return the derivatives of `off` by the Earth rate, (m, 3, 3) rad per rad/s."""
         return np.array([self.attitudes[k.second].T * k.move.duration for k in self.links]).reshape(

@@ -56,7 +56,7 @@ class RateTest:
         axes, inputs, variances, off = [], [], [], []
         for turn in evidence.turns:
             axis, sign = vertical_axis(turn.up, turn.position)
-            rate = turn.rate(evidence.clock_rate()[0])
+            rate = turn.rate()
             axes.append(axis)
             inputs.append(sign * (rate + evidence.site.up_rate))
             off.append((rate + evidence.site.up_rate) * (turn.up - sign * np.eye(3)[axis]))

@@ -76,8 +76,7 @@ class RatePoints:
                 'No turn was found that a skewed gyro saw (topic imu/skew, and skewed_gyro in the '
                 f"IMU's YAML): {lost} cannot be determined."
             )
-        clock = evidence.clock_rate()[0]
-        rates = np.array([t.rate(clock) for t in turns])
+        rates = np.array([t.rate() for t in turns])
         ups = np.array([t.up for t in turns])
         outputs, own, spread, freedom = [], [], [], []
         walk = np.append(evidence.walk[:3], evidence.walk[:3].mean())
@@ -173,7 +172,7 @@ def solve(evidence: Evidence) -> Solution:
     check_axes(model.gyro.response, 'gyros', 'whole turns')
     # What the noise of one turn explains is the least: a few turns may agree by chance.
     sure = np.maximum(variances, points.own)
-    covariance = _covariance(points, weights, unknowns, sure, evidence.clock_rate()[1])
+    covariance = _covariance(points, weights, unknowns, sure, evidence.turns_clock_std)
     findings = [
         'The accelerometers were not calibrated: this method knows the gyros alone.',
         *_parity(points, unknowns, sure),

@@ -26,6 +26,7 @@ from ..model import (
 from ..plausibility import check_plausible
 from ..sequencing import State
 from ..sequencing.trajectory import Piece
+from ..stamping import StampingClock, check_clock
 from ..stream import Units
 
 _NS = 1_000_000_000
@@ -92,6 +93,10 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
         message.reference_temperature = float(where['temperature']['mean'])
         message.lowest_temperature = float(where['temperature']['lowest'])
         message.highest_temperature = float(where['temperature']['highest'])
+    if calibration.clock is not None:
+        message.clock, message.clock_against = calibration.clock.name, calibration.clock.against
+        message.clock_faster = float(calibration.clock.faster)
+        message.clock_faster_std = float(calibration.clock.std)
     return message
 
 
@@ -138,6 +143,7 @@ def calibration_of(message: Any) -> Calibration:
         provenance=_provenance(message),
         serial_number=message.serial_number,
         parameters=parameters,
+        clock=_clock(message),
     )
     check_plausible(calibration, f'The calibration of {message.imu_id or "no name"}')
     return calibration
@@ -206,6 +212,19 @@ def _provenance(message: Any) -> dict[str, Any]:
         'highest_rate': _known(message.highest_rate),
         'temperature': temperature if known else None,
     }
+
+
+def _clock(message: Any) -> StampingClock | None:
+    if not message.clock_against:
+        return None
+    clock = StampingClock(
+        message.clock,
+        message.clock_against,
+        float(message.clock_faster),
+        float(message.clock_faster_std),
+    )
+    check_clock(clock, f'The calibration of {message.imu_id or "no name"}: clock')
+    return clock
 
 
 def _known(value: float) -> float | None:

@@ -203,13 +203,6 @@ class Turn:
             each=None if self.each is None else self.each * slower,
         )
 
-    def rate(self, clock_rate: float = 0.0) -> float:
-        """Return the rate about up, rad/s, per second of the IMU's clock.
-
-        Args:
-            clock_rate: By how much the IMU's clock runs faster than the table's (dimensionless).
-
-        """
-        if self.seconds is None:
-            return self.angle / self.statistics.duration
-        return self.angle / (self.seconds * (1 + clock_rate))
+    def rate(self) -> float:
+        """Return the rate about up, rad/s, by the table's clock; by the IMU's without a table."""
+        return self.angle / (self.statistics.duration if self.seconds is None else self.seconds)

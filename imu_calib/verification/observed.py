@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,9 +10,11 @@ from ..earth import Site
 from ..errors import NotObservable
 from ..imu import ImuSpec, TriadSpec
 from ..methods.evidence import Evidence, noise
+from ..methods.timebase import in_table_time
 from ..plan import Plan
 from ..segmentation.labelling import label
 from ..segmentation.session import Segmented
+from ..stamping import StampingClock
 from ..stream import Floats, Units
 from ..turntable import Table
 
@@ -117,7 +119,12 @@ class Observed:
 
 
 def observe(
-    session: Segmented, imu: ImuSpec, site: Site, plan: Plan, table: Table | None
+    session: Segmented,
+    imu: ImuSpec,
+    site: Site,
+    plan: Plan,
+    table: Table | None,
+    clock: StampingClock | None = None,
 ) -> Observed:
     """Collect what a session offers.
 
@@ -128,6 +135,8 @@ def observe(
         plan: What was run; `plan.UNPLANNED` where nobody knows: rests are then named by their
             attitudes, or numbered where nobody tells those either.
         table: The table whose joint states came in; None with the IMU alone.
+        clock: What the calibration says of the clock that stamps the samples; None where its
+            parameters are by that clock.
 
     Raises:
         InputError: The setpoints name none of the plan's positions.
@@ -144,6 +153,17 @@ def observe(
     walk = noise(labelled.segments, imu)
     # The attitudes of a plan that a person holds by hand are good to degrees, no more.
     known = not plan.by_hand and all(s.attitude is not None for s in labelled.segments)
+    evidence = Evidence(
+        labelled.segments,
+        labelled.turns,
+        plan,
+        site,
+        session.clock,
+        None,
+        walk,
+        units=imu.units,
+    )
+    evidence, faster = _by_the_clock_of(clock, evidence)
     start = labelled.segments[0].start if labelled.segments else 0
     rests = tuple(
         Rest(
@@ -153,21 +173,19 @@ def observe(
             segment.variance(walk, site.gravity),
             segment.attitude if known else None,
         )
-        for k, segment in enumerate(labelled.segments)
+        for k, segment in enumerate(evidence.segments)
     )
-    evidence = Evidence(labelled.segments, labelled.turns, plan, site, session.clock, None, walk)
-    clock, clock_std = evidence.clock_rate()
     turns = tuple(
         Spin(
             turn.position or str(k + 1),
             turn.statistics.mean[:3],
             turn.variance(walk, site.north_rate),
             turn.up,
-            turn.rate(clock),
+            turn.rate() / faster,
             turn.statistics.duration,
             turn.rate_error,
         )
-        for k, turn in enumerate(labelled.turns)
+        for k, turn in enumerate(evidence.turns)
         if known
     )
     # A plan of turns alone names no rests.
@@ -182,6 +200,27 @@ def observe(
         float(np.median(rates)),
         north_known=table is not None and table.azimuth is not None,
         positioning=table.positioning if table is not None else 0.0,
-        clock_std=clock_std,
+        clock_std=evidence.turns_clock_std,
         notes=(*labelled.notes, *session.losses),
     )
+
+
+def _by_the_clock_of(clock: StampingClock | None, evidence: Evidence) -> tuple[Evidence, float]:
+    """Return a session by the clock by which a calibration is, and what its turns' rates need.
+
+    A calibration that knows the ratio is by the table's clock, and so is a session that tells it;
+    one that does not tell is stamped by the same clock. Other calibrations of pulses are by the
+    clock of the stamps, for which the table's rates are to be divided by the ratio.
+
+    Returns:
+        The session, and the divisor.
+
+    """
+    if clock is None:
+        pulses = evidence.units is Units.PULSES
+        return evidence, 1 + evidence.clock_rate()[0] if pulses else 1.0
+    if not evidence.clocks_compared:
+        # Weighed with what quartz may differ by, the ratio would come out smaller.
+        known = replace(evidence.clock, rate=clock.faster, rate_std=0.0)
+        evidence = replace(evidence, clock=known)
+    return in_table_time(evidence), 1.0
