@@ -23,11 +23,13 @@ from imu_calib.methods.free.guidance import Stage, guide
 from imu_calib.methods.free.holds import Hold
 from imu_calib.methods.free.session import FreeCalibrator
 from imu_calib.methods.free.system import System, level_axes
-from imu_calib.methods.path import led
+from imu_calib.methods.path import chained
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
 from imu_calib.segmentation.motion import Motion, Rest
+from imu_calib.segmentation.moves import joined
+from imu_calib.segmentation.statistics import Samples
 from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import HandSession, anyhow, by_hand, the_short_way
@@ -132,7 +134,7 @@ def held(
         true = np.tile(axis / np.linalg.norm(axis) * angle / 20, (20, 1)) / period
         increments = (true @ model.gyro.response.T + model.gyro.bias) * period
         increments += turning / np.sqrt(20) * rng.standard_normal((20, 3))
-        swings.append(Swing(k, increments, period, turning**2))
+        swings.append(Swing(k, increments, np.full(20, period), turning**2))
     return holds, swings
 
 
@@ -263,7 +265,14 @@ def test_angles_lead_a_vector_as_the_motion_does() -> None:
     still = replace(SITE, latitude=np.pi / 2)
     angle, _ = session.motion.increments(edges, still, np.zeros(3))
     start, end = session.attitudes()[[0, -1]]
-    whole, after = led(angle)
+    samples = Samples(
+        np.arange(1, len(edges)) * 5_000_000,
+        np.hstack([angle, 0 * angle]),
+        np.zeros(6),
+        5e-3,
+        np.zeros(6),
+    )
+    whole, after = chained(joined(samples).turned)
     # What remains of coning at 200 Hz, and the Earth's turning meanwhile.
     assert whole @ start[2] == pytest.approx(end[2], abs=1e-5)
     assert after[-1] == pytest.approx(np.eye(3))
@@ -271,7 +280,7 @@ def test_angles_lead_a_vector_as_the_motion_does() -> None:
 
 def test_a_turn_about_one_axis_is_exact() -> None:
     axis = np.array([0.6, 0.0, 0.8])
-    whole, after = led(np.tile(axis * 0.01, (157, 1)))
+    whole, after = chained(np.tile(axis * 0.01, (157, 1)))
     assert whole == pytest.approx(rotation(axis, -1.57), abs=1e-12)
     assert after[56] == pytest.approx(rotation(axis, -1.0), abs=1e-12)
 
@@ -398,7 +407,7 @@ def test_a_steady_turn_is_no_rest_however_the_stream_begins() -> None:
 
 
 def test_swings_without_holds_between_are_values() -> None:
-    assert Swing(0, np.zeros((50, 3)), 0.01, 1e-6).seconds == pytest.approx(0.5)
+    assert Swing(0, np.zeros((50, 3)), np.full(50, 0.01), 1e-6).duration == pytest.approx(0.5)
 
 
 def test_recording_on_the_command_line(tmp_path: Path) -> None:

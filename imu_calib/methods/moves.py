@@ -79,7 +79,7 @@ class Moves:
                 continue
             encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
             rounding = _rounding(move, segments[first])
-            links.append(Link(first, second, move, rounding, encoders, _bent(move)))
+            links.append(Link(first, second, move, rounding, encoders, bent(move)))
         attitudes = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)
         return cls(tuple(links), attitudes)
 
@@ -190,7 +190,7 @@ def _rounding(move: Move, rest: Segment) -> Floats:
     return np.where(move.quantum > 0, 0.0, left)
 
 
-def _bent(move: Move) -> float:
+def bent(move: Move) -> float:
     """Return the variance of an angle by what coning leaves out beyond the second order, rad^2.
 
     Of a rate that changes linearly the cross product of one step with the next is the same all

@@ -23,6 +23,7 @@ class Path:
 
     Attributes:
         rates: (n, 3) mean rate of each interval about the body axes, rad/s.
+        forces: (n, 3) specific force in its middle, m/s^2; zeros where none was stated.
         seconds: (n,) its length, s.
         whole: (3, 3) takes the components of what stands still in inertial space from the start
             to the end.
@@ -32,29 +33,34 @@ class Path:
     """
 
     rates: Floats
+    forces: Floats
     seconds: Floats
     whole: Floats
     carried: Floats
 
     @classmethod
-    def of(cls, turned: Floats, seconds: Floats, model: SensorModel) -> Path:
+    def of(
+        cls, turned: Floats, seconds: Floats, model: SensorModel, force: Floats | None = None
+    ) -> Path:
         """Lead on through intervals.
+
+        What gyros feel of gravity on the way is told by where the path itself says that up was,
+        not by accelerometers that a hand or a joint pushes.
 
         Args:
             turned: (n, 3) rotation vectors of the intervals as the gyros gave them, rad.
             seconds: (n,) their lengths, s.
             model: The sensors.
+            force: (3,) specific force at rest at the end, body axes, m/s^2; None: of no account.
 
         """
-        outputs = turned / seconds[:, None]
-        # Over so short a time it does not matter which force it was.
-        _, accel = model.predict(np.zeros(3), np.zeros(3))
-        rates, _ = model.compensate(outputs, np.broadcast_to(accel, outputs.shape))
-        steps = rates * seconds[:, None]
-        whole, after = chained(steps)
+        outputs, forces = turned / seconds[:, None], np.zeros_like(turned)
+        rates, middle, whole = _led(outputs, seconds, model, forces)
+        if force is not None:
+            forces = np.einsum('nji,j->ni', middle, force)
+            rates, middle, whole = _led(outputs, seconds, model, forces)
         # An error over an interval counts as one in its middle, to the second order of its angle.
-        carried = after @ rotations(-steps / 2) @ np.linalg.inv(model.gyro.response)
-        return cls(rates, seconds, whole, carried)
+        return cls(rates, forces, seconds, whole, middle @ np.linalg.inv(model.gyro.response))
 
     def following(self, derivatives: Floats) -> Floats:
         """Return the derivatives of log(`whole` S^T) by parameters, (3, p) rad, for S near `whole`.
@@ -73,6 +79,17 @@ class Path:
         """Return the covariance of the rotation at the end by (3,) random walks, (3, 3) rad^2."""
         scaled = self.carried * walk
         return np.asarray(np.einsum('nij,nkj,n->ik', scaled, scaled, self.seconds))
+
+
+def _led(
+    outputs: Floats, seconds: Floats, model: SensorModel, forces: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return the (n, 3) rates, the rotations from the middle of each interval and the whole one."""
+    _, accel = model.predict(np.zeros(3), forces)
+    rates, _ = model.compensate(outputs, accel)
+    steps = rates * seconds[:, None]
+    whole, after = chained(steps)
+    return rates, after @ rotations(-steps / 2), whole
 
 
 def rotations(vectors: Floats) -> Floats:
@@ -100,23 +117,14 @@ def rotation_vector(rotation: Floats) -> Floats:
     return np.asarray(axis * (angle / (2 * sine) if sine > 0 else 0.5))
 
 
-def led(angles: Floats) -> tuple[Floats, Floats]:
-    """Follow a vector that stands still in the world through (n, 3) turned angles, rad.
-
-    The rotation vector of an interval is its angle and a twelfth of the cross product with the
-    one before: what the rate's change of direction adds.
+def chained(vectors: Floats) -> tuple[Floats, Floats]:
+    """Follow a vector that stands still in the world through (n, 3) rotation vectors, rad.
 
     Returns:
         (3, 3) that takes the vector's components from the start to the end, and (n, 3, 3) from
         the end of each interval to the end.
 
     """
-    before = np.vstack([np.zeros(3), angles[:-1]])
-    return chained(angles + np.cross(before, angles) / 12)
-
-
-def chained(vectors: Floats) -> tuple[Floats, Floats]:
-    """Follow a vector that stands still through (n, 3) rotation vectors, as `led` does."""
     steps = rotations(-vectors)
     # Products of all that follow, by doubling: after pass k each holds 2^k steps.
     product = steps.copy()

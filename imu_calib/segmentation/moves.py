@@ -29,9 +29,15 @@ STEP_SECONDS = 0.1
 """Length of a step where little turns, s: the Earth turns by 1.5 arcsec in it."""
 
 _SHORTEST = 4
+_BESIDE = 5
+"""Samples beside a gap whose second differences tell how the rate bends: three of them."""
+
 _COARSEST = 5 * DEG
-"""Largest angle of one sample, rad: a direction that changes from one to the next by a tenth of it
-leaves an arcsecond."""
+"""Largest angle of one sample on a table, rad: a direction that changes from one to the next by a
+tenth of it leaves an arcsecond."""
+
+COARSEST_BY_HAND = 20 * DEG
+"""The same in a hand, where an arcminute is nothing: 1000 deg/s at 50 Hz."""
 
 
 class MoveReader:
@@ -42,11 +48,13 @@ class MoveReader:
 
     Args:
         sensor: The IMU.
+        coarsest: Largest angle of one sample, rad.
 
     """
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor: Sensor, coarsest: float = _COARSEST) -> None:
         self._sensor = sensor
+        self._coarsest = coarsest
         self._open: list[_Steps] | None = None
         self._seen = 0
         self._begin = 0
@@ -92,6 +100,7 @@ class MoveReader:
                 steps.turned if pulses else steps.turned * (period / steps.period)[:, None],
                 steps.counts * period,
                 steps.quantum,
+                steps.filled,
             )
             for start, end, steps in self._moves
         )
@@ -112,7 +121,7 @@ class MoveReader:
         around = np.concatenate([[self._seen], part.stamp])
         self._seen = int(part.stamp[-1])
         gaps = len(gap_free(around, part.period)) > 1
-        coarse = np.abs(part.increments[:, :3]).max() > _COARSEST
+        coarse = np.abs(part.increments[:, :3]).max() > self._coarsest
         if gaps or coarse or self._sensor.saturated(delivered[fresh], part).any():
             self._open = None
             return
@@ -128,6 +137,7 @@ class _Steps:
         counts: (n,) samples in each.
         period: (n,) the sample interval assumed, s.
         quantum: (3,) size of a pulse, rad.
+        filled: Variance that filled gaps leave, rad^2.
 
     """
 
@@ -135,6 +145,7 @@ class _Steps:
     counts: Floats
     period: Floats
     quantum: Floats
+    filled: float = 0.0
 
 
 def _together(parts: Sequence[_Steps]) -> _Steps:
@@ -143,6 +154,7 @@ def _together(parts: Sequence[_Steps]) -> _Steps:
         np.concatenate([p.counts for p in parts]),
         np.concatenate([p.period for p in parts]),
         parts[0].quantum,
+        sum(p.filled for p in parts),
     )
 
 
@@ -159,5 +171,30 @@ def joined(samples: Samples) -> _Steps:
     before = np.vstack([np.zeros(3), angle[:-1]])
     turned = np.add.reduceat(angle + np.cross(so_far / 2 + before / 12, angle), first)
     return _Steps(
-        turned, counts.astype(float), np.full(len(first), samples.period), samples.quantum[:3]
+        turned,
+        counts.astype(float),
+        np.full(len(first), samples.period),
+        samples.quantum[:3],
+        _left_by_filling(samples),
     )
+
+
+def _left_by_filling(samples: Samples) -> float:
+    """Return the variance of an angle by gaps that a line from one side to the other fills, rad^2.
+
+    Over h intervals the trapezium leaves f'' h^3 / 12 (Davis and Rabinowitz 1984, section 2.1); how
+    the rate bends is told by the second differences of the samples beside the gap.
+    """
+    if samples.filled is None or not samples.filled.any():
+        return 0.0
+    angle, lost = samples.increments[:, :3], samples.filled
+    edges = np.flatnonzero(np.diff(lost.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+    total = 0.0
+    for start, stop in edges.tolist():
+        beside = [
+            angle[a:b] for a, b in ((start - _BESIDE, start), (stop, stop + _BESIDE)) if a >= 0
+        ]
+        bends = np.vstack([np.diff(part, n=2, axis=0) for part in beside] or [np.zeros((0, 3))])
+        square = float((bends**2).sum(axis=1).max(initial=0.0))
+        total += square * ((stop - start + 1) ** 3 / 12) ** 2
+    return total

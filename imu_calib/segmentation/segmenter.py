@@ -23,13 +23,13 @@ from .bridging import Bridged, bridged
 from .clock import ClockFit, ClockSample, Seen, clock_sample, fit_clock, seen_by_gyros
 from .intake import Intake
 from .motion import JointTracker, Motion, Rest
-from .moves import MoveReader
+from .moves import COARSEST_BY_HAND, MoveReader
 from .order import Ordered
 from .pace import Pace
 from .rests import read_rest
 from .segment import Segment, Turn
 from .sensor import Sensor
-from .session import FreeMotion, Rejected, Segmented, Slip
+from .session import FreeMotion, Move, Rejected, Segmented, Slip
 from .statistics import Samples, sample_period, to_samples
 from .stillness import StillnessTracker
 from .thermometer import Thermometer
@@ -75,7 +75,11 @@ class Segmenter:
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
         self._motions: list[FreeMotion] = []
-        self._moves = MoveReader(self._sensor)
+        self._moves = (
+            MoveReader(self._sensor)
+            if table is not None
+            else MoveReader(self._sensor, COARSEST_BY_HAND)
+        )
         self._rejected: list[Rejected] = []
         self._slips: list[Slip] = []
         self._pace = Pace()
@@ -85,6 +89,11 @@ class Segmenter:
     def segments(self) -> tuple[Segment, ...]:
         """Stretches at rest found so far."""
         return tuple(self._segments)
+
+    @property
+    def moves(self) -> tuple[Move, ...]:
+        """What the gyros saw between these stretches so far."""
+        return self._moves.finish(self._pace.interval)
 
     @property
     def still(self) -> tuple[int, int] | None:
@@ -135,7 +144,7 @@ class Segmenter:
             tuple(self._segments),
             tuple(self._turns),
             tuple(self._motions),
-            self._moves.finish(self._pace.interval),
+            self.moves,
             tuple(self._rejected),
             tuple(self._slips),
             (*self._losses(), *_jumps(clock)),
@@ -242,7 +251,10 @@ class Segmenter:
         whole = bridged(self._sensor.samples(stamp, values, self._pace), self._sensor.walk, 1)
         self._note_lost(whole, motion.start + self._offset_ns, motion.end + self._offset_ns)
         samples, values = whole.samples, whole.values(values)
-        ends = int(np.searchsorted(samples.stamp, motion.end + self._offset_ns, side='right'))
+        # By the stamps as they came: the rest begins with the first beyond, and on the line of
+        # another stretch the same sample may lie on the other side.
+        after = int(np.searchsorted(stamp, motion.end + self._offset_ns, side='right'))
+        ends = int(np.searchsorted(np.maximum.accumulate(whole.rows), after))
         self._moves.motion(samples.part(0, ends), values[:ends])
         skew = self._intake.skew
         around = Around(

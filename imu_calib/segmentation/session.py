@@ -59,6 +59,8 @@ class Move:
         turned: (n, 3) rotation vector of each step, rad.
         seconds: (n,) how long each step took, s.
         quantum: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
+        filled: Variance that samples which were lost, and are read from those around them, leave
+            in its angle about any axis, rad^2.
 
     """
 
@@ -67,6 +69,7 @@ class Move:
     turned: Floats
     seconds: Floats
     quantum: Floats
+    filled: float = 0.0
 
     @property
     def duration(self) -> float:

@@ -14,7 +14,7 @@ from ...plan import Position
 from ...stream import Floats
 from ..information import Information
 from .guidance import TURN_SECONDS, planned_hold, planned_swing
-from .system import FREE, System, free_columns
+from .system import FREE, System
 
 
 def deviations(
@@ -41,8 +41,8 @@ def deviations(
         planned_swing(k, first, second, model, float(walks[0] ** 2 * TURN_SECONDS))
         for k, (first, second) in enumerate(pairwise(ups))
     ]
-    rows = System(tuple(holds), tuple(swings), site, np.ones(3)).rows(model, ups)[0]
-    information = Information.of(free_columns(rows))
+    system = System(tuple(holds), tuple(swings), site, np.ones(3))
+    information = Information.of(system.rows(model, ups)[0][:, system.free])
     std = np.zeros(len(PARAMETERS))
     std[FREE] = np.sqrt(np.diag(information.covariance)[: int(FREE.sum())])
     return std

@@ -1,6 +1,7 @@
 """Sensors from holds in unknown attitudes: gravity has one length, and turns lead it on.
 
-Unknown are 21 parameters and, for each hold, the direction of up. The accelerometers see gravity
+Unknown are 21 parameters and, for each hold, the direction of up; and how much of specific force
+the gyros feel, where the session shows that they do. The accelerometers see gravity
 along it; the gyros, integrated from hold to hold, must take it from one to the next. All is one
 weighted least squares, so that what the accelerometers do not know of a direction counts in what
 the gyros learn from it.
@@ -23,14 +24,23 @@ import scipy
 from ...budget import Share, Shares, Source
 from ...earth import Site
 from ...errors import NotObservable
-from ...model import PARAMETERS, SensorModel, Triad
+from ...model import (
+    G_SENSITIVITY,
+    PARAMETERS,
+    Parameter,
+    SensorModel,
+    Term,
+    Triad,
+    parameters_of,
+)
 from ...stream import Floats
+from ...units import DEG, STANDARD_GRAVITY
 from ..converge import least_squares
 from ..evidence import Evidence
 from ..information import Information
 from ..solution import Solution
 from .holds import Hold, Swing
-from .system import FREE, System, check_observable, free_columns, level_axes
+from .system import System, check_observable, free, level_axes
 
 FEWEST = 9
 """Holds below which gravity cannot tell nine parameters of the accelerometers."""
@@ -39,6 +49,9 @@ _ITERATIONS = 100
 _ROUNDS = 4
 _SIGNIFICANT = 1e-3
 _OUTLYING = 6.0
+_SHOWN = 1e-3
+"""Probability of chance below which a term is in the model (docs/mathematics.md, section 11)."""
+
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
@@ -48,7 +61,8 @@ class FreeFit:
 
     Attributes:
         model: In the frame of the accelerometers.
-        covariance: (24, 24); zero for the three that the frame sets to zero.
+        parameters: The n of the covariance: the 24, and those of terms that the session shows.
+        covariance: (n, n); zero for the three that the frame sets to zero.
         ups: (k, 3) up in body axes, unit vectors.
         residuals: (k, 6) outputs at rest less what the model says.
         condition: Condition number of the system, columns scaled to unit length.
@@ -56,10 +70,12 @@ class FreeFit:
             their noise, as standard deviations.
         dropped: Indices of swings that fit nothing.
         shares: The covariance by source.
+        chance: Probability that chance alone would show the terms as clearly; 1 without terms.
 
     """
 
     model: SensorModel
+    parameters: tuple[Parameter, ...]
     covariance: Floats
     ups: Floats
     residuals: Floats
@@ -67,12 +83,56 @@ class FreeFit:
     scatter: Floats
     dropped: tuple[int, ...]
     shares: Shares
+    chance: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A system, where it is, and which swings fit nothing."""
+
+    system: System
+    model: SensorModel
+    ups: Floats
+    dropped: tuple[int, ...] = ()
+
+    def rows(self) -> tuple[Floats, Floats]:
+        jacobian, left, _ = self.system.rows(self.model, self.ups)
+        return jacobian[:, self.system.free], left
+
+    def moved(self, step: Floats) -> _State:
+        parameters = self.system.parameters
+        own = free(parameters)
+        found = int(own.sum())
+        last = found + self.system.size[0] - len(parameters)
+        values = self.model.values(parameters)
+        values[own] += step[:found]
+        tilts = step[last:].reshape(-1, 2)
+        ups = self.ups + np.array([t @ level_axes(u) for t, u in zip(tilts, self.ups, strict=True)])
+        return replace(
+            self,
+            system=replace(self.system, north=self.system.north + step[found:last]),
+            model=self.model.with_values(parameters, values),
+            ups=ups / np.linalg.norm(ups, axis=1)[:, None],
+        )
+
+    def settled(self) -> _State:
+        """Return the least squares.
+
+        Raises:
+            NotObservable: The iteration does not converge.
+
+        """
+        start = self
+        if not len(self.system.north):
+            count = self.system.size[0] - len(self.system.parameters)
+            start = replace(self, system=replace(self.system, north=np.zeros(count)))
+        return least_squares(start, _State.rows, _State.moved, _ITERATIONS)
 
 
 def solve(
     holds: Sequence[Hold], swings: Sequence[Swing], site: Site, freedom: float = np.inf
 ) -> FreeFit:
-    """Estimate 21 parameters from holds and the turns between them.
+    """Estimate 21 parameters, and what the session shows besides, from holds and turns between.
 
     Args:
         holds: At least nine, in as many attitudes.
@@ -93,41 +153,82 @@ def solve(
     ups = _directions(accel, holds)
     bias = np.mean([h.gyro for h in holds], axis=0)
     model = SensorModel(Triad(bias=bias), accel)
-    system = System(tuple(holds), tuple(swings), site, np.ones(3))
+    start = _State(System(tuple(holds), tuple(swings), site, np.ones(3)), model, ups)
+    check_observable(start.system, model, ups)
+    state = _weighed(start)
+    chance = _chance(state, G_SENSITIVITY)
+    if chance < _SHOWN:
+        with_term = replace(start.system, parameters=parameters_of((G_SENSITIVITY,)))
+        state = _weighed(replace(start, system=with_term))
+    system, model, ups = state.system, state.model, state.ups
     check_observable(system, model, ups)
-    dropped: list[int] = []
-    for _ in range(_ROUNDS):
-        system, model, ups = _iterate(system, model, ups)
-        wild = _wild_swings(system, model, ups)
-        scatter = _scatter(system, model, ups)
-        if not wild and np.allclose(scatter, system.scatter, rtol=0.02):
-            break
-        dropped += [system.swings[k].first for k in wild]
-        kept = tuple(s for k, s in enumerate(system.swings) if k not in wild)
-        again = replace(system, swings=kept, scatter=scatter if not wild else np.ones(3))
-        # A turn less parts a run in two: north is then found anew.
-        system = replace(again, north=np.zeros(0)) if wild else again
-    check_observable(system, model, ups)
-    information = Information.of(free_columns(system.rows(model, ups)[0]))
-    covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    found = int(FREE.sum())
-    covariance[np.ix_(FREE, FREE)] = information.covariance[:found, :found]
+    information = Information.of(state.rows()[0])
+    covariance = np.zeros((len(system.parameters),) * 2)
+    own = free(system.parameters)
+    found = int(own.sum())
+    covariance[np.ix_(own, own)] = information.covariance[:found, :found]
     read = model.predict(ups * site.up_rate, ups * site.gravity)
     residuals = np.array([np.concatenate([h.gyro, h.accel]) for h in holds]) - np.hstack(read)
     return FreeFit(
         model,
+        system.parameters,
         covariance,
         ups,
         residuals,
         information.condition,
         system.scatter,
-        tuple(sorted(dropped)),
+        state.dropped,
         _shares(system, information.gain, freedom),
+        chance if chance < _SHOWN else 1.0,
     )
 
 
+def _weighed(state: _State) -> _State:
+    """Return the least squares with what scatters more than its noise, and without wild swings."""
+    for _ in range(_ROUNDS):
+        state = state.settled()
+        system = state.system
+        wild = _wild_swings(system, state.model, state.ups)
+        scatter = _scatter(state)
+        if not wild and np.allclose(scatter, system.scatter, rtol=0.02):
+            break
+        dropped = sorted([*state.dropped, *(system.swings[k].first for k in wild)])
+        kept = tuple(s for k, s in enumerate(system.swings) if k not in wild)
+        again = replace(system, swings=kept, scatter=scatter if not wild else np.ones(3))
+        # A turn less parts a run in two: north is then found anew.
+        again = replace(again, north=np.zeros(0)) if wild else again
+        state = replace(state, system=again, dropped=tuple(dropped))
+    return state
+
+
+def _chance(state: _State, term: Term) -> float:
+    """Return how likely chance alone makes a term explain as much of what is left.
+
+    The F test of nested least squares, under the scatter that was found without the term: what a
+    hand that trembles leaves is no sign of it (docs/mathematics.md, section 11).
+
+    Args:
+        state: The least squares without it.
+        term: Whose coefficients are asked for.
+
+    """
+    wider = replace(state.system, parameters=parameters_of((term,)))
+    try:
+        found = replace(state, system=wider).settled()
+        check_observable(found.system, found.model, found.ups)
+    except NotObservable:
+        return 1.0
+    jacobian, left = found.rows()
+    before, after = (float(r @ r) for r in (state.rows()[1], left))
+    count, freedom = len(term.parameters), len(left) - jacobian.shape[1]
+    if freedom < 1 or after >= before:
+        return 1.0
+    ratio = (before - after) / count / (after / freedom)
+    return float(scipy.special.fdtrc(count, freedom, ratio))
+
+
 def _shares(system: System, gain: Floats, freedom: float) -> dict[Source, Share]:
-    """Return the covariance (24, 24) of the parameters by source.
+    """Return the covariance (n, n) of the parameters by source.
 
     Args:
         system: Holds and turns.
@@ -145,10 +246,10 @@ def _shares(system: System, gain: Floats, freedom: float) -> dict[Source, Share]
     rest, (unknowns, rows) = len(groups), gain.shape
     own = 1 / system.scatter[groups] ** 2
     counted = own * np.concatenate(pulses)
-    found = np.flatnonzero(FREE)
+    found = np.flatnonzero(free(system.parameters))
 
     def share(columns: Floats, weights: Floats, known_by: float) -> Share:
-        covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
+        covariance = np.zeros((len(system.parameters),) * 2)
         part = columns[: len(found)]
         covariance[np.ix_(found, found)] = (part * weights) @ part.T
         return Share.of_parts([(covariance, known_by)])
@@ -182,6 +283,18 @@ def scatter_words(scatter: Floats) -> list[str]:
         'wander): the standard deviations are widened.'
         for name, factor in zip(_GROUPS, scatter, strict=True)
         if factor > 1
+    ]
+
+
+def term_words(fit: FreeFit) -> list[str]:
+    """Say which terms the session showed, and how clearly."""
+    if len(fit.parameters) == len(PARAMETERS):
+        return []
+    largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
+    return [
+        f'The gyros feel specific force, by up to {largest:.2g} deg/s per g: {G_SENSITIVITY.name} '
+        'is estimated besides (without it, holds and turns leave more than chance explains: '
+        f'probability {max(fit.chance, 1e-99):.0e}).'
     ]
 
 
@@ -227,45 +340,11 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
     )
 
 
-def _iterate(system: System, model: SensorModel, ups: Floats) -> tuple[System, SensorModel, Floats]:
-    """Iterate to the least squares.
-
-    Raises:
-        NotObservable: The iteration does not converge.
-
-    """
-    found = int(FREE.sum())
-    last = found + system.size[0] - len(PARAMETERS)
-    if not len(system.north):
-        system = replace(system, north=np.zeros(last - found))
-
-    def rows(state: tuple[System, SensorModel, Floats]) -> tuple[Floats, Floats]:
-        system, model, ups = state
-        jacobian, left, _ = system.rows(model, ups)
-        return free_columns(jacobian), left
-
-    def moved(
-        state: tuple[System, SensorModel, Floats], step: Floats
-    ) -> tuple[System, SensorModel, Floats]:
-        system, model, ups = state
-        vector = model.vector()
-        vector[FREE] += step[:found]
-        tilts = step[last:].reshape(-1, 2)
-        ups = ups + np.array([t @ level_axes(u) for t, u in zip(tilts, ups, strict=True)])
-        return (
-            replace(system, north=system.north + step[found:last]),
-            SensorModel.from_vector(vector),
-            ups / np.linalg.norm(ups, axis=1)[:, None],
-        )
-
-    return least_squares((system, model, ups), rows, moved, _ITERATIONS)
-
-
-def _scatter(system: System, model: SensorModel, ups: Floats) -> Floats:
+def _scatter(state: _State) -> Floats:
     """Return by how much each group scatters more than its noise, 1 where chance explains it."""
-    _, left, groups = replace(system, scatter=np.ones(3)).rows(model, ups)
-    weighted, _, _ = system.rows(model, ups)
-    basis = np.linalg.qr(free_columns(weighted))[0]
+    plain = replace(state.system, scatter=np.ones(3))
+    _, left, groups = plain.rows(state.model, state.ups)
+    basis = np.linalg.qr(state.rows()[0])[0]
     taken = (basis**2).sum(axis=1)
     result = np.ones(3)
     for group in range(3):

@@ -255,7 +255,7 @@ def planned_swing(
     angle = np.arctan2(sine, cosine) * axis / np.linalg.norm(axis)
     period = TURN_SECONDS / _STEPS
     step = model.gyro.response @ angle / _STEPS + model.gyro.bias * period
-    return Swing(first, np.tile(step, (_STEPS, 1)), period, variance)
+    return Swing(first, np.tile(step, (_STEPS, 1)), np.full(_STEPS, period), variance)
 
 
 def _prior() -> Floats:

@@ -39,20 +39,21 @@ class Swing:
 
     Attributes:
         first: Index of the hold before; the next one follows it.
-        increments: (n, 3) angles counted in each sample interval, rad.
-        period: Sample interval, s.
-        variance: Of the angle that random walk and pulses leave, about any axis, rad^2.
+        turned: (n, 3) rotation vectors of its steps as the gyros gave them, rad.
+        seconds: (n,) how long each took, s.
+        variance: Of the angle that random walk, pulses and what steps leave out of coning leave,
+            about any axis, rad^2.
         pulses: What of it is quantisation, rad^2.
 
     """
 
     first: int
-    increments: Floats
-    period: float
+    turned: Floats
+    seconds: Floats
     variance: float
     pulses: float = 0.0
 
     @property
-    def seconds(self) -> float:
-        """How long it took."""
-        return len(self.increments) * self.period
+    def duration(self) -> float:
+        """How long it took, s."""
+        return float(self.seconds.sum())

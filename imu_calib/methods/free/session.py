@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -14,28 +15,30 @@ from ...calibration import Calibration, ResidualRow
 from ...calibrator import Calibrator, Result, Review, Setup
 from ...errors import NotObservable
 from ...gravity import gravity_covariance, with_gravity
-from ...imu import ImuSpec
 from ...model import PARAMETERS, SensorModel
 from ...segmentation.labelling import Labelled
 from ...segmentation.segment import Segment
 from ...segmentation.segmenter import Segmenter
-from ...segmentation.session import Segmented
-from ...segmentation.statistics import gap_free, sample_period, to_samples
-from ...stream import Block, Floats, ImuBlock, Stamps, TemperatureBlock, Units
+from ...segmentation.session import Move, Segmented
+from ...stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from .. import estimates
 from ..evidence import Evidence, known_noise, noise
+from ..moves import bent
 from ..solution import Residual, Solution
 from . import NAME
-from .fit import FreeFit, scatter_words, solve
+from .fit import FreeFit, scatter_words, solve, term_words
 from .guidance import HOLD_SECONDS, Guidance, Stage, guide
 from .holds import Hold, Swing
 from .system import FREE
 
-_NEARLY = 0.999
 _LEAST_STD = np.repeat([1e-9, 1e-7], 3)
 _LEAST_ANGLE = 1e-9
 """What numbers without noise are taken to be known to: rad/s, m/s^2 and rad. The best units of the
 shipped ones know 300 times less after a hold, and the solver's conditioning needs an end."""
+_LOST = 100.0
+"""Variance of what lost samples leave in a turn, of all else that does, from which on it is lost: a
+turn that is known ten times worse than the others tells a hundredth of what they do."""
+
 _NOISE = (
     "The noise of the sensors is unknown, and the IMU's file does not state it: hold the unit "
     'still for a minute.'
@@ -67,25 +70,18 @@ class FreeCalibrator:
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self._segmenter = Segmenter(setup.imu, None)
-        self._stamps: list[Stamps] = []
-        self._values: list[Floats] = []
 
     def feed(self, block: Block) -> None:
         """Take a block in."""
-        if isinstance(block, TemperatureBlock):
+        if isinstance(block, ImuBlock | TemperatureBlock):
             self._segmenter.feed(block)
-        if not isinstance(block, ImuBlock):
-            return
-        self._stamps.append(block.stamp)
-        self._values.append(np.hstack([block.gyro, block.accel]))
-        self._segmenter.feed(block)
 
     def so_far(self) -> tuple[list[Hold], list[Swing]]:
         """Return the holds that have come to their end, and the turns between them."""
         segments = self._segmenter.segments
         if not segments:
             return [], []
-        return self._cut(segments, self._walk(segments))
+        return self._cut(segments, self._segmenter.moves, self._walk(segments))
 
     def finish(self) -> Result:
         """End of the session: solve.
@@ -103,7 +99,7 @@ class FreeCalibrator:
             raise NotObservable(' '.join([text, *lost]))
         segments = tuple(replace(s, position=str(k + 1)) for k, s in enumerate(session.segments))
         walk, freedom = known_noise(segments, self._setup.imu)
-        holds, swings = self._cut(segments, walk)
+        holds, swings = self._cut(segments, session.moves, walk)
         try:
             fit = solve(holds, swings, self._setup.site, float(freedom.min()))
         except NotObservable as error:
@@ -113,8 +109,6 @@ class FreeCalibrator:
     def snapshot(self) -> FreeCalibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself."""
         other = copy.copy(self)
-        # Samples are never changed, only joined.
-        other._stamps, other._values = list(self._stamps), list(self._values)
         other._segmenter = copy.deepcopy(self._segmenter)
         return other
 
@@ -129,7 +123,7 @@ class FreeCalibrator:
             refusal = str(error)
         # Further holds gain nothing on the doubt of gravity: guidance counts noise alone.
         reached = None if result is None else result.solution.std[: len(PARAMETERS)][FREE]
-        guidance = self._guidance(session.segments, still, reached)
+        guidance = self._guidance(session, still, reached)
         doubt = self._setup.site.gravity_doubt
         share = np.diag(gravity_covariance(SensorModel(), PARAMETERS, doubt))
         std = np.sqrt(guidance.std**2 + share)[FREE]
@@ -139,10 +133,11 @@ class FreeCalibrator:
 
     def _guidance(
         self,
-        segments: tuple[Segment, ...],
+        session: Segmented,
         still: tuple[int, int] | None,
         reached: Floats | None,
     ) -> Guidance:
+        segments = session.segments
         holding = None
         if still is not None:
             since, until = still
@@ -155,7 +150,7 @@ class FreeCalibrator:
         swings: list[Swing] = []
         try:
             if segments:
-                holds, swings = self._cut(segments, self._walk(segments))
+                holds, swings = self._cut(segments, session.moves, self._walk(segments))
         except NotObservable:
             told = guide((), (), setup.imu, setup.site, holding=holding)
             return replace(told, stage=Stage.HOLD, text=_NOISE)
@@ -164,19 +159,30 @@ class FreeCalibrator:
     def _walk(self, segments: tuple[Segment, ...]) -> Floats:
         return noise(segments, self._setup.imu)
 
-    def _cut(self, segments: tuple[Segment, ...], walk: Floats) -> tuple[list[Hold], list[Swing]]:
+    def _cut(
+        self, segments: Sequence[Segment], moves: Sequence[Move], walk: Floats
+    ) -> tuple[list[Hold], list[Swing]]:
         holds = []
         for segment in segments:
             mean = segment.statistics.mean
             variance = segment.statistics.variance(walk) + _LEAST_STD**2
             parts = (mean[:3], mean[3:], variance[:3], variance[3:], segment.statistics.quantum)
             holds.append(Hold(segment.start, segment.end, *parts))
-        stamp, values = np.concatenate(self._stamps), np.vstack(self._values)
-        found = [
-            swing(k, stamp, values, before.end, after.start, self._setup.imu, walk)
-            for k, (before, after) in enumerate(pairwise(holds))
-        ]
-        return holds, [s for s in found if s is not None]
+        between = {(a.end, b.start): k for k, (a, b) in enumerate(pairwise(segments))}
+        spec = self._setup.imu
+        pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else spec.gyro.pulse
+        swings = []
+        for move in moves:
+            first = between.get((move.start, move.end))
+            if first is None:
+                continue
+            variance = float(np.mean(walk[:3] ** 2)) * move.duration + pulse**2 / 6
+            variance += bent(move) + _LEAST_ANGLE**2
+            if move.filled > _LOST * variance:
+                continue
+            variance += move.filled
+            swings.append(Swing(first, move.turned, move.seconds, variance, pulse**2 / 6))
+        return holds, swings
 
     def _result(
         self,
@@ -193,7 +199,7 @@ class FreeCalibrator:
             Residual(str(s.position), s.start, value, deviation)
             for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
         )
-        findings = [_FRAME, *scatter_words(fit.scatter)]
+        findings = [_FRAME, *term_words(fit), *scatter_words(fit.scatter)]
         if swings < len(segments) - 1:
             findings.append(f'{len(segments) - 1 - swings} turns are lost (gaps, saturation).')
         if fit.dropped:
@@ -210,6 +216,7 @@ class FreeCalibrator:
             earth_up_std=float('inf'),
             condition=fit.condition,
             findings=tuple(findings),
+            parameters=fit.parameters,
             shares=fit.shares,
         )
         rows = tuple(
@@ -228,6 +235,7 @@ class FreeCalibrator:
             tuple(findings),
             provenance,
             setup.serial_number,
+            fit.parameters,
             budget=Budget.of(fit.shares),
         )
         calibration = with_gravity(calibration, setup.site)
@@ -243,42 +251,3 @@ def calibrator_of(setup: Setup) -> Calibrator | FreeCalibrator:
 
     """
     return FreeCalibrator(setup) if setup.method_name == NAME else Calibrator(setup)
-
-
-def swing(
-    first: int,
-    stamp: Stamps,
-    values: Floats,
-    start: int,
-    end: int,
-    spec: ImuSpec,
-    walk: Floats,
-) -> Swing | None:
-    """Cut a turn out of a stream; None where samples are missing or saturated.
-
-    Args:
-        first: Index of the hold before it.
-        stamp: (n,) ns.
-        values: (n, 6) gyro and accelerometer columns as delivered.
-        start: Last instant of the hold before, ns.
-        end: First instant of the hold after, ns.
-        spec: What the numbers mean.
-        walk: (6,) random-walk coefficients.
-
-    """
-    inside = slice(
-        int(np.searchsorted(stamp, start, side='right')), int(np.searchsorted(stamp, end))
-    )
-    around = stamp[max(inside.start - 1, 0) : inside.stop + 1]
-    if len(around) < 4 or (np.diff(around) <= 0).any():
-        return None
-    period = sample_period(around)
-    samples = to_samples(stamp[inside], values[inside], spec, period)
-    increments = samples.increments[:, :3]
-    limit = _NEARLY * spec.gyro.range * period
-    if len(gap_free(around, period)) > 1 or not (np.abs(increments) < limit).all():
-        return None
-    pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else spec.gyro.pulse
-    variance = float(np.mean(walk[:3] ** 2)) * len(increments) * period + pulse**2 / 6
-    variance += _LEAST_ANGLE**2
-    return Swing(first, increments, period, variance, pulse**2 / 6)
