@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..earth import EARTH_RATE
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY
 
@@ -31,12 +32,33 @@ _MEMORY = 20
 within ten seconds at rest."""
 
 
+FELT = 0.3 * DEG
+"""By how much a gyro at rest may read another rate after it was turned over, where the session does
+not show it yet, rad/s: gyros of MEMS feel 0.1 deg/s per g (published sessions: up to 0.16)."""
+
+_ATTITUDES = 5
+"""Ways up from which on their median tells by how much the rate at rest goes with them. A
+judgement: two that are none, slow turns about the vertical, do not move it."""
+
+_USUAL_TO_MOST = 3 * 1.4826
+"""Three standard deviations of normal scatter over the median of its size."""
+
+
+@dataclass(eq=False)
+class _Attitude:
+    """A way up in which a steady rate was read: the mean of the rates."""
+
+    up: Floats
+    rate: Floats
+    count: int = 1
+
+
 @dataclass(eq=False)
 class _Level:
     """A steady rate, and the ways up in which it was read."""
 
     rate: Floats
-    ups: list[Floats]
+    ups: list[_Attitude]
     count: int = 1
 
     def holds(self, rate: Floats) -> bool:
@@ -46,8 +68,20 @@ class _Level:
         # A bias that warms up is followed: the last seconds count, not all.
         self.count += 1
         self.rate = self.rate + (rate - self.rate) / min(self.count, _MEMORY)
-        if all(up @ other < _OTHER_WAY_UP for other in self.ups):
-            self.ups.append(up)
+        same = [other for other in self.ups if up @ other.up >= _OTHER_WAY_UP]
+        if not same:
+            self.ups.append(_Attitude(up, rate))
+        for other in same[:1]:
+            other.count += 1
+            other.rate = other.rate + (rate - other.rate) / other.count
+
+    @property
+    def spread(self) -> float:
+        """By how much it may differ from one way up to another, rad/s."""
+        if len(self.ups) < _ATTITUDES:
+            return FELT
+        off = np.abs(np.array([other.rate for other in self.ups]) - self.rate).max(axis=1)
+        return max(_USUAL_TO_MOST * float(np.median(off)), 2 * EARTH_RATE)
 
     @property
     def support(self) -> tuple[int, bool]:
@@ -74,10 +108,19 @@ class GyroOffset:
     @property
     def value(self) -> Floats:
         """The offset (3,), rad/s; zeros while nothing was steady."""
-        if not self._levels:
-            return np.zeros(3)
+        level = self._level
+        return np.zeros(3) if level is None else level.rate
+
+    @property
+    def spread(self) -> float:
+        """By how much a rest's rate may differ from it, as other rests do, rad/s."""
+        level = self._level
+        return FELT if level is None else level.spread
+
+    @property
+    def _level(self) -> _Level | None:
         # The first of the best: levels are listed in the order in which they came.
-        return max(self._levels, key=lambda level: level.support).rate
+        return max(self._levels, key=lambda level: level.support, default=None)
 
     def feed(self, mean: Floats) -> None:
         """Take the mean (6,) of a window of a tenth of a second in, rad/s and m/s^2."""
@@ -101,4 +144,4 @@ class GyroOffset:
                 return
         if len(self._levels) == _MOST_LEVELS:
             self._levels.remove(min(self._levels, key=lambda level: level.support))
-        self._levels.append(_Level(rate, [up]))
+        self._levels.append(_Level(rate, [_Attitude(up, rate)]))

@@ -31,7 +31,7 @@ from .segment import Segment, Turn
 from .sensor import Sensor
 from .session import FreeMotion, Move, Rejected, Segmented, Slip
 from .statistics import Samples, sample_period, to_samples
-from .stillness import StillnessTracker
+from .stillness import WINDOW_SECONDS, StillnessTracker
 from .thermometer import Thermometer
 from .turns import MARGIN_NS, Around, read_free_motion, read_turns
 
@@ -191,7 +191,7 @@ class Segmenter:
             if len(imu) < enough:
                 return
             period = sample_period(imu.stamp[:_SAMPLES_FOR_PERIOD])
-            self._stillness = StillnessTracker(period)
+            self._stillness = StillnessTracker(period, self._sensor.step(WINDOW_SECONDS))
             self._period = period
             self._seen = int(imu.stamp[0]) - 1
         fresh = int(np.searchsorted(imu.stamp, self._seen, side='right'))

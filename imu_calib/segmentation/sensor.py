@@ -48,6 +48,16 @@ class Sensor:
         """Whether values are increments of a counter."""
         return self.spec.units is Units.PULSES
 
+    def step(self, seconds: float) -> Floats:
+        """Return by how much means over so many seconds go on with one count or pulse, (2,).
+
+        Of gyros and of accelerometers, rad/s and m/s^2; zeros for values in SI.
+        """
+        triads = (self.spec.gyro, self.spec.accel)
+        if self.spec.units is Units.SI:
+            return np.array([t.pulse / seconds for t in triads])
+        return np.array([t.scale_factor / (seconds if self.counted else 1.0) for t in triads])
+
     @property
     def skewed(self) -> Sensor | None:
         """The skewed gyro as an IMU whose first channel it is; None without one."""

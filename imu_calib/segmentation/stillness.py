@@ -12,7 +12,7 @@ from .motion import Motion, Rest
 from .offset import GyroOffset
 from .unrest import Tolerance
 
-_WINDOW_SECONDS = 0.1
+WINDOW_SECONDS = 0.1
 _WINDOWS_TO_SETTLE = 3
 _WINDOWS_AHEAD = 300
 """Half a minute: holds of some seconds with turns between show offset and noise in several
@@ -39,10 +39,17 @@ class StillnessTracker:
 
     Windows are counted from the first sample, and the judgement follows that count: the outcome
     does not depend on how the stream was cut into blocks.
+
+    Args:
+        period: Sample interval, s.
+        step: (2,) by how much a window's mean goes on with one count of gyros and accelerometers,
+            rad/s and m/s^2.
+
     """
 
-    def __init__(self, period: float) -> None:
-        self._length = max(1, round(_WINDOW_SECONDS / period))
+    def __init__(self, period: float, step: Floats | None = None) -> None:
+        self._length = max(1, round(WINDOW_SECONDS / period))
+        self._step = step
         self._stamp: Stamps = _NO_STAMPS
         self._rates: Floats = np.empty((0, 6))
         self._offset = GyroOffset()
@@ -116,7 +123,9 @@ class StillnessTracker:
         if self._count // _WINDOWS_TO_LEARN != self._learnt_at:
             self._learnt_at = self._count // _WINDOWS_TO_LEARN
             means = np.array([mean for _, _, mean in self._around])
-            self._tolerance = Tolerance.of(means, self._offset.value)
+            self._tolerance = Tolerance.of(
+                means, self._offset.value, self._offset.spread, self._step
+            )
         window = self._around[-self._ahead]
         self._ahead -= 1
         return self._judge(window)
@@ -128,8 +137,7 @@ class StillnessTracker:
         if self._reference is not None:
             if self._still(mean, self._reference):
                 return []
-            # The last window that was near may hold the first of the motion.
-            last = max(self._start, self._recent[-2][0] if len(self._recent) > 1 else start)
+            last = max(self._start, self._last_quiet(start))
             rest = Rest(self._start, last)
             self._start, self._reference = last, None
             return [rest]
@@ -141,6 +149,19 @@ class StillnessTracker:
         motion = self._motion(self._recent[1][0])
         self._start, self._reference = self._recent[1][0], centre
         return [motion] if motion.end > motion.start else []
+
+    def _last_quiet(self, start: int) -> int:
+        """Return where a rest ends that the window from `start` (ns) is none of.
+
+        The window before may hold the first of the motion: where it strays from its own forerunner
+        by more than nine of ten do.
+        """
+        if len(self._recent) < _WINDOWS_TO_SETTLE:
+            return start
+        first, last = self._recent[-3][2], self._recent[-2][2]
+        usual = np.sqrt(2) * self._tolerance.usual
+        quiet = bool((np.abs(last - first)[:3] <= usual).all())
+        return start if quiet else self._recent[-2][0]
 
     def _still(self, mean: Floats, reference: Floats) -> bool:
         moved, leaning = np.abs(mean[:3] - self._offset.value), np.abs(mean - reference)[3:]
