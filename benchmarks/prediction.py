@@ -26,7 +26,7 @@ from imu_calib.calibrator import Setup
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.imu import load_imu
-from imu_calib.model import Parameter
+from imu_calib.model import TERMS, Parameter
 from imu_calib.montecarlo import Study, economical, repeat
 from imu_calib.plan import Plan, load_plan
 from imu_calib.prediction import forecast
@@ -39,10 +39,15 @@ SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 TOLERANCE = 0.1
 UNLIKELY = 0.01
 HEADING = 30 * DEG
-TABLES = ('two_axis', 'two_axis_off_axis', 'three_axis')
+TABLES = ('two_axis', 'two_axis_off_axis', 'two_axis_level', 'three_axis')
 USUAL = ('fog_medium', 'cao2022_table1')
-UNITS = {'skewed': ('fog_skewed', 'fog_skewed')}
-"""Unit and truth by method, where it is not the usual one."""
+UNITS = {
+    'skewed': ('fog_skewed', 'fog_skewed'),
+    'full_model': ('fog_navigation', 'fog_navigation_terms'),
+}
+"""Unit and truth by plan, where it is not the usual one."""
+ASKED = {'full_model': TERMS}
+"""Terms by plan, where it is made for more than its method's own parameters."""
 
 
 def study(name: str, sample_rate: float | None = None) -> Study:
@@ -51,14 +56,14 @@ def study(name: str, sample_rate: float | None = None) -> Study:
     The heading of the table is known where the method needs it, and another in each run where not.
     """
     plan = load_plan(name)
-    unit, truth = UNITS.get(plan.method, USUAL)
+    unit, truth = UNITS.get(plan.name, USUAL)
     table = plainest_table(plan)
     model = Calibration.load(named_file('truths', truth)).model
     options = economical(StandOptions(positioning_error=0.0, bias_instability=False))
     imu = load_imu(unit)
     if sample_rate is not None:
         imu = replace(imu, sample_rate=sample_rate)
-    setup = Setup(imu, plan, table, SITE, plan.method)
+    setup = Setup(imu, plan, table, SITE, plan.method, terms=ASKED.get(plan.name, ()))
     if not np.isfinite(forecast(setup, model).std).any():
         setup = replace(setup, table=replace(table, azimuth=HEADING))
         return Study(setup, model, options, HEADING)

@@ -40,7 +40,7 @@ def bound(
     site: Site,
     azimuth: float,
     at_rest: dict[str, float],
-    table: Table,
+    table: Table | None,
 ) -> Floats:
     """Standard deviations (24,) that no unbiased estimator falls below.
 
@@ -51,10 +51,10 @@ def bound(
         site: Gravity and Earth rate.
         azimuth: Of the table, unknown to the estimator like the two tilts.
         at_rest: How long the unit stood at each position, s.
-        table: What moves it from one to the next.
+        table: What moves it from one to the next; None where nobody looks at the moves.
 
     """
-    ways = moves(plan, table)
+    ways = moves(plan, table) if table is not None else []
     state = np.concatenate([model.vector(), [azimuth, 0.0, 0.0]])
     steps = np.concatenate([np.full(24, 1e-3), np.full(3, 1e-4)])
     jacobian = np.array(

@@ -37,7 +37,7 @@ from imu_calib.cli.stand import _HELD as HELD
 from imu_calib.earth import EARTH_RATE
 from imu_calib.exports import EXPORTS
 from imu_calib.imu import ImuSpec, load_imu, read_imu
-from imu_calib.methods import free
+from imu_calib.methods import JOINT, free
 from imu_calib.plan import Plan, load_plan
 from imu_calib.share import share_folder
 from imu_calib.stream import Floats, Units
@@ -125,7 +125,8 @@ def every() -> Iterator[Case]:
 
 
 def turned(plan: Plan) -> bool:
-    return any(p.rate_test is not None for p in plan.positions)
+    """Whether more than the Earth turns the unit: whole turns, or moves that its method sees."""
+    return plan.method in JOINT or any(p.rate_test is not None for p in plan.positions)
 
 
 def table(case: Case) -> list[str]:

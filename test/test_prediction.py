@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bound import bound
 from scipy.stats import chi2
-from sessions import LATITUDE, SITE, paper_imu, quick_plan, session, stand, truth
+from sessions import LATITUDE, SITE, fed, gathered, paper_imu, quick_plan, session, stand, truth
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
@@ -77,6 +77,19 @@ def test_stretches_last_as_long_as_the_segmentation_makes_them() -> None:
     ahead = [(t.position, t.angle, t.seconds) for t in foreseen.turns]
     turned = [(t.position, t.angle, pytest.approx(t.seconds, rel=1e-4)) for t in found.turns]
     assert ahead == turned
+
+
+@pytest.mark.parametrize(
+    ('sample_rate', 'limit', 'led'), [(100.0, 300.0, 9), (30.0, 300.0, 2), (100.0, 150.0, 2)]
+)
+def test_moves_that_a_session_cannot_follow_are_not_promised(sample_rate, limit, led) -> None:
+    """A table at 190 deg/s turns a sample at 30 Hz by 6 deg, and leaves a range of 150 deg/s."""
+    plan, spec = brisk(12.0), replace(paper_imu(), sample_rate=sample_rate)
+    spec = replace(spec, gyro=replace(spec.gyro, range=limit * DEG))
+    case = replace(setup(plan), imu=spec)
+    ahead = expected(case, truth().model)
+    found = gathered(fed(session(plan, economical(stand()), spec=spec), case))
+    assert len(ahead.led) == len(found.led) == led
 
 
 def test_predicted_is_what_many_sessions_achieve() -> None:

@@ -22,7 +22,9 @@ from ..model import SensorModel, Skewed
 from ..profile import Course, moving
 from ..segmentation.clock import ClockFit
 from ..segmentation.counter import mean_rate, rate_between
+from ..segmentation.moves import COARSEST
 from ..segmentation.segment import Segment, Statistics, Turn
+from ..segmentation.sensor import NEARLY
 from ..segmentation.session import Move
 from ..stream import Floats, Mode, Units
 from ..turntable import TURN, Table, rotation
@@ -150,9 +152,13 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
             )
         )
     moves = [
-        _move(before, after, rest.course, setup.table, truth, earth)
+        move
         for before, after, rest in zip(segments, segments[1:], rests[1:], strict=False)
-        if rest.course is not None and setup.table is not None
+        if rest.course is not None
+        and setup.table is not None
+        and _followed(
+            move := _move(before, after, rest.course, setup.table, truth, earth), setup.imu
+        )
     ]
     # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
     clock = ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, len(turns))
@@ -252,6 +258,12 @@ def _move(
     gyro, _ = truth.predict(rates, np.zeros_like(rates))
     quantum = before.statistics.pulse[:3]
     return Move(before.end, after.start, gyro * spans[:, None], spans, quantum)
+
+
+def _followed(move: Move, spec: ImuSpec) -> bool:
+    """Say whether a session would lead a move on: see `segmentation.moves`."""
+    fastest = float(np.abs(move.turned / move.seconds[:, None]).max())
+    return fastest * _period(spec) <= COARSEST and fastest < NEARLY * spec.gyro.range
 
 
 def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:

@@ -32,7 +32,7 @@ _SHORTEST = 4
 _BESIDE = 5
 """Samples beside a gap whose second differences tell how the rate bends: three of them."""
 
-_COARSEST = 5 * DEG
+COARSEST = 5 * DEG
 """Largest angle of one sample on a table, rad: a direction that changes from one to the next by a
 tenth of it leaves an arcsecond."""
 
@@ -52,7 +52,7 @@ class MoveReader:
 
     """
 
-    def __init__(self, sensor: Sensor, coarsest: float = _COARSEST) -> None:
+    def __init__(self, sensor: Sensor, coarsest: float = COARSEST) -> None:
         self._sensor = sensor
         self._coarsest = coarsest
         self._open: list[_Steps] | None = None

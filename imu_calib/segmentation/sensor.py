@@ -14,7 +14,7 @@ from .statistics import Samples, to_samples
 
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 _WALK_GUESS = 0.05
-_NEARLY = 0.999
+NEARLY = 0.999
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Sensor:
 
         """
         limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
-        clipped = np.abs(samples.increments) >= _NEARLY * limits
+        clipped = np.abs(samples.increments) >= NEARLY * limits
         if self.spec.units is not Units.SI:
             clipped |= np.isin(np.abs(values), _FULL_SCALES)
         return np.asarray(clipped.any(axis=1))
