@@ -12,12 +12,13 @@ from sessions import SITE, fed, quick_plan, stand
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Result, Setup
+from imu_calib.cli.main import main
 from imu_calib.imu import load_imu
 from imu_calib.methods.equations import Equations
 from imu_calib.methods.fit import check_observable
 from imu_calib.model import PARAMETERS, TERMS, ParameterKind, SensorModel, Term, parameters_of, term
 from imu_calib.plan import Position, load_plan
-from imu_calib.prediction import expected, forecast
+from imu_calib.prediction import expected, forecast, of_each_term
 from imu_calib.prediction.forecast import information
 from imu_calib.share import named_file
 from imu_calib.simulation import simulate
@@ -246,3 +247,33 @@ def test_a_session_on_a_table_that_misses_by_a_minute_gives_them() -> None:
 
 def test_the_nineteen_are_observable_at_any_heading() -> None:
     check_observable(Equations(expected(Setup(IMU, NINETEEN, LEVEL, SITE), UNIT.model)))
+
+
+def test_what_a_plan_tells_of_each_term_is_what_it_tells_when_asked() -> None:
+    setup = Setup(IMU, NINETEEN, LEVEL, SITE)
+    bare = forecast(setup, LINEAR)
+    found = {one.term.name: one for one in of_each_term(bare, setup, LINEAR)}
+    assert [*found] == [t.name for t in TERMS]
+    assert {n for n, one in found.items() if not one.told} == {*ODD, 'accel_cubic', 'accel_cross'}
+    asked = forecast(replace(setup, terms=(term('gyro_g2'),)), LINEAR)
+    assert found['gyro_g2'].std.tolist() == asked.std[24:].tolist()
+    (worst,) = {round(t, 2) for p, t in found['gyro_g2'].dearer if p.name == 'D_gx'}
+    assert worst == round(asked.std[9] / bare.std[9], 2) > 1.1
+    rest = of_each_term(asked, replace(setup, terms=(term('gyro_g2'),)), LINEAR)
+    assert 'gyro_g2' not in {one.term.name for one in rest}
+
+
+def test_the_command_says_what_a_plan_tells_of_each_term(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ['plans', 'nineteen_position', '--imu', 'fog_medium', '--table', 'two_axis_level']
+    assert main([*words, '--gravity', '9.8']) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    rows = {row[0]: row[1:] for row in lines if row and row[0] in {t.name for t in TERMS}}
+    assert len(rows) == len(TERMS)
+    assert rows['accel_cubic'][0] == '-'
+    assert ' '.join(rows['accel_cubic'][2:]).startswith(
+        'takes rests with each axis some 45 degrees'
+    )
+    assert rows['accel_quadratic'][1] == 'ug/g^2'
+    assert rows['accel_quadratic'][2:4] == ['D_a', '1.3']

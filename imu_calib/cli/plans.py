@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from ..imu import load_imu
 from ..methods import METHODS, check_plan, closed_form_beside, free
 from ..model import Parameter, SensorModel, parameters_of, terms_of
 from ..plan import Plan, Position, Step, load_plan
-from ..prediction import Forecast, duration, forecast, listed, reach
+from ..prediction import Forecast, OfTerm, duration, forecast, listed, of_each_term, reach
 from ..report.parameters import decimals, engineering
 from ..share import named_file, share_folder
 from ..stream import Mode
@@ -153,6 +153,7 @@ def _predict(arguments: argparse.Namespace, table: Table) -> None:
             'Biases stand still here; with --bias-instability they wander by the data sheet'
             f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
         )
+    _show_terms(of_each_term(found, setup, truth, wander=arguments.bias_instability))
     _show_time(plan, table)
     if found.refusal:
         raise NotObservable(f'Plan {plan.name}, method {found.method}: {found.refusal}')
@@ -236,6 +237,31 @@ def _show_forecast(
             f'Gravity is known to {doubt / PPM:.3g} ppm, which is in K_a: --height, or --gravity '
             'as measured, make it less.'
         )
+
+
+def _show_terms(found: Sequence[OfTerm]) -> None:
+    if not found:
+        return
+    rows = Rows(box=None, pad_edge=False, header_style='bold')
+    for heading in ('term', 'std', 'unit', 'what it costs, or takes'):
+        rows.add_column(heading, justify='right' if heading == 'std' else 'left')
+    for one in found:
+        shown = engineering(one.term.parameters[0])
+        worst = float(one.std.max()) / shown.scale if one.told else np.nan
+        words = _costs(one.dearer) if one.told else f'takes {one.term.needs}'
+        rows.add_row(one.term.name, _cell(worst), shown.unit, words)
+    OUTPUT.print('\nWhat it would tell of each term (--terms), added alone: the worst channel.')
+    OUTPUT.print(rows)
+    OUTPUT.print()
+
+
+def _costs(dearer: Sequence[tuple[Parameter, float]]) -> str:
+    """Say by how many times a term takes others' deviations, the worst of each kind."""
+    worst: dict[str, float] = {}
+    for parameter, times in dearer:
+        kind = f'{parameter.kind.value.symbol}_{parameter.triad}'
+        worst[kind] = max(times, worst.get(kind, 0.0))
+    return ', '.join(f'{kind} {times:.1f} times' for kind, times in worst.items())
 
 
 def _cell(value: float, empty: str = '-') -> str:

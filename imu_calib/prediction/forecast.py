@@ -112,6 +112,24 @@ def forecast(
     return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
 
 
+def with_parameters(
+    evidence: Evidence,
+    setup: Setup,
+    truth: SensorModel,
+    parameters: tuple[Parameter, ...],
+    *,
+    wander: bool,
+) -> Floats:
+    """Return the standard deviations (n,) of a joint estimate of other parameters; see `forecast`.
+
+    NaN stands for what the session does not determine.
+    """
+    extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
+    best = _best(evidence, truth, parameters, extra)
+    found = Forecast(evidence, setup.method_name, parameters, best, best, '')
+    return _with_common(found, setup, truth).std
+
+
 def gravity_variances(found: Forecast, truth: SensorModel) -> Floats:
     """Return what the doubt of gravity has added to the variances of a forecast, (n,)."""
     doubt = found.evidence.site.gravity_doubt

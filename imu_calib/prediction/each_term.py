@@ -1,0 +1,73 @@
+"""What a session would tell of each term of the model that nobody has asked for, one at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..calibrator import Setup
+from ..methods import JOINT
+from ..model import TERMS, Parameter, SensorModel, Term, terms_of
+from ..stream import Floats
+from .forecast import Forecast, listed, with_parameters
+
+
+@dataclass(frozen=True, eq=False)
+class OfTerm:
+    """What a session would tell of a term.
+
+    Attributes:
+        term: Added to what is estimated.
+        std: (n,) of its parameters, SI units; NaN for those that the session does not determine.
+        dearer: Parameters whose standard deviations it takes more than `_DEARER` times as large,
+            and by how many times: NaN for those that the session then does not determine.
+
+    """
+
+    term: Term
+    std: Floats
+    dearer: tuple[tuple[Parameter, float], ...]
+
+    @property
+    def told(self) -> bool:
+        """Whether the session determines all of it, and what it determines without it."""
+        return bool(np.isfinite([*self.std, *(times for _, times in self.dearer)]).all())
+
+
+_DEARER = 1.1
+"""Below, nobody would take another plan for it."""
+
+
+def of_each_term(
+    found: Forecast, setup: Setup, truth: SensorModel, *, wander: bool = False
+) -> tuple[OfTerm, ...]:
+    """Return what a session would tell of each term that its joint estimate leaves out.
+
+    Args:
+        found: What is forecast of the session without it.
+        setup: As the forecast was asked for.
+        truth: Likewise.
+        wander: Likewise.
+
+    """
+    if found.method not in JOINT or found.refusal or setup.plan.by_hand:
+        return ()
+    asked = terms_of(found.parameters)
+    return tuple(_of_term(term, found, setup, truth, wander) for term in TERMS if term not in asked)
+
+
+def _of_term(term: Term, found: Forecast, setup: Setup, truth: SensorModel, wander: bool) -> OfTerm:
+    more = replace(setup, terms=(*setup.terms, term))
+    parameters = listed(more)
+    std = dict(
+        zip(
+            parameters,
+            with_parameters(found.evidence, more, truth, parameters, wander=wander).tolist(),
+            strict=True,
+        )
+    )
+    before = dict(zip(found.parameters, found.std.tolist(), strict=True))
+    times = [(p, std[p] / s) for p, s in before.items() if s > 0]
+    dearer = tuple((p, t) for p, t in times if not t <= _DEARER)
+    return OfTerm(term, np.array([std[p] for p in term.parameters]), dearer)
