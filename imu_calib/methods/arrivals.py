@@ -79,7 +79,7 @@ def of_joints(
     known = [part.angles for part in parts]
     if table is None or any(angles is None for angles in known):
         return _by_up(segments, turns)
-    angles = np.array(known).reshape(len(parts), -1)
+    angles = np.array(known).reshape(len(parts), len(table.joints))
     order = np.argsort([part.start for part in parts], kind='stable')
     columns: list[Floats] = []
     for joint in range(angles.shape[1]):
