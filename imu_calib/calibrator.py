@@ -297,7 +297,7 @@ class Calibrator:
         except NotObservable as error:
             raise type(error)(' '.join([str(error), *lost])) from None
         contradiction = comparison.finding() if comparison is not None else []
-        findings = (*solution.findings, *contradiction, *lost, *_assumed(setup))
+        findings = (*solution.findings, *contradiction, *lost, *_assumed(setup, solution))
         calibration = Calibration(
             setup.imu,
             solution.model,
@@ -375,9 +375,9 @@ def _what_was_lost(
     return list(dict.fromkeys(sentences))
 
 
-def _assumed(setup: Setup) -> list[str]:
-    """Say what is assumed of the table, which its file does not state."""
-    table = None if setup.plan.by_hand else setup.table
+def _assumed(setup: Setup, solution: Solution) -> list[str]:
+    """Say what is assumed of the table, which its file does not state, where a method counts it."""
+    table = None if setup.plan.by_hand or solution.shares is None else setup.table
     return [table.assumption] if table is not None and table.assumption else []
 
 

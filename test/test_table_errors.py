@@ -16,7 +16,7 @@ from test_information import evidence_of
 from imu_calib.alignment import free_of_frame
 from imu_calib.budget import Source
 from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Result, Setup
+from imu_calib.calibrator import Calibrator, Result, Setup, _assumed
 from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
 from imu_calib.config import Section
@@ -229,6 +229,14 @@ def test_the_screen_says_it_once_and_shows_the_angles(unstated: Result, capsys) 
     (row,) = [line.split() for line in shown.splitlines() if 'gyros to accelerometers Z' in line]
     (angles,) = [a for a in unstated.calibration.free_of_frame if a.group.triads == 'ga']
     assert float(row[4]) == pytest.approx(angles.values[2] / ARCMIN, abs=0.001)
+
+
+def test_a_method_that_counts_no_errors_of_a_table_assumes_none(unstated: Result) -> None:
+    setup = Setup(paper_imu(), PLAN, described(), SITE)
+    counted = unstated.solution
+    assert _assumed(setup, counted) == [described().assumption]
+    # The skewed gyros' method tells no sources: what is not counted is not said to be.
+    assert _assumed(setup, replace(counted, shares=None)) == []
 
 
 def test_a_session_on_such_a_table_is_reviewed_from_its_first_block_on() -> None:
