@@ -38,6 +38,9 @@ def shaky(
     tremble: float = 0.0,
     noise: tuple[float, float] = (0.0, 0.0),
     holds: int = 24,
+    jitter: float = 0.0,
+    lost: float = 0.0,
+    limit: float = np.inf,
     seed: int = 0,
 ) -> Shaky:
     """Record a session that begins in the middle of a turn.
@@ -49,6 +52,9 @@ def shaky(
         tremble: Root mean square about each axis, rad/s.
         noise: White, of a sample: rad/s and m/s^2.
         holds: How many.
+        jitter: Of a stamp, s: it comes late by anything up to this, in order.
+        lost: Share of the samples that never come, one at a time.
+        limit: End of the gyros' range, rad/s.
         seed: Of attitudes, lengths, tremble and noise.
 
     """
@@ -71,12 +77,18 @@ def shaky(
     gyro = angles.reshape(-1, _FINER, 3).sum(axis=1) * rate
     force = body.inv().apply([0.0, 0.0, GRAVITY])[1:].reshape(-1, _FINER, 3).mean(axis=1)
     gyro, accel = unit.predict(gyro, force)
+    gyro = np.clip(gyro, -limit, limit)
     read = [
         _counted(values + spread * rng.standard_normal(values.shape), scale)
         for values, spread, scale in zip((gyro, accel), noise, scales, strict=True)
     ]
-    stamp = EPOCH + np.rint((np.arange(len(gyro)) + 1) / rate * 1e9).astype(np.int64)
-    return Shaky(ImuBlock(stamp, *read), np.column_stack([begins, ends]), 1 / rate)
+    late = np.random.default_rng([seed, 84])
+    sampled = (np.arange(len(gyro)) + 1) / rate + jitter * late.random(len(gyro))
+    stamp = EPOCH + np.rint(np.maximum.accumulate(sampled) * 1e9).astype(np.int64)
+    stamp += np.arange(len(stamp))
+    kept = late.random(len(gyro)) >= lost
+    block = ImuBlock(stamp[kept], *(values[kept] for values in read))
+    return Shaky(block, np.column_stack([begins, ends]), 1 / rate)
 
 
 def _tremble(times: np.ndarray, size: float, rng: np.random.Generator) -> np.ndarray:

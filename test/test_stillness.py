@@ -9,6 +9,7 @@ from shaky import GRAVITY, LATITUDE, Shaky, shaky
 
 from imu_calib.calibrator import Result, Setup
 from imu_calib.earth import Site
+from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.methods.free import FREE, in_frame_of_accelerometers
 from imu_calib.methods.free.session import FreeCalibrator
@@ -71,6 +72,7 @@ HANDS = [
     Hand(200, 4.0, 0.3, (0.05, 0.03)),
     Hand(400, 5.0, 3.0),
 ]
+SHAKIER = [Hand(50, 4.0, 20.0), Hand(100, 4.0, 40.0)]
 
 
 @pytest.mark.parametrize('hand', HANDS, ids=str)
@@ -91,6 +93,93 @@ def test_every_hold_is_found_once_whatever_bias_tremble_and_rate(hand: Hand) -> 
     square = float(np.sum((wrong[FREE] / found.calibration.std[FREE]) ** 2))
     # Rounding without noise has no normal errors: one session in ten thousand, twice over.
     assert square < 2 * chi2.isf(1e-4, FREE.sum())
+
+
+@pytest.mark.parametrize('hand', SHAKIER, ids=str)
+def test_hands_that_shake_by_tens_of_degrees_a_second_hold_all_the_same(hand: Hand) -> None:
+    sensors, held = hand.session()
+    found = calibrated(held)
+    rests = np.array([(s.start + s.end) / 2 for s in found.session.segments])
+    rests = (rests - held.block.stamp[0]) * 1e-9
+    assert len(rests) == len(held.holds)
+    # What a turn begins and ends with is lost in such a shake; its middle is not.
+    assert ((rests > held.holds[:, 0]) & (rests < held.holds[:, 1])).all()
+    wrong = found.calibration.values[:24] - in_frame_of_accelerometers(sensors).vector()
+    square = float(np.sum((wrong[FREE] / found.calibration.std[:24][FREE]) ** 2))
+    assert square < chi2.isf(1e-4, FREE.sum())
+
+
+def test_stamps_that_jitter_and_samples_that_are_lost_cost_no_turn() -> None:
+    sensors = unit(3.0 * DEG)
+    noise = 0.05 * DEG, 0.03
+    held = shaky(sensors, rate=100, scales=SCALES, noise=noise, jitter=0.004, lost=0.01)
+    found = calibrated(held)
+    assert found.calibration.provenance['turns'] == len(held.holds) - 1
+    assert not any('turns are lost' in finding for finding in found.calibration.findings)
+    wrong = found.calibration.values - in_frame_of_accelerometers(sensors).vector()
+    square = float(np.sum((wrong[FREE] / found.calibration.std[FREE]) ** 2))
+    assert square < chi2.isf(1e-4, FREE.sum())
+
+
+def test_turns_beyond_the_range_are_left_out_and_said() -> None:
+    sensors, limit = unit(3.0 * DEG), 150 * DEG
+    held = shaky(sensors, rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03), limit=limit)
+    read = held.block.gyro * SCALES[0]
+    ends = np.column_stack([held.holds[:-1, 1], held.holds[1:, 0]])
+    times = (held.block.stamp - held.block.stamp[0]) * 1e-9
+    clipped = [np.abs(read[(times > a) & (times < b)]).max() > 0.999 * limit for a, b in ends]
+    assert 0 < sum(clipped) < 15
+    spec = replace(COUNTS, gyro=replace(COUNTS.gyro, range=limit))
+    calibrator = FreeCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
+    calibrator.feed(held.block)
+    found = calibrator.finish().calibration
+    assert any(f'{sum(clipped)} turns are lost' in finding for finding in found.findings)
+    wrong = found.values - in_frame_of_accelerometers(sensors).vector()
+    square = float(np.sum((wrong[FREE] / found.std[FREE]) ** 2))
+    assert square < chi2.isf(1e-4, FREE.sum())
+
+
+def felt(size: float) -> tuple[SensorModel, Result]:
+    """A session with gyros that feel gravity by up to a given rate per g, deg/s."""
+    sensitivity = size * DEG / STANDARD_GRAVITY * np.random.default_rng(8).uniform(-1, 1, (3, 3))
+    sensors = replace(unit(3.0 * DEG), g_sensitivity=sensitivity)
+    held = shaky(sensors, rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03))
+    return sensors, calibrated(held)
+
+
+def test_gyros_that_feel_gravity_are_found_and_named() -> None:
+    sensors, result = felt(0.15)
+    found, truth = result.calibration, in_frame_of_accelerometers(sensors)
+    assert any('g_sensitivity' in finding for finding in found.findings)
+    assert not any('noise is left' in finding for finding in found.findings)
+    wrong = found.values - truth.values(found.parameters)
+    known = found.std > 0
+    assert known.sum() == 30
+    square = float(np.sum((wrong[known] / found.std[known]) ** 2))
+    assert square < chi2.isf(1e-4, 30)
+    # Each of some twenty holds of four seconds tells the sum of a bias and 1 g of it.
+    largest = found.std[24:].max() * STANDARD_GRAVITY
+    assert largest < 0.05 * DEG / np.sqrt(100 * 4) * np.sqrt(12 / 20) * 3
+
+
+def test_gyros_that_feel_none_are_not_said_to() -> None:
+    _, result = felt(0.0)
+    assert len(result.calibration.parameters) == 24
+
+
+def test_a_session_without_holds_says_how_still_it_was_and_what_to_do() -> None:
+    rng = np.random.default_rng(2)
+    rows = 6000
+    # Half a minute of waving about: a second this way and a second that.
+    swing = np.sin(np.arange(1, rows + 1)[:, None] * 0.01 * np.array([5.0, 7.0, 9.0]))
+    gyro = 120 * DEG * swing + rng.normal(0, DEG, (rows, 3))
+    force = GRAVITY * (swing / np.linalg.norm(swing, axis=1)[:, None])
+    stamp = 1_650_000_000_000_000_000 + np.arange(1, rows + 1) * 10_000_000
+    block = ImuBlock(stamp, np.rint(gyro / SCALES[0]), np.rint(force / SCALES[1]))
+    calibrator = FreeCalibrator(Setup(COUNTS, load_plan('free_positions'), None, SITE))
+    calibrator.feed(block)
+    with pytest.raises(NotObservable, match=r'quietest two seconds.*deg/s and .* g.*Hold the unit'):
+        calibrator.finish()
 
 
 def test_a_session_is_solved_alike_however_it_is_cut_and_whenever_it_is_looked_at() -> None:
@@ -169,6 +258,24 @@ def test_even_turns_about_the_vertical_are_no_rests_though_they_last_longer(bias
     for rest, k in zip(rests, (1, 3, 5, 7), strict=True):
         assert rest.start * 1e-9 == pytest.approx(ends[k - 1], abs=0.3)
         assert rest.end * 1e-9 == pytest.approx(ends[k], abs=0.3)
+
+
+def test_what_is_too_fast_for_a_rest_is_told_by_the_noise_of_the_session() -> None:
+    """0.3 deg/s about the vertical: fifteen times the noise of one unit, about that of another."""
+    rng = np.random.default_rng(6)
+    ups = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    at_rest = (2.0, -1.0, 0.5)
+    rows = [part for up in ups for part in (turn(), still(4, at_rest, up))]
+    slow = still(20, (2.0, -1.0, 0.8), ups[4])
+    rows = np.vstack([*rows, turn(), slow, turn(), still(4, at_rest, ups[4])])
+    begins = (len(ups) * (150 + 400) + 150) * 0.01
+    for noise, is_rest in ((0.02, False), (0.2, True)):
+        # White noise in a sample, ten of which are a window.
+        read = rows.copy()
+        read[:, :3] += rng.normal(0, noise * np.sqrt(10) * DEG, (len(rows), 3))
+        rests = [part for part in tracked(read) if isinstance(part, Rest)]
+        inside = [r for r in rests if begins < (r.start + r.end) / 2e9 < begins + 20]
+        assert bool(inside) == is_rest, noise
 
 
 def test_a_hand_that_trembles_after_a_minute_on_the_table_is_judged_by_itself() -> None:

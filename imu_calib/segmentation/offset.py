@@ -31,7 +31,6 @@ _MEMORY = 20
 """Additions over which a rate is averaged, half a second each: a bias that warms up is followed
 within ten seconds at rest."""
 
-
 FELT = 0.3 * DEG
 """By how much a gyro at rest may read another rate after it was turned over, where the session does
 not show it yet, rad/s: gyros of MEMS feel 0.1 deg/s per g (published sessions: up to 0.16)."""
@@ -55,32 +54,36 @@ class _Attitude:
 
 @dataclass(eq=False)
 class _Level:
-    """A steady rate, and the ways up in which it was read."""
+    """A steady rate: what was read in each way up, the last one at the end.
 
-    rate: Floats
+    Its rate is the median of the last ways up: a slow turn is one of them, however long it lasts,
+    and a bias that warms up is followed within three.
+    """
+
     ups: list[_Attitude]
-    count: int = 1
+
+    @property
+    def rate(self) -> Floats:
+        return np.asarray(np.median([one.rate for one in self.ups[-_ATTITUDES:]], axis=0))
 
     def holds(self, rate: Floats) -> bool:
         return bool((np.abs(rate - self.rate) < _STEADY_RATE).all())
 
     def add(self, rate: Floats, up: Floats) -> None:
-        # A bias that warms up is followed: the last seconds count, not all.
-        self.count += 1
-        self.rate = self.rate + (rate - self.rate) / min(self.count, _MEMORY)
-        same = [other for other in self.ups if up @ other.up >= _OTHER_WAY_UP]
-        if not same:
+        found = next((one for one in self.ups if up @ one.up >= _OTHER_WAY_UP), None)
+        if found is None:
             self.ups.append(_Attitude(up, rate))
-        for other in same[:1]:
-            other.count += 1
-            other.rate = other.rate + (rate - other.rate) / other.count
+            return
+        found.count = min(found.count + 1, _MEMORY)
+        found.rate = found.rate + (rate - found.rate) / found.count
+        self.ups = [*(one for one in self.ups if one is not found), found]
 
     @property
     def spread(self) -> float:
         """By how much it may differ from one way up to another, rad/s."""
         if len(self.ups) < _ATTITUDES:
             return FELT
-        off = np.abs(np.array([other.rate for other in self.ups]) - self.rate).max(axis=1)
+        off = np.abs(np.array([one.rate for one in self.ups]) - self.rate).max(axis=1)
         return max(_USUAL_TO_MOST * float(np.median(off)), 2 * EARTH_RATE)
 
     @property
@@ -144,4 +147,4 @@ class GyroOffset:
                 return
         if len(self._levels) == _MOST_LEVELS:
             self._levels.remove(min(self._levels, key=lambda level: level.support))
-        self._levels.append(_Level(rate, [_Attitude(up, rate)]))
+        self._levels.append(_Level([_Attitude(up, rate)]))

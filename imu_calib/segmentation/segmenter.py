@@ -31,7 +31,7 @@ from .segment import Segment, Turn
 from .sensor import Sensor
 from .session import FreeMotion, Move, Rejected, Segmented, Slip
 from .statistics import Samples, sample_period, to_samples
-from .stillness import WINDOW_SECONDS, StillnessTracker
+from .stillness import WINDOW_SECONDS, Quietest, StillnessTracker
 from .thermometer import Thermometer
 from .turns import MARGIN_NS, Around, read_free_motion, read_turns
 
@@ -94,6 +94,11 @@ class Segmenter:
     def moves(self) -> tuple[Move, ...]:
         """What the gyros saw between these stretches so far."""
         return self._moves.finish(self._pace.interval)
+
+    @property
+    def quietest(self) -> Quietest | None:
+        """The two seconds that strayed least, of a unit without a table."""
+        return None if self._stillness is None else self._stillness.quietest
 
     @property
     def still(self) -> tuple[int, int] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -25,8 +26,27 @@ which change little in five seconds."""
 _NO_JOINTS = np.empty((0, 0))
 _NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
 
+_WINDOWS_OF_SPAN = 20
+"""Two seconds, the shortest hold that is asked for."""
+
 _Window: TypeAlias = tuple[int, int, Floats]
 """First and last stamp, ns, and the (6,) mean."""
+
+
+@dataclass(frozen=True)
+class Quietest:
+    """The two seconds that strayed least: by how much a tenth of one did from their mean.
+
+    Attributes:
+        rate: Of the gyros, the largest of three axes, rad/s.
+        force: Of the accelerometers, m/s^2.
+        tolerance: What a rest keeps to by the session's last minutes.
+
+    """
+
+    rate: float
+    force: float
+    tolerance: Tolerance
 
 
 class StillnessTracker:
@@ -61,6 +81,13 @@ class StillnessTracker:
         self._recent: list[_Window] = []
         self._reference: Floats | None = None
         self._start: int | None = None
+        self._span: deque[Floats] = deque(maxlen=_WINDOWS_OF_SPAN)
+        self._least: tuple[float, float] | None = None
+
+    @property
+    def quietest(self) -> Quietest | None:
+        """The two seconds that strayed least so far; None before two seconds have come in."""
+        return None if self._least is None else Quietest(*self._least, self._tolerance)
 
     @property
     def known_until(self) -> int | None:
@@ -91,6 +118,7 @@ class StillnessTracker:
             )
             self._offset.feed(mean)
             self._around.append((int(head[0]), int(head[-1]), mean))
+            self._note_quiet(mean)
             self._ahead += 1
             self._count += 1
             if self._ahead > _WINDOWS_AHEAD:
@@ -117,6 +145,16 @@ class StillnessTracker:
         rest = Rest(self._start, end)
         self._start = end
         return rest
+
+    def _note_quiet(self, mean: Floats) -> None:
+        """Remember the two seconds that stray least."""
+        self._span.append(mean)
+        if len(self._span) < _WINDOWS_OF_SPAN:
+            return
+        span = np.array(self._span)
+        strayed = np.abs(span - span.mean(axis=0)).max(axis=0)
+        found = float(strayed[:3].max()), float(strayed[3:].max())
+        self._least = min(found, self._least or found)
 
     def _judge_next(self) -> list[Rest | Motion]:
         """Judge the oldest window that waits."""

@@ -21,12 +21,13 @@ from ...segmentation.segment import Segment
 from ...segmentation.segmenter import Segmenter
 from ...segmentation.session import Move, Segmented
 from ...stream import Block, Floats, ImuBlock, TemperatureBlock, Units
+from ...units import DEG, STANDARD_GRAVITY
 from .. import estimates
 from ..evidence import Evidence, known_noise, noise
 from ..moves import bent
 from ..solution import Residual, Solution
 from . import NAME
-from .fit import FreeFit, scatter_words, solve, term_words
+from .fit import FEWEST, FreeFit, scatter_words, solve, term_words
 from .guidance import HOLD_SECONDS, Guidance, Stage, guide
 from .holds import Hold, Swing
 from .system import FREE
@@ -96,15 +97,31 @@ class FreeCalibrator:
         lost = [f'{loss}.' for loss in session.losses]
         if not session.segments:
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
-            raise NotObservable(' '.join([text, *lost]))
+            raise NotObservable(' '.join([text, *self._unrest(), *lost]))
         segments = tuple(replace(s, position=str(k + 1)) for k, s in enumerate(session.segments))
         walk, freedom = known_noise(segments, self._setup.imu)
         holds, swings = self._cut(segments, session.moves, walk)
         try:
             fit = solve(holds, swings, self._setup.site, float(freedom.min()))
         except NotObservable as error:
-            raise NotObservable(' '.join([str(error), *lost])) from None
+            few = self._unrest() if len(holds) < FEWEST else []
+            raise NotObservable(' '.join([str(error), *few, *lost])) from None
         return self._result(session, segments, walk, fit, len(swings))
+
+    def _unrest(self) -> list[str]:
+        """Say how still the unit ever was, and what to do, where holds are too few."""
+        seen = self._segmenter.quietest
+        if seen is None:
+            return ['Not two seconds came in: record a session of a minute or more.']
+        return [
+            'In the quietest two seconds tenths of a second strayed by '
+            f'{seen.rate / DEG:.2g} deg/s and {seen.force / STANDARD_GRAVITY:.2g} g from their '
+            f'mean; a hold keeps within {seen.tolerance.rate / DEG:.2g} deg/s of the rate at rest '
+            f'and {seen.tolerance.force / STANDARD_GRAVITY:.2g} g, as the noise of this session '
+            f'has it, for a second and more. Hold the unit still for {HOLD_SECONDS:.0f} s in each '
+            'attitude, the hand propped on something firm, and turn it by a quarter turn or more '
+            'between.'
+        ]
 
     def snapshot(self) -> FreeCalibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself."""
