@@ -50,7 +50,8 @@ _ROUNDS = 4
 _SIGNIFICANT = 1e-3
 _OUTLYING = 6.0
 _SHOWN = 1e-3
-"""Probability of chance below which a term is in the model (docs/mathematics.md, section 11)."""
+"""Probability of chance below which a term is in the model (docs/mathematics.md, 'Free
+positions')."""
 
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
@@ -205,7 +206,7 @@ def _chance(state: _State, term: Term) -> float:
     """Return how likely chance alone makes a term explain as much of what is left.
 
     The F test of nested least squares, under the scatter that was found without the term: what a
-    hand that trembles leaves is no sign of it (docs/mathematics.md, section 11).
+    hand that trembles leaves is no sign of it (docs/mathematics.md, 'Free positions').
 
     Args:
         state: The least squares without it.
