@@ -259,15 +259,28 @@ class Equations:
 
     def _predicted(self, state: Floats) -> Floats:
         """Return what is read by the parameters of the session's mean, (6 s + 3 t + 3 m,)."""
-        around, rate, force, turning, felt = self._inputs(state)
+        around, *inputs = self._inputs(state)
         model = self.model(state)
+        predicted = self._answers(model, inputs)
+        predicted[self._divided] /= 1 + state[self.clock]
+        led = self.evidence.led.off(model, around.rate).reshape(self.rows.move.shape)
+        if state[self.clock]:
+            led = led + self._led_by_clock(model) * state[self.clock]
+        predicted[self.rows.move] = led
+        return predicted
+
+    def _answers(self, model: SensorModel, inputs: Sequence[Floats]) -> Floats:
+        """Return what rests and turns read by the table's clock, (6 s + 3 t + 3 m,), moves zero.
+
+        Args:
+            model: The sensors.
+            inputs: As `_inputs` returns them: rates and forces at rest, then in turns.
+
+        """
+        rate, force, turning, felt = inputs
         at_rest = np.hstack(model.predict(rate, force))
         turned = whole(model.predict(turning, felt)[0])
-        predicted = self.rows.joined(at_rest, turned, self.evidence.led.off(model, around.rate))
-        predicted[self._divided] /= 1 + state[self.clock]
-        if state[self.clock]:
-            predicted[self.rows.move] += self._led_by_clock(model) * state[self.clock]
-        return predicted
+        return self.rows.joined(at_rest, turned, np.zeros(self.rows.move.shape))
 
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (6 s + 3 t + 3 m, n).
@@ -290,7 +303,8 @@ class Equations:
         result = self.rows.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
-        result[divided, self.clock] = -self._predicted(state)[divided] / faster
+        answers = self._answers(model, (rate, force, turning, felt))
+        result[divided, self.clock] = -answers[divided] / faster**2
         result[self.rows.move, self.clock] = self._led_by_clock(model)
         result[:, self.changing] = self.columns(self.changes, result)
         return result

@@ -20,7 +20,7 @@ def moved_temperature(found: Estimate) -> list[str]:
     """Say by how much the temperature moved, and what that means where no term follows it.
 
     Returns:
-        One sentence, or none.
+        One finding, or none.
 
     """
     equations, evidence = found.equations, found.equations.evidence
@@ -29,18 +29,39 @@ def moved_temperature(found: Estimate) -> list[str]:
     seen = temperatures(evidence)
     if np.ptp(seen) < LEAST_RISE:
         return []
-    words = [text for letter in TRIADS if (text := _words(found, letter))]
-    if not words:
+    known, unknown = [], []
+    for letter, words in TRIADS.items():
+        stated = float(evidence.thermal['ga'.index(letter), 0])
+        if stated:
+            known.append(f'{stated / PPM:.3g} ppm/K of the {words}s')
+        elif (moved := _moved(found, letter))[1] * _CHEAPEST > 1:
+            unknown.append(
+                f'of {words}s that follow it by {1 / moved[1] / PPM:.2g} ppm/K ({moved[0]})'
+            )
+    if not known and not unknown:
         return []
-    return [
+    sentences = [
         f'The temperature moved by {np.ptp(seen):.2g} K during the session (from {seen.min():.1f} '
-        f'to {seen.max():.1f} degC), and K and D are estimated as if they had not: '
-        f'{"; ".join(words)}. --terms thermal, or trend, estimates what follows it.'
+        f'to {seen.max():.1f} degC), and K and D are estimated as if they did not follow it.'
     ]
+    if known:
+        sentences.append(
+            f'The standard deviations allow for the {" and ".join(known)} that the description of '
+            'the IMU states for scale factors.'
+        )
+    if unknown:
+        sentences.append(
+            'The description of the IMU states no scale_factor_temperature: scale factors '
+            f'{" or ".join(unknown)} are already off by a standard deviation.'
+        )
+    return [' '.join([*sentences, '--terms thermal, or trend, estimates what follows it.'])]
 
 
-def _words(found: Estimate, letter: str) -> str:
-    """Say which scale factor per kelvin moves a parameter by its deviation, and what is stated."""
+def _moved(found: Estimate, letter: str) -> tuple[str, float]:
+    """Return the scale factor that a common coefficient moves most, and by how many deviations.
+
+    Per 1/K of the coefficient.
+    """
     equations = found.equations
     names = equations.parameters
     factor = np.linalg.cholesky(equations.covariance(found.state))
@@ -51,17 +72,4 @@ def _words(found: Estimate, letter: str) -> str:
     shifts = found.gain[: len(names), : len(moved)] @ moved
     own = [k for k, p in enumerate(names) if p.kind is ParameterKind.SCALE_FACTOR_ERROR]
     far = np.abs(shifts[own]) / np.sqrt(np.diag(found.covariance)[own])
-    worst, most = own[int(np.argmax(far))], float(far.max())
-    known = float(equations.evidence.thermal['ga'.index(letter), 0])
-    if known:
-        return (
-            f'the description of the IMU states {known / PPM:.3g} ppm/K for the scale factors of '
-            f'the {TRIADS[letter]}s, which is in the standard deviations'
-        )
-    if most * _CHEAPEST < 1:
-        return ''
-    return (
-        f'scale factors of the {TRIADS[letter]}s that follow it by {1 / most / PPM:.2g} ppm/K move '
-        f'{names[worst].name} by its standard deviation, and the description of the IMU states '
-        'none (scale_factor_temperature)'
-    )
+    return names[own[int(np.argmax(far))]].name, float(far.max())
