@@ -12,14 +12,16 @@ from scipy.stats import chi2
 from sessions import SITE, fed, gathered, paper_imu, quick_plan, session, stand, truth
 from test_other_world import MEDIUM, NAVIGATION, segmented, true_vector
 
+from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.methods import joint
 from imu_calib.methods.equations import Equations
 from imu_calib.methods.evidence import Evidence
-from imu_calib.methods.path import chained
+from imu_calib.methods.path import Path, chained
 from imu_calib.model import SensorModel
 from imu_calib.segmentation.moves import STEP_ANGLE, joined
 from imu_calib.segmentation.statistics import Samples
+from imu_calib.share import named_file
 from imu_calib.stream import Floats, ImuBlock
 from imu_calib.turntable import load_table
 from imu_calib.units import ARCSEC, DEG, PPM
@@ -161,3 +163,16 @@ def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
     without = tuple(m for m in evidence().moves if m is not wrong)
     other = joint.solve(replace(evidence(), moves=without))
     assert solution.model.vector() == pytest.approx(other.model.vector(), rel=1e-9, abs=1e-15)
+
+
+def test_moves_led_on_together_have_the_bits_of_each_alone() -> None:
+    model = Calibration.load(named_file('truths', 'fog_navigation_terms')).model
+    links = evidence().led.links
+    motions = [(link.move.turned, link.move.seconds) for link in links]
+    together = Path.of_each(motions, model)
+    assert len(together) == len(links) > 5
+    for path, (turned, seconds) in zip(together, motions, strict=True):
+        alone = Path.of(turned, seconds, model)
+        for name in ('rates', 'seconds', 'whole', 'carried'):
+            assert getattr(path, name).tobytes() == getattr(alone, name).tobytes(), name
+    assert Path.of_each([], model) == ()

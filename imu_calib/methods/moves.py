@@ -91,9 +91,8 @@ class Moves:
         key = model.values(model.parameters).tobytes()
         if key not in self._memo:
             self._memo.clear()
-            self._memo[key] = tuple(
-                Path.of(link.move.turned, link.move.seconds, model) for link in self.links
-            )
+            motions = [(link.move.turned, link.move.seconds, None) for link in self.links]
+            self._memo[key] = Path.of_each(motions, model)
         return self._memo[key]
 
     def off(self, model: SensorModel, earth_rate: Floats) -> Floats:

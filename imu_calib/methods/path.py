@@ -9,6 +9,7 @@ rotation vector of an interval; the derivatives are those of docs/mathematics.md
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,13 +55,34 @@ class Path:
             force: (3,) specific force at rest at the end, body axes, m/s^2; None: of no account.
 
         """
-        outputs, forces = turned / seconds[:, None], np.zeros_like(turned)
-        rates, middle, whole = _led(outputs, seconds, model, forces)
-        if force is not None:
-            forces = np.einsum('nji,j->ni', middle, force)
-            rates, middle, whole = _led(outputs, seconds, model, forces)
+        return cls.of_each([(turned, seconds, force)], model)[0]
+
+    @classmethod
+    def of_each(
+        cls, motions: Sequence[tuple[Floats, Floats, Floats | None]], model: SensorModel
+    ) -> tuple[Path, ...]:
+        """Lead on through several motions; see `of`.
+
+        All intervals are compensated at once: each has the same bits alone as among others.
+        """
+        if not motions:
+            return ()
+        seconds = [seconds for _, seconds, _ in motions]
+        outputs = np.concatenate([turned / each[:, None] for turned, each, _ in motions])
+        forces = [np.zeros_like(turned) for turned, *_ in motions]
+        led = _led(outputs, seconds, model, forces)
+        if any(force is not None for *_, force in motions):
+            forces = [
+                found if force is None else np.einsum('nji,j->ni', middle, force)
+                for found, (_, middle, _), (*_, force) in zip(forces, led, motions, strict=True)
+            ]
+            led = _led(outputs, seconds, model, forces)
+        answer = np.linalg.inv(model.gyro.response)
         # An error over an interval counts as one in its middle, to the second order of its angle.
-        return cls(rates, forces, seconds, whole, middle @ np.linalg.inv(model.gyro.response))
+        return tuple(
+            cls(rates, felt, each, whole, middle @ answer)
+            for (rates, middle, whole), felt, each in zip(led, forces, seconds, strict=True)
+        )
 
     def following(self, derivatives: Floats) -> Floats:
         """Return the derivatives of log(`whole` S^T) by parameters, (3, p) rad, for S near `whole`.
@@ -82,14 +104,21 @@ class Path:
 
 
 def _led(
-    outputs: Floats, seconds: Floats, model: SensorModel, forces: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return the (n, 3) rates, the rotations from the middle of each interval and the whole one."""
-    _, accel = model.predict(np.zeros(3), forces)
+    outputs: Floats, seconds: list[Floats], model: SensorModel, forces: list[Floats]
+) -> list[tuple[Floats, Floats, Floats]]:
+    """Return of motions (n, 3) rates, rotations from the middle of each interval, the whole one."""
+    _, accel = model.predict(np.zeros(3), np.concatenate(forces))
     rates, _ = model.compensate(outputs, accel)
-    steps = rates * seconds[:, None]
-    whole, after = chained(steps)
-    return rates, after @ rotations(-steps / 2), whole
+    found = []
+    for mine, each in zip(np.split(rates, _ends(seconds)), seconds, strict=True):
+        steps = mine * each[:, None]
+        whole, after = chained(steps)
+        found.append((mine, after @ rotations(-steps / 2), whole))
+    return found
+
+
+def _ends(seconds: list[Floats]) -> list[int]:
+    return np.cumsum([len(each) for each in seconds])[:-1].tolist()
 
 
 def rotations(vectors: Floats) -> Floats:

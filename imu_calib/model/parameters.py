@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -92,7 +93,9 @@ class Product:
 
     def value(self, inputs: Floats) -> Floats:
         """Return the product, (...), at (..., 6) inputs."""
-        result = np.full(inputs.shape[:-1], self.scale)
+        if not self.factors and not self.absolute:
+            return np.full(inputs.shape[:-1], self.scale)
+        result = np.asarray(self.scale)
         for k in self.factors:
             result = result * inputs[..., k]
         for k in self.absolute:
@@ -102,13 +105,24 @@ class Product:
     def slopes(self, inputs: Floats) -> Floats:
         """Return the derivatives of the product by the inputs, (..., 6); of |0| it is 0."""
         result = np.zeros(inputs.shape)
-        for n, k in enumerate(self.factors):
-            others = Product(self.factors[:n] + self.factors[n + 1 :], self.absolute, self.scale)
-            result[..., k] += others.value(inputs)
-        for n, k in enumerate(self.absolute):
-            others = Product(self.factors, self.absolute[:n] + self.absolute[n + 1 :], self.scale)
-            result[..., k] += others.value(inputs) * np.sign(inputs[..., k])
+        for k, others, signed in self._others:
+            slope = others.value(inputs)
+            result[..., k] += slope * np.sign(inputs[..., k]) if signed else slope
         return result
+
+    @cached_property
+    def _others(self) -> tuple[tuple[int, Product, bool], ...]:
+        """By each factor: its input, the product of the others, and whether its sign goes in."""
+        plain, absolute = self.factors, self.absolute
+        found = [
+            (k, Product(plain[:n] + plain[n + 1 :], absolute, self.scale), False)
+            for n, k in enumerate(plain)
+        ]
+        found += [
+            (k, Product(plain, absolute[:n] + absolute[n + 1 :], self.scale), True)
+            for n, k in enumerate(absolute)
+        ]
+        return tuple(found)
 
 
 def _triad_parameters(triad: str) -> list[Parameter]:

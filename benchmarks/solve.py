@@ -1,0 +1,89 @@
+"""How long a solve takes: thirty rests, thirty turns and all ten terms together, on one core.
+
+A session of the plan full_model with the twelve positions after it is simulated and cut, and solved
+by the joint estimate. Counted is processor time, of one thread: a machine that is busy takes longer
+by the clock, not by this.
+
+    python benchmarks/solve.py [--times 5] [--profile]
+
+Exit code 1: the median is above two seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+# Small matrices gain nothing from threads; NumPy reads the variable when it is loaded.
+os.environ['OMP_NUM_THREADS'] = '1'
+
+import cProfile
+import pstats
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+
+from sessions import SITE, fed, gathered, quick_plan, stand
+
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Setup
+from imu_calib.imu import load_imu
+from imu_calib.methods import joint
+from imu_calib.methods.evidence import Evidence
+from imu_calib.model import TERMS
+from imu_calib.montecarlo import economical
+from imu_calib.share import named_file
+from imu_calib.simulation import simulate
+from imu_calib.turntable import load_table
+
+ALLOWED = 2.0
+RESTS = 30
+DWELL = 30.0
+
+
+def evidence() -> Evidence:
+    """Return a session of thirty rests with turns at five rates in both senses about each axis."""
+    full, twelve = quick_plan('full_model', DWELL), quick_plan('twelve_position', DWELL)
+    more = [replace(p, rate_test=None) for p in twelve.positions]
+    plan = replace(full, positions=(*full.positions, *more))
+    imu, table = replace(load_imu('fog_navigation'), sample_rate=50.0), load_table('three_axis')
+    model = Calibration.load(named_file('truths', 'fog_navigation_terms')).model
+    setup = Setup(imu, plan, table, SITE, terms=TERMS)
+    blocks = simulate(plan, table, imu, model, SITE, economical(stand(azimuth=0.4)), 1)
+    return gathered(fed(blocks, setup))
+
+
+def main() -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--times', type=int, default=5)
+    parser.add_argument('--profile', action='store_true', help='say where the time goes')
+    chosen = parser.parse_args()
+    session = evidence()
+    rests, turns, moves = len(session.segments), len(session.turns), len(session.led)
+    solution = joint.solve(session, terms=TERMS)  # loads what is loaded once
+    print(f'{rests} rests, {turns} turns, {moves} moves, {len(solution.parameters)} parameters')
+    if chosen.profile:
+        with cProfile.Profile() as profile:
+            joint.solve(session, terms=TERMS)
+        pstats.Stats(profile).sort_stats('cumulative').print_stats(35)
+        return 0
+    taken = []
+    for _ in range(chosen.times):
+        # What an evidence has once worked out is part of a solve.
+        fresh = replace(session)
+        begin = time.process_time()
+        joint.solve(fresh, terms=TERMS)
+        taken.append(time.process_time() - begin)
+    median = float(np.median(taken))
+    print(f'{median:.2f} s of one core ({min(taken):.2f} to {max(taken):.2f}), allowed {ALLOWED} s')
+    return 0 if rests == RESTS and median <= ALLOWED else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
