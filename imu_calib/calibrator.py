@@ -15,10 +15,10 @@ from .calibration import Calibration, ResidualRow
 from .earth import Site
 from .errors import Contradiction, InputError, NotObservable
 from .gravity import gravity_covariance, with_gravity
-from .imu import ImuSpec, TriadSpec
+from .imu import ImuSpec
 from .methods import JOINT, check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
-from .methods.evidence import Evidence, known_noise
+from .methods.evidence import Evidence
 from .methods.information import reached
 from .methods.solution import Solution
 from .model import AXES, Parameter, SensorModel, Term
@@ -231,24 +231,7 @@ class Calibrator:
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
         setup = self._setup
-        walk, freedom = known_noise(labelled.segments, setup.imu)
-        return Evidence(
-            labelled.segments,
-            labelled.turns,
-            setup.plan,
-            setup.site,
-            session.clock,
-            setup.table.azimuth if setup.table is not None else None,
-            walk,
-            setup.table.positioning if setup.table is not None else 0.0,
-            np.repeat([setup.imu.gyro.bias_instability, setup.imu.accel.bias_instability], 3),
-            freedom,
-            session.moves,
-            setup.table,
-            setup.imu.units,
-            session.temperature,
-            np.array([_thermal(setup.imu.gyro), _thermal(setup.imu.accel)]),
-        )
+        return Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
 
     def _estimate(
         self, evidence: Evidence, labelled: Labelled, session: Segmented
@@ -468,10 +451,6 @@ def _stamping(setup: Setup, evidence: Evidence) -> StampingClock | None:
     unit = ' '.join([setup.imu.id, setup.serial_number]).strip()
     faster, std = evidence.clock_rate()
     return StampingClock(f'stamps of {unit}', f'clock of table {setup.table.name}', faster, std)
-
-
-def _thermal(triad: TriadSpec) -> tuple[float, float]:
-    return triad.scale_factor_temperature, triad.bias_temperature
 
 
 def _temperature(session: Segmented) -> dict[str, float] | None:

@@ -54,8 +54,7 @@ from imu_calib.stream import Floats
 from imu_calib.turntable import rotation
 from imu_calib.units import DEG
 from imu_calib.verification import Observed, Verdict, verify
-from imu_calib.verification.equations import Sensors
-from imu_calib.verification.observed import Rest, Spin
+from imu_calib.verification.lengths import Sensors
 
 REFERENCE = math.pi / 3
 """60 deg/s, at which the coefficients of gyros' terms are stated."""
@@ -502,7 +501,9 @@ RATES = np.array([10.0, -10.0, 25.0, -25.0, 60.0, -60.0, 90.0, -90.0]) * DEG
 
 
 @cache
-def session_of(terms: tuple[Term, ...]) -> tuple[list[tuple[Floats, list[float]]], list[Spin]]:
+def session_of(
+    terms: tuple[Term, ...],
+) -> tuple[list[tuple[Floats, list[float]]], list[tuple[Floats, Floats, float]]]:
     """Rests by attitude and turns by rate, as the formulas say, means over a whole turn."""
     values = named(unit(terms))
     rests = [
@@ -518,18 +519,18 @@ def session_of(terms: tuple[Term, ...]) -> tuple[list[tuple[Floats, list[float]]
                 spin = body @ SITE.earth_rate + body[:, 2] * rate
                 sums += plain(values, spin, body @ SITE.specific_force)
             mean = sums[:3] / 120
-            seconds = 2 * math.pi / abs(rate)
-            turns.append(Spin('t', mean, np.full(3, 1e-16), upright[2], rate, seconds, 0.0))
+            turns.append((mean, upright[2], rate))
     return rests, turns
 
 
 def evidence_of(terms: tuple[Term, ...]) -> Evidence:
     rests, spins = session_of(terms)
     segments, turns, now = [], [], 0
-    for spin in spins:
-        found = statistics(np.concatenate([spin.output, np.zeros(3)]), spin.duration)
-        angle = math.copysign(2 * math.pi, spin.rate)
-        turns.append(Turn(now, now + 1, found, angle, spin.duration, spin.up, 't'))
+    for output, up, rate in spins:
+        seconds = 2 * math.pi / abs(rate)
+        found = statistics(np.concatenate([output, np.zeros(3)]), seconds)
+        angle = math.copysign(2 * math.pi, rate)
+        turns.append(Turn(now, now + 1, found, angle, seconds, up, 't'))
         now += 100 * SECOND
     for k, (attitude, output) in enumerate(rests):
         found = statistics(np.array(output), 60.0)
@@ -540,10 +541,7 @@ def evidence_of(terms: tuple[Term, ...]) -> Evidence:
 
 
 def observed(terms: tuple[Term, ...]) -> Observed:
-    rests, turns = session_of(terms)
-    variance = np.repeat([1e-16, 1e-10], 3)
-    held = tuple(Rest(str(k), k, np.array(o), variance, a) for k, (a, o) in enumerate(rests))
-    return Observed(held, tuple(turns), SITE, load_imu('si'), 100.0, True, 0.0, 1e-9)
+    return Observed(evidence_of(terms), load_imu('si'), 100.0)
 
 
 @of_sets
@@ -586,12 +584,23 @@ def test_verify_accepts_with_every_term_and_names_the_one_that_is_missing(
 def test_verify_predicts_by_the_formula(terms: tuple[Term, ...]) -> None:
     model, (rate, force) = unit(terms), samples(5)
     gyro, accel = outputs(named(model), rate, force)
-    of_gyros = Sensors.of(model, model.parameters, gyros=True)
-    of_accels = Sensors.of(model, model.parameters, gyros=False)
-    assert of_gyros.predict(rate, force) == pytest.approx(gyro, rel=1e-12)
-    assert of_accels.predict(force, force) == pytest.approx(accel, rel=1e-12)
-    assert of_gyros.compensate(gyro, force) == pytest.approx(rate, abs=1e-11)
-    assert of_accels.compensate(accel, force) == pytest.approx(force, abs=1e-11)
+    for gyros, read, inputs in ((True, gyro, rate), (False, accel, force)):
+        sensors = Sensors.of(model.parameters, gyros=gyros)
+        values = model.values(sensors.parameters)
+        predicted = sensors.model(values).predict(rate, force)[0 if gyros else 1]
+        assert predicted == pytest.approx(read, rel=1e-12)
+        found, by_outputs, by_parameters = sensors.compensated(values, np.array(read), force)
+        assert found == pytest.approx(inputs, abs=1e-11)
+        # Of a step of 1e-7 the second order is 1e-14 times coefficients, and rounding 1e-16 / 1e-7.
+        for k in range(3):
+            step = np.eye(3)[k] * 1e-7
+            moved = sensors.compensated(values, np.array(read) + step, force)[0]
+            assert by_outputs[..., k] == pytest.approx((moved - found) / 1e-7, rel=1e-4, abs=1e-6)
+        for k in range(len(values)):
+            other = values + np.eye(len(values))[k] * 1e-7
+            moved = sensors.compensated(other, np.array(read), force)[0]
+            slope = (moved - found) / 1e-7
+            assert by_parameters[..., k] == pytest.approx(slope, rel=1e-4, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,11 @@ def by_the_imu_alone() -> Observed:
     return observe(segmented(2, None), paper_imu(), SITE, UNPLANNED, None)
 
 
+def at(site: Site) -> Observed:
+    """The session as if it had been recorded elsewhere."""
+    return replace(observed(), evidence=replace(observed().evidence, site=site))
+
+
 def symptom(verification: Verification, *, gyros: bool) -> str:
     (judged,) = [t for t in verification.triads if t.gyros == gyros]
     return judged.diagnosis.symptom if judged.diagnosis is not None else ''
@@ -265,7 +270,7 @@ def test_a_unit_turned_in_its_mount_is_told_by_how_much() -> None:
 def test_another_gravity_is_told_from_accelerometers_that_have_changed() -> None:
     # Five degrees of latitude further north, as somebody believes: 440 ppm.
     site = Site.at(LATITUDE + 5 * DEG, gravity=normal_gravity(LATITUDE + 5 * DEG))
-    verification = verify(calibration(), replace(observed(), site=site))
+    verification = verify(calibration(), at(site))
     words = symptom(verification, gyros=False)
     assert 'when gravity is 9.79' in words
     assert f'instead of {site.gravity:.5f}' in words
@@ -293,20 +298,22 @@ def test_lengths_alone_tell_biases_and_scales(name: str) -> None:
 
 
 def test_a_recording_of_nothing_known_is_no_judge() -> None:
-    first, _, third, *_ = seen = list(observed().rests)
+    evidence = observed().evidence
+    first, _, third, *_ = seen = list(evidence.segments)
     # Two positions exchanged: no parameters explain the outputs.
     seen[0], seen[2] = (
         replace(first, attitude=third.attitude),
         replace(third, attitude=first.attitude),
     )
     with pytest.raises(NotObservable, match='No parameters whatever explain'):
-        verify(calibration(), replace(observed(), rests=tuple(seen)))
+        exchanged = replace(evidence, segments=tuple(seen))
+        verify(calibration(), replace(observed(), evidence=exchanged))
 
 
 def test_a_session_that_scatters_beyond_its_noise_is_not_accepted_without_a_doubt() -> None:
     # At the pole the level Earth rate of these rests has no place.
     site = replace(SITE, latitude=85 * DEG)
-    verification = verify(calibration(), replace(observed(), site=site))
+    verification = verify(calibration(), at(site))
     assert verification.verdict is not Verdict.PASS
     assert any('is a doubt by itself' in finding for finding in verification.findings)
 

@@ -404,14 +404,34 @@ class Equations:
         """
         return shares((*self.own, *self.shared(state)), gain)
 
+    def by_rate(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by the Earth rate in the frame of the attitudes.
+
+        Returns:
+            (6 s + 3 t + 3 m, 3).
+
+        """
+        _, rate, force, turning, felt = self._inputs(state)
+        model = self.model(state)
+        at_rest = model.slopes(rate, force)[..., :3] @ self._to_body
+        turned = whole(model.slopes(turning, felt)[..., :3, :3] @ self._headings)
+        return self.rows.joined(at_rest, turned, self.evidence.led.by_rate())
+
+    def by_mount(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict` by rotations of the unit in its mount.
+
+        Returns:
+            (6 s + 3 t + 3 m, 3) per rad about the body axes.
+
+        """
+        every = len(self.evidence.segments), len(self.evidence.turns)
+        # What the unit is turned by, attitudes lean the other way.
+        at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
+        return self._leaning(state, at_rest, turned)
+
     def latitude_slope(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the latitude, (6 s + 3 t + 3 m,) per rad."""
-        around, rate, force, turning, felt = self._inputs(state)
-        model, moved = self.model(state), around.rate_by_latitude
-        at_rest = np.einsum('sij,sj->si', model.slopes(rate, force)[..., :3], self._to_body @ moved)
-        slopes = model.slopes(turning, felt)[..., :3, :3]
-        turned = whole(np.einsum('thij,thj->thi', slopes, self._headings @ moved))
-        return self.rows.joined(at_rest, turned, self.evidence.led.by_rate() @ moved)
+        return np.asarray(self.by_rate(state) @ self.surroundings(state).rate_by_latitude)
 
     def clock_slope(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the rate between the clocks."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,9 @@ from ..errors import NotObservable
 from ..imu import ImuSpec
 from ..plan import Plan
 from ..segmentation.clock import ClockFit
+from ..segmentation.labelling import Labelled
 from ..segmentation.segment import Segment, Turn
-from ..segmentation.session import Move
+from ..segmentation.session import Move, Segmented
 from ..segmentation.statistics import pooled_walk
 from ..segmentation.thermometer import Temperature
 from ..stream import Floats, Units
@@ -80,6 +81,43 @@ class Evidence:
     temperature: Temperature | None = None
     thermal: Floats = field(default_factory=lambda: np.zeros((2, 2)))
 
+    @classmethod
+    def of(
+        cls,
+        labelled: Labelled,
+        session: Segmented,
+        plan: Plan,
+        imu: ImuSpec,
+        site: Site,
+        table: Table | None,
+    ) -> Evidence:
+        """Gather the evidence of a session whose rests and turns have names.
+
+        Raises:
+            NotObservable: Neither the data nor the IMU's description tells the noise.
+
+        """
+        walk, freedom = known_noise(labelled.segments, imu)
+        return cls(
+            labelled.segments,
+            labelled.turns,
+            plan,
+            site,
+            session.clock,
+            table.azimuth if table is not None else None,
+            walk,
+            table.positioning if table is not None else 0.0,
+            np.repeat([imu.gyro.bias_instability, imu.accel.bias_instability], 3),
+            freedom,
+            session.moves,
+            table,
+            imu.units,
+            session.temperature,
+            np.array(
+                [[t.scale_factor_temperature, t.bias_temperature] for t in (imu.gyro, imu.accel)]
+            ),
+        )
+
     @cached_property
     def led(self) -> Moves:
         """The moves that count as observations."""
@@ -121,6 +159,13 @@ class Evidence:
     def level(self) -> float:
         """Standard deviation of the table's tilt about either level axis, rad."""
         return LEVELLED if self.table is None else self.table.level
+
+    def read_as(self, factors: Floats) -> Evidence:
+        """Return the session with outputs, and their noise, multiplied by (6,) factors."""
+        segments = (replace(s, statistics=s.statistics.scaled(factors)) for s in self.segments)
+        turns = (replace(t, statistics=t.statistics.scaled(factors)) for t in self.turns)
+        walk = self.walk * factors
+        return replace(self, segments=tuple(segments), turns=tuple(turns), walk=walk)
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

@@ -114,18 +114,10 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
         (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
 
     """
-    evidence = found.equations.evidence
     plain = replace(found.equations, extra=found.scatter.stated, arriving=NO_ARRIVALS)
     state, sensors = found.state, found.equations.sensors
-    response = plain.model(state).gyro.response
-    free = np.zeros((len(plain.outputs), 3))
-    for attitude, rows in zip(evidence.attitudes(), plain.rows.rest[:, :3], strict=True):
-        free[rows] = response @ attitude.T
-    for turn, rows in zip(evidence.turns, plain.rows.turn, strict=True):
-        free[rows, 2] = response @ turn.up
-    free[plain.rows.move] = evidence.led.by_rate()
     factor = np.linalg.cholesky(plain.covariance(state))
-    free = scipy.linalg.solve_triangular(factor, free, lower=True)
+    free = scipy.linalg.solve_triangular(factor, plain.by_rate(state), lower=True)
     jacobian, left = plain.whitened(state)
     # The heading is one of the three that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)

@@ -61,6 +61,10 @@ class Statistics:
         timed = (self.time_error * self.mean) ** 2
         return np.asarray(walk**2 * self.walk_gain + self.quantum + timed)
 
+    def scaled(self, factors: Floats) -> Statistics:
+        """Return mean and quantisation multiplied by (6,) factors; the rest stays as it is."""
+        return replace(self, mean=self.mean * factors, quantum=self.quantum * factors**2)
+
     def retimed(self, pace: Pace) -> Statistics:
         """Return the same by the sample interval that all of a session tells."""
         if self.timing is None:

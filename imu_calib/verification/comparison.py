@@ -10,9 +10,9 @@ import numpy as np
 import scipy
 
 from ..earth import EARTH_RATE
-from ..methods.equations import whole
 from ..stream import Floats
-from .equations import Fit, Sensors, System, turning_inputs
+from .lengths import through
+from .system import Fit, System
 
 
 class Quantity(Enum):
@@ -56,92 +56,81 @@ class Compared:
     ratio: float
 
 
-def compare(system: System, sensors: Sensors, factor: Floats, fit: Fit) -> list[Compared]:
+def compare(system: System, values: Floats, factor: Floats, fit: Fit) -> list[Compared]:
     """Compare at every rest and every turn.
 
     Args:
         system: The session as one triad sees it.
-        sensors: The triad as the calibration has it.
-        factor: (p, k) of the covariance of its parameters.
-        fit: The world as it fits this calibration best: tilt and azimuth.
+        values: (p,) of the calibration's parameters.
+        factor: (p, k) of their covariance.
+        fit: What fits this calibration best: the tilt of the table.
 
     """
+    outputs, spread = system.outputs, system.spread(values)
+    found = system.sensors.compensated(values, outputs, system.forces)
+    covariances = _covariances(found, spread[: len(outputs)], factor)
     if not system.gyros:
-        return list(_forces(system, sensors, factor, fit))
-    return [*_rates(system, sensors, factor), *_turns(system, sensors, factor)]
+        return list(_forces(system, found[0], covariances, fit))
+    turns = _turns(system, values, factor, spread[len(outputs) :]) if system.evidence.turns else []
+    return [*_rates(system, found[0], covariances), *turns]
 
 
-def _compensated(
-    sensors: Sensors, factor: Floats, outputs: Floats, variances: Floats, forces: Floats
-) -> tuple[Floats, Floats]:
-    """Return the (m, 3) inputs that outputs mean, and their (m, 3, 3) covariances.
-
-    Source: Luo 2018, eqs. (2-190) to (2-193).
-    """
-    inputs = sensors.compensate(outputs, forces)
-    inverse = np.linalg.inv(sensors.slopes(inputs, forces))
-    jacobian = inverse @ sensors.jacobian(inputs, forces) @ factor
-    noise = np.einsum('mij,mj,mkj->mik', inverse, variances, inverse)
-    return inputs, noise + jacobian @ np.swapaxes(jacobian, 1, 2)
+def _covariances(found: tuple[Floats, Floats, Floats], spread: Floats, factor: Floats) -> Floats:
+    """Return the (m, 3, 3) covariances of what outputs mean: by themselves and by parameters."""
+    by_parameters = found[2] @ factor
+    return through(found[1], spread) + by_parameters @ np.swapaxes(by_parameters, 1, 2)
 
 
-def _forces(system: System, sensors: Sensors, factor: Floats, fit: Fit) -> Iterator[Compared]:
-    seen, g = system.observed, system.magnitude
-    force, covariance = _compensated(
-        sensors, factor, system.outputs, system.variances, system.forces
-    )
-    for rest, f, c in zip(seen.rests, force, covariance, strict=True):
+def _at_rest(system: System) -> Iterator[tuple[str, float]]:
+    """Name each rest, and say how long after the first it began, s."""
+    segments = system.evidence.segments
+    return ((str(s.position), (s.start - segments[0].start) * 1e-9) for s in segments)
+
+
+def _forces(system: System, forces: Floats, covariances: Floats, fit: Fit) -> Iterator[Compared]:
+    g, attitudes = system.magnitude, np.zeros((len(forces), 0, 0))
+    if system.up is None:
+        state = np.append(fit.delta, fit.unknown)
+        level = system.equations.surroundings(state).force[:2]
+        attitudes = system.evidence.attitudes()
+    for place, f, c, attitude in zip(_at_rest(system), forces, covariances, attitudes, strict=True):
         length = float(np.linalg.norm(f))
         std = float(np.sqrt(f @ c @ f)) / length
-        yield _one(rest.name, rest.at, Quantity.GRAVITY, length - g, std)
-        if rest.attitude is not None:
-            level = (rest.attitude @ f - fit.world.vector)[:2] / g
-            spread = (rest.attitude @ c @ rest.attitude.T)[:2, :2] / g**2
-            spread += seen.positioning**2 * np.eye(2)
-            yield _two(rest.name, rest.at, 0.0, Quantity.DIRECTION, level, spread)
+        yield _one(*place, Quantity.GRAVITY, length - g, std)
+        if len(attitude):
+            off = ((attitude @ f)[:2] - level) / g
+            across = (attitude @ c @ attitude.T)[:2, :2] / g**2
+            yield _two(*place, 0.0, Quantity.DIRECTION, off, across)
 
 
-def _rates(system: System, sensors: Sensors, factor: Floats) -> Iterator[Compared]:
-    seen = system.observed
-    rate, covariance = _compensated(
-        sensors, factor, system.outputs, system.variances, system.forces
-    )
-    ups = system.forces / seen.site.gravity
-    missed = (seen.positioning * seen.site.north_rate) ** 2
-    for rest, w, c, up in zip(seen.rests, rate, covariance, ups, strict=True):
+def _rates(system: System, rates: Floats, covariances: Floats) -> Iterator[Compared]:
+    up_rate, ups = system.evidence.site.up_rate, system.forces / system.evidence.site.gravity
+    for place, w, c, up in zip(_at_rest(system), rates, covariances, ups, strict=True):
         # Noise makes a vector longer: it is taken off the square.
         square = float(w @ w) - float(np.trace(c))
         spread = np.sqrt(4 * w @ c @ w + 2 * np.trace(c @ c))
         length = np.sqrt(max(square, 0.0))
         std = float(spread / (length + EARTH_RATE))
-        yield _one(rest.name, rest.at, Quantity.EARTH_RATE, length - EARTH_RATE, std)
-        std = float(np.sqrt(up @ c @ up + missed))
-        yield _one(rest.name, rest.at, Quantity.UP_RATE, float(w @ up) - seen.site.up_rate, std)
+        yield _one(*place, Quantity.EARTH_RATE, length - EARTH_RATE, std)
+        yield _one(*place, Quantity.UP_RATE, float(w @ up) - up_rate, float(np.sqrt(up @ c @ up)))
 
 
-def _turns(system: System, sensors: Sensors, factor: Floats) -> Iterator[Compared]:
-    seen = system.observed
-    if not seen.turns:
-        return
-    outputs = np.array([t.output for t in seen.turns]) * system.reading
-    ups, rates = np.array([t.up for t in seen.turns]), np.array([t.rate for t in seen.turns])
-    forces = ups * seen.site.gravity
-    along = ups * (rates + seen.site.up_rate)[:, None]
+def _turns(system: System, values: Floats, factor: Floats, spread: Floats) -> Iterator[Compared]:
+    turns, site, model = system.evidence.turns, system.evidence.site, system.sensors.model(values)
+    ups, rates = np.array([t.up for t in turns]), np.array([t.rate() for t in turns])
+    forces, along = ups * site.gravity, ups * (rates + site.up_rate)[:, None]
+    outputs = np.array([t.statistics.mean[:3] for t in turns])
     # What goes round with the unit leaves something in the mean of what is not linear.
-    meant = whole(sensors.predict(*turning_inputs(ups, rates, seen.site)))
-    outputs = outputs - (meant - sensors.predict(along, forces))
-    rate, covariance = _compensated(sensors, factor, outputs, system.turn_variances, forces)
-    for turn, w, c in zip(seen.turns, rate, covariance, strict=True):
-        known = np.hypot(turn.rate_error * system.inflation[1], seen.clock_std) * turn.rate
-        off = float(w @ turn.up) - seen.site.up_rate - turn.rate
-        std = float(np.sqrt(turn.up @ c @ turn.up + known**2)) * turn.duration
-        ratio = off * turn.duration / std
-        yield Compared(turn.name, np.nan, turn.rate, Quantity.TURN, off * turn.duration, std, ratio)
-        level = np.linalg.svd(turn.up[None])[2][1:]
-        total = turn.rate + seen.site.up_rate
-        spread = level @ c @ level.T / total**2 + seen.positioning**2 * np.eye(2)
-        axis = level @ w / total
-        yield _two(turn.name, np.nan, turn.rate, Quantity.TURN_AXIS, axis, spread)
+    beside = system.predicted(values)[-len(turns) :] - model.predict(along, forces)[0]
+    found = system.sensors.compensated(values, outputs - beside, forces)
+    covariances = _covariances(found, spread, factor)
+    for turn, rate, w, c in zip(turns, rates, found[0], covariances, strict=True):
+        place, seconds = str(turn.position), turn.statistics.duration
+        off = (float(w @ turn.up) - site.up_rate - rate) * seconds
+        std = float(np.sqrt(turn.up @ c @ turn.up)) * seconds
+        yield Compared(place, np.nan, rate, Quantity.TURN, off, std, off / std)
+        level = np.linalg.svd(turn.up[None])[2][1:] / (rate + site.up_rate)
+        yield _two(place, np.nan, rate, Quantity.TURN_AXIS, level @ w, level @ c @ level.T)
 
 
 def _one(name: str, at: float, quantity: Quantity, deviation: float, std: float) -> Compared:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from ..errors import NotObservable
-from ..model import TERMS, Parameter, ParameterKind, SensorModel, Term
+from ..model import TERMS, Parameter, ParameterKind, Term
 from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
-from .equations import Fit, Sensors, System
 from .hypotheses import Hypothesis, mistakes, share_in_words
+from .system import Fit, System
 
 _EXPLAINED = 1e-5
 _AS_GOOD = 6.0
@@ -84,9 +85,7 @@ def new_parameters(system: System) -> Fit:
 
     The outputs are taken as the recording describes them.
     """
-    own = replace(system, reading=1.0)
-    ideal = Sensors.of(SensorModel(), system.parameters, gyros=system.gyros)
-    return own.fit(ideal, _wide(system))
+    return replace(system, reading=1.0).fit(np.zeros(len(system.sensors.parameters)), _wide(system))
 
 
 def with_true_noise(system: System) -> System:
@@ -99,10 +98,9 @@ def with_true_noise(system: System) -> System:
         NotObservable: It scatters so much that no calibration can be judged by it.
 
     """
-    lengths_alone = not system.observed.with_attitudes
+    lengths_alone = system.up is not None
     if lengths_alone or new_parameters(system).spare < _ENOUGH:
-        imu = system.observed.imu
-        system = replace(system, wander=(imu.gyro if system.gyros else imu.accel).bias_instability)
+        system = replace(system, wander=system.spec.bias_instability)
     if lengths_alone:
         return system
     for _ in range(2):
@@ -110,15 +108,14 @@ def with_true_noise(system: System) -> System:
         if not _scatters(fit):
             break
         system = system.inflated(fit.ratios)
-    if system.gyros:
-        return system
-    sigma = float(np.sqrt(np.median(system.variances))) / system.reading
-    if sigma > _NO_SENSE * system.magnitude:
+    spread = system.spread(np.zeros(len(system.sensors.parameters)))
+    noise = np.sqrt(np.median(np.diagonal(spread, axis1=1, axis2=2))) / system.reading
+    if not system.gyros and noise > _NO_SENSE * system.magnitude:
         raise NotObservable(
             'No parameters whatever explain the accelerometers of this recording: plan, table, '
             'mounting or the description of the IMU are not those of the recording.'
         )
-    return system
+    return replace(system, seen=fit.unknown)
 
 
 def _with_missing_terms(system: System) -> Fit:
@@ -129,17 +126,12 @@ def _with_missing_terms(system: System) -> Fit:
     """
     without = fit = new_parameters(system)
     while _scatters(fit):
-        tried = [
-            (new_parameters(larger), larger)
-            for term in TERMS
-            if _lacks(system, term)
-            for larger in [replace(system, parameters=(*system.parameters, *term.parameters))]
-        ]
+        tried = [(new_parameters(larger), larger) for _, larger in _with_another(system)]
         if not tried:
             return without
         best, larger = min(tried, key=lambda one: one[0].square)
-        count = len(larger.parameters) - len(system.parameters)
-        left = best.freedom - len(larger.parameters)
+        count = len(larger.sensors.parameters) - len(system.sensors.parameters)
+        left = best.freedom - len(larger.sensors.parameters)
         # A few rests fit many a term, whatever is wrong with them.
         if left < 1 or best.spare < _ENOUGH:
             return without
@@ -154,26 +146,20 @@ def _scatters(fit: Fit) -> bool:
     return bool(scipy.special.chdtrc(max(fit.freedom, 1), fit.square) < _EXCESS)
 
 
-def diagnose(system: System, sensors: Sensors, factor: Floats) -> Diagnosis:
+def diagnose(system: System, values: Floats, factor: Floats) -> Diagnosis:
     """Try the candidate mistakes and name the one that explains the data.
 
     Args:
         system: The session as one triad sees it, with its true noise.
-        sensors: The triad as the calibration has it.
-        factor: (p, k) of the covariance of its parameters.
+        values: (p,) of the triad's parameters in the calibration.
+        factor: (p, k) of their covariance.
 
     """
     name = 'gyros' if system.gyros else 'accelerometers'
-    candidates = [*mistakes(sensors, gyros=system.gyros), *_readings(system, sensors)]
-    tried = [
-        _Tried(Diagnosis(h.why), h.when, fit)
-        for h in candidates
-        if (fit := _under(system, h, factor)) is not None
-    ]
-    tried += _freed(system, sensors, factor)
+    tried = [*_mistaken(system, values, factor), *_freed(system, values, factor)]
     good = [t for t in tried if t.fit.chance > _EXPLAINED]
     if not good:
-        return _another_unit(system, sensors, factor, name)
+        return _another_unit(system, values, factor, name)
     best = min(t.score() for t in good)
     first, *others = [t for t in good if t.score() < best + _AS_GOOD]
     text = f'The residuals of the {name} vanish when {first.when}. {first.diagnosis.symptom}'
@@ -182,147 +168,122 @@ def diagnose(system: System, sensors: Sensors, factor: Floats) -> Diagnosis:
     return replace(first.diagnosis, symptom=text)
 
 
-def _under(system: System, hypothesis: Hypothesis, factor: Floats) -> Fit | None:
-    reading = system.reading * hypothesis.reading
-    return _fit(replace(system, reading=reading), hypothesis.sensors, factor)
-
-
-def _fit(system: System, sensors: Sensors, factor: Floats) -> Fit | None:
+def _fit(system: System, values: Floats, factor: Floats) -> Fit | None:
     """Fit a hypothesis; None where it comes to a model without an inverse, which is no unit's.
 
     Six lengths hold nine parameters of a term by their prior alone: they go where they may.
     """
     try:
-        return system.fit(sensors, factor)
+        return system.fit(values, factor, _EXPLAINED)
     except (np.linalg.LinAlgError, NotObservable):
         return None
 
 
-def _readings(system: System, sensors: Sensors) -> list[Hypothesis]:
+def _mistaken(system: System, values: Floats, factor: Floats) -> Iterator[_Tried]:
+    """Take the file, or the outputs, for what they are not."""
+    for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
+        read = replace(system, reading=system.reading * mistake.reading)
+        if fit := _fit(read, mistake.values, factor):
+            yield _Tried(Diagnosis(mistake.why), mistake.when, fit)
+
+
+def _readings(system: System, values: Floats) -> Iterator[Hypothesis]:
     """Take the outputs for those of another scale: the recording's own, or any that fits."""
-    found = []
     if abs(system.reading - 1) > _ALL_BUT_ZERO:
-        found.append(
-            Hypothesis(
-                f'the outputs are read as the recording describes them ({system.observed.imu.id})',
-                'Units or nominal scale factor of the file are not those of the recording: '
-                f'it reads {system.reading:.6g} times too much.',
-                sensors,
-                1 / system.reading,
-            )
+        yield Hypothesis(
+            f'the outputs are read as the recording describes them ({system.observed.imu.id})',
+            'Units or nominal scale factor of the file are not those of the recording: '
+            f'it reads {system.reading:.6g} times too much.',
+            values,
+            1 / system.reading,
         )
-    if system.observed.with_attitudes:
-        rows = system.rows(
-            sensors, system.world, np.zeros((len(system.parameters), 1)), level_known=True
-        )
-        seen, expected = rows.outputs / rows.sigma, (rows.outputs - rows.residual) / rows.sigma
-        share = float(seen @ expected) / float(seen @ seen)
-    else:
-        length = np.linalg.norm(system.outputs - sensors.triad.bias, axis=1)
-        share = system.magnitude / float(np.median(length))
-    if not share > 0:
-        return found
-    if abs(share - 1) <= _FAR:
-        found.append(_all_alike(system, sensors, share))
-    else:
-        found.append(
-            Hypothesis(
-                f'the outputs are multiplied by {share:.5g}',
-                f'They are of another scale than the file says: '
-                f'{share_in_words(share, gyros=system.gyros)}.',
-                sensors,
-                share,
-            )
-        )
-    return found
+    share = system.share(values)
+    if share > 0:
+        yield Hypothesis(*_of_scale(system, share), values, share)
 
 
-def _all_alike(system: System, sensors: Sensors, share: float) -> Hypothesis:
-    """Take all three channels for wrong by one and the same small factor."""
+def _of_scale(system: System, share: float) -> tuple[str, str]:
+    """Say when outputs are multiplied by a share, and why: a small one is of all channels alike."""
+    if abs(share - 1) > _FAR:
+        words = share_in_words(share, gyros=system.gyros)
+        return (
+            f'the outputs are multiplied by {share:.5g}',
+            f'They are of another scale than the file says: {words}.',
+        )
     if system.gyros:
-        return Hypothesis(
+        return (
             f'all gyros answer {(1 / share - 1) / PPM:+.1f} ppm more',
             'The clock of the IMU, or the nominal scale factor, is not what it was.',
-            sensors,
-            share,
         )
-    return Hypothesis(
+    return (
         f'gravity is {system.magnitude / share:.5f} m/s^2 instead of {system.magnitude:.5f}',
         'Site, latitude, height or --gravity are not those of the recording, or not those of the '
         'calibration; or all accelerometers have changed alike.',
-        sensors,
-        share,
     )
 
 
-def _freed(system: System, sensors: Sensors, factor: Floats) -> list[_Tried]:
-    """Let go of some parameters, or of the mount: what has moved since the calibration."""
-    wide = _wide(system)
-    tried = []
-    mine = system.parameters
+def _freed(system: System, values: Floats, factor: Floats) -> Iterator[_Tried]:
+    """Let go of some parameters, of a term, or of the mount: what has moved since."""
+    mine = system.sensors.parameters
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
-        when, why = _FREED.get(kind) or _freed_term(kind)
         columns = [k for k, p in enumerate(mine) if p.kind is kind]
-        fit = _fit(system, sensors, np.hstack([factor, wide[:, columns]]))
-        if fit is None:
-            continue
-        moved = [Moved(mine[k], float(fit.delta[k]), float(fit.std[k])) for k in columns]
-        far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
-        tried.append(_Tried(Diagnosis(why, far), when, fit, len(columns)))
-    added = [_added(system, sensors, factor, term) for term in TERMS if _lacks(system, term)]
-    tried += [one for one in added if one is not None]
-    if system.observed.with_attitudes:
-        fit = system.fit(sensors, factor, mount_free=True)
-        angle = float(np.linalg.norm(fit.mounted))
-        if angle < _LARGEST_ROTATION:
-            about = ', '.join(
-                f'{v / ARCMIN:+.2f} arcmin about {axis}'
-                for v, axis in zip(fit.mounted, 'XYZ', strict=True)
-            )
-            why = 'It sits otherwise in its mount than when it was calibrated.'
-            tried.append(_Tried(Diagnosis(why), f'the unit is turned by {about}', fit, 3))
-    return tried
+        yield from _without(system, values, factor, columns, *_words(kind))
+    for term, larger in _with_another(system):
+        columns = list(range(len(mine), len(larger.sensors.parameters)))
+        when = f'{term.name} is in the model'
+        why = f'The calibration was made without it: calibrate with --terms {term.name}.'
+        yield from _without(larger, values, factor, columns, when, why)
+    if system.up is None:
+        # A large rotation is not linear: its minimum is always sought.
+        fit = replace(system, mount_free=True).fit(values, factor)
+        mounted = fit.unknown[-3:]
+        about = ', '.join(
+            f'{v / ARCMIN:+.2f} arcmin about {axis}' for v, axis in zip(mounted, 'XYZ', strict=True)
+        )
+        why = 'It sits otherwise in its mount than when it was calibrated.'
+        if np.linalg.norm(mounted) < _LARGEST_ROTATION:
+            yield _Tried(Diagnosis(why), f'the unit is turned by {about}', fit, 3)
 
 
-def _lacks(system: System, term: Term) -> bool:
-    of_gyros = term.triad == 'g'
-    return of_gyros is system.gyros and term.kind not in {p.kind for p in system.parameters}
+def _without(
+    system: System, values: Floats, factor: Floats, columns: list[int], when: str, why: str
+) -> Iterator[_Tried]:
+    """Let go of the parameters of some columns; those that the calibration lacks come last."""
+    more = len(system.sensors.parameters) - len(values)
+    freed = np.hstack([np.pad(factor, ((0, more), (0, 0))), _wide(system)[:, columns]])
+    if fit := _fit(system, np.pad(values, (0, more)), freed):
+        far = _far(system.sensors.parameters, fit, columns)
+        yield _Tried(Diagnosis(why, far), when, fit, len(columns))
 
 
-def _added(system: System, sensors: Sensors, factor: Floats, term: Term) -> _Tried | None:
-    """Add a term that the calibration was made without."""
-    parameters = (*system.parameters, *term.parameters)
-    larger = replace(system, parameters=parameters)
-    known, count = len(system.parameters), len(term.parameters)
-    wide = scipy.linalg.block_diag(factor, _wide(larger)[known:, known:])
-    fit = _fit(larger, replace(sensors, parameters=parameters), wide)
-    if fit is None:
-        return None
-    moved = [
-        Moved(p, float(d), float(s))
-        for p, d, s in zip(term.parameters, fit.delta[known:], fit.std[known:], strict=True)
-    ]
-    far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
-    why = f'The calibration was made without it: calibrate with --terms {term.name}.'
-    return _Tried(Diagnosis(why, far), f'{term.name} is in the model', fit, count)
+def _far(parameters: Sequence[Parameter], fit: Fit, columns: Sequence[int]) -> tuple[Moved, ...]:
+    """Return which of some parameters a fit sees elsewhere."""
+    moved = [Moved(parameters[k], float(fit.delta[k]), float(fit.std[k])) for k in columns]
+    return tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
 
 
-def _another_unit(system: System, sensors: Sensors, factor: Floats, name: str) -> Diagnosis:
+def _with_another(system: System) -> Iterator[tuple[Term, System]]:
+    """Return terms of the triad that the parameters lack, and the system with each."""
+    mine = system.sensors.parameters
+    for term in TERMS:
+        if (term.triad == 'g') is system.gyros and term.kind not in {p.kind for p in mine}:
+            larger = replace(system.sensors, parameters=(*mine, *term.parameters))
+            yield term, replace(system, sensors=larger)
+
+
+def _another_unit(system: System, values: Floats, factor: Floats, name: str) -> Diagnosis:
     """Compare with parameters fitted anew, since no single mistake explains the data."""
     fit = new_parameters(system)
-    file, mine = sensors.values, system.parameters
-    wide = np.diag(_wide(system))
-    determined = np.flatnonzero(fit.std < _DETERMINED * wide)
-    moved = []
-    for k in determined:
-        std = float(np.hypot(fit.std[k], np.linalg.norm(factor[k])))
-        moved.append(Moved(mine[k], float(fit.delta[k] - file[k]), std))
-    far = tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
-    if len(far) >= _HALF * len(moved):
+    determined = np.flatnonzero(fit.std < _DETERMINED * np.diag(_wide(system)))
+    beside = replace(
+        fit, delta=fit.delta - values, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1))
+    )
+    far = _far(system.sensors.parameters, beside, determined.tolist())
+    if len(far) >= _HALF * len(determined):
         return Diagnosis(
             f'No single mistake explains the {name}, other parameters do: {len(far)} of the '
-            f"{len(moved)} that the session tells are off. The calibration is another unit's, or "
-            'the unit is not what it was.',
+            f"{len(determined)} that the session tells are off. The calibration is another unit's, "
+            'or the unit is not what it was.',
             far,
         )
     return Diagnosis(
@@ -332,7 +293,7 @@ def _another_unit(system: System, sensors: Sensors, factor: Floats, name: str) -
 
 def _wide(system: System) -> Floats:
     """Return a prior that says little, (p, p): standard deviations of any unit's parameters."""
-    return np.diag([_width(p) for p in system.parameters])
+    return np.diag([_width(p) for p in system.sensors.parameters])
 
 
 def _width(parameter: Parameter) -> float:
@@ -343,6 +304,7 @@ def _width(parameter: Parameter) -> float:
     return parameter.unit.limit or _WIDE
 
 
-def _freed_term(kind: ParameterKind) -> tuple[str, str]:
-    words = kind.value.words
-    return f'the {words} is another', 'It has moved, or is that of another unit.'
+def _words(kind: ParameterKind) -> tuple[str, str]:
+    """Say when parameters of a kind are let go of, and why."""
+    other = f'the {kind.value.words} is another', 'It has moved, or is that of another unit.'
+    return _FREED.get(kind, other)

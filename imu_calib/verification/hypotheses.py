@@ -8,10 +8,10 @@ from itertools import permutations, product
 
 import numpy as np
 
-from ..model import AXES, G_SENSITIVITY, Triad, terms_of
+from ..model import AXES, G_SENSITIVITY, Triad, positions, terms_of
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
-from .equations import Sensors
+from .lengths import Sensors
 
 _BIAS_UNITS = {
     True: {'deg/s': DEG, 'deg/h': DEG_H, 'rad/h': 1 / 3600},
@@ -31,172 +31,170 @@ _SHARES = {
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A mistake, and the model as it would be without it.
+    """A mistake, and the parameters as they would be without it.
 
     Attributes:
         when: Ends the sentence 'the residuals vanish when'.
         why: What must then have happened, a sentence.
-        sensors: The model without the mistake.
+        values: (p,) of the triad's parameters without the mistake.
         reading: Factor on the outputs that goes with it.
 
     """
 
     when: str
     why: str
-    sensors: Sensors
+    values: Floats
     reading: float = 1.0
 
 
-def mistakes(sensors: Sensors, *, gyros: bool) -> Iterator[Hypothesis]:
+def mistakes(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
     """List what people do to a calibration file, the likely first.
 
     Args:
-        sensors: The triad as the file has it.
-        gyros: Gyros or accelerometers.
+        sensors: Gyros or accelerometers.
+        values: (p,) of their parameters in the file.
 
     """
-    yield from _matrices(sensors, gyros=gyros)
-    yield from _terms(sensors)
-    yield from _biases(sensors)
-    yield from _units(sensors, gyros=gyros)
-    yield from _axes(sensors)
+    for found in (_matrices, _terms, _biases, _units, _axes):
+        yield from found(sensors, values)
 
 
-def _with(sensors: Sensors, matrix: Floats | None = None, bias: Floats | None = None) -> Sensors:
-    triad = sensors.triad
-    return sensors.with_triad(
-        Triad(
-            triad.error_matrix if matrix is None else matrix,
-            triad.bias if bias is None else bias,
-        )
-    )
+def _but(values: Floats, matrix: Floats | None = None, bias: Floats | None = None) -> Floats:
+    """Return the parameters with another error matrix or other biases."""
+    triad = Triad.from_vector(values)
+    matrix = triad.error_matrix if matrix is None else matrix
+    changed = Triad(matrix, triad.bias if bias is None else bias).vector()
+    return np.append(changed, values[len(changed) :])
 
 
-def _matrices(sensors: Sensors, *, gyros: bool) -> Iterator[Hypothesis]:
-    name = f'{"gyro" if gyros else "accelerometer"} error matrix'
-    matrix = sensors.triad.error_matrix
-    diagonal = np.diag(np.diag(matrix))
-    cross = matrix - diagonal
-    yield Hypothesis(
-        f'the {name} is transposed',
-        'The matrix was written or applied the wrong way round: row is the channel, column the '
-        'input axis.',
-        _with(sensors, matrix.T),
-    )
-    yield Hypothesis(
-        f'the {name} has the opposite sign',
-        'The matrix of the correction stands for that of the error, or the inverse was left out.',
-        _with(sensors, -matrix),
-    )
-    yield Hypothesis(
-        'the misalignments have the opposite sign',
-        'Their sign is that of another convention: here they are the response of a channel to '
-        'another axis.',
-        _with(sensors, diagonal - cross),
-    )
-    yield Hypothesis(
-        'the scale-factor errors have the opposite sign',
-        'They are deviations of the scale factor (rad per pulse), not of the response.',
-        _with(sensors, cross - diagonal),
-    )
-    yield Hypothesis(
-        f'the {name} has the opposite sign and is transposed',
-        'The matrix of the correction was written the wrong way round.',
-        _with(sensors, -matrix.T),
-    )
+def _parts(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the error matrix, its diagonal, what is beside that, and the biases."""
+    triad = Triad.from_vector(values)
+    diagonal = np.diag(np.diag(triad.error_matrix))
+    return triad.error_matrix, diagonal, triad.error_matrix - diagonal, triad.bias
 
 
-def _terms(sensors: Sensors) -> Iterator[Hypothesis]:
+def _matrices(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
+    name = f'{"gyro" if sensors.gyros else "accelerometer"} error matrix'
+    matrix, diagonal, cross, _ = _parts(values)
+    for when, why, changed in (
+        (
+            f'the {name} is transposed',
+            'The matrix was written or applied the wrong way round: row is the channel, column '
+            'the input axis.',
+            matrix.T,
+        ),
+        (
+            f'the {name} has the opposite sign',
+            'The matrix of the correction stands for that of the error, or the inverse was left '
+            'out.',
+            -matrix,
+        ),
+        (
+            'the misalignments have the opposite sign',
+            'Their sign is that of another convention: here they are the response of a channel to '
+            'another axis.',
+            diagonal - cross,
+        ),
+        (
+            'the scale-factor errors have the opposite sign',
+            'They are deviations of the scale factor (rad per pulse), not of the response.',
+            cross - diagonal,
+        ),
+        (
+            f'the {name} has the opposite sign and is transposed',
+            'The matrix of the correction was written the wrong way round.',
+            -matrix.T,
+        ),
+    ):
+        yield Hypothesis(when, why, _but(values, changed))
+
+
+def _terms(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
     for term in terms_of(sensors.parameters):
-        values = sensors.model.values(term.parameters)
-        if not values.any():
+        mine = positions(term.parameters, sensors.parameters)
+        own = values[mine]
+        if not own.any():
             continue
-        changes = [('has the opposite sign', -values), ('is left out', np.zeros_like(values))]
+        changes = [('has the opposite sign', -own), ('is left out', np.zeros_like(own))]
         if term is G_SENSITIVITY:
-            changes.insert(0, ('is transposed', values.reshape(3, 3).T.ravel()))
+            changes.insert(0, ('is transposed', own.reshape(3, 3).T.ravel()))
         for when, changed in changes:
-            yield Hypothesis(
-                f'the {term.kind.value.words} {when}',
-                'It was written or applied in another convention.',
-                sensors.with_values(term.parameters, changed),
-            )
+            without = values.copy()
+            without[mine] = changed
+            why = 'It was written or applied in another convention.'
+            yield Hypothesis(f'the {term.kind.value.words} {when}', why, without)
 
 
-def _biases(sensors: Sensors) -> Iterator[Hypothesis]:
-    bias = sensors.triad.bias
+def _biases(_: Sensors, values: Floats) -> Iterator[Hypothesis]:
+    why = 'The bias is what the channel shows too much: it is subtracted, not added.'
     for signs in product((1.0, -1.0), repeat=3):
         turned = [AXES[i] for i in range(3) if signs[i] < 0]
-        if not turned:
-            continue
         which = 'biases have' if len(turned) == 3 else f'bias of {" and ".join(turned)} has'
-        yield Hypothesis(
-            f'the {which} the opposite sign',
-            'The bias is what the channel shows too much: it is subtracted, not added.',
-            _with(sensors, bias=bias * np.array(signs)),
-        )
+        if turned:
+            changed = _but(values, bias=_parts(values)[3] * np.array(signs))
+            yield Hypothesis(f'the {which} the opposite sign', why, changed)
 
 
-def _units(sensors: Sensors, *, gyros: bool) -> Iterator[Hypothesis]:
-    triad = sensors.triad
-    diagonal = np.diag(np.diag(triad.error_matrix))
-    cross = triad.error_matrix - diagonal
-    si = 'rad/s' if gyros else 'm/s^2'
-    for unit, size in _BIAS_UNITS[gyros].items():
-        yield _of_unit('the biases', unit, si, _with(sensors, bias=triad.bias * size))
-        yield _of_unit('the biases', si, unit, _with(sensors, bias=triad.bias / size))
+def _units(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
+    _, diagonal, cross, bias = _parts(values)
+    si = 'rad/s' if sensors.gyros else 'm/s^2'
+    for unit, size in _BIAS_UNITS[sensors.gyros].items():
+        for words, by in _both_ways(unit, si, size):
+            yield _of_unit('the biases', words, _but(values, bias=bias * by))
     for unit, size in _ANGLE_UNITS.items():
-        for factor, words in ((size, (unit, 'radians')), (1 / size, ('radians', unit))):
-            yield _of_unit('the misalignments', *words, _with(sensors, diagonal + cross * factor))
+        for words, by in _both_ways(unit, 'radians', size):
+            yield _of_unit('the misalignments', words, _but(values, diagonal + cross * by))
     for unit, size in _RATIO_UNITS.items():
-        for factor, words in ((size, (unit, 'ratios')), (1 / size, ('ratios', unit))):
-            changed = _with(sensors, diagonal * factor + cross)
-            yield _of_unit('the scale-factor errors', *words, changed)
+        for words, by in _both_ways(unit, 'ratios', size):
+            yield _of_unit('the scale-factor errors', words, _but(values, diagonal * by + cross))
 
 
-def _of_unit(what: str, found: str, expected: str, sensors: Sensors) -> Hypothesis:
-    return Hypothesis(
-        f'{what} are read as {found}',
-        f'They are in {found} where {expected} are expected.',
-        sensors,
-    )
+def _both_ways(unit: str, si: str, size: float) -> tuple[tuple[tuple[str, str], float], ...]:
+    return ((unit, si), size), ((si, unit), 1 / size)
 
 
-def _axes(sensors: Sensors) -> Iterator[Hypothesis]:
-    triad = sensors.triad
+def _of_unit(what: str, words: tuple[str, str], values: Floats) -> Hypothesis:
+    found, expected = words
+    why = f'They are in {found} where {expected} are expected.'
+    return Hypothesis(f'{what} are read as {found}', why, values)
+
+
+def _axes(_: Sensors, values: Floats) -> Iterator[Hypothesis]:
+    matrix, _diagonal, _cross, bias = _parts(values)
+    response = np.eye(3) + matrix
     for order in permutations(range(3)):
         p = np.eye(3)[list(order)]
-        if order != (0, 1, 2):
-            moved = [i for i in range(3) if order[i] != i]
-            which = ', '.join(f'{AXES[order[i]]} for {AXES[i]}' for i in moved)
+        exchanged = [i for i in range(3) if order[i] != i]
+        if exchanged:
+            which = ', '.join(f'{AXES[order[i]]} for {AXES[i]}' for i in exchanged)
             yield Hypothesis(
                 f'the axes of the file change places ({which})',
                 'Parameters stand under the names of other axes.',
-                _with(sensors, p @ triad.error_matrix @ p.T, p @ triad.bias),
+                _but(values, p @ matrix @ p.T, p @ bias),
             )
             yield Hypothesis(
                 f'the biases change places ({which})',
                 'Biases stand under the names of other axes.',
-                _with(sensors, bias=p @ triad.bias),
+                _but(values, bias=p @ bias),
             )
         for signs in product((1.0, -1.0), repeat=3):
             s = np.array(signs)[:, None] * p
             if np.array_equal(s, np.eye(3)):
                 continue
-            words = _channel_words(s)
-            reversed_ = all(order[i] == i for i in range(3))
-            what = 'reversed' if reversed_ else 'exchanged or reversed'
+            words = f'{"exchanged or " if exchanged else ""}reversed ({_channel_words(s)})'
             yield Hypothesis(
-                f'channels are {what} ({words})',
+                f'channels are {words}',
                 'The driver, or the file, has the channels in another order or sense.',
-                _with(sensors, s @ triad.response - np.eye(3), s @ triad.bias),
+                _but(values, s @ response - np.eye(3), s @ bias),
             )
             yield Hypothesis(
-                f'input axes are {what} ({words})',
+                f'input axes are {words}',
                 'The unit sits otherwise in its mount than when it was calibrated, or the columns '
                 'of the matrix stand for other axes.'
                 if np.linalg.det(s) > 0
                 else 'A column of the matrix has the wrong sign, or the axes are mirrored.',
-                _with(sensors, triad.response @ s - np.eye(3)),
+                _but(values, response @ s - np.eye(3)),
             )
 
 

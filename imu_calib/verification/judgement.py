@@ -22,8 +22,9 @@ from ..stream import Floats
 from ..units import DEG
 from .comparison import Compared, compare
 from .diagnosis import Diagnosis, diagnose, with_true_noise
-from .equations import Fit, Leaning, Sensors, System, of_triad
+from .lengths import Sensors, Up, noise_at_rest
 from .observed import Observed
+from .system import Fit, System, factor_of
 
 DOUBT, REJECTION = 1e-2, 1e-6
 """Chances of a false alarm in a session of sound data."""
@@ -97,9 +98,9 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
     # What has no inverse is refused here, in words.
     calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
     trials = [_Trial.of(calibration, observed, gyros=True)]
-    if calibration.has_accelerometers and observed.rests:
+    if calibration.has_accelerometers and observed.evidence.segments:
         trials.append(_Trial.of(calibration, observed, gyros=False))
-    compared = [c for t in trials for c in compare(t.system, t.sensors, t.factor, t.fit)]
+    compared = [c for t in trials for c in compare(t.system, t.values, t.factor, t.fit)]
     limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
     return Verification(
         tuple(trial.judge(compared, limits) for trial in trials),
@@ -125,14 +126,14 @@ def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
             'Attitudes are unknown: lengths are compared, and the rate along gravity. Axes that '
             'changed places and a matrix that was transposed hardly show in them.'
         )
-    elif not observed.turns:
+    elif not observed.evidence.turns:
         notes.append(
             'No turns by an encoder: scale factors and misalignments of the gyros show in the '
             'Earth rate alone.'
         )
     if not calibration.has_accelerometers:
         notes.append('The accelerometers were not calibrated: they are not verified.')
-    elif not observed.rests:
+    elif not observed.evidence.segments:
         notes.append('The recording has turns alone: the accelerometers are not verified.')
     if calibration.model.skewed is not None:
         notes.append('The skewed gyro is not verified.')
@@ -144,27 +145,20 @@ class _Trial:
     """One triad of a calibration against one session."""
 
     system: System
-    sensors: Sensors
+    values: Floats
     factor: Floats
     fit: Fit
 
     @classmethod
     def of(cls, calibration: Calibration, observed: Observed, *, gyros: bool) -> _Trial:
-        reading = observed.reading(calibration.imu)
-        system = with_true_noise(
-            System(
-                observed,
-                gyros,
-                reading[0] if gyros else reading[1],
-                _forces(calibration, observed, reading[1]),
-                of_triad(calibration.parameters, gyros=gyros),
-            )
-        )
-        sensors = Sensors.of(calibration.model, calibration.parameters, gyros=gyros)
+        sensors = Sensors.of(calibration.parameters, gyros=gyros)
+        system = System(observed, sensors, observed.reading(calibration.imu)[0 if gyros else 1])
+        if not observed.with_attitudes:
+            system = replace(system, up=_up(calibration, observed))
+        system = with_true_noise(system)
         factor = _factor(calibration, system)
-        if gyros and calibration.has_accelerometers and not observed.with_attitudes:
-            system = replace(system, leaning=_leaning(calibration, system))
-        return cls(system, sensors, factor, system.fit(sensors, factor))
+        values = calibration.model.values(sensors.parameters)
+        return cls(system, values, factor, system.fit(values, factor))
 
     @property
     def name(self) -> str:
@@ -192,46 +186,34 @@ class _Trial:
             verdict = Verdict.FAIL
         diagnosis = None
         if verdict is Verdict.FAIL:
-            diagnosis = diagnose(self.system, self.sensors, self.factor)
+            diagnosis = diagnose(self.system, self.values, self.factor)
         return Judged(self.system.gyros, verdict, self.fit.square, self.fit.freedom, diagnosis)
 
 
-def _forces(calibration: Calibration, observed: Observed, reading: float) -> Floats:
-    """Return the specific forces at rest: by attitude, or else by the accelerometers, (s, 3)."""
-    if observed.with_attitudes:
-        up = np.array([r.attitude[2] for r in observed.rests if r.attitude is not None])
-        return np.asarray(up.reshape(-1, 3) * observed.site.gravity)
-    raw = np.array([r.output for r in observed.rests])
-    _, force = calibration.model.compensate(raw[:, :3], raw[:, 3:] * reading)
-    return np.asarray(force * (observed.site.gravity / np.linalg.norm(force, axis=1))[:, None])
-
-
-def _leaning(calibration: Calibration, system: System) -> Leaning:
-    """Return how far off the directions of up are where they are those of the accelerometers."""
-    reading = system.observed.reading(calibration.imu)[1]
-    mine = of_triad(calibration.parameters, gyros=False)
-    beside = replace(system, gyros=False, reading=reading, parameters=mine)
-    return Leaning.of(
-        Sensors.of(calibration.model, calibration.parameters, gyros=False),
-        _factor(calibration, beside),
-        system.forces,
-        beside.variances,
+def _up(calibration: Calibration, observed: Observed) -> Up:
+    """Return what the accelerometers of a calibration show of up."""
+    accels = System(
+        observed,
+        Sensors.of(calibration.parameters, gyros=False),
+        observed.reading(calibration.imu)[1],
     )
+    values, gravity = calibration.model.values(accels.sensors.parameters), accels.magnitude
+    noise = noise_at_rest(accels.evidence.variances()[:, 3:], gravity)
+    factor = np.zeros((len(values), 0))
+    if calibration.has_accelerometers:
+        factor = _factor(calibration, accels)
+    found = accels.sensors.compensated(values, accels.outputs, accels.outputs)
+    return Up.of(found, noise, factor, gravity)
 
 
 def _factor(calibration: Calibration, system: System) -> Floats:
     """Return a factor of the parameters' covariance, bias instability and gravity included."""
-    mine = positions(system.parameters, calibration.parameters)
-    covariance = _with_both_gravities(calibration, system.observed.site)[np.ix_(mine, mine)]
-    spec = system.observed.imu.gyro if system.gyros else system.observed.imu.accel
-    bias = [k for k, p in enumerate(system.parameters) if p.kind is ParameterKind.BIAS]
-    covariance[bias, bias] += spec.bias_instability**2
-    given = np.sqrt(np.diag(covariance))
-    size = np.where(given > 0, given, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    # A matrix of 64-bit numbers holds its eigenvalues to so much: what is smaller is not zero.
-    rounding = len(values) * np.finfo(float).eps * values.max(initial=0.0)
-    return np.asarray(given[:, None] * vectors * np.sqrt(np.maximum(values, rounding)))
+    parameters = system.sensors.parameters
+    mine = positions(parameters, calibration.parameters)
+    covariance = _with_both_gravities(calibration, system.evidence.site)[np.ix_(mine, mine)]
+    bias = [k for k, p in enumerate(parameters) if p.kind is ParameterKind.BIAS]
+    covariance[bias, bias] += system.spec.bias_instability**2
+    return factor_of(covariance)
 
 
 def _with_both_gravities(calibration: Calibration, site: Site) -> Floats:

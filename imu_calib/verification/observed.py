@@ -1,4 +1,4 @@
-"""What a recording offers to hold a calibration against: rests and turns, with their noise."""
+"""What a recording offers to hold a calibration against."""
 
 from __future__ import annotations
 
@@ -9,58 +9,14 @@ import numpy as np
 from ..earth import Site
 from ..errors import NotObservable
 from ..imu import ImuSpec, TriadSpec
-from ..methods.evidence import Evidence, noise
+from ..methods.evidence import Evidence
 from ..methods.timebase import in_table_time
 from ..plan import Plan
 from ..segmentation.labelling import label
 from ..segmentation.session import Segmented
 from ..stamping import StampingClock
-from ..stream import Floats, Units
+from ..stream import Units
 from ..turntable import Table
-
-
-@dataclass(frozen=True, eq=False)
-class Rest:
-    """A stretch at rest.
-
-    Attributes:
-        name: Position of the plan, attitude, or a number.
-        at: When it began, s after the first.
-        output: (6,) mean output, rad/s and m/s^2 by the recording's own description of the IMU.
-        variance: (6,) its variance.
-        attitude: (3, 3) R_nb in east, north, up of the table's azimuth; None where unknown.
-
-    """
-
-    name: str
-    at: float
-    output: Floats
-    variance: Floats
-    attitude: Floats | None
-
-
-@dataclass(frozen=True, eq=False)
-class Spin:
-    """Whole turns about the vertical, measured by an encoder.
-
-    Attributes:
-        name: Position of the plan, axis that is up, or a number.
-        output: (3,) mean gyro output, rad/s.
-        variance: (3,) its variance.
-        up: (3,) up in body axes.
-        rate: By the encoder, about up, rad/s of the IMU's clock.
-        duration: s.
-        rate_error: Standard deviation of the encoder's rate, relative.
-
-    """
-
-    name: str
-    output: Floats
-    variance: Floats
-    up: Floats
-    rate: float
-    duration: float
-    rate_error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,32 +24,27 @@ class Observed:
     """A session to be held against a calibration.
 
     Attributes:
-        rests: Stretches at rest, in order.
-        turns: Whole turns, in order; none where attitudes are unknown.
-        site: Gravity and Earth rate.
+        evidence: Rests and turns by name; without attitudes and turns where nobody tells those.
         imu: How the recording describes its IMU.
         sample_rate: Samples per second, Hz.
-        north_known: Whether the attitudes are against north.
-        positioning: Standard deviation of an arrival of the table, rad; 0 when not stated.
-        clock_std: Of the rate between the clocks of table and IMU, relative.
         notes: What was left out, in sentences.
 
     """
 
-    rests: tuple[Rest, ...]
-    turns: tuple[Spin, ...]
-    site: Site
+    evidence: Evidence
     imu: ImuSpec
     sample_rate: float
-    north_known: bool
-    positioning: float
-    clock_std: float
     notes: tuple[str, ...] = ()
+
+    @property
+    def site(self) -> Site:
+        """Gravity and Earth rate."""
+        return self.evidence.site
 
     @property
     def with_attitudes(self) -> bool:
         """Whether directions can be compared, or lengths alone."""
-        return all(rest.attitude is not None for rest in self.rests)
+        return all(s.attitude is not None for s in self.evidence.segments)
 
     def reading(self, spec: ImuSpec) -> tuple[float, float]:
         """Return by what the outputs are to be multiplied to be read as another description does.
@@ -150,77 +101,43 @@ def observe(
             f'Neither rests nor whole turns were found in {session.samples} IMU samples '
             f'({session.duration:.0f} s): nothing can be compared.'
         )
-    walk = noise(labelled.segments, imu)
+    # A plan of turns alone names no rests.
+    timed = [s.statistics for s in labelled.segments or labelled.turns]
+    sample_rate = float(np.median([s.samples / s.duration for s in timed]))
     # The attitudes of a plan that a person holds by hand are good to degrees, no more.
     known = not plan.by_hand and all(s.attitude is not None for s in labelled.segments)
-    evidence = Evidence(
-        labelled.segments,
-        labelled.turns,
-        plan,
-        site,
-        session.clock,
-        None,
-        walk,
-        units=imu.units,
-    )
-    evidence, faster = _by_the_clock_of(clock, evidence)
-    start = labelled.segments[0].start if labelled.segments else 0
-    rests = tuple(
-        Rest(
-            segment.position or str(k + 1),
-            (segment.start - start) * 1e-9,
-            segment.statistics.mean,
-            segment.variance(walk, site.gravity),
-            segment.attitude if known else None,
-        )
-        for k, segment in enumerate(evidence.segments)
+    segments = tuple(
+        replace(s, position=s.position or str(k + 1), attitude=s.attitude if known else None)
+        for k, s in enumerate(labelled.segments)
     )
     turns = tuple(
-        Spin(
-            turn.position or str(k + 1),
-            turn.statistics.mean[:3],
-            turn.variance(walk, site.north_rate),
-            turn.up,
-            turn.rate() / faster,
-            turn.statistics.duration,
-            turn.rate_error,
-        )
-        for k, turn in enumerate(evidence.turns)
-        if known
+        replace(t, position=t.position or str(k + 1)) for k, t in enumerate(labelled.turns)
     )
-    # A plan of turns alone names no rests.
-    rates = [
-        s.statistics.samples / s.statistics.duration for s in labelled.segments or labelled.turns
-    ]
-    return Observed(
-        rests,
-        turns,
-        site,
-        imu,
-        float(np.median(rates)),
-        north_known=table is not None and table.azimuth is not None,
-        positioning=table.positioning if table is not None else 0.0,
-        clock_std=evidence.turns_clock_std,
-        notes=(*labelled.notes, *session.losses),
-    )
+    named = replace(labelled, segments=segments, turns=turns)
+    # What the gyros saw between rests is not compared.
+    resting = replace(session, moves=())
+    evidence = _by_the_clock_of(clock, Evidence.of(named, resting, plan, imu, site, table))
+    evidence = evidence if known else replace(evidence, turns=())
+    return Observed(evidence, imu, sample_rate, (*labelled.notes, *session.losses))
 
 
-def _by_the_clock_of(clock: StampingClock | None, evidence: Evidence) -> tuple[Evidence, float]:
-    """Return a session by the clock by which a calibration is, and what its turns' rates need.
+def _by_the_clock_of(clock: StampingClock | None, evidence: Evidence) -> Evidence:
+    """Return a session by the clock by which a calibration is.
 
     A calibration that knows the ratio is by the table's clock, and so is a session that tells it;
     one that does not tell is stamped by the same clock. Other calibrations of pulses are by the
-    clock of the stamps, for which the table's rates are to be divided by the ratio.
-
-    Returns:
-        The session, and the divisor.
-
+    clock of the stamps, which finds that the table's turns take longer.
     """
-    if clock is None:
-        pulses = evidence.units is Units.PULSES
-        return evidence, 1 + evidence.clock_rate()[0] if pulses else 1.0
-    if not evidence.clocks_compared:
-        # Weighed with what quartz may differ by, the ratio would come out smaller.
-        known = replace(evidence.clock, rate=clock.faster, rate_std=0.0)
-        evidence = replace(evidence, clock=known)
-    return in_table_time(evidence), 1.0
+    if clock is not None:
+        if not evidence.clocks_compared:
+            # Weighed with what quartz may differ by, the ratio would come out smaller.
+            known = replace(evidence.clock, rate=clock.faster, rate_std=0.0)
+            evidence = replace(evidence, clock=known)
+        return in_table_time(evidence)
+    if evidence.units is not Units.PULSES:
+        return evidence
+    faster = 1 + evidence.clock_rate()[0]
+    turns = (
+        t if t.seconds is None else replace(t, seconds=t.seconds * faster) for t in evidence.turns
+    )
+    return replace(evidence, turns=tuple(turns))

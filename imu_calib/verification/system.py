@@ -1,0 +1,337 @@
+"""A session as one triad sees it: which errors of a model's parameters explain what was read.
+
+    left = jacobian d + unknown x + noise,    d ~ (0, factor factor'),    x by its own prior
+
+With attitudes the equations are those of the joint estimate, a triad's rows of them; unknown are
+its nuisances. Source: docs/mathematics.md, 'Verification'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..budget import Source
+from ..earth import EARTH_RATE
+from ..errors import NotObservable
+from ..imu import TriadSpec
+from ..methods.components import Component, Diagonal
+from ..methods.converge import least_squares
+from ..methods.equations import Equations, Nuisance
+from ..methods.evidence import Evidence
+from ..methods.information import Information
+from ..methods.path import rotations
+from ..methods.rows import Indices
+from ..model import Triad
+from ..stream import Floats
+from .lengths import Sensors, Up, compare_lengths, noise_at_rest
+from .observed import Observed
+
+_ROUNDS = 30
+"""Most steps of a fit. Near the minimum three do; what needs more fits nothing."""
+
+_TOO_FEW = 2.0
+"""Degrees of freedom up to which residuals tell nothing of the noise."""
+
+_ANY_TILT = 0.1
+"""rad: a table that stands as it may. Accelerometers say how."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What is left when errors of the parameters within their deviations are allowed for.
+
+    Attributes:
+        square: Chi-square.
+        freedom: Its degrees of freedom.
+        delta: (p,) the parameters' likely errors.
+        std: (p,) their standard deviations.
+        unknown: (u,) what else the session shows: `Nuisance`, and where it was asked for a small
+            rotation in the mount, rad; nothing without attitudes.
+        ratios: Squared residual over its expectation: of rests, and of turns (1 without).
+        spare: How many residuals at rest are left to tell by, beyond what was estimated.
+
+    """
+
+    square: float
+    freedom: int
+    delta: Floats
+    std: Floats
+    unknown: Floats
+    ratios: tuple[float, float]
+    spare: float
+
+    @property
+    def chance(self) -> float:
+        """Probability of a chi-square so large where all is well."""
+        return float(scipy.special.chdtrc(self.freedom, self.square)) if self.freedom > 0 else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """The equations of one triad in one session.
+
+    Attributes:
+        observed: The session.
+        sensors: Gyros or accelerometers.
+        reading: Factor by which the outputs are to be multiplied.
+        up: By the accelerometers; None where attitudes tell it.
+        inflation: Factors on the noise of rests and of turns.
+        wander: Standard deviation of the biases from rest to rest, rad/s or m/s^2.
+        seen: The unknowns that the session shows whatever the parameters, to begin with; None
+            before that is known.
+        mount_free: Whether the unit may sit otherwise in its mount, by a small rotation.
+
+    """
+
+    observed: Observed
+    sensors: Sensors
+    reading: float = 1.0
+    up: Up | None = None
+    inflation: tuple[float, float] = (1.0, 1.0)
+    wander: float = 0.0
+    seen: Floats | None = None
+    mount_free: bool = False
+
+    @property
+    def gyros(self) -> bool:
+        """Which."""
+        return self.sensors.gyros
+
+    @property
+    def magnitude(self) -> float:
+        """Earth rate or gravity, SI."""
+        return EARTH_RATE if self.gyros else self.observed.evidence.site.gravity
+
+    @property
+    def spec(self) -> TriadSpec:
+        """How the recording describes the triad."""
+        return self.observed.imu.gyro if self.gyros else self.observed.imu.accel
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """The session as it is read."""
+        factors = np.ones(6)
+        factors[self.sensors.channels] = self.reading
+        return self.observed.evidence.read_as(factors)
+
+    @cached_property
+    def outputs(self) -> Floats:
+        """(s, 3) at rest, as they are read."""
+        return self.evidence.outputs()[:, self.sensors.channels]
+
+    @property
+    def forces(self) -> Floats:
+        """(s, 3) specific forces at rest in body axes, m/s^2."""
+        if self.up is not None:
+            return self.up.forces
+        return self.evidence.attitudes()[:, 2] * self.evidence.site.gravity
+
+    @cached_property
+    def equations(self) -> Equations:
+        """Those of the joint estimate, where attitudes are known."""
+        biases = np.zeros(len(self.evidence.rows))
+        biases[self.evidence.rows.rest] = (self.wander * self.reading) ** 2
+        return Equations(
+            self.evidence,
+            self.sensors.parameters,
+            levelled=None if self.gyros else _ANY_TILT,
+            extra=(Component(Source.BIAS_STATED, Diagonal(biases)),),
+        )
+
+    @cached_property
+    def _mine(self) -> Indices:
+        """Which of these are the triad's: those at rest, then those of turns."""
+        return self.equations.rows.gyros if self.gyros else self.equations.rows.accels
+
+    @cached_property
+    def _turning(self) -> NDArray[np.bool_]:
+        """Which of the triad's equations are of turns, (m,)."""
+        if self.up is not None:
+            return np.zeros(len(self.outputs) * (2 if self.gyros else 1), dtype=bool)
+        return self._mine >= self.evidence.rows.rest.size
+
+    @property
+    def _widened(self) -> Floats:
+        return np.where(self._turning, self.inflation[1], self.inflation[0])
+
+    @cached_property
+    def _known(self) -> Floats:
+        """Of nuisances what is known beforehand, (u,), as far as lengths have any."""
+        return np.zeros(0) if self.up is not None else self.equations.prior[0]
+
+    @cached_property
+    def _free(self) -> NDArray[np.bool_]:
+        """Of which unknowns nothing is known: heading of gyros, tilt of accelerometers, mount."""
+        free = np.zeros(len(self._known), dtype=bool)
+        if self.up is None and not self.gyros:
+            free[[Nuisance.TILT_X, Nuisance.TILT_Y]] = True
+        elif self.up is None:
+            free[Nuisance.AZIMUTH] = not self.equations.north_known
+        return np.concatenate([free, np.full(3 if self.mount_free else 0, True)])
+
+    def spread(self, values: Floats) -> Floats:
+        """Return the covariances of what each rest and each turn reads, whatever the parameters.
+
+        What is known beforehand but not exactly counts: clock, heading, tilt.
+
+        Args:
+            values: (p,) of the parameters.
+
+        Returns:
+            (s + t, 3, 3).
+
+        """
+        if self.up is not None:
+            variances = self.evidence.variances()[:, self.sensors.channels]
+            return noise_at_rest(variances + (self.wander * self.reading) ** 2, self.magnitude)
+        state, deviations = np.append(values, self._known), self.equations.prior[1]
+        besides = self.equations.jacobian(state)[:, len(values) :] * deviations
+        besides = besides[:, ~self._free[: len(deviations)]]
+        covariance = self.equations.covariance(state) + besides @ besides.T
+        rows = self._mine.reshape(-1, 3)
+        found = covariance[rows[:, :, None], rows[:, None, :]]
+        return np.asarray(found * self._widened[::3, None, None] ** 2)
+
+    def predicted(self, values: Floats) -> Floats:
+        """Return what rests and turns should read (s + t, 3), the table as it is described."""
+        state = np.append(values, self._known)
+        return self.equations.predict(state)[self._mine].reshape(-1, 3)
+
+    def share(self, values: Floats) -> float:
+        """Return by what the outputs would have to be multiplied to be as a model says."""
+        if self.up is not None:
+            bias = Triad.from_vector(values).bias
+            return self.magnitude / float(np.median(np.linalg.norm(self.outputs - bias, axis=1)))
+        seen = self.equations.outputs[self._mine]
+        weighed = seen / np.diagonal(self.spread(values), axis1=1, axis2=2).ravel()
+        return float(weighed @ self.predicted(values).ravel() / (weighed @ seen))
+
+    def inflated(self, ratios: tuple[float, float]) -> System:
+        """Return the system with its noise widened."""
+        a, b = self.inflation
+        factors = (a * np.sqrt(max(ratios[0], 1.0)), b * np.sqrt(max(ratios[1], 1.0)))
+        return replace(self, inflation=(float(factors[0]), float(factors[1])))
+
+    def fit(self, values: Floats, factor: Floats, hopeless: float = 0.0) -> Fit:
+        """Explain the session by a model whose parameters have errors.
+
+        Args:
+            values: (p,) of the parameters.
+            factor: (p, k) of their covariance: factor times its transpose.
+            hopeless: Chance of a chi-square below which its minimum is not sought.
+
+        """
+        k = factor.shape[1]
+
+        def system(point: Floats) -> tuple[Floats, Floats]:
+            columns, left = self._whitened(values + factor @ point[:k], point[k:])
+            by_parameters, besides = np.split(columns, [len(values)], axis=1)
+            columns = np.hstack([by_parameters @ factor, besides])
+            prior = np.eye(k, columns.shape[1])
+            return np.vstack([columns, prior]), np.append(left, -point[:k])
+
+        point, square = self._start(system, k)
+        if scipy.special.chdtrc(len(self._turning), square / 2) >= hopeless:
+            # Where nothing fits nearby, chi-square where it began rejects it.
+            with suppress(NotObservable):
+                point = least_squares(point, system, np.add, _ROUNDS)
+        return self._concluded(*system(point), point, factor)
+
+    def _start(
+        self, system: Callable[[Floats], tuple[Floats, Floats]], k: int
+    ) -> tuple[Floats, float]:
+        """Return where to begin, and chi-square at the minimum if all were linear.
+
+        Any heading begins where the level Earth rate fits best, whatever its size: all is linear in
+        it, and reversed by half a turn.
+        """
+        point = np.zeros(k + len(self._free))
+        point[k : k + len(self._known)] = self._known if self.seen is None else self.seen
+        if self.up is not None:
+            return point, 0.0
+        azimuth, headed = k + Nuisance.AZIMUTH, bool(self._free[Nuisance.AZIMUTH])
+        if headed:
+            point[azimuth] = 0.0
+        columns, left = system(point)
+        if headed:
+            reversed_ = point + np.pi * (np.arange(len(point)) == azimuth)
+            columns = np.column_stack([columns, (system(reversed_)[1] - left) / 2])
+        norms = np.linalg.norm(columns, axis=0)
+        scale = np.where(norms > 0, norms, 1.0)
+        step = np.linalg.lstsq(columns / scale, left, rcond=None)[0] / scale
+        if headed:
+            point[azimuth] = np.arctan2(step[azimuth], 1 + step[-1])
+        return point, float(((left - columns @ step) ** 2).sum())
+
+    def _whitened(self, values: Floats, unknown: Floats) -> tuple[Floats, Floats]:
+        """Return derivatives (m + q, p + u) and residuals in standard deviations, priors last."""
+        if self.up is not None:
+            noise, site = self.spread(values), self.evidence.site
+            jacobian, left, covariance = compare_lengths(
+                self.sensors, values, self.outputs, noise, self.up, site
+            )
+            rows, below = np.column_stack([jacobian, left]), np.zeros((0, len(values) + 1))
+        else:
+            nuisances, mount = np.split(unknown, [len(self._known)])
+            equations, state = self.equations, np.append(values, nuisances)
+            if mount.any():
+                equations = replace(equations, evidence=_mounted(self.evidence, mount))
+            turned = equations.by_mount(state)[:, : len(mount)]
+            left = equations.outputs - equations.predict(state)
+            rows = np.column_stack([equations.jacobian(state), turned, left])[self._mine]
+            below = np.insert(equations.prior_rows(state), [-1] * len(mount), 0.0, axis=1)
+            covariance = equations.covariance(state)[np.ix_(self._mine, self._mine)]
+        factor = np.linalg.cholesky(covariance) * self._widened[:, None]
+        rows = scipy.linalg.solve_triangular(factor, rows, lower=True, check_finite=False)
+        rows = np.vstack([rows, below])
+        return rows[:, :-1], rows[:, -1]
+
+    def _concluded(self, columns: Floats, left: Floats, point: Floats, factor: Floats) -> Fit:
+        k, turning = factor.shape[1], self._turning
+        count = len(turning)
+        found = Information.of(columns)
+        spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
+        free = columns[:count, k:][:, self._free]
+        norms = np.linalg.norm(free, axis=0)
+        spread = np.diag(factor @ found.covariance[:k, :k] @ factor.T)
+
+        def ratio(these: NDArray[np.bool_]) -> float:
+            expected, square = float(spare[these].sum()), float((left[:count][these] ** 2).sum())
+            return square / expected if expected > _TOO_FEW else 1.0
+
+        return Fit(
+            float(left @ left),
+            count - int(np.linalg.matrix_rank(free[:, norms > 0] / norms[norms > 0])),
+            factor @ point[:k],
+            np.sqrt(np.maximum(spread, 0.0)),
+            point[k:],
+            (ratio(~turning), ratio(turning)),
+            float(spare[~turning].sum()),
+        )
+
+
+def _mounted(evidence: Evidence, small: Floats) -> Evidence:
+    """Return a session of a unit that is turned in its mount by a rotation vector (3,)."""
+    turned = rotations(small[None])[0]
+    attitudes = evidence.attitudes() @ turned.T
+    pairs = zip(evidence.segments, attitudes, strict=True)
+    segments = tuple(replace(s, attitude=attitude) for s, attitude in pairs)
+    turns = tuple(replace(t, up=turned @ t.up) for t in evidence.turns)
+    return replace(evidence, segments=segments, turns=turns)
+
+
+def factor_of(covariance: Floats) -> Floats:
+    """Return a factor (n, n) of a covariance: what rounding makes negative is zero of its size."""
+    given = np.sqrt(np.diag(covariance))
+    size = np.where(given > 0, given, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    # A matrix of 64-bit numbers holds its eigenvalues to so much: what is smaller is not zero.
+    rounding = len(values) * np.finfo(float).eps * values.max(initial=0.0)
+    return np.asarray(given[:, None] * vectors * np.sqrt(np.maximum(values, rounding)))
