@@ -24,8 +24,9 @@ from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.segmentation.session import Segmented
 from imu_calib.session import describe
 from imu_calib.stream import Floats, ImuBlock, Units
+from imu_calib.table_errors import TableErrors
 from imu_calib.turntable import Table, load_table, rotation
-from imu_calib.units import ARCMIN, DEG, DEG_H, STANDARD_GRAVITY
+from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, STANDARD_GRAVITY
 from imu_calib.verification import Observed, Quantity, Verdict, Verification, observe, verify
 
 PLAN = quick_plan('six_position', 20.0)
@@ -308,6 +309,46 @@ def test_a_recording_of_nothing_known_is_no_judge() -> None:
     with pytest.raises(NotObservable, match='No parameters whatever explain'):
         exchanged = replace(evidence, segments=tuple(seen))
         verify(calibration(), replace(observed(), evidence=exchanged))
+
+
+def test_an_axis_off_by_what_the_table_states_is_no_fault_of_the_calibration() -> None:
+    # The inner axis leans by 60 arcsec, ten times what a rest of 20 s leaves open of up.
+    table, lean = load_table('three_axis'), 60 * ARCSEC
+    inner = replace(table.joints[2], axis=np.array([0.0, np.sin(lean), np.cos(lean)]))
+    leaning = replace(table, joints=(*table.joints[:2], inner))
+    evidence = observed().evidence
+    segments = tuple(replace(s, attitude=leaning.attitude(s.angles)) for s in evidence.segments)
+    turns = tuple(replace(t, up=leaning.attitude(t.angles)[2]) for t in evidence.turns)
+
+    def judged(**stated: float) -> Verification:
+        said = replace(table, errors=TableErrors(**stated))
+        seen = replace(evidence, segments=segments, turns=turns, table=said)
+        return verify(calibration(), replace(observed(), evidence=seen))
+
+    assert judged().verdict is Verdict.FAIL
+    known = judged(orthogonality=lean)
+    assert known.verdict is Verdict.PASS
+    # What leans in common leaves every angle its own deviation, and no length.
+    far, near = (
+        {q: max(abs(c.ratio) for c in v.compared if c.quantity is q) for q in Quantity}
+        for v in (judged(), known)
+    )
+    for quantity in (Quantity.DIRECTION, Quantity.TURN_AXIS):
+        assert far[quantity] > judged().limits[1]
+        assert near[quantity] < known.limits[0]
+    assert near[Quantity.GRAVITY] == pytest.approx(far[Quantity.GRAVITY], rel=1e-3)
+
+
+def test_what_a_latitude_leaves_open_is_no_fault_of_the_calibration() -> None:
+    # 10 deg off: the vertical Earth rate of every rest by 2.1 deg/h, three of its deviations.
+    off = replace(SITE, latitude=LATITUDE + 10 * DEG)
+    assert verify(calibration(), at(off)).verdict is not Verdict.PASS
+    unsure = verify(calibration(), at(replace(off, latitude_std=10 * DEG)))
+    assert unsure.verdict is Verdict.PASS
+    assert not unsure.findings
+    up = [c.ratio for c in unsure.compared if c.quantity is Quantity.UP_RATE]
+    # All are off alike, by less than one deviation and their own noise.
+    assert abs(np.mean(up)) < 1.5
 
 
 def test_a_session_that_scatters_beyond_its_noise_is_not_accepted_without_a_doubt() -> None:
