@@ -110,15 +110,12 @@ def _led(
     _, accel = model.predict(np.zeros(3), np.concatenate(forces))
     rates, _ = model.compensate(outputs, accel)
     found = []
-    for mine, each in zip(np.split(rates, _ends(seconds)), seconds, strict=True):
+    ends = np.cumsum([len(each) for each in seconds])[:-1]
+    for mine, each in zip(np.split(rates, ends), seconds, strict=True):
         steps = mine * each[:, None]
         whole, after = chained(steps)
         found.append((mine, after @ rotations(-steps / 2), whole))
     return found
-
-
-def _ends(seconds: list[Floats]) -> list[int]:
-    return np.cumsum([len(each) for each in seconds])[:-1].tolist()
 
 
 def rotations(vectors: Floats) -> Floats:
