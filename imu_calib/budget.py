@@ -37,6 +37,7 @@ class Source(Enum):
     ENCODER_NOISE = 'encoder_noise'
     AZIMUTH = 'azimuth'
     TILT = 'tilt'
+    ARM = 'lever_arm'
     NORTH = 'unknown_north'
     TABLE = 'table'
     CLOCK = 'clock'
@@ -75,6 +76,7 @@ _ROWS = {
     Source.ENCODER_NOISE: ('A', 'enc', "attitudes, from the encoders' noise"),
     Source.AZIMUTH: ('B', 'azim', "prior of the table's azimuth"),
     Source.TILT: ('B', 'tilt', "prior of the table's two tilts"),
+    Source.ARM: ('B', 'arm', 'priors of the lever arms of accelerometers in turns'),
     Source.TABLE: ('B', 'table', 'axes, zeros and encoders of the table, as stated or assumed'),
     Source.NORTH: ('B', 'north', 'level Earth rate of unknown heading, or left by turns'),
     Source.CLOCK: ('A', 'clock', 'rate between the clocks of IMU and table'),

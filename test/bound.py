@@ -5,7 +5,8 @@ random walk plus the difference of two reading errors, white with a twelfth of a
 Their covariance is tridiagonal, and the information on a constant rate is 1' S^-1 1. What the
 channels read comes from the sensor model and rotations written out; derivatives are differences.
 Of a move between two rests the gyros' increments are carried to its end and summed: a random walk
-over its time, and two reading errors.
+over its time, and two reading errors. Where the unit turns whole turns it is somewhere within a
+metre of the axis, elsewhere at each position.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from imu_calib.turntable import TURN, Table
 from imu_calib.units import ARCSEC
 
 _LEVELLED = 20 * ARCSEC
+_WITHIN = 1.0
 _BEYOND = 1.0
 _PARTS = 201
 _SEEN_BESIDE = 0.5
@@ -55,8 +57,9 @@ def bound(
 
     """
     ways = moves(plan, table) if table is not None else []
-    state = np.concatenate([model.vector(), [azimuth, 0.0, 0.0]])
-    steps = np.concatenate([np.full(24, 1e-3), np.full(3, 1e-4)])
+    arms = 3 * sum(position.rate_test is not None for position in plan.positions)
+    state = np.concatenate([model.vector(), [azimuth, 0.0, 0.0], np.zeros(arms)])
+    steps = np.concatenate([np.full(24, 1e-3), np.full(3, 1e-4), np.full(arms, 1e-3)])
     jacobian = np.array(
         [
             (read(plan, site, state + step, ways) - read(plan, site, state - step, ways))
@@ -68,7 +71,7 @@ def bound(
     moved = np.repeat(np.array(moved) + spec.gyro.scale_factor**2 / 6, 3)
     jacobian /= np.sqrt(np.append(variances(plan, spec, at_rest), moved))[:, None]
     information = jacobian.T @ jacobian
-    information[25:, 25:] += np.eye(2) / _LEVELLED**2
+    information += np.diag([*[0.0] * 25, *[_LEVELLED**-2] * 2, *[_WITHIN**-2] * arms])
     scale = 1 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     return np.asarray(np.sqrt(np.diag(covariance))[:24])
@@ -118,9 +121,10 @@ def travel(
 
 
 def read(plan: Plan, site: Site, state: Floats, ways: list[Way]) -> Floats:
-    """What all stretches (six each) and turns (three each) read, and moves (three each) sum to."""
+    """What all stretches and turns (six each) read, and moves (three each) sum to."""
     model = SensorModel.from_vector(state[:24])
-    azimuth, east, north = state[24:]
+    azimuth, east, north = state[24:27]
+    arms = iter(state[27:].reshape(-1, 3))
     base = about('z', azimuth) @ about('x', east) @ about('y', north)
     values = []
     for position in plan.positions:
@@ -128,9 +132,12 @@ def read(plan: Plan, site: Site, state: Floats, ways: list[Way]) -> Floats:
         values += [*model.predict(body @ site.earth_rate, body @ site.specific_force)]
         up = position.attitude[2]
         axis = base[:, 2]
-        for rate in position.rate_test.rates if position.rate_test else ():
+        if position.rate_test is None:
+            continue
+        arm, along = next(arms), up * (axis @ site.specific_force)
+        for rate in position.rate_test.rates:
             spin = up * (rate + axis @ site.earth_rate)
-            values.append(model.predict(spin, np.zeros(3))[0])
+            values += [*model.predict(spin, along + np.cross(spin, np.cross(spin, arm)))]
     for way in ways:
         total = np.zeros(3)
         step = way.moving / (len(way.attitudes) - 1)
@@ -165,7 +172,8 @@ def variances(plan: Plan, spec: ImuSpec, at_rest: dict[str, float]) -> Floats:
         seconds = at_rest[position.id]
         values += 3 * [variance(seconds, *gyro)] + 3 * [variance(seconds, *accel)]
         for rate in position.rate_test.rates if position.rate_test else ():
-            values += 3 * [variance_between(TURN / abs(rate), _BEYOND, *gyro)]
+            for triad in (gyro, accel):
+                values += 3 * [variance_between(TURN / abs(rate), _BEYOND, *triad)]
     return np.array(values)
 
 

@@ -45,7 +45,9 @@ class Unit:
         gyro_walk, accel_walk: rad/sqrt(s) and (m/s)/sqrt(s).
         gyro_pulse, accel_pulse: rad and m/s.
         rate: Samples per second.
-        arm: Where the accelerometers are from the crossing of the joint axes, m.
+        arm: Where the unit is from the inner axis, body axes, m: without `World.misses` from where
+            all axes cross.
+        places: Where accelerometers x, y and z are in the unit, body axes, m.
         counts: Whether it delivers rates and forces, rounded to `pulse` per second.
         gyro_drift, accel_drift: Of the biases per second, rad/s^2 and m/s^3.
         gyro_growth, accel_growth: Of the responses per second, 1/s.
@@ -62,6 +64,7 @@ class Unit:
     accel_pulse: float = 0.01
     rate: float = 100.0
     arm: Vector = NOTHING
+    places: Matrix = ZERO
     counts: bool = False
     gyro_drift: Vector = NOTHING
     accel_drift: Vector = NOTHING
@@ -151,6 +154,8 @@ class World:
         offset: By how much it is ahead at the start, s.
         program: What the table does; the twelve positions if empty.
         flaws: Of outer, middle and inner joint.
+        misses: Where the middle axis is in what the outer joint turns, and the inner axis in what
+            the middle joint turns, m.
         damage: What happens to the samples.
 
     """
@@ -171,6 +176,7 @@ class World:
     offset: float = 0.0
     program: tuple[Stop, ...] = ()
     flaws: tuple[Flaw, Flaw, Flaw] = (SOUND, SOUND, SOUND)
+    misses: tuple[Vector, Vector] = (NOTHING, NOTHING)
     damage: Damage | None = None
 
 
@@ -278,6 +284,14 @@ def attitude(angles: Vector, world: World) -> Matrix:
     return times(base, table)
 
 
+def place(angles: Vector, world: World, arm: Vector) -> Vector:
+    """Where a point of the unit is, east, north, up, m: on a table without flaws."""
+    p = applied(about(2, angles[2]), arm)
+    p = applied(about(0, angles[1]), _sum(world.misses[1], p))
+    p = applied(about(2, world.azimuth + angles[0]), _sum(world.misses[0], p))
+    return applied(times(about(0, world.tilt[0]), about(1, world.tilt[1])), p)
+
+
 def joint_turned(axis: int, reads: float, flaw: Flaw) -> Matrix:
     """How a joint with its flaws stands when its encoder reads an angle."""
     first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -336,14 +350,14 @@ def schedule(world: World) -> list[Motion]:
 
 def angles_at(
     motions: list[Motion], sample_times: Iterator[float]
-) -> Iterator[tuple[Vector, bool]]:
-    """Yield the joint angles at times that rise, and whether a joint moves."""
+) -> Iterator[tuple[Vector, Motion]]:
+    """Yield the joint angles at times that rise, and the last motion that has begun."""
     queue = list(reversed(motions))
     current = queue.pop()
     for time in sample_times:
         while queue and time >= queue[-1].start:
             current = queue.pop()
-        yield current.angles(time), current.start < time < current.end
+        yield current.angles(time), current
 
 
 def record(world: World, unit: Unit, seed: int) -> Recording:
@@ -405,7 +419,8 @@ def _record_imu(
     dt = 1.0 / unit.rate
     count = int(duration * unit.rate)
     halves = angles_at(motions, (0.5 * dt * k for k in range(2 * count + 1)))
-    before, _ = next(halves)
+    before, motion = next(halves)
+    moved = Moved(world, unit, motion)
     r_before = attitude(before, world)
     earth = (
         0.0,
@@ -418,18 +433,23 @@ def _record_imu(
     pulses = [unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3
     walks = [unit.gyro_walk] * 3 + [unit.accel_walk] * 3
     for k in range(count):
-        (middle, _), (after, _) = next(halves), next(halves)
+        (middle, _), (after, motion) = next(halves), next(halves)
         if after == before and still is not None and still[0] == after:
-            turned, pushed = still[1], still[2]
+            turned, pushed, beyond = still[1], still[2], [NOTHING] * 3
         else:
             r_middle, r_after = attitude(middle, world), attitude(after, world)
-            turned, pushed = _felt(world, unit, (r_before, r_middle, r_after), earth, dt)
+            turned, pushed = _felt(world, (r_before, r_middle, r_after), earth, dt)
+            beyond = moved.on(r_middle, earth, motion, (k + 1) * dt)
             still = (after, turned, pushed) if after == before else None
             r_before = r_after
         before = after
         outputs = [
             *_answer(unit.gyro_m, unit.gyro_d, turned, dt),
-            *_answer(unit.accel_m, unit.accel_d, pushed, dt),
+            # Each accelerometer feels all three components where it is.
+            *(
+                _answer(unit.accel_m, unit.accel_d, _sum(pushed, more), dt)[c]
+                for c, more in enumerate(beyond)
+            ),
         ]
         since = (k + 0.5) * dt
         for c in range(3):
@@ -454,8 +474,52 @@ def _record_imu(
         recording.accel.append(tuple(counted[3:]))  # type: ignore[arg-type]
 
 
+class Moved:
+    """What accelerometers feel of where they are: how much faster each one is after a sample.
+
+    Velocities are differences of places a tenth of a millisecond before and after: however it
+    moves, from rest to rest they add up to nothing.
+    """
+
+    def __init__(self, world: World, unit: Unit, motion: Motion) -> None:
+        self.world = world
+        self.arms = [_sum(unit.arm, place) for place in unit.places]
+        self.still = unit.arm == NOTHING and unit.places == ZERO and not any(map(any, world.misses))
+        self.places, self.speeds = self.at(motion, 0.0)
+
+    def at(self, motion: Motion, time: float) -> tuple[list[Vector], list[Vector]]:
+        if self.still:
+            return [NOTHING] * 3, [NOTHING] * 3
+        places, speeds, step = [], [], 1e-4
+        now, early, late = (motion.angles(t) for t in (time, time - step, time + step))
+        for arm in self.arms:
+            places.append(place(now, self.world, arm))
+            if early == late:
+                speeds.append(NOTHING)
+                continue
+            a, b = (place(angles, self.world, arm) for angles in (early, late))
+            speeds.append(tuple((v - u) / (2 * step) for u, v in zip(a, b, strict=True)))  # type: ignore[arg-type]
+        return places, speeds
+
+    def on(self, middle: Matrix, earth: Vector, motion: Motion, time: float) -> list[Vector]:
+        """By accelerometer, along the body axes half way through the sample that ends then."""
+        places, speeds = self.at(motion, time)
+        felt = []
+        for c in range(3):
+            way = tuple(b - a for a, b in zip(self.places[c], places[c], strict=True))
+            faster = tuple(b - a for a, b in zip(self.speeds[c], speeds[c], strict=True))
+            coriolis = tuple(2 * v for v in _cross(earth, way))  # type: ignore[arg-type]
+            felt.append(applied(transposed(middle), _sum(faster, coriolis)))  # type: ignore[arg-type]
+        self.places, self.speeds = places, speeds
+        return felt
+
+
+def _sum(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
 def _felt(
-    world: World, unit: Unit, attitudes: tuple[Matrix, Matrix, Matrix], earth: Vector, dt: float
+    world: World, attitudes: tuple[Matrix, Matrix, Matrix], earth: Vector, dt: float
 ) -> tuple[Vector, Vector]:
     """Integrals of angular rate and specific force over a sample, body axes."""
     first, middle, last = attitudes
@@ -469,13 +533,8 @@ def _felt(
         for c in range(3):
             turned[c] += weight * w[c] * dt
             pushed[c] += weight * f[c] * dt
-    w = tuple(v / dt for v in table)
-    # Centripetal part of the lever arm: w x (w x arm). The tangential one cancels by a stop.
-    inner = _cross(w, unit.arm)  # type: ignore[arg-type]
-    centripetal = _cross(w, inner)  # type: ignore[arg-type]
     for c in range(3):
         turned[c] += table[c]
-        pushed[c] += centripetal[c] * dt
     return tuple(turned), tuple(pushed)  # type: ignore[return-value]
 
 

@@ -518,8 +518,7 @@ def session_of(
                 body = (rotation(np.array([0.0, 0, 1]), step * 3 * DEG) @ upright).T
                 spin = body @ SITE.earth_rate + body[:, 2] * rate
                 sums += plain(values, spin, body @ SITE.specific_force)
-            mean = sums[:3] / 120
-            turns.append((mean, upright[2], rate))
+            turns.append((sums / 120, upright[2], rate))
     return rests, turns
 
 
@@ -528,7 +527,7 @@ def evidence_of(terms: tuple[Term, ...]) -> Evidence:
     segments, turns, now = [], [], 0
     for output, up, rate in spins:
         seconds = 2 * math.pi / abs(rate)
-        found = statistics(np.concatenate([output, np.zeros(3)]), seconds)
+        found = statistics(output, seconds)
         angle = math.copysign(2 * math.pi, rate)
         turns.append(Turn(now, now + 1, found, angle, seconds, up, 't'))
         now += 100 * SECOND

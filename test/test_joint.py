@@ -95,7 +95,8 @@ def test_the_prediction_is_what_a_turned_and_tilted_table_shows() -> None:
     turned = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     tilted = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     tilted = tilted @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    state = np.concatenate([truth().model.vector(), [azimuth, x, y, 0.0]])
+    state = equations.nominal()
+    state[:27] = [*truth().model.vector(), azimuth, x, y]
     read = equations.predict(state)
     for k, segment in enumerate(equations.evidence.segments):
         body = (turned @ tilted @ segment.attitude).T

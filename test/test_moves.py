@@ -84,7 +84,8 @@ def test_there_is_a_move_from_each_position_to_the_next_but_those_with_turns() -
 
 def test_derivatives_are_those_of_the_prediction() -> None:
     equations = Equations(evidence())
-    state = np.concatenate([truth().model.vector(), [0.3, 1e-4, 2e-4, 0.0]])
+    state = equations.nominal()
+    state[:27] = [*truth().model.vector(), 0.3, 1e-4, 2e-4]
     jacobian, moves = equations.jacobian(state), equations.rows.move
     for k, step in enumerate(1e-6 * np.eye(len(state))):
         found = (equations.predict(state + step) - equations.predict(state - step)) / 2e-6
@@ -94,7 +95,8 @@ def test_derivatives_are_those_of_the_prediction() -> None:
 
 def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
     equations = Equations(evidence())
-    state = np.concatenate([truth().model.vector(), [0.3, 0.0, 0.0, 0.0]])
+    state = equations.nominal()
+    state[:25] = [*truth().model.vector(), 0.3]
     lean = np.array([3.0, -2.0, 1.0]) * ARCSEC
     segments = list(evidence().segments)
     segments[5] = replace(segments[5], attitude=segments[5].attitude @ turned_by(lean))

@@ -55,6 +55,7 @@ def test_a_stream_without_noise_is_solved_to_rounding_and_claims_no_more(name: s
     assert (np.abs(error) < 4.5 * calibration.std).all()
     # Outputs at rest are rounded at 1e-14 of SI units; the Earth's rate is the smallest input.
     assert (calibration.std[:24] < 1e-8).all()
+    assert not any('wander' in finding for finding in calibration.findings)
 
 
 def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> None:
@@ -68,7 +69,8 @@ def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> Non
     blocks = session(plan, stand(azimuth=0.3, sample_rate=50.0), seed=1, spec=SPEC)
     evidence = gathered(fed(blocks, Setup(SPEC, plan, load_table('three_axis'), SITE, None)))
     equations = Equations(evidence)
-    state = np.concatenate([truth().model.vector(), [0.3, 0.0, 0.0, 0.0]])
+    state = equations.nominal()
+    state[:25] = [*truth().model.vector(), 0.3]
     left = equations.outputs - equations.predict(state)
     covariance = equations.covariance(state)
     first = 6 * len(evidence.segments)

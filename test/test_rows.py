@@ -7,29 +7,32 @@ import pytest
 
 from imu_calib.methods.rows import Rows
 
+LAYOUTS = [(4, 3, 2, (0, 2)), (3, 0, 0, ()), (0, 2, 0, (1,)), (2, 1, 1, ()), (0, 0, 0, ())]
 
-@pytest.mark.parametrize('counts', [(4, 3, 2), (3, 0, 0), (0, 2, 0), (0, 0, 0)])
-def test_values_are_where_the_indices_say(counts: tuple[int, int, int]) -> None:
+
+@pytest.mark.parametrize('counts', LAYOUTS)
+def test_values_are_where_the_indices_say(counts: tuple[int, int, int, tuple[int, ...]]) -> None:
     rows = Rows(*counts)
-    shapes = [(count, width, 2) for count, width in zip(counts, (6, 3, 3), strict=True)]
+    shapes = [(count, width, 2) for count, width in zip(counts, (6, 6, 3), strict=False)]
     rest, turn, move = (k + np.random.default_rng(k).random(s) for k, s in enumerate(shapes))
     joined = rows.joined(rest, turn, move)
     assert joined.shape == (len(rows), 2)
     assert np.array_equal(joined[rows.rest], rest)
-    assert np.array_equal(joined[rows.turn], turn)
+    assert np.array_equal(joined[rows.turn], turn[:, :3])
+    assert np.array_equal(joined[rows.turn_accels], turn[list(counts[3]), 3:])
     assert np.array_equal(joined[rows.move], move)
 
 
 def test_gyros_and_accelerometers_share_out_all_outputs() -> None:
-    rows = Rows(4, 3, 2)
+    rows = Rows(4, 3, 2, (0, 2))
     assert sorted([*rows.gyros, *rows.accels]) == list(range(len(rows)))
-    assert set(rows.channels[rows.gyros]) == {0, 1, 2}
-    assert set(rows.channels[rows.accels]) == {3, 4, 5}
+    assert np.array_equal(rows.channels[rows.accels].reshape(-1, 3), [[3, 4, 5]] * (4 + 2))
     assert np.array_equal(rows.channels[rows.gyros].reshape(-1, 3), [[0, 1, 2]] * (4 + 3 + 2))
 
 
 def test_each_output_is_of_one_rest_turn_or_move() -> None:
-    rows = Rows(4, 3, 2)
+    rows = Rows(4, 3, 2, (0, 2))
     assert rows.stretch[rows.rest].tolist() == [[k] * 6 for k in range(4)]
     assert rows.stretch[rows.turn].tolist() == [[k] * 3 for k in (4, 5, 6)]
     assert rows.stretch[rows.move].tolist() == [[k] * 3 for k in (7, 8)]
+    assert rows.stretch[rows.turn_accels].tolist() == [[k] * 3 for k in (4, 6)]

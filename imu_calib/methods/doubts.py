@@ -21,7 +21,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
 
     Args:
         evidence: The session.
-        inflation: (6 s + 3 t + 3 m,) factors on these variances, or None.
+        inflation: (m,) factors on these variances, or None.
 
     """
     segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
@@ -31,19 +31,20 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
     site = evidence.site
 
     def joined(at_rest: Sequence[Floats], turned: Sequence[Floats], moved: Floats) -> Floats:
-        return evidence.rows.joined(np.array(at_rest).reshape(-1, 6), np.array(turned), moved)
+        rest, turn = (np.array(part).reshape(-1, 6) for part in (at_rest, turned))
+        return evidence.rows.joined(rest, turn, moved)
 
     noise = joined(
         [walk**2 * s.walk_gain for s in statistics],
-        [walk[:3] ** 2 * s.walk_gain[:3] for s in turned],
+        [walk**2 * s.walk_gain for s in turned],
         led.noise(walk),
     )
     quantum = joined(
-        [s.quantum for s in statistics], [s.quantum[:3] for s in turned], led.quantisation()
+        [s.quantum for s in statistics], [s.quantum for s in turned], led.quantisation()
     )
     encoder = joined(
         [s.encoder_variance(site.gravity) for s in segments],
-        [t.encoder_variance() for t in turns],
+        [np.append(t.encoder_variance(), t.lean_variance(site.gravity)) for t in turns],
         led.encoders(),
     )
     total = noise + quantum + encoder
@@ -67,21 +68,52 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
     return tuple(parts)
 
 
-def encoder_rates(evidence: Evidence, rates: Floats, response: Floats) -> Component:
-    """Return the error of the encoder's rate, which the three outputs of a turn share.
+def encoder_rates(
+    evidence: Evidence, rates: Floats, response: Floats, pulled: Floats
+) -> list[Component]:
+    """Return the error of the encoder's rate, which the outputs of a turn share.
 
     Args:
         evidence: The session.
         rates: (t,) of the turns, rad/s.
         response: (3, 3) of the gyros.
+        pulled: (f, 3) what the square of the rate makes accelerometers that count feel, m/s^2.
 
     """
     turns = evidence.turns
     ups = np.array([t.up for t in turns]).reshape(-1, 3)
     errors = np.array([t.rate_error for t in turns]) * rates
-    felt = errors[:, None] * (ups @ response.T)
-    blocks = Blocks(evidence.rows.turn, felt[:, :, None] * felt[:, None, :])
-    return Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM)
+    seen = errors[:, None] * (ups @ response.T)
+    layout, both = evidence.rows, evidence.arms.turns
+    alone = np.delete(np.arange(len(turns)), both)
+    relative = np.array([turns[k].rate_error for k in both]).reshape(-1, 1)
+    found = []
+    for rows, felt in (
+        (layout.turn[alone], seen[alone]),
+        (
+            np.hstack([layout.turn[both], layout.turn_accels]),
+            np.hstack([seen[both], 2 * relative * pulled]),
+        ),
+    ):
+        blocks = Blocks(rows, felt[:, :, None] * felt[:, None, :])
+        found.append(Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM))
+    return found
+
+
+def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component:
+    """Return what cuts within samples leave of level gravity in turns on a table that leans.
+
+    Args:
+        evidence: The session.
+        ups: (t, 3) up in body axes, of the turns.
+        levelled: Standard deviation of the table's tilt about either axis, rad.
+
+    """
+    which, rows = evidence.arms.turns, evidence.rows.turn_accels
+    left = [evidence.turns[k].level * levelled * evidence.site.gravity for k in which]
+    variances = np.zeros(len(evidence.rows))
+    variances[rows] = np.square(left).reshape(-1, 1) * (1 - ups[which] ** 2)
+    return Component(Source.NORTH, Diagonal(variances))
 
 
 def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Component:

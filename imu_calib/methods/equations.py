@@ -28,14 +28,14 @@ from ..stream import Floats, Units
 from ..units import ARCMIN, DEG
 from .arrivals import NO_ARRIVALS, Arrivals, level_axes
 from .components import Component, Diagonal, Factor, shares
-from .doubts import encoder_rates, own_parts, unknown_north
+from .doubts import encoder_rates, level_gravity, own_parts, unknown_north
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .modulation import columns, stated_changes
 from .rows import Rows
 
 
 class Nuisance(IntEnum):
-    """What the state holds besides the sensors, in this order after them."""
+    """What the state holds besides the sensors, in this order after them, and before the arms."""
 
     AZIMUTH = 0
     TILT_X = 1
@@ -121,7 +121,7 @@ class Equations:
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
         arriving: What arrivals scatter by beyond what the table states.
         extra: Further parts of the covariance of the outputs.
-        inflation: (6 s + 3 t + 3 m,) factors on the variance of each output's own noise, or None.
+        inflation: (m,) factors on the variance of each output's own noise, or None.
         changes: Coefficients by which parameters change during the session: the end of the state.
         time_constant: Of a warm-up among them, as a fraction of the session.
 
@@ -150,12 +150,22 @@ class Equations:
     @property
     def size(self) -> int:
         """Length of the state."""
-        return self.sensors + len(Nuisance) + len(self.changes)
+        return self.sensors + self.nuisances + len(self.changes)
+
+    @property
+    def nuisances(self) -> int:
+        """How many entries of the state have priors: `Nuisance`, then the lever arms of turns."""
+        return len(Nuisance) + len(self.evidence.arms)
 
     @property
     def table(self) -> slice:
         """Where the nuisances lie in the state."""
-        return slice(self.sensors, self.sensors + len(Nuisance))
+        return slice(self.sensors, self.sensors + self.nuisances)
+
+    @property
+    def arms(self) -> slice:
+        """Where the lever arms of turns lie in the state."""
+        return slice(self.sensors + len(Nuisance), self.sensors + self.nuisances)
 
     @property
     def clock(self) -> int:
@@ -165,7 +175,7 @@ class Equations:
     @property
     def changing(self) -> slice:
         """Where the coefficients of the session's terms lie in the state."""
-        return slice(self.sensors + len(Nuisance), self.size)
+        return slice(self.sensors + self.nuisances, self.size)
 
     @property
     def north_known(self) -> bool:
@@ -174,29 +184,29 @@ class Equations:
 
     @cached_property
     def outputs(self) -> Floats:
-        """What was read, (6 s + 3 t + 3 m,) rad/s, m/s^2 and rad: moves read no difference."""
-        turned = np.array([t.statistics.mean[:3] for t in self.evidence.turns])
+        """What was read, (m,) rad/s, m/s^2 and rad: moves read no difference."""
+        turned = np.array([t.statistics.mean for t in self.evidence.turns]).reshape(-1, 6)
         moved = np.zeros(self.rows.move.shape)
         return self.rows.joined(self.evidence.outputs(), turned, moved)
 
     @cached_property
     def prior(self) -> tuple[Floats, Floats]:
-        """What is known of the nuisances beforehand: means and standard deviations, (4,) each."""
+        """What is known of the nuisances beforehand: means and standard deviations, (k,) each."""
         evidence = self.evidence
         azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
         clock_std = evidence.clock_rate()[1]
         # A clock that has no say still needs a width above zero to be whitened by.
         level = evidence.level if self.levelled is None else self.levelled
-        deviations = [azimuth, level, level, max(clock_std, 1e-15)]
-        return np.zeros(len(Nuisance)), np.array(deviations)
+        deviations = [azimuth, level, level, max(clock_std, 1e-15), *evidence.arms.deviations]
+        return np.zeros(self.nuisances), np.array(deviations)
 
     def prior_rows(self, state: Floats) -> Floats:
-        """Return the priors as equations: (4, n + 1), derivatives and what is left.
+        """Return the priors as equations: (k, n + 1), derivatives and what is left.
 
         A heading that may be any is pulled nowhere; its width stands for what is not known of it.
         """
         mean, deviation = self.prior
-        rows = np.zeros((len(Nuisance), self.size + 1))
+        rows = np.zeros((self.nuisances, self.size + 1))
         rows[:, self.table] = np.diag(1 / deviation)
         rows[:, -1] = (mean - state[self.table]) / deviation
         if not self.north_known:
@@ -216,7 +226,7 @@ class Equations:
 
         An azimuth that is given is already in the attitudes: the state holds what is left of it.
         """
-        azimuth, tilt_x, tilt_y, _ = state[self.table]
+        azimuth, tilt_x, tilt_y = state[self.sensors : self.clock]
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 
     @cached_property
@@ -242,23 +252,29 @@ class Equations:
         """
         around = self.surroundings(state)
         ups, rates, _ = self._turning
+        felt = self._headings @ around.force
+        felt[self.evidence.arms.turns] += self._pulled(state)[:, None]
         return (
             around,
             around.rate @ self._attitudes,
             around.force @ self._attitudes,
             self._headings @ around.rate + (ups * rates[:, None])[:, None],
-            self._headings @ around.force,
+            felt,
         )
 
+    def _pulled(self, state: Floats) -> Floats:
+        """Return the specific force that lever arms make in turns, (f, 3) m/s^2, body axes."""
+        return np.asarray(self.evidence.arms.slopes @ state[self.arms])
+
     def predict(self, state: Floats) -> Floats:
-        """Return what a state says that should be read, (6 s + 3 t + 3 m,)."""
+        """Return what a state says that should be read, (m,)."""
         predicted = self._predicted(state)
         if not state[self.changing].any():
             return predicted
         return np.asarray(predicted + self.jacobian(state)[:, self.changing] @ state[self.changing])
 
     def _predicted(self, state: Floats) -> Floats:
-        """Return what is read by the parameters of the session's mean, (6 s + 3 t + 3 m,)."""
+        """Return what is read by the parameters of the session's mean, (m,)."""
         around, *inputs = self._inputs(state)
         model = self.model(state)
         predicted = self._answers(model, inputs)
@@ -270,7 +286,7 @@ class Equations:
         return predicted
 
     def _answers(self, model: SensorModel, inputs: Sequence[Floats]) -> Floats:
-        """Return what rests and turns read by the table's clock, (6 s + 3 t + 3 m,), moves zero.
+        """Return what rests and turns read by the table's clock, (m,), moves zero.
 
         Args:
             model: The sensors.
@@ -279,24 +295,26 @@ class Equations:
         """
         rate, force, turning, felt = inputs
         at_rest = np.hstack(model.predict(rate, force))
-        turned = whole(model.predict(turning, felt)[0])
+        turned = whole(np.concatenate(model.predict(turning, felt), axis=-1))
         return self.rows.joined(at_rest, turned, np.zeros(self.rows.move.shape))
 
     def jacobian(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict`, (6 s + 3 t + 3 m, n).
+        """Return the derivatives of `predict`, (m, n).
 
         By the table they are those of the mean parameters: what changes of these is parts in 1e5.
         """
         around, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         s, t, n = len(rate), len(turning), self.sensors
-        at_rest, turned = np.zeros((s, 6, self.size)), np.zeros((t, 3, self.size))
+        at_rest, turned = np.zeros((s, 6, self.size)), np.zeros((t, 6, self.size))
         at_rest[:, :, :n] = model.derivatives(rate, force, self.parameters)
-        turned[:, :, :n] = whole(model.derivatives(turning, felt, self.parameters))[:, :3]
+        turned[:, :, :n] = whole(model.derivatives(turning, felt, self.parameters))
         world = np.vstack([around.rate_slopes, around.force_slopes])
         at_rest[:, :, n : n + 3] = model.slopes(rate, force) @ _both(self._to_body) @ world
-        slopes = model.slopes(turning, felt)[..., :3, :]
+        slopes = model.slopes(turning, felt)
         turned[:, :, n : n + 3] = whole(slopes @ _both(self._headings) @ world)
+        arms = self.evidence.arms
+        turned[arms.turns, :, self.arms] = whole(slopes[..., 3:])[arms.turns] @ arms.slopes
         led = np.zeros((len(self.evidence.led), 3, self.size))
         led[:, :, :n] = self.evidence.led.by_parameters(model, self.parameters)
         led[:, :, n : n + 3] = self.evidence.led.by_rate() @ around.rate_slopes
@@ -349,7 +367,7 @@ class Equations:
 
     @cached_property
     def own_variances(self) -> Floats:
-        """Variances of the outputs by walk, quantisation and encoders, (6 s + 3 t + 3 m,)."""
+        """Variances of the outputs by walk, quantisation and encoders, (m,)."""
         diagonals = [c.part.variances for c in self.own if isinstance(c.part, Diagonal)]
         own = np.asarray(np.sum(diagonals, axis=0)).reshape(len(self.outputs))
         # Parts that make up the smallest variance may round above it, and no noise is no scatter.
@@ -366,8 +384,9 @@ class Equations:
         turning, rates, _ = self._turning
         ups = np.vstack([self._attitudes[:, 2], turning])
         found = [
-            encoder_rates(evidence, rates, response),
+            *encoder_rates(evidence, rates, response, self._pulled(state)),
             unknown_north(evidence, ups, response),
+            level_gravity(evidence, turning, float(self.prior[1][Nuisance.TILT_X])),
             *self.extra,
             *self._arriving(state),
         ]
@@ -387,7 +406,7 @@ class Equations:
         return Component(Source.TEMPERATURE, Factor(self.columns(changes, derivatives) * sizes))
 
     def covariance(self, state: Floats) -> Floats:
-        """Return the covariance of the outputs, (6 s + 3 t + 3 m,) square."""
+        """Return the covariance of the outputs, (m,) square."""
         result = np.diag(self.own_variances)
         for component in self.shared(state):
             component.part.add_to(result)
@@ -398,7 +417,7 @@ class Equations:
 
         Args:
             state: (n,) where they are.
-            gain: (p, 6 s + 3 t + 3 m).
+            gain: (p, m).
 
         Source: docs/mathematics.md, 'Uncertainty budget'.
         """
@@ -408,20 +427,20 @@ class Equations:
         """Return the derivatives of `predict` by the Earth rate in the frame of the attitudes.
 
         Returns:
-            (6 s + 3 t + 3 m, 3).
+            (m, 3).
 
         """
         _, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = model.slopes(rate, force)[..., :3] @ self._to_body
-        turned = whole(model.slopes(turning, felt)[..., :3, :3] @ self._headings)
+        turned = whole(model.slopes(turning, felt)[..., :3] @ self._headings)
         return self.rows.joined(at_rest, turned, self.evidence.led.by_rate())
 
     def by_mount(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by rotations of the unit in its mount.
 
         Returns:
-            (6 s + 3 t + 3 m, 3) per rad about the body axes.
+            (m, 3) per rad about the body axes.
 
         """
         every = len(self.evidence.segments), len(self.evidence.turns)
@@ -430,7 +449,7 @@ class Equations:
         return self._leaning(state, at_rest, turned)
 
     def latitude_slope(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict` by the latitude, (6 s + 3 t + 3 m,) per rad."""
+        """Return the derivatives of `predict` by the latitude, (m,) per rad."""
         return np.asarray(self.by_rate(state) @ self.surroundings(state).rate_by_latitude)
 
     def clock_slope(self, state: Floats) -> Floats:
@@ -453,7 +472,7 @@ class Equations:
         return parts
 
     def arrivals(self, state: Floats) -> tuple[Floats, Floats]:
-        """Return how arrivals enter the outputs: (6 s + 3 t + 3 m, errors), per rad.
+        """Return how arrivals enter the outputs: (m, errors), per rad.
 
         Those of joints that stop, and what each stop leans of its own.
         """
@@ -464,7 +483,7 @@ class Equations:
         return joints, stops
 
     def _leaning(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
-        """Return what attitudes that lean do to the outputs, (6 s + 3 t + 3 m, e).
+        """Return what attitudes that lean do to the outputs, (m, e).
 
         Args:
             state: (n,) of sensors and table.
@@ -479,13 +498,13 @@ class Equations:
         moved = [np.swapaxes(np.cross(v[:, None], about), 1, 2) for v in (rates, forces)]
         changed = model.slopes(rates, forces) @ np.concatenate(moved, axis=1)
         led = self.evidence.led.by_attitudes(model, at_rest)
-        return self.rows.joined(changed[:s], changed[s:, :3], led)
+        return self.rows.joined(changed[:s], changed[s:], led)
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations, the priors' rows last.
 
         Returns:
-            (m + 4, n) derivatives and (m + 4,) outputs less prediction.
+            (m + k, n) derivatives and (m + k,) outputs less prediction.
 
         """
         factor = np.linalg.cholesky(self.covariance(state))

@@ -20,6 +20,7 @@ from ..segmentation.thermometer import Temperature
 from ..stream import Floats, Units
 from ..table_errors import LEVELLED
 from ..turntable import TURN, Table
+from .arms import Arms
 from .arrivals import Leaning, of_joints, of_stops
 from .moves import Moves
 from .rows import Rows
@@ -126,7 +127,13 @@ class Evidence:
     @cached_property
     def rows(self) -> Rows:
         """Where the outputs lie among the equations."""
-        return Rows(len(self.segments), len(self.turns), len(self.led))
+        felt = tuple(self.arms.turns.tolist())
+        return Rows(len(self.segments), len(self.turns), len(self.led), felt)
+
+    @cached_property
+    def arms(self) -> Arms:
+        """The lever arms of the turns whose accelerometers count."""
+        return Arms.of(self.turns, self.site.up_rate)
 
     @cached_property
     def leaning(self) -> tuple[Floats, Floats]:

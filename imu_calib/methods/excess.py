@@ -314,7 +314,7 @@ def _variances(equations: Equations) -> Floats:
     From a tenth of what the noise of the sharpest outputs hides.
     """
     evidence = equations.evidence
-    at_rest = equations.own_variances[equations.rows.accels]
+    at_rest = equations.own_variances[equations.rows.rest[:, 3:]]
     sharpest = float(np.median(at_rest)) / evidence.site.gravity**2
     if len(evidence.led):
         sharpest = min(sharpest, float(np.median(evidence.led.variances(evidence.walk))))
@@ -410,6 +410,9 @@ def _triad(
     rows = equations.rows.gyros if first == 0 else equations.rows.accels
     stretches = [(x.statistics, x.start) for x in evidence.segments]
     moves: list[Move] = []
+    if first == 3:
+        turns = [evidence.turns[k] for k in evidence.rows.felt]
+        stretches += [(x.statistics, x.start) for x in turns]
     if first == 0:
         stretches += [(x.statistics, x.start) for x in evidence.turns]
         moves = [link.move for link in evidence.led.links]
@@ -497,4 +500,5 @@ def _slope_variance(blocks: Floats, walk: float) -> float:
     """Return the variance of the line through block means that `Statistics.drift` is."""
     centred = blocks[:, 3] - blocks[:, 3].mean()
     weights = centred / (centred @ centred)
-    return float(weights**2 @ (walk**2 * blocks[:, 1] + blocks[:, 2]))
+    own = np.maximum(walk**2 * blocks[:, 1] + blocks[:, 2], SMALLEST_VARIANCE)
+    return float(weights**2 @ own)

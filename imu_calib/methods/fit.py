@@ -5,13 +5,14 @@ estimated together from every stretch at rest and every turn of any plan, each o
 that the session shows. What wanders and what misses its mark widens the covariance (`excess`);
 a stretch that does not fit the rest counts for less.
 
-Source: methods.md, section 11. Accelerometers have no say in turns, where they feel the lever arm.
+Source: methods.md, section 11.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import scipy
@@ -88,7 +89,7 @@ class Estimate:
         condition: Condition number of the system solved, columns scaled to unit length.
         scatter: What scatters beyond the noise.
         outliers: What counts for less.
-        gain: (n, m + 4) derivatives of the state by outputs and priors in standard deviations.
+        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
         turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
             for less; 1 where they agree.
         astray: Moves that were left out.
@@ -128,8 +129,9 @@ class Estimate:
             (Source.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
             (Source.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
             (Source.CLOCK, [Nuisance.CLOCK], equations.evidence.clock_freedom),
+            (Source.ARM, list(range(len(Nuisance), equations.nuisances)), np.inf),
         ):
-            prior = self.gain[:n, m + np.array(which)]
+            prior = self.gain[:n, m + np.array(which, dtype=int)]
             found[source] = Share.of_parts([(prior @ prior.T, freedom)])
         if self.between is not None:
             found[Source.TIME_CONSTANT] = Share.known(self.between[:n, :n])
@@ -163,8 +165,9 @@ def estimate(
     state = _fit(resting, state)
     kept, astray = _moves_that_fit(resting, state, evidence)
     equations = replace(resting, evidence=replace(evidence, moves=kept))
-    if not Information.of(equations.whitened(state)[0]).observed.all():
-        # See `information.before`.
+    observed = Information.of(equations.whitened(state)[0]).observed
+    if not np.delete(observed, np.r_[equations.arms]).all():
+        # See `information.before`. Of lever arms turns show what the 24 need, and not more.
         equations = resting
     found = _without_outliers(equations, _fit(equations, state), turns=True)
     if _turns_disagree(evidence, found.outliers):
@@ -263,11 +266,10 @@ def _turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations,
     norms = np.linalg.norm(jacobian, axis=0)
     basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
     free = 1 - (basis**2).sum(axis=1)
-    evidence, largest = equations.evidence, 1.0
-    axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
-    for axis in range(3):
-        for channel in range(3):
-            rows = equations.rows.turn[axes == axis, channel]
+    largest = 1.0
+    for axes, outputs in _of_turns(equations.evidence):
+        for axis, channel in product(range(3), range(3)):
+            rows = outputs[axes == axis, channel]
             freedom, square = float(free[rows].sum()), float(left[rows] @ left[rows])
             if freedom >= 1 and scipy.special.chdtrc(freedom, square) < _UNLIKE:
                 equations = _weighed_down(equations, rows, square / freedom)
@@ -275,15 +277,25 @@ def _turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations,
     return equations, largest
 
 
+def _of_turns(evidence: Evidence) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return the axes (k,) of turns with the rows (k, 3) of their gyros; of accelerometers too."""
+    axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
+    rows = evidence.rows
+    return [(axes, rows.turn), (axes[list(rows.felt)], rows.turn_accels)]
+
+
 def _turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
     """Say whether so many turns about an axis fall out that nobody knows which are wrong.
 
     Rates beyond the range, say: two turns of four agree with each other and not with the rest.
     """
-    axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
     rows = [o.rows[0] for o in outliers]
-    fallen = axes[np.isin(evidence.rows.turn[:, 0], rows)]
-    return any((fallen == axis).sum() > _MOST_OUTLIERS * (axes == axis).sum() for axis in fallen)
+    return any(
+        ((axes == axis) & np.isin(outputs[:, 0], rows)).sum()
+        > _MOST_OUTLIERS * (axes == axis).sum()
+        for axes, outputs in _of_turns(evidence)
+        for axis in range(3)
+    )
 
 
 def check_observable(equations: Equations) -> None:
@@ -329,14 +341,16 @@ def _start(equations: Equations) -> Floats:
         state = equations.nominal()
         state[equations.sensors + Nuisance.AZIMUTH] = angle
         jacobian, left = equations.whitened(state)
-        jacobian, left = jacobian[: -len(Nuisance)], left[: -len(Nuisance)]
-        columns = np.delete(jacobian, np.s_[equations.sensors + 1 :], axis=1)
-        columns[:, -1] *= 0.0 if known else 1.0
+        # Of the table nothing is taken as known yet, of lever arms that they are no kilometres.
+        priors = len(equations.outputs) + np.arange(len(Nuisance))
+        columns, left = np.delete(jacobian, priors, axis=0), np.delete(left, priors)
+        first = equations.sensors
+        columns[:, [first + which for which in Nuisance if which or known]] = 0.0
+        columns[:, equations.changing] = 0.0
         step = _least_squares(columns, left)
         rest = left - columns @ step
         if (square := float(rest @ rest)) < smallest:
-            state[: equations.sensors + 1] += step
-            best, smallest = state, square
+            best, smallest = state + step, square
     return best
 
 
@@ -402,10 +416,15 @@ def _candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[n
     for segment, mine in zip(evidence.segments, rows.rest, strict=True):
         found.append((f'the gyros at position {segment.position}', mine[:3]))
         found.append((f'the accelerometers at position {segment.position}', mine[3:]))
-    for turn, mine in zip(evidence.turns, rows.turn, strict=True):
-        if turns:
-            rate = turn.rate() / DEG
-            found.append((f'a turn at {rate:.3g} deg/s at position {turn.position}', mine))
+    turned = [
+        f'a turn at {t.rate() / DEG:.3g} deg/s at position {t.position}' for t in evidence.turns
+    ]
+    if turns:
+        found += zip(turned, rows.turn, strict=True)
+        found += [
+            (f'the accelerometers in {turned[k]}', mine)
+            for k, mine in zip(rows.felt, rows.turn_accels, strict=True)
+        ]
     for link, mine in zip(evidence.led.links, rows.move, strict=True):
         ends = [evidence.segments[end].position for end in (link.first, link.second)]
         found.append((f'the move from position {ends[0]} to {ends[1]}', mine))

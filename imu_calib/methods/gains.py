@@ -26,9 +26,8 @@ from ..model import (
 )
 from ..stream import Floats
 from .checks import conclude
-from .equations import Equations, Nuisance
+from .equations import Equations
 from .evidence import Evidence
-from .rows import Rows
 from .solution import Solution
 
 BIAS = 3
@@ -85,10 +84,10 @@ class Gains:
         return model.with_values(further, gyro[:, BIAS + 1 :].ravel())
 
     def rows(self, evidence: Evidence) -> Floats:
-        """Return the derivatives of the parameters by the outputs, (n, 6 s + 3 t)."""
-        s, t = len(evidence.segments), len(evidence.turns)
+        """Return the derivatives of the parameters by the outputs but those of moves, (n, m)."""
+        s = len(evidence.segments)
         parameters = self.parameters
-        where = Rows(s, t)
+        where = replace(evidence, moves=()).rows
         rows = np.zeros((len(parameters), len(where)))
         for row, parameter in zip(rows, parameters, strict=True):
             column = BIAS if parameter.column is None else parameter.column
@@ -136,13 +135,13 @@ def shares_of(evidence: Evidence, model: SensorModel, rows: Floats) -> dict[Sour
     Args:
         evidence: The session.
         model: The sensors.
-        rows: (n, 6 s + 3 t) derivatives of the parameters by the outputs, NaN for what is not
-            estimated.
+        rows: (n, m) derivatives of the parameters by the outputs but those of moves, NaN for
+            what is not estimated.
 
     """
     # A closed form knows no moves.
     equations = Equations(replace(evidence, moves=()))
-    state = np.concatenate([model.vector(), np.zeros(len(Nuisance))])
+    state = np.concatenate([model.vector(), np.zeros(equations.nuisances)])
     found = equations.shares(state, rows)
     clock = rows @ equations.clock_slope(state) * evidence.clock_rate()[1]
     found[Source.CLOCK] = Share.of_parts([(np.outer(clock, clock), evidence.clock_freedom)])

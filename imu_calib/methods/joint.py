@@ -121,13 +121,13 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     jacobian, left = plain.whitened(state)
     # The heading is one of the three that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)
-    columns = np.hstack([jacobian, np.vstack([free, np.zeros((len(Nuisance), 3))])])
+    columns = np.hstack([jacobian, np.vstack([free, np.zeros((plain.nuisances, 3))])])
     scale = np.linalg.norm(columns, axis=0)
     inverse = np.linalg.pinv(columns / scale)
     step = inverse @ left / scale
     covariance = (inverse @ inverse.T) / np.outer(scale, scale)
     over = left - columns @ step
-    freedom = max(1, len(plain.outputs) + len(Nuisance) - columns.shape[1])
+    freedom = max(1, len(left) - columns.shape[1])
     covariance = covariance[-3:, -3:] * max(1.0, float(over @ over) / freedom)
     around = plain.surroundings(state)
     # The tilts' own columns turn the rate along with gravity: what is free comes on top of that.

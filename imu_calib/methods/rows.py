@@ -1,7 +1,7 @@
 """Where the outputs of a session lie among its equations: this module alone knows their order.
 
 Six for each rest (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
-for each move (angles).
+for each move (angles), then three for each turn whose accelerometers count.
 """
 
 from __future__ import annotations
@@ -25,16 +25,18 @@ class Rows:
         rests: Their number.
         turns: Likewise.
         moves: Likewise.
+        felt: Which of the turns have accelerometers that count.
 
     """
 
     rests: int
     turns: int = 0
     moves: int = 0
+    felt: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of outputs."""
-        return 6 * self.rests + 3 * (self.turns + self.moves)
+        return 6 * self.rests + 3 * (self.turns + self.moves + len(self.felt))
 
     @cached_property
     def rest(self) -> Indices:
@@ -52,14 +54,20 @@ class Rows:
         return 6 * self.rests + 3 * self.turns + np.arange(3 * self.moves).reshape(-1, 3)
 
     @cached_property
+    def turn_accels(self) -> Indices:
+        """Of the turns' accelerometers, (f, 3)."""
+        before = 6 * self.rests + 3 * (self.turns + self.moves)
+        return before + np.arange(3 * len(self.felt)).reshape(-1, 3)
+
+    @cached_property
     def gyros(self) -> Indices:
         """Of all that gyros gave, in groups of three: rests, turns, moves."""
         return np.concatenate([self.rest[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
 
     @cached_property
     def accels(self) -> Indices:
-        """Of all that accelerometers gave, in groups of three: rests."""
-        return self.rest[:, 3:].ravel()
+        """Of all that accelerometers gave, in groups of three: rests, turns."""
+        return np.concatenate([self.rest[:, 3:].ravel(), self.turn_accels.ravel()])
 
     @cached_property
     def channels(self) -> Indices:
@@ -67,6 +75,7 @@ class Rows:
         result = np.empty(len(self), dtype=np.intp)
         result[self.rest] = np.arange(6)
         result[self.turn] = result[self.move] = np.arange(3)
+        result[self.turn_accels] = np.arange(3, 6)
         return result
 
     @cached_property
@@ -76,9 +85,22 @@ class Rows:
         result[self.rest] = np.arange(self.rests)[:, None]
         result[self.turn] = self.rests + np.arange(self.turns)[:, None]
         result[self.move] = self.rests + self.turns + np.arange(self.moves)[:, None]
+        result[self.turn_accels] = self.rests + np.array(self.felt, dtype=np.intp)[:, None]
         return result
 
     def joined(self, rest: Floats, turn: Floats, move: Floats) -> Floats:
-        """Return values (s, 6, ...), (t, 3, ...) and (m, 3, ...) in the order of the outputs."""
-        parts = ((rest, self.rest), (turn, self.turn), (move, self.move))
+        """Return values in the order of the outputs.
+
+        Args:
+            rest: (s, 6, ...).
+            turn: (t, 6, ...): of turns whose accelerometers do not count they are left out.
+            move: (m, 3, ...).
+
+        """
+        parts = (
+            (rest, self.rest),
+            (turn[:, :3], self.turn),
+            (move, self.move),
+            (turn[list(self.felt), 3:], self.turn_accels),
+        )
         return np.concatenate([part.reshape(at.size, *rest.shape[2:]) for part, at in parts])

@@ -383,7 +383,7 @@ def _rounded(spec: ImuSpec, triad: TriadSpec) -> float:
 
 
 def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats:
-    """Return the covariance of the outputs by biases that wander, (6 s + 3 t + 3 m + u,) square.
+    """Return the covariance of the outputs by biases that wander, (m + u,) square.
 
     First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
     instabilities, seen by the means of stretches and turns and by the angles of m moves; u is the

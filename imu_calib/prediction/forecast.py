@@ -237,7 +237,7 @@ def _by_closed_form(
 
 
 def gains(evidence: Evidence, solver: Callable[[Evidence], Solution]) -> Floats:
-    """Return the derivatives of a method's parameters by its outputs, (n, 6 s + 3 t + u).
+    """Return the derivatives of a method's parameters by its outputs, (n, m + u).
 
     u is the number of turns that a skewed gyro saw.
     """
@@ -270,7 +270,8 @@ def _moved(evidence: Evidence, output: int, step: float) -> Evidence:
         changed = replace(segment, statistics=_with_mean(segment.statistics, c, step))
         segments = (*evidence.segments[:k], changed, *evidence.segments[k + 1 :])
         return replace(evidence, segments=segments)
-    for k, c in np.argwhere(rows.turn == output).tolist():
+    felt = [[rows.felt[k], 3 + c] for k, c in np.argwhere(rows.turn_accels == output)]
+    for k, c in [*np.argwhere(rows.turn == output).tolist(), *felt]:
         turned = replace(turns[k], statistics=_with_mean(turns[k].statistics, c, step))
         break
     else:

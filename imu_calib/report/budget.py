@@ -41,6 +41,7 @@ _COLOURS = {
     Source.ENCODER_NOISE: '#cab2d6',
     Source.AZIMUTH: '#7a4a12',
     Source.TILT: '#d3b277',
+    Source.ARM: '#3f6f5f',
     Source.TABLE: '#9c5c8f',
     Source.NORTH: '#4d4d4d',
     Source.CLOCK: '#b0006d',

@@ -191,6 +191,10 @@ class Turn:
         """Return what the encoders' noise across the axis adds to these variances, (3,)."""
         return (self.up_error * self.rate()) ** 2 * self._across(response)
 
+    def lean_variance(self, gravity: float) -> Floats:
+        """Return what it adds to the variances of the accelerometers' means, (3,)."""
+        return (self.up_error * gravity) ** 2 * self._across(None)
+
     def _across(self, response: Floats | None) -> Floats:
         """Return the square of what each gyro sees of a unit rate across the axis, (3,)."""
         rows = np.eye(3) if response is None else response

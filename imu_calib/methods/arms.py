@@ -1,0 +1,104 @@
+"""Accelerometers in whole turns: gravity along the axis, biases, and the lever arm.
+
+A point at p from the axis u of a turn at w feels w x (w x p) = -w^2 p, p at right angles to u, on
+top of gravity. Joint axes that miss each other make p another for each attitude in which the unit
+is turned: its two components are unknowns. The accelerometers of a unit are not in one place (size
+effect): of what they differ by that which the two do not take up is a third, along the axis.
+
+Source: docs/mathematics.md, 'Accelerometers in turns'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..segmentation.segment import Turn
+from ..stream import Floats
+
+_LONGEST = 1.0
+"""Standard deviation of an arm of which nothing is known, m: no table holds a unit farther out."""
+
+_APART = 0.03
+"""How far the accelerometers of a unit are from each other, m: a judgement, of units that fit into
+a hand and of those that fill a case. Of turns about an oblique axis it is seen as it is."""
+
+_ASKEW = 5e-5
+"""What misalignments show of it along the axis of a turn, m: a judgement, 3 cm by 1.7 mrad of good
+units, 3 mm by 17 mrad of a chip."""
+
+_SAME = 0.01
+"""Attitudes that differ by less are one, rad: a tenth of a millimetre of an arm of a centimetre."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """The turns whose accelerometers count, and the arms that they have in common.
+
+    Attributes:
+        turns: (f,) indices among the turns.
+        slopes: (f, 3, a) specific force by the arms, body axes, 1/s^2. Each attitude in which the
+            unit is turned has three: two across the axis, one along it.
+        deviations: (a,) standard deviations of the arms beforehand, m.
+
+    """
+
+    turns: NDArray[np.intp]
+    slopes: Floats
+    deviations: Floats
+
+    @classmethod
+    def of(cls, turns: Sequence[Turn], up_rate: float) -> Arms:
+        """Choose the turns that a table made at one rate, about one axis: by hand none is held.
+
+        Args:
+            turns: Of a session.
+            up_rate: Vertical Earth rate, rad/s.
+
+        """
+        which = [k for k, turn in enumerate(turns) if turn.seconds is not None]
+        groups: list[int] = []
+        kinds: list[Turn] = []
+        for turn in (turns[k] for k in which):
+            group = next((g for g, kind in enumerate(kinds) if _alike(turn, kind)), len(kinds))
+            groups.append(group)
+            if group == len(kinds):
+                kinds.append(turn)
+        slopes = np.zeros((len(which), 3, 3 * len(kinds)))
+        for row, k, group in zip(slopes, which, groups, strict=True):
+            rate = turns[k].rate()
+            # The Coriolis force of the Earth, 2 w_e x (w x p), is along the centripetal one.
+            pull = rate * (rate + 2 * up_rate)
+            row[:, 3 * group : 3 * group + 3] = -pull * _across_and_along(kinds[group].up)
+        deviations = [(_LONGEST, _LONGEST, _left_along(turn.up)) for turn in kinds]
+        return cls(np.array(which, dtype=np.intp), slopes, np.array(deviations).ravel())
+
+    def __len__(self) -> int:
+        """Return the number of arms."""
+        return len(self.deviations)
+
+
+def _across_and_along(up: Floats) -> Floats:
+    """Return two unit vectors across `up` (3,) and that along it, as columns (3, 3)."""
+    first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(up, first), up])
+
+
+def _left_along(up: Floats) -> float:
+    """Return the standard deviation of what is left of places along an axis, m."""
+    oblique = np.sqrt(max(0.0, 1 - float(np.abs(up).max()) ** 2))
+    return float(np.hypot(_ASKEW, _APART * oblique))
+
+
+def _alike(turn: Turn, other: Turn) -> bool:
+    """Say whether two turns have the unit at the same place on the joint that turns."""
+    if turn.joint != other.joint or np.abs(turn.up - other.up).max() > _SAME:
+        return False
+    if turn.angles is None or other.angles is None:
+        return turn.angles is other.angles
+    held = np.arange(len(turn.angles)) != turn.joint
+    return bool((np.abs(turn.angles - other.angles)[held] < _SAME).all())
