@@ -23,9 +23,12 @@ from imu_calib.config import Section
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
+from imu_calib.methods.arrivals import Arrivals
 from imu_calib.methods.equations import Equations
 from imu_calib.methods.evidence import Evidence
+from imu_calib.methods.fit import estimate
 from imu_calib.methods.information import Information
+from imu_calib.methods.joint import _scattering
 from imu_calib.model import PARAMETERS, ParameterKind
 from imu_calib.prediction.expected import expected
 from imu_calib.prediction.forecast import information, state_at
@@ -229,6 +232,19 @@ def test_the_screen_says_it_once_and_shows_the_angles(unstated: Result, capsys) 
     (row,) = [line.split() for line in shown.splitlines() if 'gyros to accelerometers Z' in line]
     (angles,) = [a for a in unstated.calibration.free_of_frame if a.group.triads == 'ga']
     assert float(row[4]) == pytest.approx(angles.values[2] / ARCMIN, abs=0.001)
+
+
+def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
+    silent = described('zeros: 0 arcsec\n')
+    for table, words in (
+        (silent, '2 arcsec are assumed of the table'),
+        (replace(silent, assumed=()), "the table's description states 2 arcsec"),
+    ):
+        evidence = replace(evidence_of(), table=table, positioning=table.positioning)
+        found = estimate(evidence)
+        off = replace(found.scatter, arriving=Arrivals(joints=10 * ARCSEC))
+        (sentence,) = [f for f in _scattering(replace(found, scatter=off)) if 'joints' in f]
+        assert words in sentence
 
 
 def test_a_method_that_counts_no_errors_of_a_table_assumes_none(unstated: Result) -> None:

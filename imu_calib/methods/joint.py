@@ -188,11 +188,14 @@ def _scattering(found: Estimate) -> list[str]:
     evidence, scatter = found.equations.evidence, found.scatter
     notes = []
     stated = f'{evidence.positioning / ARCSEC:.3g} arcsec' if evidence.positioning else 'none'
+    known = f"the table's description states {stated}"
+    if evidence.table is not None and 'positioning' in evidence.table.assumed:
+        known = f'{stated} are assumed of the table'
     joints, stops = scatter.arriving.joints, scatter.arriving.stops
     if joints > _TELLING * evidence.positioning:
         notes.append(
             f'The sensors scatter as if joints stopped {joints / ARCSEC:.2g} arcsec off what their '
-            f"encoders show (the table's description states {stated}): the standard deviations "
+            f'encoders show ({known}): the standard deviations '
             'allow for it.'
         )
     if stops > _TELLING * max(joints, evidence.positioning):
