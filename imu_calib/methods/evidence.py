@@ -122,7 +122,7 @@ class Evidence:
     @cached_property
     def led(self) -> Moves:
         """The moves that count as observations."""
-        return Moves.between(self.segments, self.turns, self.moves)
+        return Moves.between(self.segments, self.turns, self.moves, self.site.gravity)
 
     @cached_property
     def rows(self) -> Rows:

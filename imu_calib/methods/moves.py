@@ -49,16 +49,22 @@ class Moves:
     Attributes:
         links: In order.
         attitudes: (s, 3, 3) of all segments.
+        gravity: m/s^2.
 
     """
 
     links: tuple[Link, ...]
     attitudes: Floats
+    gravity: float
     _memo: dict[bytes, tuple[Path, ...]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def between(
-        cls, segments: Sequence[Segment], turns: Sequence[Turn], moves: Sequence[Move]
+        cls,
+        segments: Sequence[Segment],
+        turns: Sequence[Turn],
+        moves: Sequence[Move],
+        gravity: float,
     ) -> Moves:
         """Choose the moves that count.
 
@@ -81,7 +87,7 @@ class Moves:
             rounding = _rounding(move, segments[first])
             links.append(Link(first, second, move, rounding, encoders, bent(move)))
         attitudes = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)
-        return cls(tuple(links), attitudes)
+        return cls(tuple(links), attitudes, gravity)
 
     def __len__(self) -> int:
         return len(self.links)
@@ -91,7 +97,10 @@ class Moves:
         key = model.values(model.parameters).tobytes()
         if key not in self._memo:
             self._memo.clear()
-            motions = [(link.move.turned, link.move.seconds, None) for link in self.links]
+            motions = [
+                (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
+                for k in self.links
+            ]
             self._memo[key] = Path.of_each(motions, model)
         return self._memo[key]
 
@@ -114,8 +123,7 @@ class Moves:
         """Return the derivatives of `off` by parameters of the sensors, (m, 3, p)."""
         result = np.zeros((len(self), 3, len(parameters)))
         for k, path in enumerate(self.paths(model)):
-            force = np.zeros_like(path.rates)
-            answers = model.derivatives(path.rates, force, parameters)[:, :3]
+            answers = model.derivatives(path.rates, path.forces, parameters)[:, :3]
             result[k] = path.following(answers)
         return result
 

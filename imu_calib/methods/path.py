@@ -76,7 +76,8 @@ class Path:
                 found if force is None else np.einsum('nji,j->ni', middle, force)
                 for found, (_, middle, _), (*_, force) in zip(forces, led, motions, strict=True)
             ]
-            led = _led(outputs, seconds, model, forces)
+            if model.gyros_feel_force:
+                led = _led(outputs, seconds, model, forces)
         answer = np.linalg.inv(model.gyro.response)
         # An error over an interval counts as one in its middle, to the second order of its angle.
         return tuple(

@@ -13,6 +13,7 @@ from ..errors import NotObservable
 from ..stream import Floats
 from .inversion import inverted
 from .parameters import (
+    AXES,
     MOST_SKEWED,
     PARAMETERS,
     Parameter,
@@ -284,6 +285,12 @@ class SensorModel:
             [[self.gyro.response, self.g_sensitivity], [np.zeros((3, 3)), self.accel.response]]
         )
         return linear + self.extra_slopes(np.concatenate([rate, force], axis=-1))
+
+    @property
+    def gyros_feel_force(self) -> bool:
+        """Whether the gyros answer to specific force."""
+        felt = any(p.degree_in_force for channel, _, p in self._products if channel < len(AXES))
+        return felt or bool(self.g_sensitivity.any())
 
     @property
     def linear(self) -> bool:

@@ -157,7 +157,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         if rest.course is not None
         and setup.table is not None
         and _followed(
-            move := _move(before, after, rest.course, setup.table, truth, earth), setup.imu
+            move := _move(before, after, rest.course, setup.table, truth, (earth, force)), setup.imu
         )
     ]
     # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
@@ -230,7 +230,7 @@ def _move(
     course: Course,
     table: Table,
     truth: SensorModel,
-    earth: Floats,
+    world: tuple[Floats, Floats],
 ) -> Move:
     """Return what the gyros would give on the way from one rest to the next.
 
@@ -240,9 +240,10 @@ def _move(
         course: Of the joints.
         table: Whose.
         truth: The sensors.
-        earth: (3,) Earth rate in the frame of the attitudes, rad/s.
+        world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
 
     """
+    earth, force = world
     seconds = (after.start - before.end) * 1e-9
     knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
     attitudes = table.attitude(course.at(knots)[0])
@@ -255,7 +256,7 @@ def _move(
     steps = np.vstack([np.zeros(3), steps, np.zeros(3)])
     middles = np.concatenate([attitudes[:1], (attitudes[:-1] + attitudes[1:]) / 2, attitudes[-1:]])
     rates = steps / spans[:, None] + np.einsum('i,nij->nj', earth, middles)
-    gyro, _ = truth.predict(rates, np.zeros_like(rates))
+    gyro, _ = truth.predict(rates, np.einsum('i,nij->nj', force, middles))
     quantum = before.statistics.pulse[:3]
     return Move(before.end, after.start, gyro * spans[:, None], spans, quantum)
 
