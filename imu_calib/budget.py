@@ -47,6 +47,7 @@ class Source(Enum):
     SCATTER = 'scatter'
     TIME_CONSTANT = 'time_constant'
     TEMPERATURE = 'temperature'
+    TERMS = 'terms'
 
     @property
     def evaluation(self) -> str:
@@ -90,6 +91,7 @@ _ROWS = {
         'temp',
         'temperature that moved, by the coefficients that the IMU description states',
     ),
+    Source.TERMS: ('A', 'terms', 'terms that the session shows and does not determine'),
 }
 
 

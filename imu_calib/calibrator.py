@@ -21,7 +21,7 @@ from .methods.comparison import Comparison
 from .methods.evidence import Evidence
 from .methods.information import reached
 from .methods.solution import Solution
-from .model import AXES, Parameter, SensorModel, Term
+from .model import AXES, Parameter, SensorModel, Term, terms_of
 from .model.session_terms import Change, spelled
 from .noise import session_noise
 from .plan import Plan
@@ -52,6 +52,7 @@ class Setup:
         serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
         terms: To be estimated besides what the method estimates.
         changes: Coefficients of the session's terms, likewise.
+        look: Whether terms that the session shows are estimated too.
 
     """
 
@@ -63,6 +64,7 @@ class Setup:
     serial_number: str = ''
     terms: tuple[Term, ...] = ()
     changes: tuple[Change, ...] = ()
+    look: bool = False
 
     @property
     def method_name(self) -> str:
@@ -71,7 +73,7 @@ class Setup:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What is estimated.
+        """What is estimated whatever the session shows.
 
         Raises:
             InputError: There is no such method, or it knows no terms.
@@ -142,7 +144,7 @@ class Calibrator:
     def __init__(self, setup: Setup) -> None:
         check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
-        self._solver = method(setup.method_name, setup.terms, setup.changes)
+        self._solver = method(setup.method_name, setup.terms, setup.changes, look=setup.look)
         self._segmenter = Segmenter(setup.imu, setup.table)
 
     def feed(self, block: Block) -> None:
@@ -395,10 +397,13 @@ def _provenance(
         special['bias_wander'] = [float(v) for v in solution.wandering]
     if comparison is not None:
         special['closed_form'] = comparison.document()
+    if solution.tests:
+        special['tests_of_terms'] = {test.name: test.document() for test in solution.tests}
     return {
         'recorded': _date(session.start),
         'method': setup.method_name,
-        'terms': [*(term.name for term in setup.terms), *spelled(setup.changes)],
+        'terms': [*(t.name for t in terms_of(solution.parameters)), *spelled(setup.changes)],
+        'terms_looked_for': setup.look,
         'plan': setup.plan.name or None,
         'table': setup.table.name if setup.table is not None else None,
         'table_clock_std': setup.table.clock if setup.table is not None else None,

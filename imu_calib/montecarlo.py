@@ -14,7 +14,7 @@ import numpy as np
 
 from .calibrator import Calibrator, Setup
 from .errors import ImuCalibError, NotObservable
-from .model import Parameter, SensorModel
+from .model import Parameter, SensorModel, positions
 from .simulation import StandOptions, simulate
 from .stream import Floats
 
@@ -144,10 +144,12 @@ def run_once(study: Study, seed: int) -> Run:
         calibration = calibrator.finish().calibration
     except NotObservable as error:
         return Run(seed, (), np.empty(0), np.empty(0), str(error))
-    parameters = calibration.parameters
-    wrong = calibration.values - study.truth.values(parameters)
-    error_of = np.where(np.isfinite(calibration.std), wrong, np.nan)
-    return Run(seed, parameters, error_of, calibration.std)
+    # Terms that one session shows and another does not are no parameters of the study.
+    parameters = tuple(p for p in calibration.parameters if p in setup.parameters)
+    places = positions(parameters, calibration.parameters)
+    std = calibration.std[places]
+    wrong = calibration.values[places] - study.truth.values(parameters)
+    return Run(seed, parameters, np.where(np.isfinite(std), wrong, np.nan), std)
 
 
 def economical(options: StandOptions) -> StandOptions:

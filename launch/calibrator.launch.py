@@ -44,7 +44,9 @@ ARGUMENTS = [
         'method', default_value='', description='The estimator; empty: joint where it applies.'
     ),
     DeclareLaunchArgument(
-        'terms', default_value='none', description='That the joint estimate adds: names, commas.'
+        'terms',
+        default_value='auto',
+        description='That the joint estimate adds: auto (those that show), none, or names, commas.',
     ),
     DeclareLaunchArgument(
         'journal', default_value='journal', description='Folder of the recording.'

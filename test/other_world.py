@@ -11,6 +11,7 @@ import math
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import product
 
 EARTH_RATE = 7.292115e-5
@@ -35,6 +36,40 @@ IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO: Matrix = (NOTHING, NOTHING, NOTHING)
 
 
+FAST = 60 * DEG
+"""The rate at which coefficients of gyros' terms are stated, rad/s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terms:
+    """What a channel adds to that, of its own rate w or specific force f, SI units.
+
+    Attributes:
+        by_force: To gyro i row i times the specific force.
+        by_square: To a gyro, times f^2.
+        senses: To a gyro, times |w|.
+        size: To a gyro, times w |w| / FAST.
+        cube: To a gyro, times w^3 / FAST^2.
+        square: To a gyro, times w^2 / FAST.
+        accel_square: To an accelerometer, times f^2.
+        accel_signs: To an accelerometer, times |f|.
+        accel_cube: To an accelerometer, times f^3.
+        accel_cross: To accelerometer i row i times (f_x f_y, f_x f_z, f_y f_z).
+
+    """
+
+    by_force: Matrix = ZERO
+    by_square: Vector = NOTHING
+    senses: Vector = NOTHING
+    size: Vector = NOTHING
+    cube: Vector = NOTHING
+    square: Vector = NOTHING
+    accel_square: Vector = NOTHING
+    accel_signs: Vector = NOTHING
+    accel_cube: Vector = NOTHING
+    accel_cross: Matrix = ZERO
+
+
 @dataclass(frozen=True, kw_only=True)
 class Unit:
     """What the sensors truly are: out = (I + m) input + d, then noise, then whole pulses.
@@ -51,6 +86,7 @@ class Unit:
         counts: Whether it delivers rates and forces, rounded to `pulse` per second.
         gyro_drift, accel_drift: Of the biases per second, rad/s^2 and m/s^3.
         gyro_growth, accel_growth: Of the responses per second, 1/s.
+        terms: What the channels add to that.
 
     """
 
@@ -70,6 +106,7 @@ class Unit:
     accel_drift: Vector = NOTHING
     gyro_growth: float = 0.0
     accel_growth: float = 0.0
+    terms: Terms | None = None
 
 
 @dataclass(frozen=True)
@@ -367,7 +404,7 @@ def record(world: World, unit: Unit, seed: int) -> Recording:
     duration = motions[-1].end + 1.5 + world.dwell
     recording = Recording()
     _record_joints(recording, world, motions, duration, draw)
-    _record_imu(recording, world, unit, motions, duration, draw)
+    _record_imu(recording, world, unit, draw)
     return recording if world.damage is None else damaged(recording, world.damage, draw)
 
 
@@ -408,41 +445,17 @@ def _record_joints(
         recording.angles.append(noisy)  # type: ignore[arg-type]
 
 
-def _record_imu(
-    recording: Recording,
-    world: World,
-    unit: Unit,
-    motions: list[Motion],
-    duration: float,
-    draw: random.Random,
-) -> None:
+def _record_imu(recording: Recording, world: World, unit: Unit, draw: random.Random) -> None:
     dt = 1.0 / unit.rate
-    count = int(duration * unit.rate)
-    halves = angles_at(motions, (0.5 * dt * k for k in range(2 * count + 1)))
-    before, motion = next(halves)
-    moved = Moved(world, unit, motion)
-    r_before = attitude(before, world)
-    earth = (
-        0.0,
-        EARTH_RATE * math.cos(world.latitude),
-        EARTH_RATE * math.sin(world.latitude),
-    )
+    motions = schedule(world)
+    moved = Moved(world, unit, motions[0])
+    earth = earth_of(world)
     sums = [0.0] * 6
     told = [0] * 6
-    still: tuple[Vector, Vector, Vector] | None = None
     pulses = [unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3
     walks = [unit.gyro_walk] * 3 + [unit.accel_walk] * 3
-    for k in range(count):
-        (middle, _), (after, motion) = next(halves), next(halves)
-        if after == before and still is not None and still[0] == after:
-            turned, pushed, beyond = still[1], still[2], [NOTHING] * 3
-        else:
-            r_middle, r_after = attitude(middle, world), attitude(after, world)
-            turned, pushed = _felt(world, (r_before, r_middle, r_after), earth, dt)
-            beyond = moved.on(r_middle, earth, motion, (k + 1) * dt)
-            still = (after, turned, pushed) if after == before else None
-            r_before = r_after
-        before = after
+    for k, (turned, pushed, middle, motion) in enumerate(felt(world, unit.rate)):
+        beyond = [NOTHING] * 3 if middle is None else moved.on(middle, earth, motion, (k + 1) * dt)
         outputs = [
             *_answer(unit.gyro_m, unit.gyro_d, turned, dt),
             # Each accelerometer feels all three components where it is.
@@ -458,6 +471,9 @@ def _record_imu(
             a += unit.accel_growth * since * (a - unit.accel_d[c] * dt)
             outputs[c] = g + unit.gyro_drift[c] * since * dt
             outputs[3 + c] = a + unit.accel_drift[c] * since * dt
+        if unit.terms is not None:
+            added = _added(unit.terms, turned, pushed, dt)
+            outputs = [a + b for a, b in zip(outputs, added, strict=True)]
         counted = []
         for c in range(6):
             sums[c] += outputs[c] + walks[c] * math.sqrt(dt) * draw.gauss(0, 1)
@@ -518,6 +534,41 @@ def _sum(a: Vector, b: Vector) -> Vector:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
+def earth_of(world: World) -> Vector:
+    return 0.0, EARTH_RATE * math.cos(world.latitude), EARTH_RATE * math.sin(world.latitude)
+
+
+@lru_cache(maxsize=2)
+def felt(world: World, rate: float) -> list[tuple[Vector, Vector, Matrix | None, Motion]]:
+    """What every sample is given: integrals of rate and specific force in body axes.
+
+    And the attitude in its middle where it moves, and which motion it is.
+    """
+    motions = schedule(world)
+    duration = motions[-1].end + 1.5 + world.dwell
+    dt = 1.0 / rate
+    count = int(duration * rate)
+    halves = angles_at(motions, (0.5 * dt * k for k in range(2 * count + 1)))
+    before, _ = next(halves)
+    r_before = attitude(before, world)
+    earth = earth_of(world)
+    still: tuple[Vector, Vector, Vector] | None = None
+    given: list[tuple[Vector, Vector, Matrix | None, Motion]] = []
+    for _ in range(count):
+        (middle, _), (after, motion) = next(halves), next(halves)
+        r_middle = None
+        if after == before and still is not None and still[0] == after:
+            turned, pushed = still[1], still[2]
+        else:
+            r_middle, r_after = attitude(middle, world), attitude(after, world)
+            turned, pushed = _felt(world, (r_before, r_middle, r_after), earth, dt)
+            still = (after, turned, pushed) if after == before else None
+            r_before = r_after
+        before = after
+        given.append((turned, pushed, r_middle, motion))
+    return given
+
+
 def _felt(
     world: World, attitudes: tuple[Matrix, Matrix, Matrix], earth: Vector, dt: float
 ) -> tuple[Vector, Vector]:
@@ -545,3 +596,22 @@ def _cross(a: Vector, b: Vector) -> Vector:
 def _answer(m: Matrix, d: Vector, given: Vector, dt: float) -> list[float]:
     extra = applied(m, given)
     return [given[c] + extra[c] + d[c] * dt for c in range(3)]
+
+
+def _added(terms: Terms, turned: Vector, pushed: Vector, dt: float) -> list[float]:
+    """What the terms add to the six outputs of a sample."""
+    w, f = [v / dt for v in turned], [v / dt for v in pushed]
+    mixed = f[0] * f[1], f[0] * f[2], f[1] * f[2]
+    added = []
+    for c in range(3):
+        rate = terms.senses[c] * abs(w[c]) + terms.by_square[c] * f[c] ** 2
+        rate += terms.size[c] * w[c] * abs(w[c]) / FAST + terms.square[c] * w[c] ** 2 / FAST
+        rate += terms.cube[c] * w[c] ** 3 / FAST**2
+        rate += sum(terms.by_force[c][j] * f[j] for j in range(3))
+        added.append(rate * dt)
+    for c in range(3):
+        push = terms.accel_square[c] * f[c] ** 2 + terms.accel_signs[c] * abs(f[c])
+        push += terms.accel_cube[c] * f[c] ** 3
+        push += sum(terms.accel_cross[c][j] * mixed[j] for j in range(3))
+        added.append(push * dt)
+    return added

@@ -62,7 +62,9 @@ def segmented(world: World, unit: Unit, seed: int = 0) -> Evidence:
     return gathered(fed(world, unit, seed))
 
 
-def fed(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Calibrator:
+def fed(
+    world: World, unit: Unit, seed: int = 0, plan: Plan | None = None, *, look: bool = False
+) -> Calibrator:
     spec = ImuSpec(
         'other',
         Units.COUNTS if unit.counts else Units.PULSES,
@@ -72,7 +74,7 @@ def fed(world: World, unit: Unit, seed: int = 0, plan: Plan | None = None) -> Ca
     )
     site = Site.at(world.latitude, 0.0, world.gravity)
     plan = load_plan('twelve_position') if plan is None else plan
-    setup = Setup(spec, plan, load_table('three_axis'), site)
+    setup = Setup(spec, plan, load_table('three_axis'), site, look=look)
     recording = record(world, unit, seed)
     calibrator = Calibrator(setup)
     stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)

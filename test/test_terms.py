@@ -17,7 +17,7 @@ from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.methods import JOINT, METHODS, estimates, method
 from imu_calib.methods.free import in_frame_of_accelerometers
-from imu_calib.model import TERMS, chosen, parameters_of, terms_of
+from imu_calib.model import TERMS, chosen, looked_for, parameters_of, terms_of
 from imu_calib.prediction import forecast
 from imu_calib.share import named_file, share_folder
 from imu_calib.simulation import simulate
@@ -88,6 +88,14 @@ def test_terms_are_chosen_by_name() -> None:
         'gyro_cubic',
         'g_sensitivity',
     ]
+    assert chosen('auto') == ()
+    assert [t.name for t in chosen('auto,gyro_cubic')] == ['gyro_cubic']
+    assert [looked_for(text) for text in ('auto', 'gyro_g2, auto', 'none', 'gyro_g2')] == [
+        True,
+        True,
+        False,
+        False,
+    ]
     with pytest.raises(InputError, match=r"No term is called 'cubic'; there are: g_sensitivity, "):
         chosen('gyro_cubic,cubic')
 
@@ -121,6 +129,11 @@ def test_the_commands_take_terms_from_simulation_to_firmware(
     for bag, seed in (('one', '1'), ('two', '2')):
         words = ['--imu', 'fog_navigation', '--truth', truth, '--seed', seed, *place]
         run('simulate', './short.yaml', '-o', bag, *words)
+    shown = run('calibrate', 'one', '-o', 'auto.yaml')
+    assert f'terms: {asked(truth).replace(",", ", ")}' in shown
+    assert 'accel_asymmetry would explain it as well' in shown
+    report = run('report', 'auto.yaml', 'one', '-o', 'auto.html')
+    assert '<h2>Terms</h2>' in (tmp_path / 'auto.html').read_text(), report
     shown = run('calibrate', 'one', '--terms', asked(truth), '-o', 'c.yaml')
     assert all(name in shown for name in ('A_gx', 'N_gz', 'K2_ay', 'ug/g^2'))
     assert 'ACCEPTED' in run('verify', 'two', '--calibration', 'c.yaml')

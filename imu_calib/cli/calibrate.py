@@ -14,6 +14,7 @@ from ..earth import MEASURED
 from ..errors import NotObservable
 from ..methods import METHODS
 from ..methods.free.session import calibrator_of
+from ..methods.tested import summary
 from ..report.budget import budget_tables
 from ..report.noise import noise_lines
 from ..report.parameters import change_note, change_table, parameter_tables
@@ -76,6 +77,7 @@ def open_offline(arguments: argparse.Namespace) -> Offline:
         options.find_serial(arguments, data, where),
         options.find_terms(arguments),
         options.find_changes(arguments),
+        options.find_look(arguments),
     )
     return Offline(recording, setup, streams)
 
@@ -139,6 +141,8 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         f'\n{setup["method"]}{without}: {setup["segments"]} stretches at rest, '
         f'{setup["turns"]} turns, {session.samples} samples in {session.duration:.0f} s'
     )
+    for line in summary(solution.tests):
+        OUTPUT.print(line, markup=False)
     if result.comparison is not None:
         OUTPUT.print(result.comparison.sentence(), markup=False)
     if solution.wandering is not None and solution.wandering.any():

@@ -124,7 +124,14 @@ def _study(arguments: argparse.Namespace) -> Study:
         bias_instability=arguments.bias_instability,
     )
     setup = Setup(
-        load_imu(arguments.imu), plan, table, site, arguments.method, terms=terms, changes=changes
+        load_imu(arguments.imu),
+        plan,
+        table,
+        site,
+        arguments.method,
+        terms=terms,
+        changes=changes,
+        look=options.find_look(arguments),
     )
     truth = Calibration.load(named_file('truths', arguments.truth)).model
     return Study(setup, truth, economical(stand), azimuth)

@@ -15,7 +15,7 @@ from ..config import Section
 from ..earth import HEIGHT_STD, LATITUDE_STD, MEASURED, NORMAL_GRAVITY_STD, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
-from ..model import NO_TERMS, TERMS, Term, chosen
+from ..model import AUTO_TERMS, NO_TERMS, TERMS, Term, chosen, looked_for
 from ..model.session_terms import SESSION_TERMS, Change, parted
 from ..plan import UNPLANNED, Plan, load_plan, read_plan
 from ..session import SERIAL_NUMBER, described_imu, described_site, imu_key
@@ -117,8 +117,8 @@ def add_method_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--terms',
         metavar='NAME,NAME',
-        help=f'what the joint estimate adds to the 24 parameters: {NO_TERMS}, or of {names} '
-        f'(default: {NO_TERMS})',
+        help=f'what the joint estimate adds to the 24 parameters: {AUTO_TERMS}, those that the '
+        f'session shows; {NO_TERMS}; or of {names} (default: {AUTO_TERMS})',
     )
 
 
@@ -129,7 +129,7 @@ def find_terms(arguments: argparse.Namespace) -> tuple[Term, ...]:
         InputError: No such term.
 
     """
-    return chosen(parted(NO_TERMS if arguments.terms is None else arguments.terms)[0])
+    return chosen(parted(_terms(arguments))[0])
 
 
 def find_changes(arguments: argparse.Namespace) -> tuple[Change, ...]:
@@ -139,7 +139,16 @@ def find_changes(arguments: argparse.Namespace) -> tuple[Change, ...]:
         InputError: No such term, or two that exclude each other.
 
     """
-    return parted(NO_TERMS if arguments.terms is None else arguments.terms)[1]
+    return parted(_terms(arguments))[1]
+
+
+def find_look(arguments: argparse.Namespace) -> bool:
+    """Return whether terms that the session shows are to be estimated too."""
+    return looked_for(_terms(arguments))
+
+
+def _terms(arguments: argparse.Namespace) -> str:
+    return AUTO_TERMS if arguments.terms is None else str(arguments.terms)
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,8 @@ from ..calibrator import Result
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu
 from ..methods import JOINT
-from ..model import NO_TERMS, terms_of
-from ..model.session_terms import SESSION_TERMS
+from ..methods.tested import State
+from ..model import AUTO_TERMS, NO_TERMS, terms_of
 from ..report.page import Contents, page
 from . import options
 from .calibrate import calibrate, open_offline
@@ -71,6 +71,16 @@ def run(arguments: argparse.Namespace) -> None:
         )
 
 
+def _terms(calibration: Calibration) -> str:
+    """Return what --terms was for a calibration: what it did not find itself."""
+    names = [term.name for term in terms_of(calibration.parameters)]
+    if calibration.provenance.get('terms_looked_for'):
+        tests = calibration.provenance.get('tests_of_terms', {})
+        asked = [n for n in names if tests.get(n, {}).get('state') == State.ASKED.value]
+        names = [*asked, AUTO_TERMS]
+    return ','.join(names) or NO_TERMS
+
+
 def _recalibrate(arguments: argparse.Namespace, calibration: Calibration) -> tuple[Result, ImuSpec]:
     """Run the recording through the calibrator again, as it was run for the calibration.
 
@@ -81,13 +91,7 @@ def _recalibrate(arguments: argparse.Namespace, calibration: Calibration) -> tup
     if arguments.method is None:
         arguments.method = calibration.provenance.get('method')
     if arguments.terms is None and arguments.method in JOINT:
-        names = [term.name for term in terms_of(calibration.parameters)]
-        names += [
-            name
-            for name in calibration.provenance.get('terms') or []
-            if name.partition(':')[0] in SESSION_TERMS
-        ]
-        arguments.terms = ','.join(names) or NO_TERMS
+        arguments.terms = _terms(calibration)
     if arguments.plan is None and calibration.provenance.get('plan', '') is None:
         arguments.plan = options.NO_PLAN
     with open_recording(arguments.bag) as recording:

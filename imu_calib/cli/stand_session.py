@@ -18,7 +18,7 @@ from ..earth import LUOYANG, Site
 from ..errors import InputError, NotObservable
 from ..imu import ImuSpec, load_imu
 from ..methods import free
-from ..model import NO_TERMS
+from ..model import AUTO_TERMS
 from ..plan import Plan, load_plan
 from ..prediction import check_session
 from ..report.parameters import parameter_tables
@@ -50,7 +50,8 @@ def check(
     from . import monitor  # noqa: F401
 
     terms, changes = options.find_terms(arguments), options.find_changes(arguments)
-    setup = Setup(imu, plan, table, site, arguments.method, terms=terms, changes=changes)
+    look = options.find_look(arguments)
+    setup = Setup(imu, plan, table, site, arguments.method, terms=terms, changes=changes, look=look)
     _check_session(setup)
     if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
         raise InputError(
@@ -195,7 +196,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
             **doubts,
             'plan': arguments.plan,
             'method': arguments.method or '',
-            'terms': arguments.terms or NO_TERMS,
+            'terms': arguments.terms or AUTO_TERMS,
             'serial_number': arguments.serial or '',
             'journal': str(folder / resume.JOURNAL),
             'output': str(folder / resume.RESULT),

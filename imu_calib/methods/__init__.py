@@ -75,7 +75,11 @@ _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
 
 
 def method(
-    name: str, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
+    name: str,
+    terms: tuple[Term, ...] = (),
+    changes: tuple[Change, ...] = (),
+    *,
+    look: bool = False,
 ) -> Callable[[Evidence], Solution]:
     """Return the solver of a name.
 
@@ -83,6 +87,7 @@ def method(
         name: Of the method.
         terms: To be estimated besides what the method estimates.
         changes: By which parameters change during the session, likewise.
+        look: Whether terms that the session shows are estimated too, where the method knows any.
 
     Raises:
         InputError: No such method, which lists those that exist, or one that knows no terms.
@@ -90,16 +95,17 @@ def method(
     """
     if name not in METHODS:
         raise InputError(f'No method is called {name!r}; there are: {", ".join(sorted(METHODS))}.')
-    if not terms and not changes:
-        return partial(_in_table_time, METHODS[name])
-    if name not in JOINT:
+    if name in JOINT:
+        own = (*JOINT[name], *terms)
+        solve = partial(joint.solve, terms=own, changes=changes, look=look)
+        return partial(_in_table_time, solve)
+    if terms or changes:
         raise InputError(
             f'Method {name} estimates its own parameters and no further terms '
             f'({", ".join([*(t.name for t in terms), *names_of(changes)])}); '
             f'{" and ".join(JOINT)} do.'
         )
-    solve = partial(joint.solve, terms=(*JOINT[name], *terms), changes=changes)
-    return partial(_in_table_time, solve)
+    return partial(_in_table_time, METHODS[name])
 
 
 def _in_table_time(solve: Callable[[Evidence], Solution], evidence: Evidence) -> Solution:

@@ -124,6 +124,7 @@ class Equations:
         inflation: (m,) factors on the variance of each output's own noise, or None.
         changes: Coefficients by which parameters change during the session: the end of the state.
         time_constant: Of a warm-up among them, as a fraction of the session.
+        doubts: Parameters that are not in the state, and the standard deviation about zero of each.
 
     """
 
@@ -136,6 +137,7 @@ class Equations:
     inflation: Floats | None = field(default=None, repr=False)
     changes: tuple[Change, ...] = ()
     time_constant: float = 1.0
+    doubts: tuple[tuple[Parameter, float], ...] = ()
 
     @property
     def sensors(self) -> int:
@@ -304,27 +306,42 @@ class Equations:
         By the table they are those of the mean parameters: what changes of these is parts in 1e5.
         """
         around, rate, force, turning, felt = self._inputs(state)
-        model = self.model(state)
-        s, t, n = len(rate), len(turning), self.sensors
-        at_rest, turned = np.zeros((s, 6, self.size)), np.zeros((t, 6, self.size))
-        at_rest[:, :, :n] = model.derivatives(rate, force, self.parameters)
-        turned[:, :, :n] = whole(model.derivatives(turning, felt, self.parameters))
+        model, n = self.model(state), self.sensors
+        at_rest = np.zeros((len(rate), 6, self.size))
+        turned = np.zeros((len(turning), 6, self.size))
+        led = np.zeros((len(self.evidence.led), 3, self.size))
         world = np.vstack([around.rate_slopes, around.force_slopes])
         at_rest[:, :, n : n + 3] = model.slopes(rate, force) @ _both(self._to_body) @ world
         slopes = model.slopes(turning, felt)
         turned[:, :, n : n + 3] = whole(slopes @ _both(self._headings) @ world)
         arms = self.evidence.arms
         turned[arms.turns, :, self.arms] = whole(slopes[..., 3:])[arms.turns] @ arms.slopes
-        led = np.zeros((len(self.evidence.led), 3, self.size))
-        led[:, :, :n] = self.evidence.led.by_parameters(model, self.parameters)
         led[:, :, n : n + 3] = self.evidence.led.by_rate() @ around.rate_slopes
         result = self.rows.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
+        result[:, :n] = self.by_parameters(state, self.parameters)
         answers = self._answers(model, (rate, force, turning, felt))
         result[divided, self.clock] = -answers[divided] / faster**2
         result[self.rows.move, self.clock] = self._led_by_clock(model)
         result[:, self.changing] = self.columns(self.changes, result)
+        return result
+
+    def by_parameters(self, state: Floats, parameters: tuple[Parameter, ...]) -> Floats:
+        """Return the derivatives of `predict` by p parameters, (m, p).
+
+        Args:
+            state: (n,) of sensors and table.
+            parameters: Of the sensors, in the state or not.
+
+        """
+        _, rate, force, turning, felt = self._inputs(state)
+        model = self.model(state)
+        at_rest = model.derivatives(rate, force, parameters)
+        turned = whole(model.derivatives(turning, felt, parameters))
+        led = self.evidence.led.by_parameters(model, parameters)
+        result = self.rows.joined(at_rest, turned, led)
+        result[self._divided] /= 1 + state[self.clock]
         return result
 
     @cached_property
@@ -390,6 +407,10 @@ class Equations:
             *self.extra,
             *self._arriving(state),
         ]
+        if self.doubts:
+            parameters, deviations = zip(*self.doubts, strict=True)
+            columns = self.by_parameters(state, parameters) * np.array(deviations)
+            found.append(Component(Source.TERMS, Factor(columns)))
         at_rest, turning = evidence.leaning
         if at_rest.shape[2]:
             found.append(Component(Source.TABLE, Factor(self._leaning(state, at_rest, turning))))

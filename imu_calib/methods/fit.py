@@ -25,6 +25,7 @@ from ..model.session_terms import Change
 from ..segmentation.session import Move
 from ..stream import Floats
 from ..units import DEG
+from .arrivals import NO_ARRIVALS
 from .changing import doubt_of_time_constant, timed, with_changes
 from .converge import least_squares
 from .equations import Equations, Nuisance
@@ -116,6 +117,18 @@ class Estimate:
         index = self.equations.sensors + which
         return float(self.state[index]), float(np.sqrt(self.covariance[index, index]))
 
+    @property
+    def calm(self) -> Equations:
+        """The equations with the noise that is known beforehand: nothing that the session shows."""
+        return replace(self.equations, extra=self.scatter.stated, arriving=NO_ARRIVALS)
+
+    @property
+    def set_aside(self) -> int:
+        """How many outputs count for less, or not at all."""
+        inflation = self.equations.inflation
+        down = 0 if inflation is None else int(np.count_nonzero(inflation > 1))
+        return down + 3 * len(self.astray)
+
     def shares(self) -> dict[Source, Share]:
         """Return the covariance of the parameters by source: of the outputs, and of the priors."""
         equations = self.equations
@@ -142,6 +155,7 @@ def estimate(
     evidence: Evidence,
     parameters: tuple[Parameter, ...] = PARAMETERS,
     changes: tuple[Change, ...] = (),
+    doubts: tuple[tuple[Parameter, float], ...] = (),
 ) -> Estimate:
     """Fit all of a session at once.
 
@@ -149,30 +163,31 @@ def estimate(
         evidence: The session.
         parameters: Of the sensors.
         changes: By which they change during the session.
+        doubts: As in `Equations`.
 
     Raises:
         NotObservable: Names what the session cannot observe.
 
     """
-    equations = Equations(evidence, parameters)
+    equations = Equations(evidence, parameters, doubts=doubts)
     check_observable(equations)
     equations, constant = with_changes(equations, changes)
     # Moves lead from attitude to attitude of a table that is known; they say less of where it is.
     resting = replace(equations, evidence=replace(evidence, moves=()))
     resting, state = timed(resting, _start(resting))
-    state = _fit(resting, state)
+    state = fit(resting, state)
     resting = _headed(_levelled(resting, state), state)
-    state = _fit(resting, state)
+    state = fit(resting, state)
     kept, astray = _moves_that_fit(resting, state, evidence)
     equations = replace(resting, evidence=replace(evidence, moves=kept))
     observed = Information.of(equations.whitened(state)[0]).observed
     if not np.delete(observed, np.r_[equations.arms]).all():
         # See `information.before`. Of lever arms turns show what the 24 need, and not more.
         equations = resting
-    found = _without_outliers(equations, _fit(equations, state), turns=True)
+    found = _without_outliers(equations, fit(equations, state), turns=True)
     if _turns_disagree(evidence, found.outliers):
         equations, scatter = _turns_weighed_down(equations, state)
-        found = _without_outliers(equations, _fit(equations, state), turns=False)
+        found = _without_outliers(equations, fit(equations, state), turns=False)
         found = replace(found, turns_scatter=scatter)
     between = doubt_of_time_constant(found.equations, found.state)
     covariance = found.covariance if between is None else found.covariance + between
@@ -199,7 +214,7 @@ def _moves_that_fit(
     scatter = excess(resting, state)
     kept: tuple[Move, ...] = ()
     while True:
-        fitting, astray = _judged(_weighted(resting, scatter), state, evidence)
+        fitting, astray = _judged(with_scatter(resting, scatter), state, evidence)
         if not astray or len(fitting) <= len(kept):
             return fitting, astray
         # Moves show arrivals that hide in the noise of rests: with those that fit, others may.
@@ -233,16 +248,16 @@ def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Es
     outliers: list[Outlier] = []
     scatter = excess(equations, state)
     for _ in range(int(_MOST_OUTLIERS * len(equations.evidence.segments)) + 1):
-        weighted = _weighted(equations, scatter)
-        state = _fit(weighted, state)
+        weighted = with_scatter(equations, scatter)
+        state = fit(weighted, state)
         found = _outlier(equations, weighted, state, _candidates(equations.evidence, turns=turns))
         if found is None:
             break
         outliers.append(found)
         equations = _weighed_down(equations, found.rows, 1 + found.square)
-        scatter = excess(equations, _fit(equations, state))
-    weighted = _weighted(equations, scatter)
-    state = _fit(weighted, state)
+        scatter = excess(equations, fit(equations, state))
+    weighted = with_scatter(equations, scatter)
+    state = fit(weighted, state)
     information = Information.of(weighted.whitened(state)[0])
     return Estimate(
         weighted,
@@ -354,7 +369,7 @@ def _start(equations: Equations) -> Floats:
     return best
 
 
-def _fit(equations: Equations, state: Floats) -> Floats:
+def fit(equations: Equations, state: Floats) -> Floats:
     """Iterate to the least squares, each output by its covariance.
 
     Raises:
@@ -373,7 +388,8 @@ def _least_squares(jacobian: Floats, left: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(jacobian / scale, left, rcond=None)[0] / scale)
 
 
-def _weighted(equations: Equations, scatter: Excess) -> Equations:
+def with_scatter(equations: Equations, scatter: Excess) -> Equations:
+    """Return the equations with what scatters in their covariance."""
     return replace(equations, extra=scatter.extra, arriving=scatter.arriving)
 
 
@@ -395,7 +411,7 @@ def _headed(equations: Equations, state: Floats) -> Equations:
         return equations
     free = replace(equations, any_heading=True)
     azimuth = equations.sensors + Nuisance.AZIMUTH
-    state = _fit(free, state)
+    state = fit(free, state)
     covariance = Information.of(free.whitened(state)[0]).covariance
     far = max(_CONTRADICTION * float(np.sqrt(covariance[azimuth, azimuth])), _LEAST_AZIMUTH)
     return free if abs(state[azimuth]) > far else equations
@@ -453,8 +469,8 @@ def _outlier(
     for index in worst:
         name, rows = candidates[index]
         without = _weighed_down(plain, rows, _LEFT_OUT)
-        others = _weighted(plain, excess(without, _fit(without, state)))
-        here = _fit(others, state)
+        others = with_scatter(plain, excess(without, fit(without, state)))
+        here = fit(others, state)
         square, freedom = _fall(others, here, rows)
         limit = scipy.special.chdtri(max(freedom, 1), _OUTLYING)
         if freedom and square > limit and (best is None or square > best.square):
@@ -465,7 +481,7 @@ def _outlier(
 def _falls(
     equations: Equations, state: Floats, candidates: list[tuple[str, NDArray[np.intp]]]
 ) -> Floats:
-    state = _fit(equations, state)
+    state = fit(equations, state)
     prepared = _cleaned(equations, state)
     return np.array([_drop(prepared, rows)[0] for _, rows in candidates])
 

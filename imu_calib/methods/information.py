@@ -102,21 +102,25 @@ def before(equations: Equations) -> Information:
     What the last digits of an encoder add to an axis that stands level separates no parameters:
     they would seem observed, with deviations beyond all sense, and spoil others.
     """
-    evidence = equations.evidence
+    ideal = replace(equations, evidence=meant(equations.evidence))
+    found = Information.of(ideal.whitened(ideal.nominal())[0])
+    if found.observed.all() or not len(ideal.evidence.led):
+        return found
+    # Without noise moves are a million times as sharp as the levelling of the table: what rests on
+    # that is lost beside them to rounding, though more evidence tells no less.
+    ideal = replace(ideal, evidence=replace(ideal.evidence, moves=()))
+    resting = Information.of(ideal.whitened(ideal.nominal())[0])
+    return resting if resting.observed.sum() > found.observed.sum() else found
+
+
+def meant(evidence: Evidence) -> Evidence:
+    """Return the evidence with attitudes as they are meant: without an encoder's last digits."""
     segments = tuple(
         s if s.attitude is None else replace(s, attitude=_without_strays(s.attitude))
         for s in evidence.segments
     )
     turns = tuple(replace(t, up=_without_strays(t.up)) for t in evidence.turns)
-    meant = replace(equations, evidence=replace(evidence, segments=segments, turns=turns))
-    found = Information.of(meant.whitened(meant.nominal())[0])
-    if found.observed.all() or not len(evidence.led):
-        return found
-    # Without noise moves are a million times as sharp as the levelling of the table: what rests on
-    # that is lost beside them to rounding, though more evidence tells no less.
-    meant = replace(meant, evidence=replace(meant.evidence, moves=()))
-    resting = Information.of(meant.whitened(meant.nominal())[0])
-    return resting if resting.observed.sum() > found.observed.sum() else found
+    return replace(evidence, segments=segments, turns=turns)
 
 
 def _without_strays(directions: Floats) -> Floats:
@@ -132,12 +136,13 @@ def told(
     coefficient of a term that is known no better than to a fiftieth of what any IMU may have.
     """
     deviations = _deviations(information, parameters)
-    limits = np.array([_limit(p) for p in parameters])
+    limits = np.array([useful(p) for p in parameters])
     with np.errstate(invalid='ignore'):
         return np.asarray(np.isfinite(deviations) & ~(deviations > limits))
 
 
-def _limit(parameter: Parameter) -> float:
+def useful(parameter: Parameter) -> float:
+    """Return the standard deviation, SI, beyond which a parameter is of no use."""
     if parameter.kind is ParameterKind.BIAS:
         return np.inf
     limit = parameter.unit.limit

@@ -18,13 +18,14 @@ from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course, names_of
 from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
-from .arrivals import NO_ARRIVALS
 from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatter
 from .equations import Nuisance
 from .evidence import Evidence
-from .fit import Estimate, estimate
+from .fit import Estimate
 from .modulation import spans
+from .search import searched
 from .solution import Residual, Solution
+from .tested import findings, tested
 from .warmth import moved_temperature
 
 _TELLING = 0.1
@@ -32,21 +33,34 @@ _NAMED = 3
 
 
 def solve(
-    evidence: Evidence, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
+    evidence: Evidence,
+    terms: tuple[Term, ...] = (),
+    changes: tuple[Change, ...] = (),
+    *,
+    look: bool = False,
 ) -> Solution:
     """Estimate the 24 parameters, and those of terms, from a session of any plan.
 
     Args:
         evidence: The session.
-        terms: Of the sensors, besides.
-        changes: By which parameters change during the session.
+        terms: Of the sensors, that are estimated whatever the session shows.
+        changes: By which parameters change during the session, likewise.
+        look: Whether terms that it shows are estimated too.
 
     Raises:
         NotObservable: Names what the session cannot observe, or what contradicts itself.
         InputError: The outputs are not in the units that the IMU's description states.
 
     """
-    return _concluded(estimate(evidence, parameters_of(terms), changes))
+    search = searched(evidence, parameters_of(terms), changes, look=look)
+    found = _concluded(search.estimate)
+    return replace(
+        found,
+        covariance=found.covariance + search.doubt,
+        findings=(*findings(search), *found.findings),
+        shares=search.shares(),
+        tests=tested(search, terms),
+    )
 
 
 def _concluded(found: Estimate) -> Solution:
@@ -71,8 +85,7 @@ def _concluded(found: Estimate) -> Solution:
         (*_findings(found), *far_scales(model), *clocks(evidence)),
         found.scatter.wandering,
         equations.parameters,
-        found.shares(),
-        _changes(found),
+        changes=_changes(found),
     )
 
 
@@ -114,7 +127,7 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
         (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
 
     """
-    plain = replace(found.equations, extra=found.scatter.stated, arriving=NO_ARRIVALS)
+    plain = found.calm
     state, sensors = found.state, found.equations.sensors
     factor = np.linalg.cholesky(plain.covariance(state))
     free = scipy.linalg.solve_triangular(factor, plain.by_rate(state), lower=True)

@@ -10,6 +10,7 @@ from ..budget import Shares
 from ..changes import Changes
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
+from .tested import Tested
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,8 @@ class Solution:
         parameters: (n,) what the rows of the covariance stand for.
         shares: The covariance by source, which adds up to it; None for a method that does not tell.
         changes: By which the parameters change during the session; None where none were asked for.
+        tests: What the session says of every term and of the table's errors; empty for a method
+            that knows none.
 
     """
 
@@ -66,6 +69,7 @@ class Solution:
     parameters: tuple[Parameter, ...] = PARAMETERS
     shares: Shares | None = None
     changes: Changes | None = None
+    tests: tuple[Tested, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a covariance of other parameters."""

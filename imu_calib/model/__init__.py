@@ -22,9 +22,20 @@ from .sensors import (
     regressors,
     terms_of,
 )
-from .terms import G_SENSITIVITIES, G_SENSITIVITY, NO_TERMS, TERMS, Term, chosen, term
+from .terms import (
+    AUTO_TERMS,
+    G_SENSITIVITIES,
+    G_SENSITIVITY,
+    NO_TERMS,
+    TERMS,
+    Term,
+    chosen,
+    looked_for,
+    term,
+)
 
 __all__ = [
+    'AUTO_TERMS',
     'AXES',
     'G_SENSITIVITIES',
     'G_SENSITIVITY',
@@ -48,6 +59,7 @@ __all__ = [
     'Unit',
     'by_name',
     'chosen',
+    'looked_for',
     'parameters_of',
     'positions',
     'regressors',

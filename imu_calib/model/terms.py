@@ -22,6 +22,9 @@ from .session_terms import SESSION_TERMS
 NO_TERMS = 'none'
 """What a person writes for the 24 parameters alone."""
 
+AUTO_TERMS = 'auto'
+"""What a person writes for those that the session shows, alone or among names."""
+
 REFERENCE_RATE = 60 * DEG
 """Rate at which the coefficients of gyros' terms are stated, rad/s."""
 
@@ -197,7 +200,7 @@ G_SENSITIVITIES: tuple[Parameter, ...] = G_SENSITIVITY.parameters
 
 
 def chosen(text: str) -> tuple[Term, ...]:
-    """Return the terms that a person names: 'none', or names with commas between.
+    """Return the terms that a person names: 'none', or names with commas between, 'auto' left out.
 
     Raises:
         InputError: No such term.
@@ -205,7 +208,13 @@ def chosen(text: str) -> tuple[Term, ...]:
     """
     if text == NO_TERMS:
         return ()
-    return tuple(dict.fromkeys(term(name.strip()) for name in text.split(',')))
+    names = [name.strip() for name in text.split(',')]
+    return tuple(dict.fromkeys(term(name) for name in names if name != AUTO_TERMS))
+
+
+def looked_for(text: str) -> bool:
+    """Say whether a person asks for the terms that the session shows: 'auto' among the names."""
+    return AUTO_TERMS in [name.strip() for name in text.split(',')]
 
 
 def term(name: str) -> Term:

@@ -17,7 +17,7 @@ from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
 from ..middleware import messages
-from ..model import NO_TERMS, Parameter, chosen
+from ..model import AUTO_TERMS, Parameter, chosen, looked_for
 from ..model.session_terms import parted
 from ..plan import load_plan
 from ..report.parameters import engineering
@@ -123,10 +123,11 @@ class CalibratorNode(ros.Node):
             self, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
         )
         method = declare(self, 'method', '', 'the estimator; empty: joint where it applies')
-        named, changes = parted(
-            declare(self, 'terms', NO_TERMS, 'that the joint estimate adds; names with commas')
+        wanted = declare(
+            self, 'terms', AUTO_TERMS, 'that the joint estimate adds; auto: those that show'
         )
-        terms = chosen(named)
+        named, changes = parted(wanted)
+        terms, look = chosen(named), looked_for(wanted)
         serial = declare(self, 'serial_number', '', 'of the unit; empty: not stated')
         if math.isnan(latitude):
             raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
@@ -142,14 +143,14 @@ class CalibratorNode(ros.Node):
         if laid_out.by_hand:
             self._description = describe(plan, imu, None, site, serial)
             return Setup(
-                load_imu(imu), laid_out, None, site, method or None, serial, terms, changes
+                load_imu(imu), laid_out, None, site, method or None, serial, terms, changes, look
             )
         described = load_table(table)
         if not math.isnan(azimuth):
             described = replace(described, azimuth=azimuth * DEG)
         self._description = describe(plan, imu, table, site, serial)
         return Setup(
-            load_imu(imu), laid_out, described, site, method or None, serial, terms, changes
+            load_imu(imu), laid_out, described, site, method or None, serial, terms, changes, look
         )
 
     def _kinds(self) -> list[Kind]:

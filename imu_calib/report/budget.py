@@ -49,6 +49,7 @@ _COLOURS = {
     Source.GRAVITY: '#f0d000',
     Source.LATITUDE: '#6b7300',
     Source.SCATTER: '#b3261e',
+    Source.TERMS: '#2f6f6f',
 }
 """Neighbours differ in lightness too, for readers that do not tell the hues apart."""
 

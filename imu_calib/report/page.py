@@ -19,6 +19,7 @@ from .noise import noise_of
 from .parameters import FREE_OF_FRAME, change_note, decimals
 from .style import STYLE
 from .svg import tag
+from .terms import terms_section
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _LIMITS = (
@@ -65,6 +66,7 @@ def page(contents: Contents) -> str:
             section('Findings', bullets(calibration.findings)),
             _parameters(contents),
             _changes(contents.calibration),
+            section('Terms', *terms_section(calibration)),
             section('Uncertainty budget', *budget_section(calibration), kind='page'),
             _course(contents.result),
             _residuals(contents),
@@ -211,11 +213,11 @@ def _provenance(calibration: Calibration) -> str:
 
 
 def _flat(tree: Mapping[str, object], above: str = '') -> list[tuple[str, str]]:
-    """Return nested entries as pairs; the noise has a section of its own."""
+    """Return nested entries as pairs; noise and terms have sections of their own."""
     pairs = []
     for key, value in tree.items():
         name = f'{above}{key}'.replace('_', ' ')
-        if name == 'noise':
+        if name in ('noise', 'tests of terms'):
             continue
         if isinstance(value, Mapping):
             pairs += _flat(value, f'{name}: ')

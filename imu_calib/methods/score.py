@@ -1,0 +1,287 @@
+"""Score tests of what is off: terms of the sensors and errors of the table.
+
+The columns by which the coefficients of a family enter the outputs are freed of all that is
+estimated, priors as rows, and the residuals are projected on what remains of them. With a known
+covariance the square of that is a chi-square (Rao's score test). The covariance is estimated: the
+residuals with the family on tell by how much it is too small and how well it is known, and the
+test becomes an F test with their degrees of freedom.
+
+Sources: Rao 1948, Proc. Camb. Phil. Soc. 44, 50; docs/mathematics.md, 'Terms that are missing'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..budget import Source
+from ..model import AXES, TERMS, Parameter, Term, parameters_of, positions, terms_of
+from ..stream import Floats
+from ..table_errors import TableErrors
+from ..units import ARCMIN, ARCSEC
+from .components import Factor
+from .equations import Equations
+from .excess import Excess, excess
+from .information import meant, useful
+
+_SEEN = 10.0
+"""Standard deviations by which a coefficient of the largest useful size must move the outputs: a
+direction of a family that moves them by less is not tested."""
+
+_TABLE = 1 * ARCMIN
+"""The largest useful size of an error of a table: ten times what a decent one has."""
+
+_FREE = 300 * ARCSEC
+"""Standard deviation of an error of a table that is as good as free: a thousand times what the
+best accelerometers and dwells see, and few enough for the covariance to be inverted."""
+
+_SHARE = 0.5
+"""Most degrees of freedom that a family may take, of all that its outputs have left."""
+
+_NINE_IN_TEN = 1.2816
+"""Standard normal quantile of 90 %."""
+
+_TINY = -500.0
+"""Logarithm below which a probability is computed as a logarithm: 64-bit numbers end at -708."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """What is switched on together: a term of the sensors, or a kind of error of the table.
+
+    Attributes:
+        name: Of the term, or of the field of `TableErrors`.
+        term: The term; None for an error of the table.
+
+    """
+
+    name: str
+    term: Term | None = None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Of the term; none for an error of the table."""
+        return () if self.term is None else self.term.parameters
+
+    def freed(self, equations: Equations, size: float) -> Equations:
+        """Return equations whose table has this error alone, each of a standard deviation, rad."""
+        table = equations.evidence.table
+        assert table is not None
+        table = replace(table, errors=replace(TableErrors(), **{self.name: size}))
+        return replace(equations, evidence=replace(equations.evidence, table=table))
+
+    def scatter(self, equations: Equations, state: Floats) -> Excess:
+        """Return what scatters beside the noise once the family explains what it can.
+
+        Scatter that is estimated without a term that is missing holds the term, and hides it.
+        """
+        if self.term is None:
+            return excess(self.freed(equations, _FREE), state)
+        return excess(*with_parameters(equations, state, self.parameters))
+
+    def judged(self, equations: Equations) -> NDArray[np.bool_]:
+        """Return which outputs (m,) tell how well the covariance is known."""
+        of_accels = equations.rows.channels >= len(AXES)
+        if self.term is None:
+            return np.ones_like(of_accels)
+        return of_accels if self.term.triad == 'a' else ~of_accels
+
+
+def columns_of(
+    found: Sequence[Family], equations: Equations, state: Floats
+) -> dict[Family, tuple[Floats, Floats]]:
+    """Return how coefficients of the largest useful size move the outputs, and those sizes.
+
+    Attitudes count as they are meant: what the last digits of an encoder would tell is not seen.
+
+    Returns:
+        (m, k) and (k,) SI units, by family.
+
+    """
+    ideal = replace(equations, evidence=meant(equations.evidence))
+    parameters = tuple(p for family in found for p in family.parameters)
+    slopes = ideal.by_parameters(state, parameters)
+    result = {}
+    for family in found:
+        if family.term is None:
+            parts = [
+                c.part
+                for c in family.freed(ideal, _TABLE).shared(state)
+                if c.source is Source.TABLE
+            ]
+            leaning = [part.columns for part in parts if isinstance(part, Factor)]
+            columns = np.hstack([np.zeros((len(slopes), 0)), *leaning])
+            result[family] = columns, np.full(columns.shape[1], _TABLE)
+            continue
+        sizes = np.array([useful(p) for p in family.parameters])
+        places = positions(family.parameters, parameters)
+        result[family] = slopes[:, places] * sizes, sizes
+    return result
+
+
+def families(equations: Equations) -> tuple[Family, ...]:
+    """Return all that is off and can be told of at all."""
+    on = terms_of(equations.parameters)
+    found = [Family(term.name, term) for term in TERMS if term not in on]
+    evidence = equations.evidence
+    angles = [*(s.angles for s in evidence.segments), *(t.angles for t in evidence.turns)]
+    if evidence.table is not None and all(one is not None for one in angles):
+        errors = evidence.table.errors
+        found += [Family(name) for name in TABLE_ERRORS if not getattr(errors, name)]
+    return tuple(found)
+
+
+TABLE_ERRORS = ('zeros', 'orthogonality', 'wobble', 'encoder')
+"""Fields of `TableErrors`: what a table's file may state."""
+
+
+def with_parameters(
+    equations: Equations, state: Floats, parameters: Sequence[Parameter]
+) -> tuple[Equations, Floats]:
+    """Return the equations with the terms of parameters on, and the state with zeros for them."""
+    terms = (*terms_of(equations.parameters), *terms_of(parameters))
+    on = replace(equations, parameters=parameters_of(terms))
+    values = dict(zip(equations.parameters, state, strict=False))
+    sensors = [values.get(parameter, 0.0) for parameter in on.parameters]
+    return on, np.concatenate([sensors, state[equations.sensors :]])
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What a test says of a family.
+
+    Attributes:
+        statistic: Chi-square, in the covariance that was assumed.
+        rank: Dimensions that it has: coefficients that the session tells apart from all else.
+        scale: What the residuals' variances are beyond that covariance, with the family on; 1 at
+            least.
+        freedom: Degrees of freedom of that.
+        estimate: (k,) coefficients by one step from zero, SI units; 0 along what is not seen.
+        deviation: (k,) their standard deviations; infinite where they are not seen.
+
+    """
+
+    statistic: float
+    rank: int
+    scale: float
+    freedom: float
+    estimate: Floats
+    deviation: Floats
+
+    @property
+    def tested(self) -> bool:
+        """Whether the session can test the family: it sees it, and has outputs left to judge by."""
+        return 0 < self.rank <= _SHARE * (self.freedom + self.rank)
+
+    @property
+    def log_p(self) -> float:
+        """Natural logarithm of the probability of such a statistic by chance; 0 if not tested."""
+        if not self.tested:
+            return 0.0
+        return log_f(self.statistic / self.rank / self.scale, self.rank, self.freedom)
+
+    def smallest(self, chance: float) -> Floats:
+        """Return the coefficients (k,) that are found nine times in ten, each alone, SI units.
+
+        Along its own direction the statistic is the square of a normal number about the
+        coefficient in deviations; it is found where that is beyond the limit.
+
+        Args:
+            chance: By which a family that is not there is taken for one that is.
+
+        """
+        if not self.tested:
+            return np.full(len(self.deviation), np.inf)
+        limit = self.rank * float(scipy.special.fdtri(self.rank, self.freedom, 1 - chance))
+        return np.asarray(self.deviation * np.sqrt(self.scale) * (np.sqrt(limit) + _NINE_IN_TEN))
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """The residuals of a session about a solution, in standard deviations, freed of the state.
+
+    Attributes:
+        equations: With the covariance that is assumed.
+        basis: (m + 4, n) orthonormal, of what the state explains.
+        left: (m + 4,) residuals less what the state explains.
+        factor: (m, m) lower triangle of the covariance of the outputs.
+
+    """
+
+    equations: Equations
+    basis: Floats
+    left: Floats
+    factor: Floats
+
+    @classmethod
+    def of(cls, equations: Equations, state: Floats) -> Residuals:
+        """Whiten the equations of a session at a solution."""
+        jacobian, left = equations.whitened(state)
+        norms = np.linalg.norm(jacobian, axis=0)
+        basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
+        factor = np.linalg.cholesky(equations.covariance(state))
+        return cls(equations, np.asarray(basis), _without(left, basis), np.asarray(factor))
+
+    def score(self, family: Family, columns: Floats, sizes: Floats) -> Score:
+        """Test a family by its `columns_of`."""
+        count, rows = len(sizes), len(self.left)
+        white = np.zeros((rows, count))
+        white[: len(columns)] = scipy.linalg.solve_triangular(
+            self.factor, columns, lower=True, check_finite=False
+        )
+        directions, values, axes = np.linalg.svd(_without(white, self.basis), full_matrices=False)
+        sound = values > _SEEN
+        directions, values, axes = directions[:, sound], values[sound], axes[sound]
+        along = directions.T @ self.left
+        judged = np.append(family.judged(self.equations), np.zeros(rows - len(columns), dtype=bool))
+        rest = (self.left - directions @ along)[judged]
+        taken = (self.basis[judged] ** 2).sum() + (directions[judged] ** 2).sum()
+        freedom = float(judged.sum() - taken)
+        scale = float(rest @ rest) / freedom if freedom >= 1 else 1.0
+        deviation = sizes * np.sqrt(((axes / values[:, None]) ** 2).sum(axis=0))
+        seen = (axes**2).sum(axis=0) > 1 - _WHOLE
+        return Score(
+            float(along @ along),
+            int(sound.sum()),
+            max(1.0, scale),
+            max(0.0, freedom),
+            sizes * (axes.T @ (along / values)),
+            np.where(seen, deviation, np.inf),
+        )
+
+
+_WHOLE = 1e-3
+"""Share of a coefficient that may lie along what is not seen."""
+
+
+def _without(columns: Floats, basis: Floats) -> Floats:
+    """Free columns (m, k) or a vector (m,) of a basis; twice, since once leaves rounding."""
+    for _ in range(2):
+        columns = columns - basis @ (basis.T @ columns)
+    return columns
+
+
+def log_f(value: float, first: float, second: float) -> float:
+    """Return the logarithm of the chance that an F variable is larger; exact far into its tail.
+
+    Args:
+        value: Of F.
+        first: Degrees of freedom of the numerator.
+        second: Of the denominator.
+
+    Source: DLMF 8.17.1 and 8.17.8, the incomplete beta function by the hypergeometric series.
+    """
+    special = scipy.special
+    direct = float(special.fdtrc(first, second, value))
+    if direct > np.exp(_TINY):
+        return float(np.log(direct))
+    a, b = second / 2, first / 2
+    x = second / (second + first * value)
+    series = float(special.hyp2f1(a + b, 1, a + 1, x))
+    return float(
+        a * np.log(x) + b * np.log1p(-x) - np.log(a) - special.betaln(a, b) + np.log(series)
+    )

@@ -1,0 +1,355 @@
+"""The search for what is missing: terms of the sensors, and errors of the table.
+
+Scatter and terms compete. A term that is missing makes arrivals, drift and outliers that are not
+there, and scatter that is estimated without it hides it. So every family is tested under the
+scatter that remains with it on, with all moves and no output set aside, and the best that is
+significant is switched on, until none is. All is then fitted anew, and every one must still be
+significant. It takes the place of outputs that were set aside only where it needs fewer
+coefficients than they are.
+
+Source: docs/mathematics.md, 'Terms that are missing'; Holm 1979, Scand. J. Statist. 6, 65.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from ..budget import Share, Source
+from ..errors import NotObservable
+from ..model import PARAMETERS, Parameter, parameters_of, positions, terms_of
+from ..model.session_terms import Change
+from ..stream import Floats
+from .equations import Equations
+from .evidence import SMALLEST_VARIANCE, Evidence
+from .fit import Estimate, estimate, fit, with_scatter
+from .information import before, told
+from .score import Family, Residuals, Score, columns_of, families
+
+CHANCE = 1e-3
+"""By which a session without any of them has a family found, all families together."""
+
+_APART = 9.0
+"""Difference of chi-square below which two families explain a session alike: a factor of 90 in the
+likelihood, as `excess` asks for before it believes in scatter."""
+
+_AT_ONCE = 3
+"""Families that are tried before one of them is taken; the others wait until it is on."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A family that the session shows.
+
+    Attributes:
+        family: Which.
+        log_p: Natural logarithm of the probability by chance.
+        doubts: Coefficients of a term that the session does not determine, with the standard
+            deviation about zero that each is given; empty where it is estimated.
+        size: Standard deviation that an error of the table is given, rad; 0 for a term.
+        spares: Coefficients that must spare more outputs than they are; 0 for a family that is
+            significant beside all that the first estimate set aside.
+        rivals: Families that explain the session as well.
+
+    """
+
+    family: Family
+    log_p: float
+    doubts: tuple[tuple[Parameter, float], ...] = ()
+    size: float = 0.0
+    spares: int = 0
+    rivals: tuple[Family, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """An estimate with all that was found, and what is said of the rest.
+
+    Attributes:
+        estimate: The last.
+        found: In the order in which they were.
+        scores: Of what is off.
+        alpha: Chance at which each of them is tested.
+        doubt: (n, n) covariance by what rivals would make of the parameters.
+        leverage: How parameters (n,) move by each coefficient (k,) of a term that is off, (n, k),
+            SI units.
+
+    """
+
+    estimate: Estimate
+    found: tuple[Found, ...]
+    scores: Mapping[Family, Score]
+    alpha: float
+    doubt: Floats
+    leverage: Mapping[Family, Floats]
+
+    def shares(self) -> dict[Source, Share]:
+        """Return the covariance of the parameters by source, rivals included."""
+        shares = self.estimate.shares()
+        if self.doubt.any():
+            parts = [(self.doubt, np.inf)]
+            if Source.TERMS in shares:
+                known = shares[Source.TERMS]
+                return {**shares, Source.TERMS: Share(known.covariance + self.doubt, known.freedom)}
+            shares[Source.TERMS] = Share.of_parts(parts)
+        return shares
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """What is on: parameters of the sensors, doubts, and the evidence with the table's errors."""
+
+    evidence: Evidence
+    parameters: tuple[Parameter, ...]
+    changes: tuple[Change, ...] = ()
+    doubts: tuple[tuple[Parameter, float], ...] = ()
+
+    def estimate(self) -> Estimate:
+        return estimate(self.evidence, self.parameters, self.changes, self.doubts)
+
+    def with_found(self, found: Sequence[Found]) -> _Model:
+        model = self
+        for one in found:
+            table = model.evidence.table
+            if one.family.term is None and table is not None:
+                errors = replace(table.errors, **{one.family.name: one.size})
+                evidence = replace(model.evidence, table=replace(table, errors=errors))
+                model = replace(model, evidence=evidence)
+            elif one.doubts:
+                model = replace(model, doubts=(*model.doubts, *one.doubts))
+            else:
+                terms = (*terms_of(model.parameters), *terms_of(one.family.parameters))
+                model = replace(model, parameters=parameters_of(terms))
+        return model
+
+    def on(self, equations: Equations, state: Floats) -> tuple[Equations, Floats]:
+        """Return equations of a session with what is on here, and their state; new ones are 0."""
+        evidence = replace(equations.evidence, table=self.evidence.table)
+        values = dict(zip(equations.parameters, state, strict=False))
+        sensors = [values.get(parameter, 0.0) for parameter in self.parameters]
+        here = replace(equations, parameters=self.parameters, doubts=self.doubts, evidence=evidence)
+        return here, np.concatenate([sensors, state[equations.sensors :]])
+
+
+def searched(
+    evidence: Evidence,
+    parameters: tuple[Parameter, ...] = PARAMETERS,
+    changes: tuple[Change, ...] = (),
+    *,
+    look: bool = True,
+) -> Search:
+    """Estimate the parameters of a session and what it shows besides.
+
+    Args:
+        evidence: The session.
+        parameters: That are estimated whatever it shows.
+        changes: By which they change during the session, likewise.
+        look: Whether anything else is switched on; what is off is tested all the same.
+
+    Raises:
+        NotObservable: Names what the session cannot observe.
+
+    """
+    start = _Model(evidence, parameters, changes)
+    first = start.estimate()
+    noisy = first.equations.own_variances.max() > SMALLEST_VARIANCE
+    rejected = set[Family]()
+    while look and noisy:
+        found = _shown(start, first, rejected)
+        if not found:
+            break
+        try:
+            trial = start.with_found(found).estimate()
+        except NotObservable:
+            rejected.add(found[-1].family)
+            continue
+        kept = _confirmed(start, first, trial, found)
+        if len(kept) == len(found):
+            return _concluded(trial, kept)
+        rejected |= {one.family for one in found} - {one.family for one in kept}
+    return _concluded(first, ())
+
+
+def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
+    """Return families one after the other, the most significant first, until none is any more.
+
+    Nothing is set aside meanwhile, and again all that the first estimate set aside: a family that
+    is missing makes outliers, and outliers make a family that is not there.
+    """
+    views = [(_restored(start, first), first.state)]
+    if first.set_aside:
+        views.append((first.calm, first.state))
+    found: list[Found] = []
+    while True:
+        model = start.with_found(found)
+        done = rejected | {one.family for one in found}
+        open_ones = [f for f in families(views[0][0]) if f not in done]
+        limit = _limit(open_ones)
+        scores = [_under_own_scatter(*view, open_ones) for view in views]
+        best = {f: min(one[f].log_p for one in scores) for f in open_ones}
+        shown = [f for f in open_ones if best[f] < limit]
+        if not shown:
+            return tuple(found)
+        # Those that are the same to the session come in the order of the terms.
+        family = min(shown, key=lambda f: round(best[f]))
+        score = min((one[family] for one in scores), key=lambda score: score.log_p)
+        spares = 0 if scores[-1][family].log_p < limit else score.rank
+        found.append(Found(family, score.log_p, *_size(model, family, score), spares))
+        model = start.with_found(found)
+        views = [model.on(*view) for view in views]
+        views = [(equations, fit(equations, state)) for equations, state in views]
+
+
+def _limit(open_ones: Sequence[Family]) -> float:
+    """Return the logarithm of the chance below which the best of several is significant."""
+    return float(np.log(CHANCE / max(1, len(open_ones))))
+
+
+def _restored(start: _Model, first: Estimate) -> Equations:
+    """Return the equations with all moves, nothing set aside, and the noise that is stated."""
+    evidence = replace(first.equations.evidence, moves=start.evidence.moves)
+    return replace(first.calm, evidence=evidence, inflation=None)
+
+
+def _under_own_scatter(
+    equations: Equations, state: Floats, open_ones: Sequence[Family]
+) -> dict[Family, Score]:
+    """Test families under the scatter that remains with each on, until some are significant.
+
+    Without any scatter the test has most power: what is nothing there is nothing, and what is
+    there most is tried first.
+    """
+    columns = columns_of(open_ones, equations, state)
+    plain = Residuals.of(equations, state)
+    scores = {family: plain.score(family, *columns[family]) for family in open_ones}
+    suspect = [
+        family
+        for family, score in scores.items()
+        if score.tested and scipy.special.chdtrc(score.rank, score.statistic) < CHANCE
+    ]
+    suspect.sort(key=lambda family: -scores[family].statistic)
+    for k, family in enumerate(suspect):
+        if k % _AT_ONCE == 0 and any(scores[f].log_p < _limit(open_ones) for f in suspect[:k]):
+            return scores | {f: replace(scores[f], statistic=0.0) for f in suspect[k:]}
+        scattering = with_scatter(equations, family.scatter(equations, state))
+        scores[family] = Residuals.of(scattering, state).score(family, *columns[family])
+    return scores
+
+
+def _confirmed(
+    start: _Model, first: Estimate, trial: Estimate, found: Sequence[Found]
+) -> tuple[Found, ...]:
+    """Return those that are significant beside the others once all is fitted, with their rivals.
+
+    Those that are not there once the outputs are set aside that the first estimate set aside must
+    spare more of them than they have coefficients.
+    """
+    kept = []
+    spared = first.set_aside - trial.set_aside
+    needed = sum(one.spares for one in found)
+    for k, one in enumerate(found):
+        if one.spares and spared <= needed:
+            continue
+        model = start.with_found((*found[:k], *found[k + 1 :]))
+        without, state = model.on(trial.equations, trial.state)
+        # Of a table that errs, patterns are as many as there are outputs: terms alone are rivals.
+        others = [f for f in families(without) if f.term is not None or f == one.family]
+        columns = columns_of(others, without, state)
+        residuals = Residuals.of(without, state)
+        scores = {f: residuals.score(f, *columns[f]) for f in others}
+        here, limit = scores[one.family], _limit(families(without))
+        if here.log_p >= limit:
+            continue
+        rivals = tuple(
+            f
+            for f, other in scores.items()
+            if f != one.family
+            and other.log_p < limit
+            and here.statistic - other.statistic < _APART * here.scale
+        )
+        kept.append(replace(one, log_p=here.log_p, rivals=rivals))
+    return tuple(kept)
+
+
+def _size(
+    model: _Model, family: Family, score: Score
+) -> tuple[tuple[tuple[Parameter, float], ...], float]:
+    """Return what is given to a family that is not estimated: doubts, or the size of an error.
+
+    What is not seen of it is taken to be as large as what is seen, by Student's t for as many
+    directions as were seen.
+    """
+    if family.term is not None:
+        terms = (*terms_of(model.parameters), family.term)
+        trial = Equations(model.evidence, parameters_of(terms), doubts=model.doubts)
+        if told(before(trial), trial.parameters).all():
+            return (), 0.0
+    two = float(scipy.special.ndtr(2.0))
+    wider = float(scipy.special.stdtrit(score.rank, two)) / 2
+    size = wider * float(np.sqrt(score.estimate @ score.estimate / score.rank))
+    return tuple((p, size) for p in family.parameters), size if family.term is None else 0.0
+
+
+def _concluded(current: Estimate, found: tuple[Found, ...]) -> Search:
+    """Say what is left to be said of what is off, under the weights that count."""
+    equations, state = current.equations, current.state
+    named = [one.family for one in found]
+    off = [f for f in families(equations) if f not in named]
+    columns = columns_of(off, equations, state)
+    residuals = Residuals.of(equations, state)
+    scores = {f: residuals.score(f, *columns[f]) for f in off}
+    m, n = len(equations.outputs), equations.sensors
+    gain = current.gain[:n, :m]
+    leverage = {}
+    for family in off:
+        if family.term is not None:
+            slopes = equations.by_parameters(state, family.parameters)
+            white = scipy.linalg.solve_triangular(residuals.factor, slopes, lower=True)
+            leverage[family] = gain @ white
+    alpha = CHANCE / max(1, len(off))
+    doubt = np.zeros((n, n))
+    for one in found:
+        doubt += _by_rivals(current, one)
+    return Search(current, found, scores, alpha, doubt, leverage)
+
+
+def _by_rivals(current: Estimate, found: Found) -> Floats:
+    """Return what it adds to the covariance that a rival may be true in place of a family.
+
+    Each explanation has the weight of its likelihood; the mean square of what a rival makes of the
+    parameters that both have is added (Hoeting et al. 1999, Statist. Sci. 14, 382).
+    """
+    equations = current.equations
+    n = equations.sensors
+    doubt = np.zeros((n, n))
+    mine = set(found.family.parameters)
+    common = [k for k, p in enumerate(equations.parameters) if p not in mine]
+    own = [k for k, p in enumerate(equations.parameters) if p in mine]
+    left = current_square(equations, current.state)
+    for rival in found.rivals:
+        terms = [t for t in terms_of(equations.parameters) if t != found.family.term]
+        terms += [] if rival.term is None else [rival.term]
+        other = replace(equations, parameters=parameters_of(terms))
+        kept = positions([equations.parameters[k] for k in common], other.parameters)
+        start = np.zeros(other.size)
+        start[kept] = current.state[common]
+        start[other.sensors :] = current.state[n:]
+        try:
+            state = fit(other, start)
+        except NotObservable:
+            continue
+        weight = 1 / (1 + np.exp(min(50.0, (current_square(other, state) - left) / 2)))
+        off = np.zeros(n)
+        off[common] = state[kept] - current.state[common]
+        off[own] = -current.state[own]
+        doubt += weight * np.outer(off, off)
+    return doubt
+
+
+def current_square(equations: Equations, state: Floats) -> float:
+    """Return chi-square at a state."""
+    left = equations.whitened(state)[1]
+    return float(left @ left)

@@ -1,0 +1,184 @@
+"""What is said of the terms: which are on, which are off, and what would have been found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from ..model import Parameter, Term
+from ..stream import Floats
+from ..units import ARCSEC
+from .search import Found, Search
+
+_AMOUNT = 10.0
+"""Units of a coefficient of which it is said what they would do."""
+
+_MATTERS = 0.1
+"""Standard deviations by which `_AMOUNT` must move a parameter to be named."""
+
+_LN10 = float(np.log(10.0))
+
+
+class State(Enum):
+    """What became of a family."""
+
+    ASKED = 'asked for'
+    FOUND = 'found'
+    NOT_DETERMINED = 'found, not determined'
+    OFF = 'off'
+    NOT_TESTED = 'not tested'
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """What a session says of a term, or of a kind of error of the table.
+
+    Attributes:
+        name: Of the term, or the key in the table's file.
+        state: What became of it.
+        log10_p: Decimal logarithm of the chance of such a test; None where there was none.
+        parameters: Of a term.
+        smallest: (k,) coefficients that would have been found nine times in ten, SI units;
+            infinite for those that the session does not show. Empty for what is on.
+        moved: For each coefficient that is off, which parameter it would move most, and by how
+            much per SI unit of it; None where it would move none.
+
+    """
+
+    name: str
+    state: State
+    log10_p: float | None = None
+    parameters: tuple[Parameter, ...] = ()
+    smallest: tuple[float, ...] = ()
+    moved: tuple[tuple[Parameter, float] | None, ...] = ()
+
+    def document(self) -> dict[str, object]:
+        """Return what calibration.yaml keeps of it, SI units."""
+        result: dict[str, object] = {'state': self.state.value}
+        if self.log10_p is not None:
+            result['log10_p'] = round(self.log10_p, 2)
+        if self.smallest and self.parameters:
+            result['found_from'] = [v if np.isfinite(v) else None for v in self.smallest]
+        moved = {
+            p.name: {'parameter': one[0].name, 'by': one[1]}
+            for p, one in zip(self.parameters, self.moved, strict=False)
+            if one is not None
+        }
+        if moved:
+            result['would_move'] = moved
+        return result
+
+
+def tested(search: Search, asked: tuple[Term, ...]) -> tuple[Tested, ...]:
+    """Return what a search says of every family, the terms in their order."""
+    result = [Tested(t.name, State.ASKED, parameters=t.parameters) for t in asked]
+    for one in search.found:
+        state = State.NOT_DETERMINED if one.doubts else State.FOUND
+        result.append(Tested(one.family.name, state, one.log_p / _LN10, one.family.parameters))
+    for family, score in search.scores.items():
+        smallest = tuple(float(v) for v in score.smallest(search.alpha))
+        slopes = search.leverage.get(family, _NONE).T
+        moved = tuple(_moved(search, *pair) for pair in zip(family.parameters, slopes, strict=True))
+        state = State.OFF if score.tested else State.NOT_TESTED
+        log10_p = score.log_p / _LN10 if score.tested else None
+        result.append(Tested(family.name, state, log10_p, family.parameters, smallest, moved))
+    return tuple(result)
+
+
+_NONE = np.zeros((0, 0))
+
+
+def _moved(
+    search: Search, coefficient: Parameter, slopes: Floats
+) -> tuple[Parameter, float] | None:
+    """Return which parameter a coefficient moves most, in its deviations, and by how much."""
+    equations = search.estimate.equations
+    std = np.sqrt(np.diag(search.estimate.covariance)[: equations.sensors])
+    far = np.abs(slopes) / std
+    k = int(np.argmax(far))
+    if not far[k] * _AMOUNT * coefficient.unit.scale > _MATTERS:
+        return None
+    return equations.parameters[k], float(slopes[k])
+
+
+def findings(search: Search) -> list[str]:
+    """Say what was found beside what was asked for."""
+    return [_found(one) for one in search.found]
+
+
+def _found(found: Found) -> str:
+    family = found.family
+    chance = f'by chance once in 10^{max(3, round(-found.log_p / _LN10))} sessions'
+    if family.term is None:
+        size = f'{found.size / ARCSEC:.2g} arcsec'
+        return (
+            f'The session shows {_TABLE_WORDS[family.name]} ({chance}): the standard deviations '
+            f'allow for {size} each, which the description of the table does not state '
+            f'({family.name}).'
+        )
+    words = family.term.kind.value.words
+    if found.doubts:
+        unit = found.doubts[0][0].unit
+        text = (
+            f'The session shows {words} ({family.name}, {chance}) and does not determine it: the '
+            f'standard deviations allow for coefficients of {found.doubts[0][1] / unit.scale:.2g} '
+            f'{unit.shown}. To determine it takes {family.term.needs}.'
+        )
+    else:
+        text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
+    if found.rivals:
+        names = ' or '.join(rival.name for rival in found.rivals)
+        text += (
+            f' {names} would explain it as well, and the standard deviations allow for that. To '
+            f'tell them apart takes {family.term.needs}.'
+        )
+    return text
+
+
+_TABLE_WORDS = {
+    'zeros': 'zeros of the joints that are off',
+    'orthogonality': 'joint axes that are not at right angles',
+    'wobble': 'joint axes that wobble',
+    'encoder': 'encoders that err within the turn',
+}
+
+
+def summary(tests: tuple[Tested, ...]) -> list[str]:
+    """Return lines for the screen: what was found, what is off and how small, what is not seen."""
+    lines = []
+    on = [t.name for t in tests if t.state in (State.ASKED, State.FOUND, State.NOT_DETERMINED)]
+    terms = [t for t in tests if t.parameters]
+    off = [_power(t) for t in terms if t.state is State.OFF]
+    lines.append(f'terms: {", ".join(on) or "none"}')
+    if off:
+        lines.append(f'off, and found if larger than: {", ".join(off)}')
+    for one in terms:
+        held = [
+            (p, moved)
+            for p, least, moved in zip(one.parameters, one.smallest, one.moved, strict=False)
+            if moved is not None and not np.isfinite(least)
+        ]
+        if held:
+            lines.append(_held(one, held))
+    return lines
+
+
+def _power(one: Tested) -> str:
+    seen = [v for v in one.smallest if np.isfinite(v)]
+    unit = one.parameters[0].unit
+    return f'{one.name} {max(seen) / unit.scale:.2g} {unit.shown}' if seen else one.name
+
+
+def _held(one: Tested, held: list[tuple[Parameter, tuple[Parameter, float]]]) -> str:
+    """Say which parameters hold only if a term that the session does not show is not there."""
+    names = ', '.join(moved.name for _, (moved, _) in held)
+    # The first of those that are the same to the digits shown.
+    coefficient, (moved, slope) = max(held, key=lambda pair: float(f'{abs(pair[1][1]):.2g}'))
+    unit = coefficient.unit
+    by = abs(slope) * _AMOUNT * unit.scale / moved.unit.scale
+    return (
+        f'{names} hold for {one.name} = 0, which this session does not show: {_AMOUNT:g} '
+        f'{unit.shown} would move {moved.name} by {by:.2g} {moved.unit.shown}'
+    )

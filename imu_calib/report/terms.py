@@ -1,0 +1,67 @@
+"""The terms of a calibration for the report: on, off, and how large one that is off may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+
+from ..calibration import Calibration
+from ..model import TERMS, Parameter, by_name
+from .html import paragraph, table
+
+_NOTE = (
+    'A term that is off was tested: one coefficient alone, as large as stated, would have been '
+    'found nine times in ten. One that the session does not show may be there: the parameter that '
+    'it would move is stated.'
+)
+
+
+def terms_section(calibration: Calibration) -> tuple[str, ...]:
+    """Return the section's contents; nothing for a calibration that says nothing of terms."""
+    tests = calibration.provenance.get('tests_of_terms')
+    if not isinstance(tests, Mapping):
+        return ()
+    known = {term.name: term for term in TERMS}
+    rows = []
+    for name, test in tests.items():
+        term = known.get(name)
+        words = 'error of the table' if term is None else term.kind.value.words
+        parameters = () if term is None else term.parameters
+        rows.append(
+            [
+                escape(str(name)),
+                escape(words),
+                escape(str(test.get('state', '-'))),
+                _chance(test.get('log10_p')),
+                _smallest(parameters, test.get('found_from')),
+                _moved(parameters, test.get('would_move')),
+            ]
+        )
+    headings = ['', 'kind', 'state', 'chance', 'found from', 'would move']
+    return table(headings, rows, 'plain', 'lllrrl'), paragraph(_NOTE, 'note')
+
+
+def _chance(log10_p: object) -> str:
+    if not isinstance(log10_p, (int, float)):
+        return '-'
+    return f'{10**log10_p:.2g}' if log10_p > -3 else f'10<sup>{log10_p:.0f}</sup>'
+
+
+def _smallest(parameters: tuple[Parameter, ...], found_from: object) -> str:
+    """Return the largest of the coefficients that would have been found."""
+    if not parameters or not isinstance(found_from, list):
+        return '-'
+    seen = [v for v in found_from if isinstance(v, (int, float))]
+    unit = parameters[0].unit
+    return escape(f'{max(seen) / unit.scale:.2g} {unit.shown}') if seen else 'not shown'
+
+
+def _moved(parameters: tuple[Parameter, ...], moved: object) -> str:
+    """Return by how much the coefficient that matters most would move a parameter, per unit."""
+    if not parameters or not isinstance(moved, Mapping) or not moved:
+        return '-'
+    coefficient, entry = max(moved.items(), key=lambda pair: abs(pair[1]['by']))
+    unit = next(p.unit for p in parameters if p.name == coefficient)
+    other = by_name([entry['parameter']])[0]
+    by = abs(entry['by']) * unit.scale / other.unit.scale
+    return escape(f'{other.name}: {by:.2g} {other.unit.shown} for 1 {unit.shown}')

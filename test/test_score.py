@@ -1,0 +1,277 @@
+"""Terms that nobody asked for: found where they are, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
+from typing import TypeVar
+
+import numpy as np
+import pytest
+from other_world import DEG, Stop, Terms, Unit, World
+from scipy.stats import f as f_distribution
+from sessions import SITE, truth
+from test_other_world import MEDIUM, MICRO_G, NAVIGATION, fed, stop, true_vector
+
+from imu_calib.budget import Source, total
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Setup
+from imu_calib.imu import load_imu
+from imu_calib.methods.equations import Equations
+from imu_calib.methods.evidence import Evidence
+from imu_calib.methods.fit import fit
+from imu_calib.methods.joint import solve
+from imu_calib.methods.score import Family, Residuals, Score, columns_of, log_f
+from imu_calib.methods.tested import State, summary
+from imu_calib.model import PARAMETERS, SensorModel, Term, terms_of
+from imu_calib.model.terms import ACCEL_CROSS, GYRO_ASYMMETRY
+from imu_calib.plan import UNPLANNED, load_plan
+from imu_calib.prediction.expected import expected
+from imu_calib.segmentation.segment import Segment, Turn
+from imu_calib.stream import Floats
+from imu_calib.turntable import load_table, rotation
+
+Stretch = TypeVar('Stretch', Segment, Turn)
+
+PPM = 1e-6
+G = 9.80665
+TOO_FAR = 4.5
+"""Standard deviations that one of some thirty normal numbers exceeds once in 5000 sessions."""
+
+
+def leaning() -> tuple[Stop, ...]:
+    """All attitudes with up along an axis or between two of them, turns about each axis."""
+    rates = (15.0, 40.0, 90.0)
+    tests = {(0, 0): rates, (90, 0): rates, (90, 90): rates}
+    found = [(m, i) for i, m in product((0, 90), range(0, 360, 45))]
+    found += [(90, i) for i in (45, 135, 225, 315)]
+    return tuple(stop(0, m, i, *tests.get((m, i), ())) for m, i in found)
+
+
+UPRIGHT = World(dwell=15.0, rates=(15 * DEG, 40 * DEG, 90 * DEG))
+LEANING = World(dwell=10.0, program=leaning())
+
+
+@dataclass(frozen=True)
+class Case:
+    """A unit with terms, and what a session must say of them.
+
+    Attributes:
+        terms: What the unit adds.
+        values: By name of the term, in the order of its parameters, SI units.
+        world: Where.
+        alike: What the session cannot tell from a term.
+
+    """
+
+    terms: Terms
+    values: dict[str, tuple[float, ...]]
+    world: World = UPRIGHT
+    alike: tuple[str, ...] = ()
+
+
+def own(values: tuple[float, float, float], unit: float) -> tuple[float, float, float]:
+    return values[0] * unit, values[1] * unit, values[2] * unit
+
+
+SENSES, SIZE, CUBE, SQUARE = (
+    own(v, PPM) for v in ((25, -20, 22), (45, 40, -50), (25, -20, 20), (-25, 30, 22))
+)
+K2, SIGNS = own((20, -15, 25), MICRO_G / G**2), own((-20, 25, 18), PPM)
+K3 = own((30, -25, 35), MICRO_G / G**3)
+BY_SQUARE = own((0.3, -0.4, 0.35), DEG / 3600 / G**2)
+BY_FORCE = tuple(
+    own(r, DEG / 3600 / G) for r in ((0.4, -0.3, 0.3), (0.3, 0.5, -0.3), (-0.4, 0.3, 0.6))
+)
+CROSS = tuple(own(r, MICRO_G / G**2) for r in ((20, -30, 25), (-20, 25, 30), (30, 20, -25)))
+
+CASES = {
+    'senses and K2': Case(
+        Terms(senses=SENSES, accel_square=K2),
+        {'gyro_asymmetry': SENSES, 'accel_quadratic': K2},
+        alike=('accel_asymmetry',),
+    ),
+    'rate and force': Case(
+        Terms(size=SIZE, by_force=BY_FORCE),
+        {'gyro_rate_dependence': SIZE, 'g_sensitivity': sum(BY_FORCE, ())},
+    ),
+    'cube and force squared': Case(
+        Terms(cube=CUBE, by_square=BY_SQUARE), {'gyro_cubic': CUBE, 'gyro_g2': BY_SQUARE}
+    ),
+    'square and signs': Case(
+        Terms(square=SQUARE, accel_signs=SIGNS),
+        {'gyro_quadratic': SQUARE, 'accel_asymmetry': SIGNS},
+        LEANING,
+    ),
+    'K3 and cross': Case(
+        Terms(accel_cube=K3, accel_cross=CROSS),
+        {'accel_cubic': K3, 'accel_cross': sum(CROSS, ())},
+        LEANING,
+    ),
+}
+BLAMED = ('wander', 'scatter', 'not fit', 'elsewhere', 'counts for less', 'arrive', 'tilted')
+"""Words of the findings that blame something else."""
+
+
+def looked(world: World, unit: Unit, seed: int = 0) -> Calibration:
+    """What a session says of a unit when nobody says which terms it has."""
+    plan = UNPLANNED if world.program else None
+    return fed(world, unit, seed, plan, look=True).finish().calibration
+
+
+@pytest.mark.parametrize('name', CASES)
+def test_terms_that_nobody_asked_for_are_named_and_estimated(name: str) -> None:
+    case = CASES[name]
+    unit = replace(NAVIGATION, terms=case.terms)
+    found = looked(case.world, unit)
+    assert set(found.provenance['terms']) == set(case.values), found.findings
+    truth = dict(zip(PARAMETERS, true_vector(unit), strict=True))
+    for term in terms_of(found.parameters):
+        truth |= dict(zip(term.parameters, case.values[term.name], strict=True))
+    off = (found.values - [truth[p] for p in found.parameters]) / found.std
+    assert np.abs(off).max() < TOO_FAR, np.round(off, 1)
+    told = [text for text in found.findings if 'The session shows' in text]
+    assert len(told) == len(case.values)
+    blamed = [text for text in found.findings if any(word in text for word in BLAMED)]
+    assert not blamed
+    for rival in case.alike:
+        assert any(f'{rival} would explain it as well' in text for text in told)
+
+
+@pytest.mark.parametrize('world', [UPRIGHT, LEANING], ids=['upright', 'leaning'])
+def test_a_sound_session_has_no_terms(world: World) -> None:
+    for unit in (NAVIGATION, MEDIUM):
+        found = looked(world, unit)
+        assert found.provenance['terms'] == []
+        assert not [text for text in found.findings if 'The session shows' in text]
+
+
+def test_looking_for_terms_changes_nothing_where_there_are_none() -> None:
+    plain, look = (fed(UPRIGHT, NAVIGATION, 1, look=look).finish() for look in (False, True))
+    assert look.calibration.values.tobytes() == plain.calibration.values.tobytes()
+    assert look.calibration.covariance.tobytes() == plain.calibration.covariance.tobytes()
+
+
+def test_the_tail_of_f_is_exact_where_numbers_end() -> None:
+    for first, second in ((3, 19), (9, 95), (1, 4), (12, 7.5)):
+        for value in (0.3, 2.0, 40.0):
+            exact = f_distribution.logsf(value, first, second)
+            assert log_f(value, first, second) == pytest.approx(exact, rel=1e-9)
+    # With two degrees of freedom in the numerator the tail is a power (Abramowitz 26.6.4).
+    for value in (1e3, 1e9):
+        assert log_f(value, 2, 400) == pytest.approx(-200 * np.log1p(value / 200), rel=1e-12)
+
+
+@cache
+def expectation(terms: tuple[tuple[Term, tuple[float, ...]], ...]) -> tuple[Evidence, SensorModel]:
+    """Twelve positions of a navigation-grade unit with terms, all as it would be without noise."""
+    model = truth().model
+    for term, values in terms:
+        model = model.with_values(term.parameters, values)
+    setup = Setup(
+        load_imu('fog_navigation'), load_plan('twelve_position'), load_table('three_axis'), SITE
+    )
+    return replace(expected(setup, model), moves=()), model
+
+
+def noisy(evidence: Evidence, seed: int) -> Evidence:
+    """The evidence with the noise of its outputs."""
+    equations = Equations(evidence)
+    deviations = np.sqrt(equations.own_variances)
+    noise = np.random.default_rng(seed).standard_normal(len(deviations)) * deviations
+    rows = equations.rows
+    segments = tuple(moved(s, noise[rows.rest[k]]) for k, s in enumerate(evidence.segments))
+    turns = tuple(
+        moved(t, np.append(noise[rows.turn[k]], np.zeros(3))) for k, t in enumerate(evidence.turns)
+    )
+    return replace(evidence, segments=segments, turns=turns)
+
+
+def moved(stretch: Stretch, by: Floats) -> Stretch:
+    """A rest or a turn whose means are off by (6,)."""
+    return replace(
+        stretch, statistics=replace(stretch.statistics, mean=stretch.statistics.mean + by)
+    )
+
+
+def test_the_power_that_is_stated_is_that_of_the_test() -> None:
+    family = Family(GYRO_ASYMMETRY.name, GYRO_ASYMMETRY)
+    alpha = 1e-4
+
+    def score(evidence: Evidence) -> Score:
+        equations = Equations(evidence)
+        state = fit(equations, equations.nominal())
+        columns = columns_of([family], equations, state)
+        return Residuals.of(equations, state).score(family, *columns[family])
+
+    without, _ = expectation(())
+    least = float(score(noisy(without, 0)).smallest(alpha)[1])
+    there, _ = expectation(((GYRO_ASYMMETRY, (0.0, least, 0.0)),))
+    runs = 30
+    found = sum(score(noisy(there, seed)).log_p < np.log(alpha) for seed in range(runs))
+    # Nine in ten at least: fewer than 20 of 30 come once in 5000 times.
+    assert found >= 20
+    half, _ = expectation(((GYRO_ASYMMETRY, (0.0, least / 2, 0.0)),))
+    assert sum(score(noisy(half, seed)).log_p < np.log(alpha) for seed in range(runs)) < found / 2
+    assert not any(score(noisy(without, seed)).log_p < np.log(alpha) for seed in range(runs))
+
+
+def test_a_rest_that_was_disturbed_is_no_term() -> None:
+    evidence, model = expectation(())
+    evidence = noisy(evidence, 3)
+    first = moved(evidence.segments[0], np.array([0, 0, 0, 60, -40, 50]) * MICRO_G)
+    evidence = replace(evidence, segments=(first, *evidence.segments[1:]))
+    found = solve(evidence, look=True)
+    assert [text for text in found.findings if 'the accelerometers at position 1' in text]
+    assert not [text for text in found.findings if 'The session shows' in text]
+    off = (found.model.values(PARAMETERS) - model.values(PARAMETERS)) / found.std
+    assert np.abs(off).max() < TOO_FAR
+
+
+def test_a_term_that_shows_in_part_is_named_and_widens_what_it_touches() -> None:
+    cross = 40 * MICRO_G / G**2
+    evidence, model = expectation(((ACCEL_CROSS, (cross, -cross, cross) * 3),))
+    leaning = []
+    for k, angle in enumerate((45, 135, 225, 315)):
+        attitude = rotation(np.array([1.0, 0, 0]), angle * DEG)
+        rate, force = attitude.T @ SITE.earth_rate, attitude.T @ SITE.specific_force
+        like = evidence.segments[-1]
+        mean = np.concatenate(model.predict(rate, force))
+        span = like.end - like.start
+        start = like.end + k * span
+        leaning.append(
+            Segment(
+                start,
+                start + span,
+                replace(like.statistics, mean=mean),
+                attitude,
+                f'leaning {angle}',
+                like.angles,
+            )
+        )
+    evidence = noisy(replace(evidence, segments=(*evidence.segments, *leaning), table=None), 5)
+    found = solve(evidence, look=True)
+    named = [text for text in found.findings if 'accel_cross' in text]
+    assert len(named) == 1
+    assert 'does not determine it' in named[0]
+    assert 'To determine it takes rests with two axes at once' in named[0]
+    assert {t.name: t.state for t in found.tests}['accel_cross'] is State.NOT_DETERMINED
+    off = (found.model.values(PARAMETERS) - model.values(PARAMETERS)) / found.std
+    assert np.abs(off).max() < TOO_FAR
+    assert found.shares is not None
+    assert total(found.shares) == pytest.approx(found.covariance, rel=1e-6, abs=1e-20)
+    assert (np.diag(found.shares[Source.TERMS].covariance)[12:] > 0).any()
+
+
+def test_the_screen_says_what_a_session_cannot_show() -> None:
+    found = solve(noisy(expectation(())[0], 1))
+    lines = summary(found.tests)
+    assert lines[0] == 'terms: none'
+    assert 'gyro_asymmetry' in lines[1]
+    assert 'ppm' in lines[1]
+    # At 0 and 1 g the cubic term is the scale factor, ug for ppm.
+    assert [line for line in lines if 'hold for accel_cubic = 0' in line] == [
+        'K_ax, K_ay, K_az hold for accel_cubic = 0, which this session does not show: 10 ug/g^3 '
+        'would move K_ax by 10 ppm'
+    ]
