@@ -278,6 +278,15 @@ def test_what_is_too_fast_for_a_rest_is_told_by_the_noise_of_the_session() -> No
         assert bool(inside) == is_rest, noise
 
 
+@pytest.mark.parametrize('windows', range(11, 26))
+def test_the_first_seconds_of_a_session_are_judged_too(windows: int) -> None:
+    rng = np.random.default_rng(windows)
+    rows = still(windows / 10, (2.0, 1.0, 0.0), (0, 0, 1))
+    rows[:, :3] += rng.normal(0, 0.05 * DEG, (len(rows), 3))
+    (rest,) = [part for part in tracked(rows) if isinstance(part, Rest)]
+    assert rest.end - rest.start > (windows - 3) * 0.1e9
+
+
 def test_a_hand_that_trembles_after_a_minute_on_the_table_is_judged_by_itself() -> None:
     rng = np.random.default_rng(3)
     # White noise of 4 deg/s at 100 Hz leaves 1.3 deg/s in a tenth of a second.

@@ -73,7 +73,7 @@ class Tolerance:
         around = np.lib.stride_tricks.sliding_window_view(means[:, :3], width, axis=0).mean(axis=2)
         turned = (np.abs(around - offset) > _TURN_RATE).any(axis=1)
         # A turn that begins soon is within the seconds beside.
-        quiet = np.convolve(turned, np.ones(width), 'same') == 0
+        quiet = np.convolve(turned, np.ones(width))[_BESIDE:-_BESIDE] == 0
         if np.count_nonzero(quiet) < width:
             return plain
         inner = slice(_BESIDE, len(means) - _BESIDE)
