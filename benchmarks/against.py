@@ -1,0 +1,150 @@
+"""Reading and live reviews against another commit of this repository, in alternating pairs.
+
+The other commit is checked out beside this one; both read the same recording and review the same
+session, each in a process of its own, one after the other, and every second pair the other way
+round: whatever else the machine does meets both. Counted is processor time of one thread, without
+what is loaded once.
+
+    python benchmarks/against.py COMMIT [--pairs 8]
+
+Exit code 1: this checkout is slower by more than `ALLOWED`, beyond what the pairs scatter.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent.parent
+ALLOWED = 1.05
+"""A twentieth: what the same code on both sides differs by on a machine that is shared."""
+
+RECORDED = ('twelve_position', '--imu', 'fog_medium', '--latitude', '34.65', '--gravity', '9.797')
+JOB = """
+import json, sys, time
+from pathlib import Path
+from imu_calib.bags import open_recording
+from imu_calib.calibrator import Calibrator, Setup
+from imu_calib.cdr import Kind
+from imu_calib.earth import Site
+from imu_calib.imu import load_imu
+from imu_calib.plan import load_plan
+from imu_calib.turntable import load_table
+
+TOPICS = {
+    '/imu/pulses': Kind.IMU,
+    '/turntable/joint_states': Kind.JOINTS,
+    '/turntable/setpoint': Kind.SETPOINTS,
+}
+
+def blocks():
+    with open_recording(Path(sys.argv[1])) as recording:
+        yield from (block for _, block in recording.read(TOPICS))
+
+def taken(work):
+    begin = time.process_time()
+    work()
+    return time.process_time() - begin
+
+list(blocks())
+found = {'reading': taken(lambda: [list(blocks()) for _ in range(3)])}
+site = Site.at(0.6047565858160352, gravity=9.797)
+setup = Setup(load_imu('fog_medium'), load_plan('twelve_position'), load_table('three_axis'), site)
+warm = Calibrator(setup)
+kept = list(blocks())
+for block in kept:
+    warm.feed(block)
+warm.snapshot().review()
+live, spent, fed = Calibrator(setup), 0.0, 0.0
+marks = {round(len(kept) * k / 6) for k in range(1, 7)}
+for k, block in enumerate(kept, 1):
+    fed += taken(lambda: live.feed(block))
+    if k in marks:
+        spent += taken(lambda: live.snapshot().review())
+found.update({'feeding': fed, 'live reviews': spent})
+print(json.dumps(found))
+"""
+
+
+@contextmanager
+def checked_out(commit: str, folder: Path) -> Iterator[Path]:
+    """Yield a checkout of another commit; it is removed at the end."""
+    target = folder / 'other'
+    git = ('git', '-C', str(HERE), 'worktree')
+    subprocess.run([*git, 'add', '--detach', '--quiet', str(target), commit], check=True)
+    try:
+        yield target
+    finally:
+        subprocess.run([*git, 'remove', '--force', str(target)], check=True)
+
+
+def run(checkout: Path, *command: str) -> str:
+    """Run Python with the package of a checkout; return what it prints."""
+    environment = {**os.environ, 'PYTHONPATH': str(checkout), 'OMP_NUM_THREADS': '1'}
+    done = subprocess.run(
+        [sys.executable, *command],
+        env=environment,
+        cwd=checkout,
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    return done.stdout
+
+
+def compare(name: str, mine: np.ndarray, other: np.ndarray) -> bool:
+    """Print one job; say whether this checkout is no slower."""
+    ratios = np.sort(mine / other)
+    # Between these order statistics the median lies in 19 cases of 20 or more: a sign test.
+    spare = int(np.searchsorted(np.cumsum(_chances(len(ratios))), 0.025))
+    low, high = ratios[spare], ratios[-1 - spare]
+    print(
+        f'{name}: {np.median(mine):.3f} s here, {np.median(other):.3f} s there, ratio '
+        f'{np.median(ratios):.3f} ({low:.3f} to {high:.3f})'
+    )
+    return bool(low <= ALLOWED)
+
+
+def _chances(count: int) -> np.ndarray:
+    """Return the binomial chances of 0 to `count` heads."""
+    row = np.ones(1)
+    for _ in range(count):
+        row = np.convolve(row, [0.5, 0.5])
+    return row
+
+
+def main() -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('commit')
+    parser.add_argument('--pairs', type=int, default=8)
+    chosen = parser.parse_args()
+    results: dict[bool, list[dict[str, float]]] = {True: [], False: []}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with checked_out(chosen.commit, folder) as other:
+            bag = folder / 'bag'
+            words = ['-m', 'imu_calib.cli.main', 'simulate', *RECORDED, '-o', str(bag)]
+            run(HERE, *words)
+            for pair in range(chosen.pairs):
+                for mine in (pair % 2 == 0, pair % 2 == 1):
+                    printed = run(HERE if mine else other, '-c', JOB, str(bag))
+                    results[mine].append(json.loads(printed.splitlines()[-1]))
+    kept = True
+    for job in results[True][0]:
+        mine, other_one = (np.array([r[job] for r in results[side]]) for side in (True, False))
+        kept &= compare(job, mine, other_one)
+    return 0 if kept else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
