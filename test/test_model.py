@@ -49,3 +49,9 @@ def test_names_are_row_and_column_of_the_matrix() -> None:
     assert model.accel.bias[2] == 2.0
     assert np.array_equal(model.vector(), vector)
     assert len(set(PARAMETER_NAMES)) == 24
+
+
+def test_no_parameters_have_no_derivatives() -> None:
+    """As where every term is on, and none is left to be looked for."""
+    at = np.zeros((4, 3))
+    assert SensorModel().derivatives(at, at, ()).shape == (4, 6, 0)

@@ -85,7 +85,10 @@ class Regressors:
     def at(self, rate: Floats, force: Floats) -> Floats:
         """Return the products, (..., m), at (..., 3) rates and specific forces."""
         inputs = np.concatenate([rate, force], axis=-1)
-        return np.stack([product.value(inputs) for product in self.products], axis=-1)
+        found = np.empty((*inputs.shape[:-1], len(self.products)))
+        for k, product in enumerate(self.products):
+            found[..., k] = product.value(inputs)
+        return found
 
 
 @lru_cache(maxsize=64)
