@@ -185,7 +185,7 @@ def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Eviden
     parts = [*drifting.segments, *drifting.turns, *moves]
     for k, part in enumerate(parts):
         when = (part.start + part.end) / 2e9 - EPOCH - (first + last) / 2
-        there = state[:28].copy()
+        there = state[: equations.changing.start].copy()
         for change, slope in zip(changes, size, strict=True):
             for parameter in change.parameters:
                 there[PARAMETERS.index(parameter)] += slope * when
