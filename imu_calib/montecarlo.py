@@ -14,7 +14,7 @@ import numpy as np
 
 from .calibrator import Calibrator, Setup
 from .errors import ImuCalibError, NotObservable
-from .model import Parameter, SensorModel, positions
+from .model import PARAMETERS, Parameter, SensorModel, positions
 from .simulation import StandOptions, simulate
 from .stream import Floats
 
@@ -145,7 +145,8 @@ def run_once(study: Study, seed: int) -> Run:
     except NotObservable as error:
         return Run(seed, (), np.empty(0), np.empty(0), str(error))
     # Terms that one session shows and another does not are no parameters of the study.
-    parameters = tuple(p for p in calibration.parameters if p in setup.parameters)
+    asked_for = {*PARAMETERS, *setup.parameters}
+    parameters = tuple(p for p in calibration.parameters if p in asked_for)
     places = positions(parameters, calibration.parameters)
     std = calibration.std[places]
     wrong = calibration.values[places] - study.truth.values(parameters)

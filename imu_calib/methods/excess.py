@@ -338,8 +338,10 @@ def _arrivals(
         its.append(_Wander.of(*triad.weigh(joints, stops)).hypotheses(triad)[1])
     found = _lines(triads, hypotheses, variances)
     known = sum(wander.known for wander in still)
-    highest = sum(max(wander.known, wander.highest) for wander in still)
-    if max(float(found.max()), highest) < known + _CALLED_FOR:
+    # Wanderings of gyros and accelerometers are asked for one by one: half of the cause in each is
+    # none.
+    asked_for = any(wander.called_for for wander in still)
+    if not asked_for and float(found.max()) < known + _CALLED_FOR:
         return 0.0, 0.0, 0.0
     either = sum(float(np.logaddexp(wander.known, wander.unknown)) for wander in still)
     # Of what does not move the arrivals all but what is known beforehand.

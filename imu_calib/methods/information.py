@@ -22,7 +22,7 @@ _SINGULAR = 1e-10
 and a session without noise that rests on the levelling of the table has 3e-10."""
 
 _MIXED = 1e-4
-_MEANINGLESS = 0.1
+_MEANINGLESS = 0.01
 """Standard deviation of a scale factor or a misalignment (rad) that is of no use."""
 
 _USEFUL = 0.02

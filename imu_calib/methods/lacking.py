@@ -70,7 +70,9 @@ def advice(equations: Equations) -> str:
     if not equations.evidence.segments:
         return ''
     additions = _additions(equations.evidence)
-    scale = np.linalg.norm(_all_of(equations, additions).whitened(equations.nominal())[0], axis=0)
+    everything = _all_of(equations, additions)
+    columns = everything.whitened(everything.nominal())[0][:, : equations.sensors]
+    scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0] = 1.0
     pending: list[str] = []
     said: list[str] = []
@@ -110,7 +112,8 @@ def _additions(evidence: Evidence) -> list[Addition]:
             found.append((f'a rest with {attitude_words(attitude)}', rest))
     seconds = like.statistics.duration
     for axis in np.eye(3):
-        turn = Turn(like.start, like.end, like.statistics, _RATE * seconds, seconds, axis)
+        # By no table: what accelerometers in turns tell of gravity is better told at rest.
+        turn = Turn(like.start, like.end, like.statistics, _RATE * seconds, None, axis)
         found.append((f'whole turns at a steady rate with {up_words(axis)}', turn))
     return found
 
@@ -138,13 +141,17 @@ def _all_of(equations: Equations, additions: list[Addition]) -> Equations:
 
 
 def _information(equations: Equations, scale: Floats) -> float:
-    """Return by how much a session's equations narrow the state down, as a logarithm.
+    """Return by how much a session narrows the parameters of the sensors down, as a logarithm.
 
     Args:
         equations: The session.
-        scale: (n,) what a unit of each entry of the state is worth, so that units do not matter.
+        scale: (n,) what a unit of each parameter is worth, so that units do not matter.
 
     """
     jacobian = equations.whitened(equations.nominal())[0]
-    values = np.linalg.svd(jacobian / scale, compute_uv=False)
+    sensors, others = np.split(jacobian, [equations.sensors], axis=1)
+    norms = np.linalg.norm(others, axis=0)
+    others = others[:, norms > 0] / norms[norms > 0]
+    alone = sensors - others @ np.linalg.lstsq(others, sensors, rcond=None)[0]
+    values = np.linalg.svd(alone / scale, compute_uv=False)
     return float(np.log(values + _UNSEEN).sum())
