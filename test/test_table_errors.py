@@ -34,6 +34,7 @@ from imu_calib.prediction.expected import expected
 from imu_calib.prediction.forecast import information, state_at
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.simulation.true_table import TableSizes, TrueTable
+from imu_calib.share import share_folder
 from imu_calib.stream import Floats
 from imu_calib.table_errors import ASSUMED, LEVELLED, TableErrors
 from imu_calib.turntable import Table, load_table, read_table
@@ -271,8 +272,8 @@ def test_a_session_on_such_a_table_is_reviewed_from_its_first_block_on() -> None
 
 
 def test_nothing_is_assumed_of_a_table_that_states_all_nor_without_one() -> None:
-    for name in ('one_axis', 'two_axis', 'two_axis_off_axis', 'three_axis'):
-        table = load_table(name)
+    for file in (share_folder() / 'config' / 'tables').glob('*.yaml'):
+        table = load_table(file.stem)
         assert (table.assumed, table.assumption, table.positioning) == ((), '', 0.0)
         assert table.errors.exact
         assert table.level == LEVELLED == 20 * ARCSEC
