@@ -124,11 +124,15 @@ def by_nobodys_table(evidence: Evidence) -> Evidence:
 def test_accelerometers_in_turns_are_as_good_as_rests_but_for_the_lever_arm() -> None:
     # One channel: bias and three responses times g, by seconds that count. Each axis is up for
     # 240 s and down for 240 s, and in turns of 36, 12 and 6 s twice; across the axis the lever arm
-    # takes what goes with the square of the rate, along it nothing.
-    seconds, squares = np.array([36.0, 12, 6] * 2), np.array([10.0, 30, 60] * 2) ** 2
-    across = seconds.sum() - (seconds @ squares) ** 2 / (seconds @ squares**2)
+    # takes what goes with the square of the rate, along it what 50 micrometres of arm leave.
+    seconds, squares = np.array([36.0, 12, 6] * 2), (np.array([10.0, 30, 60] * 2) * DEG) ** 2
+
+    def left(known: float) -> float:
+        return float(seconds.sum() - (seconds @ squares) ** 2 / (seconds @ squares**2 + known))
+
     rows, weights = [], []
-    for axis, turned in enumerate((seconds.sum(), across, across)):
+    along, across = left((ACCEL_WALK / 5e-5) ** 2), left(0.0)
+    for axis, turned in enumerate((along, across, across)):
         for sign, weight in ((1, 240.0 + turned), (-1, 240.0)):
             rows.append([1.0, *(sign * np.eye(3)[axis])])
             weights.append(weight)

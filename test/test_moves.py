@@ -170,10 +170,10 @@ def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
 def test_moves_led_on_together_have_the_bits_of_each_alone() -> None:
     model = Calibration.load(named_file('truths', 'fog_navigation_terms')).model
     links = evidence().led.links
-    motions = [(link.move.turned, link.move.seconds) for link in links]
+    motions = [(link.move.turned, link.move.seconds, None) for link in links]
     together = Path.of_each(motions, model)
     assert len(together) == len(links) > 5
-    for path, (turned, seconds) in zip(together, motions, strict=True):
+    for path, (turned, seconds, _) in zip(together, motions, strict=True):
         alone = Path.of(turned, seconds, model)
         for name in ('rates', 'seconds', 'whole', 'carried'):
             assert getattr(path, name).tobytes() == getattr(alone, name).tobytes(), name

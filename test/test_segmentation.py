@@ -516,3 +516,9 @@ def test_a_table_without_joint_states_is_named() -> None:
     kept = [b for b in session(PLAN, stand(), seed=2) if not isinstance(b[1], JointBlock)]
     with pytest.raises(NotObservable, match='There are no joint states of table three_axis'):
         calibrate(kept, PLAN, table=load_table('three_axis'))
+
+
+def test_a_gap_beside_few_samples_is_one() -> None:
+    # Half of two steps is the gap: it is no jitter.
+    stamps = np.array([0, 14_310_000_000, 14_320_000_000])
+    assert gap_free(stamps, 0.01) == [(0, 1), (1, 3)]

@@ -33,8 +33,8 @@ from imu_calib.model import PARAMETERS, ParameterKind
 from imu_calib.prediction.expected import expected
 from imu_calib.prediction.forecast import information, state_at
 from imu_calib.segmentation.clock import fit_clock
-from imu_calib.simulation.true_table import TableSizes, TrueTable
 from imu_calib.share import share_folder
+from imu_calib.simulation.true_table import TableSizes, TrueTable
 from imu_calib.stream import Floats
 from imu_calib.table_errors import ASSUMED, LEVELLED, TableErrors
 from imu_calib.turntable import Table, load_table, read_table

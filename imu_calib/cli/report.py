@@ -15,6 +15,7 @@ from ..imu import ImuSpec, load_imu
 from ..methods import JOINT
 from ..methods.tested import State
 from ..model import AUTO_TERMS, NO_TERMS, terms_of
+from ..model.session_terms import SESSION_TERMS
 from ..report.page import Contents, page
 from . import options
 from .calibrate import calibrate, open_offline
@@ -78,6 +79,8 @@ def _terms(calibration: Calibration) -> str:
         tests = calibration.provenance.get('tests_of_terms', {})
         asked = [n for n in names if tests.get(n, {}).get('state') == State.ASKED.value]
         names = [*asked, AUTO_TERMS]
+    told = calibration.provenance.get('terms') or []
+    names += [name for name in told if name.partition(':')[0] in SESSION_TERMS]
     return ','.join(names) or NO_TERMS
 
 

@@ -126,7 +126,8 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
     """
     steps = np.diff(stamp) * 1e-9
     jitter = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) if len(steps) else 0.0
-    cuts = np.flatnonzero(steps > 1.5 * period + 6 * jitter) + 1
+    # Of a few steps half may be a gap: stamps that jitter by more than an interval have no order.
+    cuts = np.flatnonzero(steps > 1.5 * period + 6 * min(jitter, period)) + 1
     edges = [0, *cuts.tolist(), len(stamp)]
     return list(pairwise(edges))
 
