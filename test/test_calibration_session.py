@@ -91,7 +91,7 @@ SESSIONS = int(os.environ.get('IMU_CALIB_SESSIONS', '100'))
 
 @cache
 def many_sessions() -> list[dict[str, tuple[Floats, ...]]]:
-    return in_parallel(one_session, range(100, 100 + SESSIONS))
+    return in_parallel(one_session, range(100, 200, 100 // SESSIONS))
 
 
 @pytest.mark.parametrize('name', ['joint', 'twelve_position'])
