@@ -328,10 +328,13 @@ def test_the_positioning_that_a_table_states_is_in_the_standard_deviations(seed:
 def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
     result = calibrate(session(options=stand(positioning_error=10 * ARCMIN / 60), seed=1))
     plain = calibrate(session(seed=1))
-    assert any('accelerometers scatter' in finding for finding in result.calibration.findings)
+    assert any('as if joints stopped' in finding for finding in result.calibration.findings)
     assert np.abs(normalised(result)).max() < 4.5
-    # Their misalignments; a scale factor feels a lean by its square alone.
-    assert np.all(result.calibration.std[15:21] > 10 * plain.calibration.std[15:21])
+    # Misalignments that rest on few stops of the inner joints; those that the joint tells that stops
+    # anew at every position, and scale factors, which feel a lean by its square alone, hardly.
+    wider = result.calibration.std / plain.calibration.std
+    assert np.sort(wider[15:21])[-3:].min() > 10
+    assert wider[12:15].max() < 3
 
 
 def test_holding_the_table_where_it_stands_leaves_the_position_its_name() -> None:
