@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent.parent / 'benchmarks'))
+BENCHMARKS = str(Path(__file__).parent.parent / 'benchmarks')
+sys.path.insert(0, BENCHMARKS)
 
 from flight import HEIGHT, LATITUDE, Flight, earth_rates, radii
 from navigation import flown, off
@@ -20,6 +21,9 @@ from imu_calib.imu import load_imu
 from imu_calib.model import SensorModel
 from imu_calib.stream import Floats, Units
 from imu_calib.units import DEG_H, MICRO_G
+
+# A benchmark there has the name of a package that another test asks for.
+sys.path.remove(BENCHMARKS)
 
 INTERVAL = 0.1
 GRAVITY = normal_gravity(LATITUDE, HEIGHT)
