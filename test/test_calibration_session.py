@@ -330,8 +330,8 @@ def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
     plain = calibrate(session(seed=1))
     assert any('as if joints stopped' in finding for finding in result.calibration.findings)
     assert np.abs(normalised(result)).max() < 4.5
-    # Misalignments that rest on few stops of the inner joints; those that the joint tells that stops
-    # anew at every position, and scale factors, which feel a lean by its square alone, hardly.
+    # Misalignments that rest on few stops of the inner joints; hardly those that rest on many, and
+    # scale factors, which feel a lean by its square alone.
     wider = result.calibration.std / plain.calibration.std
     assert np.sort(wider[15:21])[-3:].min() > 10
     assert wider[12:15].max() < 3
