@@ -175,10 +175,6 @@ def test_a_killed_command_is_gone_on_with_at_once_and_again(tmp_path):
     assert all(min(later) > 1 for later in runs(folder)[1:])
 
 
-@pytest.mark.xfail(
-    run=False,
-    reason='A known fault: free positions that go on after an interruption do not always converge.',
-)
 def test_free_positions_in_a_simulated_hand_go_on_too(tmp_path):
     folder = tmp_path / 'hand'
     process = command(['stand', 'free_positions', '-o', str(folder)])

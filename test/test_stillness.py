@@ -341,3 +341,17 @@ def test_counts_without_noise_beside_noisy_ones_are_no_step() -> None:
     # Five blocks of ten seconds and more.
     statistics = statistics_at_rest(at_rest(trembling_counts(3 * 62 * 48)), np.zeros(6))
     assert find_step(statistics, np.zeros(6)) is None
+
+
+def test_a_rest_does_not_reach_over_an_interruption() -> None:
+    # Ten seconds at rest, fourteen that nobody saw, ten seconds on another side: the first sample
+    # after the interruption begins a window.
+    rng = np.random.default_rng(3)
+    up, side = np.array([0.0, 0, 0, 0, 0, 9.8]), np.array([0.0, 0, 0, 9.8, 0, 0])
+    stamp = np.arange(2000, dtype=np.int64) * 10_000_000
+    stamp[1000:] += 14_000_000_000
+    rates = np.repeat([up, side], 1000, axis=0) + 1e-3 * rng.standard_normal((2000, 6))
+    tracker = StillnessTracker(0.01)
+    found = [*tracker.feed(stamp, rates), *tracker.finish()]
+    first, second = (rest for rest in found if isinstance(rest, Rest))
+    assert stamp[990] <= first.end < stamp[1000] <= second.start

@@ -192,8 +192,11 @@ class StillnessTracker:
         """Return where a rest ends that the window from `start` (ns) is none of.
 
         The window before may hold the first of the motion: where it strays from its own forerunner
-        by more than nine of ten do.
+        by more than nine of ten do. Where the stream was interrupted the first sample after is of
+        another rest, or of none.
         """
+        if len(self._recent) > 1:
+            start = min(start, self._recent[-2][1] + round(WINDOW_SECONDS * 1e9))
         if len(self._recent) < _WINDOWS_TO_SETTLE:
             return start
         first, last = self._recent[-3][2], self._recent[-2][2]
