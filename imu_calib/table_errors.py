@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .config import Section
+from .directions import across
 from .errors import InputError
 from .stream import Floats
 from .units import ARCSEC, DEG, Dimension
@@ -149,17 +150,9 @@ def leaning(joints: Sequence[JointPoses], errors: TableErrors) -> Floats:
             columns += [errors.encoder * wave[:, None] * about for wave in waves]
         if k and errors.zeros:
             columns.append(errors.zeros * about)
-        for direction in _across(joint.axis):
+        for direction in across(joint.axis):
             if errors.wobble:
                 columns += [errors.wobble * wave[:, None] * (outside @ direction) for wave in waves]
             if k and errors.orthogonality:
                 columns.append(errors.orthogonality * (outside - inside) @ direction)
     return np.stack(columns, axis=2) if columns else np.zeros((len(joints[0].read), 3, 0))
-
-
-def _across(axis: Floats) -> tuple[Floats, Floats]:
-    """Return two directions at right angles to an axis and to each other."""
-    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(axis, other)
-    first /= np.linalg.norm(first)
-    return first, np.cross(axis, first)

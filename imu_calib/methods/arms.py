@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..directions import across
 from ..segmentation.segment import Turn
 from ..stream import Floats
 
@@ -70,22 +71,16 @@ class Arms:
         slopes = np.zeros((len(which), 3, 3 * len(kinds)))
         for row, k, group in zip(slopes, which, groups, strict=True):
             rate = turns[k].rate()
+            up = kinds[group].up
             # The Coriolis force of the Earth, 2 w_e x (w x p), is along the centripetal one.
             pull = rate * (rate + 2 * up_rate)
-            row[:, 3 * group : 3 * group + 3] = -pull * _across_and_along(kinds[group].up)
+            row[:, 3 * group : 3 * group + 3] = -pull * np.column_stack([*across(up), up])
         deviations = [(_LONGEST, _LONGEST, _left_along(turn.up)) for turn in kinds]
         return cls(np.array(which, dtype=np.intp), slopes, np.array(deviations).ravel())
 
     def __len__(self) -> int:
         """Return the number of arms."""
         return len(self.deviations)
-
-
-def _across_and_along(up: Floats) -> Floats:
-    """Return two unit vectors across `up` (3,) and that along it, as columns (3, 3)."""
-    first = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    first /= np.linalg.norm(first)
-    return np.column_stack([first, np.cross(up, first), up])
 
 
 def _left_along(up: Floats) -> float:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..directions import across
 from ..segmentation.segment import Segment, Turn
 from ..stream import Floats
 from ..turntable import TURN, Table
@@ -25,7 +26,7 @@ _MOVED = 0.05 * DEG
 scatter by (seconds of arc), far below the moves of any plan."""
 
 _HEADINGS = 8
-"""Over which a turn is averaged: the direction of an axis goes round once in it."""
+"""Over which a turn is averaged: errors go round at most three times in it, axes once."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,13 @@ def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
     return Leaning(at_rest, np.zeros((len(turns), 3, 3 * count)))
 
 
+def around(angles: Floats, joint: int) -> Floats:
+    """Return the joint angles (8, k) at equal steps of a turn of one joint, from (k,) rad on."""
+    steps = np.repeat(angles[None], _HEADINGS, axis=0)
+    steps[:, joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
+    return steps
+
+
 def _axes(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -> Floats:
     """Return the axis of a joint in body axes, (s + t, 3), over a turn its mean.
 
@@ -111,9 +119,7 @@ def _axes(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -> 
         if turn.joint == joint:
             about[k] = 0.0
         elif turn.joint is not None:
-            around = np.repeat(angles[k][None], _HEADINGS, axis=0)
-            around[:, turn.joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
-            about[k] = table.joint_axis(joint, around).mean(axis=0)
+            about[k] = table.joint_axis(joint, around(angles[k], turn.joint)).mean(axis=0)
     return about
 
 
@@ -143,7 +149,7 @@ def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
     columns: list[Floats] = []
     for group in range(int(groups.max(initial=-1)) + 1):
         mine = groups == group
-        columns += [np.where(mine[:, None], axis, 0.0) for axis in level_axes(ups[mine][0])]
+        columns += [np.where(mine[:, None], axis, 0.0) for axis in across(ups[mine][0])]
     own = np.eye(len(ups))[: len(segments), :, None] * ups
     columns += list(own)
     return Leaning.of(columns, len(segments), len(ups))
@@ -158,11 +164,3 @@ def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:
             current, last = current + 1, ups[k]
         groups[k] = current
     return groups
-
-
-def level_axes(up: Floats) -> tuple[Floats, Floats]:
-    """Return two unit vectors (..., 3) at right angles to (..., 3) `up` and to each other."""
-    other = np.eye(3)[np.abs(up).argmin(axis=-1)]
-    first = np.cross(up, other)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return first, np.cross(up, first)

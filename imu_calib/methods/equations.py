@@ -21,12 +21,13 @@ import scipy
 from numpy.typing import NDArray
 
 from ..budget import Share, Source
+from ..directions import across
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..model.session_terms import Change
 from ..stream import Floats, Units
 from ..units import ARCMIN, DEG
-from .arrivals import NO_ARRIVALS, Arrivals, level_axes
+from .arrivals import NO_ARRIVALS, Arrivals
 from .components import Component, Diagonal, Factor, shares
 from .doubts import encoder_rates, level_gravity, own_parts, unknown_north
 from .evidence import SMALLEST_VARIANCE, Evidence
@@ -548,7 +549,7 @@ def headings(ups: Floats) -> Floats:
     """
     angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    first, second = (axes[:, None] for axes in level_axes(ups))
+    first, second = (axes[:, None] for axes in across(ups))
     half = np.stack([cosine * first + sine * second, cosine * second - sine * first], axis=-1)
     level = np.concatenate([half, -half], axis=1)
     up = np.broadcast_to(ups[:, None, :, None], (*level.shape[:3], 1))

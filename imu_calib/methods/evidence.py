@@ -19,17 +19,15 @@ from ..segmentation.statistics import pooled_walk
 from ..segmentation.thermometer import Temperature
 from ..stream import Floats, Units
 from ..table_errors import LEVELLED
-from ..turntable import TURN, Table
+from ..turntable import Table
 from .arms import Arms
-from .arrivals import Leaning, of_joints, of_stops
+from .arrivals import Leaning, around, of_joints, of_stops
 from .moves import Moves
 from .rows import Rows
 
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 _QUARTZ = 50e-6
-_HEADINGS = 8
-"""Over which a turn is averaged: errors go round at most three times in it."""
 _STATED_FREEDOM = 10.0
 _ENOUGH_FREEDOM = 20.0
 
@@ -149,9 +147,8 @@ class Evidence:
         at_rest = self.table.leaning(angles[: len(self.segments)])
         turning = []
         for turn, held in zip(self.turns, angles[len(self.segments) :], strict=True):
-            around = np.repeat(held[None], _HEADINGS, axis=0)
-            around[:, turn.joint] += TURN / _HEADINGS * np.arange(_HEADINGS)
-            turning.append(self.table.leaning(around).mean(axis=0))
+            turned = held[None] if turn.joint is None else around(held, turn.joint)
+            turning.append(self.table.leaning(turned).mean(axis=0))
         return at_rest, np.array(turning).reshape(len(self.turns), *at_rest.shape[1:])
 
     @cached_property

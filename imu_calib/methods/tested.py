@@ -178,7 +178,8 @@ def _held(one: Tested, held: list[tuple[Parameter, tuple[Parameter, float]]]) ->
     coefficient, (moved, slope) = max(held, key=lambda pair: float(f'{abs(pair[1][1]):.2g}'))
     unit = coefficient.unit
     by = abs(slope) * _AMOUNT * unit.scale / moved.unit.scale
+    verb = 'holds' if len(held) == 1 else 'hold'
     return (
-        f'{names} hold for {one.name} = 0, which this session does not show: {_AMOUNT:g} '
+        f'{names} {verb} for {one.name} = 0, which this session does not show: {_AMOUNT:g} '
         f'{unit.shown} would move {moved.name} by {by:.2g} {moved.unit.shown}'
     )

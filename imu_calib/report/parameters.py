@@ -90,12 +90,7 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
         truth: What a simulation was given; adds the error in standard deviations.
 
     """
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    headings = ['parameter', 'value', 'std', 'unit']
-    if truth is not None:
-        headings += ['truth', 'error/std']
-    for heading in headings:
-        table.add_column(heading, justify='left' if heading in {'parameter', 'unit'} else 'right')
+    table = _headed('parameter', against_truth=truth is not None)
     parameters, deviations = calibration.parameters, calibration.std
     values = calibration.values
     true_values = truth.model.values(parameters) if truth is not None else values
@@ -107,15 +102,28 @@ def parameter_table(calibration: Calibration, truth: Calibration | None = None) 
             table.add_section()
         last = parameter
         shown = engineering(parameter)
+        true = None if truth is None else true_values[k] / shown.scale
         value, deviation = values[k] / shown.scale, deviations[k] / shown.scale
-        places = decimals(deviation)
-        row = [parameter.name, f'{value:.{places}f}', f'{deviation:.{places}f}', shown.unit]
-        if truth is not None:
-            true = true_values[k] / shown.scale
-            ratio = f'{(value - true) / deviation:+.2f}' if deviation > 0 else '-'
-            row += [f'{true:.{places}f}', ratio]
-        table.add_row(*row)
+        table.add_row(parameter.name, *_cells(value, deviation, shown.unit, true))
     return table
+
+
+def _headed(first: str, *, against_truth: bool) -> Table:
+    """Return a table of values whose rows begin with a name."""
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    for heading in (first, 'value', 'std', 'unit', *(['truth', 'error/std'] * against_truth)):
+        table.add_column(heading, justify='left' if heading in {first, 'unit'} else 'right')
+    return table
+
+
+def _cells(value: float, deviation: float, unit: str, true: float | None) -> list[str]:
+    """Return what follows the name in such a table, in shown units."""
+    places = decimals(deviation)
+    cells = [f'{value:.{places}f}', f'{deviation:.{places}f}', unit]
+    if true is not None:
+        ratio = f'{(value - true) / deviation:+.2f}' if deviation > 0 else '-'
+        cells += [f'{true:.{places}f}', ratio]
+    return cells
 
 
 FREE_OF_FRAME = (
@@ -147,24 +155,15 @@ def angle_table(calibration: Calibration, truth: Calibration | None = None) -> T
         truth: What a simulation was given; adds the error in standard deviations.
 
     """
-    table = Table(box=None, pad_edge=False, header_style='bold')
-    headings = ['free of frame', 'value', 'std', 'unit']
-    if truth is not None:
-        headings += ['truth', 'error/std']
-    for heading in headings:
-        left = heading in {'free of frame', 'unit'}
-        table.add_column(heading, justify='left' if left else 'right')
+    table = _headed('free of frame', against_truth=truth is not None)
     true = {} if truth is None else {a.group: a.values for a in truth.free_of_frame}
     for angles in calibration.free_of_frame:
         known = true.get(angles.group, angles.values)
         rows = zip(angles.group.names, angles.values, angles.std, known, strict=True)
         for name, value, std, right in rows:
-            places = decimals(std / SCALE)
-            shown = [f'{v / SCALE:.{places}f}' for v in (value, std, right)]
-            row = [f'{angles.group.words} {name}', *shown[:2], SHOWN]
-            if truth is not None:
-                row += [shown[2], f'{(value - right) / std:+.2f}' if std > 0 else '-']
-            table.add_row(*row)
+            there = None if truth is None else right / SCALE
+            cells = _cells(value / SCALE, std / SCALE, SHOWN, there)
+            table.add_row(f'{angles.group.words} {name}', *cells)
         table.add_section()
     return table
 
