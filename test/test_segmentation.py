@@ -149,6 +149,24 @@ def test_the_tracker_does_not_depend_on_block_boundaries(cuts: list[int]) -> Non
     assert [(f.start, f.end) for f in found] == [(f.start, f.end) for f in expected]
 
 
+@pytest.mark.parametrize(('silence', 'turned'), [(10.0, 90.0), (10_000.0, 180.0), (100.0, 0.1)])
+def test_a_table_that_stands_elsewhere_after_a_silence_has_moved(
+    silence: float, turned: float
+) -> None:
+    standing = np.arange(0.0, 3.0, 0.05)
+    stamp = seconds(np.concatenate([standing, standing + 3.0 + silence]))
+    position = np.repeat([0.0, turned * DEG], len(standing))[:, None]
+    tracker = JointTracker()
+    first, between, last = [*tracker.feed(stamp, position), *tracker.finish()]
+    assert isinstance(first, Rest)
+    assert first.angles == pytest.approx([0.0])
+    assert first.end < 3.0 * NS
+    assert isinstance(between, Motion)
+    assert isinstance(last, Rest)
+    assert last.start > (3.0 + silence) * NS
+    assert last.angles == pytest.approx([turned * DEG])
+
+
 def test_wrapped_angles_are_unwrapped_across_blocks() -> None:
     motion = ramp(100 * DEG, 1.0, 7.0, 1.0, 0.05)
     wrapped = np.mod(motion.position + np.pi, 2 * np.pi) - np.pi

@@ -11,6 +11,10 @@ from ..units import DEG
 
 _WINDOW_NS = 250_000_000
 _STILL_RATE = 0.05 * DEG
+_LONGEST_LOOK = 1.0
+"""Time over which a table at rest may drift at `_STILL_RATE`, s. A judgement: what is 0.05 deg off
+after a silence of the joint states has moved, however long that was."""
+
 _TURN = 2 * np.pi
 _SAMPLES_FOR_ANGLES = 4096
 """Readings of a rest that are averaged, at most: at 100 Hz they leave 0.1 arcsec of noise of 7."""
@@ -148,7 +152,9 @@ class JointTracker:
         before = np.clip(np.minimum(before, np.arange(len(before)) - 1), 0, None)
         elapsed = np.maximum(self._stamp - self._stamp[before], 1) * 1e-9
         apart = np.abs(self._position - self._position[before])
-        limit = np.maximum(_STILL_RATE * elapsed[:, None], _NOISE * self._noise())
+        # What stands still does so however long nobody looks: silence is no leave to turn.
+        drift = _STILL_RATE * np.minimum(elapsed, _LONGEST_LOOK)
+        limit = np.maximum(drift[:, None], _NOISE * self._noise())
         moving = (apart > limit).any(axis=1)
         done: list[Rest | Motion] = []
         if self._start is None:
