@@ -12,8 +12,8 @@ import numpy as np
 
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.methods import method
-from imu_calib.methods.evidence import Evidence
 from imu_calib.model import SensorModel, Triad
+from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import Plan, load_plan
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.segment import Segment, Statistics

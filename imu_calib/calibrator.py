@@ -18,12 +18,12 @@ from .gravity import gravity_covariance, with_gravity
 from .imu import ImuSpec
 from .methods import JOINT, check_plan, closed_form_beside, default_method, estimates, method
 from .methods.comparison import Comparison
-from .methods.evidence import Evidence
-from .methods.information import reached
 from .methods.solution import Solution
 from .model import AXES, Parameter, SensorModel, Term, terms_of
 from .model.session_terms import Change, spelled
 from .noise import session_noise
+from .observation.evidence import Evidence
+from .observation.information import reached
 from .plan import Plan
 from .progress import unsupported_steps
 from .segmentation.labelling import Labelled, label

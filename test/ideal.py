@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imu_calib.earth import Site
-from imu_calib.methods.evidence import Evidence
+from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import Plan
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.segment import Segment, Statistics, Turn

@@ -21,8 +21,8 @@ from imu_calib.allan import (
     unit_variances,
 )
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.methods.evidence import noise
 from imu_calib.noise import ChannelNoise, session_noise
+from imu_calib.observation.evidence import noise
 from imu_calib.report.noise import noise_lines
 from imu_calib.segmentation.segment import Statistics
 from imu_calib.segmentation.statistics import statistics_at_rest, to_samples

@@ -11,10 +11,10 @@ from scipy.stats import chi2
 from sessions import quick_plan, stand, truth
 from test_joint import simulated
 
+from imu_calib.estimation.fit import Estimate, estimate
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
-from imu_calib.methods.arrivals import of_joints, of_stops
-from imu_calib.methods.fit import Estimate, estimate
+from imu_calib.observation.arrivals import of_joints, of_stops
 from imu_calib.segmentation.segment import Segment, Statistics, Turn
 from imu_calib.stream import Floats
 from imu_calib.turntable import load_table

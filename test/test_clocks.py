@@ -19,7 +19,7 @@ from imu_calib.compensation.thermal import combine
 from imu_calib.errors import InputError
 from imu_calib.exports import EXPORTS, Source
 from imu_calib.methods import method
-from imu_calib.methods.evidence import Evidence
+from imu_calib.observation.evidence import Evidence
 from imu_calib.segmentation.clock import ClockFit, ClockSample, fit_clock
 from imu_calib.segmentation.segment import Segment, Turn
 from imu_calib.stamping import StampingClock

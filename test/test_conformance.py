@@ -24,13 +24,11 @@ from imu_calib.calibration import Calibration
 from imu_calib.compensation.apply import Compensation, Mark, joined
 from imu_calib.compensation.thermal import combine, load_calibration
 from imu_calib.errors import InputError, NotObservable
+from imu_calib.estimation.fit import check_observable, estimate
 from imu_calib.exports import EXPORTS, Source
 from imu_calib.gravity import gravity_slope
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
-from imu_calib.methods.equations import Equations
-from imu_calib.methods.evidence import Evidence
-from imu_calib.methods.fit import check_observable, estimate
 from imu_calib.middleware import Time
 from imu_calib.model import (
     PARAMETERS,
@@ -43,6 +41,8 @@ from imu_calib.model import (
     parameters_of,
 )
 from imu_calib.nodes.convert import calibration_message, calibration_of
+from imu_calib.observation.equations import Equations
+from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import load_plan
 from imu_calib.plausibility import check_plausible
 from imu_calib.report.assessment import assess, tables

@@ -7,8 +7,9 @@ import pytest
 from test_information import evidence_of
 
 from imu_calib.errors import NotObservable
-from imu_calib.methods import fit, joint
-from imu_calib.methods.converge import least_squares
+from imu_calib.estimation import fit
+from imu_calib.estimation.converge import least_squares
+from imu_calib.methods import joint
 from imu_calib.stream import Floats
 
 

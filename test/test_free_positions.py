@@ -23,8 +23,8 @@ from imu_calib.methods.free.guidance import Stage, guide
 from imu_calib.methods.free.holds import Hold
 from imu_calib.methods.free.session import FreeCalibrator
 from imu_calib.methods.free.system import System, level_axes
-from imu_calib.methods.path import chained
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
+from imu_calib.observation.path import chained
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
 from imu_calib.segmentation.motion import Motion, Rest

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imu_calib.earth import Site, normal_gravity
-from imu_calib.methods.evidence import Evidence
-from imu_calib.methods.information import reached, unobserved
 from imu_calib.model import PARAMETER_NAMES, SensorModel
+from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.information import reached, unobserved
 from imu_calib.plan import Plan, load_plan
 from imu_calib.segmentation.clock import ClockFit
 from imu_calib.segmentation.segment import Segment, Statistics, Turn

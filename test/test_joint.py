@@ -26,15 +26,15 @@ from test_information import SECOND, evidence_of
 
 from imu_calib.calibrator import Setup
 from imu_calib.errors import NotObservable
+from imu_calib.estimation.fit import estimate
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.methods import joint, six_position, twelve_position
-from imu_calib.methods.equations import Equations, Nuisance
-from imu_calib.methods.evidence import Evidence
-from imu_calib.methods.fit import estimate
 from imu_calib.methods.solution import Solution
 from imu_calib.model import G_SENSITIVITY as G_TERM
 from imu_calib.model import PARAMETER_NAMES, TERMS, SensorModel, Term, parameters_of
 from imu_calib.montecarlo import economical
+from imu_calib.observation.equations import Equations, Nuisance
+from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import Plan, Position, load_plan
 from imu_calib.segmentation.segment import Segment, Statistics, Turn
 from imu_calib.simulation import StandOptions

@@ -15,9 +15,9 @@ from imu_calib.calibration import Calibration
 from imu_calib.errors import NotObservable
 from imu_calib.imu import load_imu
 from imu_calib.methods import check_plan, skewed
-from imu_calib.methods.evidence import Evidence
 from imu_calib.methods.skewed import RatePoints, parity
 from imu_calib.model import SensorModel, Triad
+from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import Plan, load_plan
 from imu_calib.report.parameters import parameter_table
 from imu_calib.segmentation.segment import Turn

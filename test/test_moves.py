@@ -15,10 +15,10 @@ from test_other_world import MEDIUM, NAVIGATION, segmented, true_vector
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.methods import joint
-from imu_calib.methods.equations import Equations
-from imu_calib.methods.evidence import Evidence
-from imu_calib.methods.path import Path, chained
 from imu_calib.model import SensorModel
+from imu_calib.observation.equations import Equations
+from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.path import Path, chained
 from imu_calib.segmentation.moves import STEP_ANGLE, joined
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.share import named_file

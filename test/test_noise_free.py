@@ -16,7 +16,7 @@ from imu_calib.errors import InputError
 from imu_calib.exports import EXPORTS
 from imu_calib.exports.exported import Source
 from imu_calib.imu import load_imu
-from imu_calib.methods.equations import Equations
+from imu_calib.observation.equations import Equations
 from imu_calib.plan import Plan, RateTest
 from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.turntable import load_table

@@ -14,7 +14,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.methods.evidence import Evidence
+from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import UNPLANNED, Plan, load_plan
 from imu_calib.stream import Floats, ImuBlock, JointBlock, Units
 from imu_calib.turntable import load_table

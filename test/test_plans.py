@@ -13,10 +13,10 @@ from sessions import SITE, fed, quick_plan, stand
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Result, Setup
 from imu_calib.cli.main import main
+from imu_calib.estimation.fit import check_observable
 from imu_calib.imu import load_imu
-from imu_calib.methods.equations import Equations
-from imu_calib.methods.fit import check_observable
 from imu_calib.model import PARAMETERS, TERMS, ParameterKind, SensorModel, Term, parameters_of, term
+from imu_calib.observation.equations import Equations
 from imu_calib.plan import Position, load_plan
 from imu_calib.prediction import expected, forecast, of_each_term
 from imu_calib.prediction.forecast import information

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imu_calib.methods.rows import Rows
+from imu_calib.observation.rows import Rows
 
 LAYOUTS = [(4, 3, 2, (0, 2)), (3, 0, 0, ()), (0, 2, 0, (1,)), (2, 1, 1, ()), (0, 0, 0, ())]
 

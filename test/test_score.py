@@ -18,15 +18,15 @@ from test_other_world import MEDIUM, MICRO_G, NAVIGATION, fed, stop, true_vector
 from imu_calib.budget import Source, total
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
+from imu_calib.estimation.fit import fit
+from imu_calib.estimation.score import Family, Residuals, Score, columns_of, log_f
+from imu_calib.estimation.tested import State, summary
 from imu_calib.imu import load_imu
-from imu_calib.methods.equations import Equations
-from imu_calib.methods.evidence import Evidence
-from imu_calib.methods.fit import fit
 from imu_calib.methods.joint import solve
-from imu_calib.methods.score import Family, Residuals, Score, columns_of, log_f
-from imu_calib.methods.tested import State, summary
 from imu_calib.model import PARAMETERS, SensorModel, Term, terms_of
 from imu_calib.model.terms import ACCEL_CROSS, GYRO_ASYMMETRY
+from imu_calib.observation.equations import Equations
+from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import UNPLANNED, load_plan
 from imu_calib.prediction.expected import expected
 from imu_calib.segmentation.segment import Segment, Turn

@@ -21,14 +21,14 @@ from imu_calib.cdr import Kind
 from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import ThermalCalibration, by_temperature, load_calibration
 from imu_calib.errors import InputError, NotObservable
+from imu_calib.estimation.fit import Estimate, estimate
 from imu_calib.imu import load_imu
 from imu_calib.methods import method
-from imu_calib.methods.equations import Equations
-from imu_calib.methods.evidence import Evidence
-from imu_calib.methods.fit import Estimate, estimate
 from imu_calib.methods.joint import solve
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS, chosen
 from imu_calib.model.session_terms import parted
+from imu_calib.observation.equations import Equations
+from imu_calib.observation.evidence import Evidence
 from imu_calib.share import named_file
 from imu_calib.simulation import WarmUp
 from imu_calib.stream import Floats, TemperatureBlock

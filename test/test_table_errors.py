@@ -21,15 +21,15 @@ from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
 from imu_calib.config import Section
 from imu_calib.errors import InputError
+from imu_calib.estimation.fit import estimate
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
-from imu_calib.methods.arrivals import Arrivals
-from imu_calib.methods.equations import Equations
-from imu_calib.methods.evidence import Evidence
-from imu_calib.methods.fit import estimate
-from imu_calib.methods.information import Information
 from imu_calib.methods.joint import _scattering
 from imu_calib.model import PARAMETERS, ParameterKind
+from imu_calib.observation.arrivals import Arrivals
+from imu_calib.observation.equations import Equations
+from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.information import Information
 from imu_calib.prediction.expected import expected
 from imu_calib.prediction.forecast import information, state_at
 from imu_calib.segmentation.clock import fit_clock

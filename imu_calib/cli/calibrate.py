@@ -12,9 +12,9 @@ from ..calibration import Calibration
 from ..calibrator import Result, Setup
 from ..earth import MEASURED
 from ..errors import NotObservable
+from ..estimation.tested import summary
 from ..methods import METHODS
 from ..methods.free.session import calibrator_of
-from ..methods.tested import summary
 from ..report.budget import budget_tables
 from ..report.noise import noise_lines
 from ..report.parameters import change_note, change_table, parameter_tables

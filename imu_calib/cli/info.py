@@ -10,8 +10,8 @@ from rich.table import Table as Rows
 from ..bags import Recording, open_recording
 from ..calibrator import Calibrator, Setup
 from ..errors import ImuCalibError, NotObservable
-from ..methods.equations import Equations
-from ..methods.fit import check_observable
+from ..estimation.fit import check_observable
+from ..observation.equations import Equations
 from ..plan import Plan
 from ..segmentation.alone import up_seen
 from ..segmentation.labelling import Labelled, label

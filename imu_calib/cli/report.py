@@ -11,9 +11,9 @@ from ..bags import open_recording
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..errors import InputError
+from ..estimation.tested import State
 from ..imu import ImuSpec, load_imu
 from ..methods import JOINT
-from ..methods.tested import State
 from ..model import AUTO_TERMS, NO_TERMS, terms_of
 from ..model.session_terms import SESSION_TERMS
 from ..report.page import Contents, page

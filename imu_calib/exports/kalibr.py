@@ -18,8 +18,8 @@ import yaml
 
 from ..errors import InputError
 from ..imu import TriadSpec
-from ..methods.evidence import SMALLEST_VARIANCE
 from ..noise import Coefficient
+from ..observation.evidence import SMALLEST_VARIANCE
 from ..report.noise import noise_of
 from ..stream import Floats, Units
 from ..units import HOUR

@@ -9,6 +9,8 @@ from ..earth import Site
 from ..errors import InputError
 from ..model import G_SENSITIVITY, PARAMETERS, Parameter, Term, parameters_of
 from ..model.session_terms import Change, names_of
+from ..observation.evidence import Evidence
+from ..observation.timebase import in_table_time
 from ..plan import Plan
 from . import (
     free,
@@ -21,9 +23,7 @@ from . import (
     static_six,
     twelve_position,
 )
-from .evidence import Evidence
 from .solution import Solution
-from .timebase import in_table_time
 
 METHODS: dict[str, Callable[[Evidence], Solution]] = {
     free.NAME: free.refuse,

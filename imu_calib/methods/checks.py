@@ -13,10 +13,10 @@ from ..budget import Share, Shares, Source, total
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel
+from ..observation.evidence import SMALLEST_VARIANCE, Evidence
+from ..observation.level import Accelerometers, Tilt, widened_for_tilt
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM
-from .evidence import SMALLEST_VARIANCE, Evidence
-from .level import Accelerometers, Tilt, widened_for_tilt
 from .rate_test import RateTest
 from .solution import Residual, Solution
 

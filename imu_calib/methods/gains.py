@@ -24,10 +24,10 @@ from ..model import (
     Triad,
     parameters_of,
 )
+from ..observation.equations import Equations
+from ..observation.evidence import Evidence
 from ..stream import Floats
 from .checks import conclude
-from .equations import Equations
-from .evidence import Evidence
 from .solution import Solution
 
 BIAS = 3

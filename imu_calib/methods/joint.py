@@ -14,19 +14,19 @@ import numpy as np
 import scipy
 
 from ..changes import Changes
+from ..estimation.fit import Estimate
+from ..estimation.search import searched
+from ..estimation.tested import findings, tested
+from ..estimation.warmth import moved_temperature
 from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course, names_of
+from ..observation.equations import Nuisance
+from ..observation.evidence import Evidence
+from ..observation.modulation import spans
 from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
 from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatter
-from .equations import Nuisance
-from .evidence import Evidence
-from .fit import Estimate
-from .modulation import spans
-from .search import searched
 from .solution import Residual, Solution
-from .tested import findings, tested
-from .warmth import moved_temperature
 
 _TELLING = 0.1
 _NAMED = 3

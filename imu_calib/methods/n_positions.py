@@ -12,9 +12,9 @@ import numpy as np
 
 from ..errors import NotObservable
 from ..model import G_SENSITIVITIES, G_SENSITIVITY, Parameter, parameters_of
+from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
-from .evidence import Evidence
 from .gains import BIAS, Gains, biases, inverse, once, rate_test, responses
 from .solution import Solution
 

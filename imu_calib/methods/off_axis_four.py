@@ -10,10 +10,10 @@ import numpy as np
 
 from ..earth import Site
 from ..errors import NotObservable
+from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
 from ..units import DEG_H
-from .evidence import Evidence
 from .gains import BIAS, biases, responses
 from .solution import Solution
 from .static_six import gyros_only, require_north

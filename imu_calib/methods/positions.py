@@ -12,9 +12,9 @@ import numpy as np
 
 from ..errors import NotObservable
 from ..model import AXES, SensorModel, Triad
+from ..observation.evidence import Evidence
 from ..stream import Floats
 from .checks import conclude
-from .evidence import Evidence
 from .gains import Gains
 from .linear import BIAS, UNKNOWNS, ChannelSystem, SolvedTriad, solve_triad
 from .rate_test import RateTest

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..errors import NotObservable
 from ..model import PARAMETERS
+from ..observation.evidence import Evidence
 from ..plan import Plan
-from .evidence import Evidence
 from .gains import BIAS, Gains, biases, once, rate_test
 from .n_positions import check_positions, check_turns, force_weights
 from .solution import Solution

@@ -13,8 +13,8 @@ import scipy
 
 from ..errors import NotObservable
 from ..model import AXES
+from ..observation.evidence import SMALLEST_VARIANCE, Evidence, vertical_axis
 from ..stream import Floats
-from .evidence import SMALLEST_VARIANCE, Evidence, vertical_axis
 from .linear import BIAS, UNKNOWNS, ChannelSystem
 
 _ONE_RATE = 0.2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import NotObservable
-from .evidence import UP, Evidence
+from ..observation.evidence import UP, Evidence
 from .positions import BiasEquation, finish, solve_gyros
 from .solution import Solution
 

@@ -14,11 +14,11 @@ import numpy as np
 
 from ..errors import NotObservable
 from ..model import SensorModel, Skewed, Triad, parameters_of, positions, skewed_parameters
+from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..plan import Plan
 from ..stream import Floats
 from ..units import DEG, DEG_H
 from .checks import check_axes, clocks, far_scales
-from .evidence import SMALLEST_VARIANCE, Evidence
 from .gains import BIAS, biases, inverse, responses
 from .n_positions import check_turns
 from .solution import Solution

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..budget import Shares
 from ..changes import Changes
+from ..estimation.tested import Tested
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
-from .tested import Tested
 
 
 @dataclass(frozen=True, eq=False)

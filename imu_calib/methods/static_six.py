@@ -14,9 +14,9 @@ from ..budget import total
 from ..earth import EARTH_RATE, Site
 from ..errors import NotObservable
 from ..model import PARAMETERS, ParameterKind
+from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
-from .evidence import Evidence
 from .gains import BIAS, Gains, biases, inverse, once, responses
 from .solution import Solution
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..errors import NotObservable
 from ..model import AXES
+from ..observation.evidence import Evidence
 from ..stream import Floats
-from .evidence import Evidence
 from .positions import BiasEquation, finish, solve_gyros
 from .solution import Solution
 

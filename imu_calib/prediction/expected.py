@@ -16,9 +16,9 @@ import scipy
 from ..calibrator import Setup
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
-from ..methods.equations import headings, whole
-from ..methods.evidence import Evidence
 from ..model import SensorModel, Skewed
+from ..observation.equations import headings, whole
+from ..observation.evidence import Evidence
 from ..profile import Course, moving
 from ..segmentation.clock import ClockFit
 from ..segmentation.counter import mean_rate, rate_between

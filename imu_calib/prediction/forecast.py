@@ -14,17 +14,17 @@ import numpy as np
 from ..budget import Source
 from ..calibrator import Setup
 from ..errors import NotObservable
+from ..estimation.fit import check_observable
 from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free, method, skewed
-from ..methods.components import Component, Dense
-from ..methods.equations import Equations
-from ..methods.evidence import Evidence
-from ..methods.fit import check_observable
 from ..methods.free.ahead import deviations
-from ..methods.information import Information, told
 from ..methods.skewed import RatePoints
 from ..methods.solution import Solution
 from ..model import AXES, PARAMETERS, Parameter, SensorModel
+from ..observation.components import Component, Dense
+from ..observation.equations import Equations
+from ..observation.evidence import Evidence
+from ..observation.information import Information, told
 from ..segmentation.segment import Statistics
 from ..stream import Floats
 from ..table_clock import clock_share

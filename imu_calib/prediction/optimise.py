@@ -16,8 +16,8 @@ import numpy as np
 
 from ..calibrator import Setup
 from ..errors import ImuCalibError, InputError
-from ..methods.equations import Equations
 from ..model import PARAMETERS, SensorModel
+from ..observation.equations import Equations
 from ..plan import Plan, Position, RateTest
 from ..stream import Floats
 from ..turntable import Table, rotation

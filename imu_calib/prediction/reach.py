@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
 from ..methods import JOINT, method
-from ..methods.equations import Equations
-from ..methods.evidence import Evidence
 from ..model import SensorModel
+from ..observation.equations import Equations
+from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
 from ..units import PPM

@@ -12,8 +12,8 @@ import numpy as np
 import scipy
 
 from ..earth import EARTH_RATE, Site
-from ..methods.evidence import SMALLEST_VARIANCE
 from ..model import AXES, Parameter, SensorModel
+from ..observation.evidence import SMALLEST_VARIANCE
 from ..stream import Floats
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from ..earth import Site
 from ..errors import NotObservable
 from ..imu import ImuSpec, TriadSpec
-from ..methods.evidence import Evidence
-from ..methods.timebase import in_table_time
+from ..observation.evidence import Evidence
+from ..observation.timebase import in_table_time
 from ..plan import Plan
 from ..segmentation.labelling import label
 from ..segmentation.session import Segmented

@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 from ..budget import Source
 from ..earth import EARTH_RATE
 from ..errors import NotObservable
+from ..estimation.converge import least_squares
 from ..imu import TriadSpec
-from ..methods.components import Component, Diagonal
-from ..methods.converge import least_squares
-from ..methods.equations import Equations, Nuisance
-from ..methods.evidence import Evidence
-from ..methods.information import Information
-from ..methods.path import rotations
-from ..methods.rows import Indices
 from ..model import Triad
+from ..observation.components import Component, Diagonal
+from ..observation.equations import Equations, Nuisance
+from ..observation.evidence import Evidence
+from ..observation.information import Information
+from ..observation.path import rotations
+from ..observation.rows import Indices
 from ..stream import Floats
 from .lengths import Sensors, Up, compare_lengths, noise_at_rest
 from .observed import Observed

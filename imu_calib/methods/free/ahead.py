@@ -10,9 +10,9 @@ import numpy as np
 from ...earth import Site
 from ...imu import ImuSpec
 from ...model import PARAMETERS, SensorModel
+from ...observation.information import Information
 from ...plan import Position
 from ...stream import Floats
-from ..information import Information
 from .guidance import TURN_SECONDS, planned_hold, planned_swing
 from .system import FREE, System
 

@@ -24,6 +24,7 @@ import scipy
 from ...budget import Share, Shares, Source
 from ...earth import Site
 from ...errors import NotObservable
+from ...estimation.converge import least_squares
 from ...model import (
     G_SENSITIVITY,
     PARAMETERS,
@@ -33,11 +34,10 @@ from ...model import (
     Triad,
     parameters_of,
 )
+from ...observation.evidence import Evidence
+from ...observation.information import Information
 from ...stream import Floats
 from ...units import DEG, STANDARD_GRAVITY
-from ..converge import least_squares
-from ..evidence import Evidence
-from ..information import Information
 from ..solution import Solution
 from .holds import Hold, Swing
 from .system import System, check_observable, free, level_axes

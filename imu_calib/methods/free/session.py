@@ -16,6 +16,8 @@ from ...calibrator import Calibrator, Result, Review, Setup
 from ...errors import NotObservable
 from ...gravity import gravity_covariance, with_gravity
 from ...model import PARAMETERS, SensorModel
+from ...observation.evidence import Evidence, known_noise, noise
+from ...observation.moves import bent
 from ...segmentation.labelling import Labelled
 from ...segmentation.segment import Segment
 from ...segmentation.segmenter import Segmenter
@@ -23,8 +25,6 @@ from ...segmentation.session import Move, Segmented
 from ...stream import Block, Floats, ImuBlock, TemperatureBlock, Units
 from ...units import DEG, STANDARD_GRAVITY
 from .. import estimates
-from ..evidence import Evidence, known_noise, noise
-from ..moves import bent
 from ..solution import Residual, Solution
 from . import NAME
 from .fit import FEWEST, FreeFit, scatter_words, solve, term_words

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ...earth import Site
 from ...errors import NotObservable
 from ...model import PARAMETERS, Parameter, ParameterKind, SensorModel
+from ...observation.information import Information
+from ...observation.path import Path
 from ...stream import Floats
-from ..information import Information
-from ..path import Path
 from .holds import Hold, Swing
 
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}

@@ -29,12 +29,12 @@ import scipy
 from numpy.typing import NDArray
 
 from ..budget import Source
+from ..observation.arrivals import NO_ARRIVALS, Arrivals
+from ..observation.components import Component, Dense
+from ..observation.equations import Equations
+from ..observation.evidence import SMALLEST_VARIANCE
 from ..segmentation.session import Move
 from ..stream import Floats
-from .arrivals import NO_ARRIVALS, Arrivals
-from .components import Component, Dense
-from .equations import Equations
-from .evidence import SMALLEST_VARIANCE
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from ..budget import Source
 from ..model import AXES, TERMS, Parameter, Term, parameters_of, positions, terms_of
+from ..observation.components import Factor
+from ..observation.equations import Equations
+from ..observation.information import meant, useful
 from ..stream import Floats
 from ..table_errors import TableErrors
 from ..units import ARCMIN, ARCSEC
-from .components import Factor
-from .equations import Equations
 from .excess import Excess, excess
-from .information import meant, useful
 
 _SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a

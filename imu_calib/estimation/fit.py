@@ -22,17 +22,17 @@ from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
 from ..model.session_terms import Change
+from ..observation.arrivals import NO_ARRIVALS
+from ..observation.equations import Equations, Nuisance
+from ..observation.evidence import SMALLEST_VARIANCE, Evidence
+from ..observation.information import Information, before, told, undetermined, unobserved
+from ..observation.lacking import advice, lost
 from ..segmentation.session import Move
 from ..stream import Floats
 from ..units import DEG
-from .arrivals import NO_ARRIVALS
 from .changing import doubt_of_time_constant, timed, with_changes
 from .converge import least_squares
-from .equations import Equations, Nuisance
-from .evidence import SMALLEST_VARIANCE, Evidence
 from .excess import Excess, excess
-from .information import Information, before, told, undetermined, unobserved
-from .lacking import advice, lost
 
 _STARTS = 8
 _ITERATIONS = 100

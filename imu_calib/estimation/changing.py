@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from ..errors import NotObservable
 from ..model.session_terms import Change, Course, names_of
+from ..observation.equations import Equations
+from ..observation.evidence import Evidence
+from ..observation.information import Information, before, told
+from ..observation.modulation import TIME_CONSTANTS, check_temperature, courses
 from ..stream import Floats
 from .converge import least_squares
-from .equations import Equations
-from .evidence import Evidence
-from .information import Information, before, told
-from .modulation import TIME_CONSTANTS, check_temperature, courses
 
 _USEFUL = 1e-3
 """Standard deviation of the change of a scale factor over a session that is of use: that of terms,

@@ -7,9 +7,9 @@ import scipy
 
 from ..model import TRIADS, ParameterKind
 from ..model.session_terms import Course, change
+from ..observation.modulation import LEAST_RISE, temperatures
 from ..units import PPM
 from .fit import Estimate
-from .modulation import LEAST_RISE, temperatures
 
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where

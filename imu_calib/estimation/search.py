@@ -22,11 +22,11 @@ from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, parameters_of, positions, terms_of
 from ..model.session_terms import Change
+from ..observation.equations import Equations
+from ..observation.evidence import SMALLEST_VARIANCE, Evidence
+from ..observation.information import before, told
 from ..stream import Floats
-from .equations import Equations
-from .evidence import SMALLEST_VARIANCE, Evidence
 from .fit import Estimate, estimate, fit, with_scatter
-from .information import before, told
 from .score import Family, Residuals, Score, columns_of, families
 
 CHANCE = 1e-3
