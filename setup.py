@@ -29,6 +29,7 @@ NODES = (
 DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
 
 PLOT = 'matplotlib>=3.6'
+DATA_FRAME = 'pandas>=2'
 
 setup(
     name=NAME,
@@ -62,6 +63,7 @@ setup(
     extras_require={
         'dds': [DDS],
         'plot': [PLOT],
+        'dataframe': [DATA_FRAME],
         'test': [
             'pytest>=7.4',
             'pytest-timeout>=2.2',
@@ -70,8 +72,17 @@ setup(
             'rosbags>=0.10.7',
             DDS,
             PLOT,
+            DATA_FRAME,
         ],
-        'dev': [PLOT, 'mypy>=1.11', 'ruff>=0.9', 'types-PyYAML', 'types-pyserial'],
+        'dev': [
+            PLOT,
+            DATA_FRAME,
+            'pandas-stubs',
+            'mypy>=1.11',
+            'ruff>=0.9',
+            'types-PyYAML',
+            'types-pyserial',
+        ],
     },
     entry_points={
         'console_scripts': [

@@ -34,7 +34,7 @@ from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.model import TERMS, SensorModel, Term, chosen
 from imu_calib.montecarlo import economical, single_threaded
 from imu_calib.plan import load_plan
-from imu_calib.report.svg import COLOURS, Axis, Panel, drawing, label, tag
+from imu_calib.reports.svg import COLOURS, Axis, Panel, drawing, label, tag
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedImu, StandOptions, simulate
 from imu_calib.stream import Floats, ImuBlock, Units

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -39,6 +39,10 @@ from .stamping import KEY as CLOCK
 from .stamping import StampingClock, read_clock
 from .stream import Floats, Units
 from .yaml_text import SafeDumper, dump
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 _FORMAT = 1
 
@@ -241,24 +245,46 @@ class Calibration:
         """
         return cls.read(Section.parse(text, where))
 
-    def save(self, path: Path) -> None:
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return value, std and unit of each parameter as a pandas.DataFrame, by its name.
+
+        Raises:
+            InputError: pandas is not installed.
+
+        """
+        from .api.parameters import data_frame
+
+        return data_frame(self)
+
+    def plot(self) -> Figure:
+        """Draw the parameters with bars of two standard deviations; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed.
+
+        """
+        from .api.parameters import draw
+
+        return draw(self)
+
+    def save(self, path: str | Path) -> None:
         """Write the file whole or not at all.
 
         Raises:
             InputError: It cannot be written.
 
         """
-        write_whole(path, self.to_yaml())
+        write_whole(Path(path).expanduser(), self.to_yaml())
 
     @classmethod
-    def load(cls, path: Path) -> Calibration:
+    def load(cls, path: str | Path) -> Calibration:
         """Read a calibration file.
 
         Raises:
             InputError: Unreadable, or no calibration.
 
         """
-        return cls.read(Section.load(path))
+        return cls.read(Section.load(Path(path).expanduser()))
 
     @classmethod
     def read(cls, section: Section) -> Calibration:

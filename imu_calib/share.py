@@ -61,9 +61,12 @@ def named_file(kind: str, name: str | Path) -> Path:
         if path.is_file():
             return path
         raise InputError(f'{path}: no such file.')
-    folder = share_folder() / 'config' / kind
-    shipped = folder / f'{path.name}.yaml'
-    if shipped.is_file():
-        return shipped
-    known = ', '.join(sorted(p.stem for p in folder.glob('*.yaml')))
-    raise InputError(f'No {kind.rstrip("s")} is called {str(name)!r}; there are: {known}.')
+    file = share_folder() / 'config' / kind / f'{path.name}.yaml'
+    if file.is_file():
+        return file
+    raise InputError(f'No {kind.rstrip("s")} is called {str(name)!r}; there are: {shipped(kind)}.')
+
+
+def shipped(kind: str) -> str:
+    """List the names that ship of a kind of file, as for `named_file`."""
+    return ', '.join(sorted(p.stem for p in (share_folder() / 'config' / kind).glob('*.yaml')))

@@ -11,10 +11,11 @@ import numpy as np
 import yaml
 from loopback import patience, until
 
+from imu_calib import calibrate
 from imu_calib import middleware as ros
 from imu_calib.bags import open_recording
 from imu_calib.calibration import Calibration
-from imu_calib.cli import calibrate, main, stand_session
+from imu_calib.cli import main, stand_session
 from imu_calib.cli.processes import Processes, private_network
 from imu_calib.middleware import messages
 from imu_calib.nodes import qos
@@ -185,10 +186,7 @@ class Stand:
         """Reprocess the journal, and find the live result in it, bit for bit."""
         assert self.wait((self.folder / 'calibration.yaml').exists)
         live = Calibration.load(self.folder / 'calibration.yaml')
-        arguments = ['calibrate', str(self.folder / 'journal')]
-        offline = calibrate.open_offline(main.build_parser().parse_args(arguments))
-        with offline.recording:
-            again = calibrate.calibrate(offline).calibration
+        again = calibrate(self.folder / 'journal').calibration
         assert np.array_equal(again.model.vector(), live.model.vector())
         assert np.array_equal(again.covariance, live.covariance)
         return SimpleNamespace(live=live, again=again)

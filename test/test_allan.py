@@ -23,7 +23,7 @@ from imu_calib.allan import (
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.noise import ChannelNoise, session_noise
 from imu_calib.observation.evidence import noise
-from imu_calib.report.noise import noise_lines
+from imu_calib.reports.noise import noise_lines
 from imu_calib.segmentation.segment import Statistics
 from imu_calib.segmentation.statistics import statistics_at_rest, to_samples
 from imu_calib.stream import Floats, Units

@@ -22,10 +22,10 @@ import numpy as np
 import pytest
 from sessions import SITE, paper_imu, stand, truth
 
+from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
-from imu_calib.cli.simulate import serialised
 from imu_calib.config import Section
 from imu_calib.imu import ImuSpec
 from imu_calib.plan import Plan, read_plan

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from sessions import SITE, ended, stand
 
+from imu_calib import calibrate
 from imu_calib.bags import Journal
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
-from imu_calib.cli import calibrate
-from imu_calib.cli.main import build_parser
 from imu_calib.imu import load_imu
 from imu_calib.nodes import live
 from imu_calib.nodes.live import LiveSession, Phase
@@ -70,12 +69,8 @@ def send(session, wire, without=frozenset()):
             now += 10**6
 
 
-def reprocessed(folder, *options):
-    arguments = build_parser().parse_args(['calibrate', str(folder), *options])
-    offline = calibrate.open_offline(arguments)
-    with offline.recording:
-        offline = replace(offline, setup=replace(offline.setup, plan=PLAN))
-        return calibrate.calibrate(offline).calibration
+def reprocessed(folder):
+    return calibrate(folder, plan=PLAN).calibration
 
 
 def test_sixteen_numbers_live_are_those_of_the_journal(tmp_path, wire):

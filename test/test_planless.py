@@ -13,11 +13,11 @@ import pytest
 from ideal import mean_of
 from sessions import SITE, Named, calibrate, paper_imu, quick_plan, session, stand, truth
 
+from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.cli.main import main
-from imu_calib.cli.simulate import serialised
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.plan import UNPLANNED, Plan, Position, RateTest, load_plan
 from imu_calib.segmentation.clock import fit_clock

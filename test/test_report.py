@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 from sessions import calibrate, paper_imu, quick_plan, session, stand
 
+from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Result
 from imu_calib.cli.main import main
-from imu_calib.cli.simulate import serialised
 from imu_calib.config import Section
 from imu_calib.errors import InputError
 from imu_calib.imu import ImuSpec, load_imu, read_imu
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS, ParameterKind
-from imu_calib.report.page import Contents, page
-from imu_calib.report.repeatability import Repeated, repeated
-from imu_calib.report.svg import Axis
+from imu_calib.reports.page import Contents, page
+from imu_calib.reports.repeatability import Repeated, repeated
+from imu_calib.reports.svg import Axis
 from imu_calib.segmentation.session import Rejected
 from imu_calib.specification import Specification, Verdict, judge
 from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM

@@ -13,10 +13,11 @@ import yaml
 from loopback import CHECKOUT, until
 from test_sequencer import Stand as Simulated
 
+from imu_calib import calibrate
 from imu_calib.bags import Journal, open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind, Messages, encode_imu
-from imu_calib.cli import calibrate, main, resume
+from imu_calib.cli import main, resume
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.sequencing import Phase, Rules
 from imu_calib.share import named_file
@@ -107,10 +108,7 @@ def finishes(process, folder):
     error = np.abs(live.model.vector() - truth) / live.std
     assert len(error) == 24
     assert error.max() < LIMIT, error.round(1)
-    arguments = main.build_parser().parse_args(['calibrate', str(folder / 'journal')])
-    offline = calibrate.open_offline(arguments)
-    with offline.recording:
-        again = calibrate.calibrate(offline).calibration
+    again = calibrate(folder / 'journal').calibration
     assert np.array_equal(again.model.vector(), live.model.vector())
     assert np.array_equal(again.covariance, live.covariance)
     return output
@@ -185,10 +183,7 @@ def test_free_positions_in_a_simulated_hand_go_on_too(tmp_path):
     output, errors = again.communicate(timeout=150)
     assert again.returncode == 0, errors
     live = Calibration.load(folder / 'calibration.yaml')
-    arguments = main.build_parser().parse_args(['calibrate', str(folder / 'journal')])
-    offline = calibrate.open_offline(arguments)
-    with offline.recording:
-        calibration = calibrate.calibrate(offline).calibration
+    calibration = calibrate(folder / 'journal').calibration
     assert np.array_equal(calibration.model.vector(), live.model.vector())
     assert 'The IMU stream was interrupted' in output
 

@@ -12,10 +12,10 @@ import pytest
 from scipy.stats import chi2, norm
 from sessions import LATITUDE, SITE, calibrate, paper_imu, quick_plan, session, stand
 
+from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
-from imu_calib.cli.simulate import serialised
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
 from imu_calib.model import Triad

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 from typing import Any
 
-from ..bags import Recording, open_recording
+from ..api.calibrating import calibrated
 from ..calibration import Calibration
-from ..calibrator import Result, Setup
+from ..calibrator import Result
 from ..earth import MEASURED
-from ..errors import NotObservable
 from ..estimation.tested import summary
 from ..methods import METHODS
-from ..methods.free.session import calibrator_of
-from ..report.budget import budget_tables
-from ..report.noise import noise_lines
-from ..report.parameters import change_note, change_table, parameter_tables
-from ..stream import Block
+from ..reports.budget import budget_tables
+from ..reports.noise import noise_lines
+from ..reports.parameters import change_note, change_table, parameter_tables
 from ..units import DEG, DEG_H, MICRO_G, PPM
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -38,84 +34,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-@dataclass(frozen=True)
-class Offline:
-    """A recording with all that is needed to calibrate from it."""
-
-    recording: Recording
-    setup: Setup
-    streams: options.Streams
-
-    def blocks(self, text: str) -> Iterator[Block]:
-        """Read all topics, with a progress bar."""
-        with progress_bar(text) as show:
-            for _, block in self.recording.read(self.streams.kinds(), show):
-                yield block
-
-
-def open_offline(arguments: argparse.Namespace) -> Offline:
-    """Open the recording that a command line names, and find what goes with it.
-
-    Raises:
-        InputError: Something is missing, ambiguous or unreadable.
-
-    """
-    recording = open_recording(arguments.bag)
-    data, where = recording.custom_data, str(recording.path)
-    streams = options.find_streams(arguments, recording)
-    table = options.find_table(arguments, data, where)
-    imu = options.find_imu(arguments, data, where, streams.imu)
-    if streams.skew is None:
-        # Nobody is to wait for a gyro that the recording does not hold.
-        imu = replace(imu, skewed=None)
-    setup = Setup(
-        imu,
-        options.find_plan(arguments, data, where, streams),
-        table if streams.joints is not None else None,
-        options.find_site(arguments, data, where),
-        arguments.method,
-        options.find_serial(arguments, data, where),
-        options.find_terms(arguments),
-        options.find_changes(arguments),
-        options.find_look(arguments),
-    )
-    return Offline(recording, setup, streams)
-
-
-def calibrate(offline: Offline) -> Result:
-    """Run a recording through the calibrator.
-
-    Raises:
-        InputError: Unreadable, or not what it is said to be.
-        NotObservable: The data cannot give all parameters.
-
-    """
-    calibrator = calibrator_of(offline.setup)
-    for block in offline.blocks('reading'):
-        calibrator.feed(block)
-    lost = tuple(offline.recording.losses)
-    try:
-        result = calibrator.finish()
-    except NotObservable as error:
-        raise NotObservable(' '.join([str(error), *lost])) from None
-    calibration = result.calibration
-    provenance = {
-        'recording': offline.recording.path.name,
-        'sha256': offline.recording.sha256(),
-        'topics': sorted(offline.streams.kinds()),
-        **calibration.provenance,
-    }
-    findings = (*calibration.findings, *lost)
-    calibration = replace(calibration, provenance=provenance, findings=findings)
-    return replace(result, calibration=calibration)
-
-
 def run(arguments: argparse.Namespace) -> None:
     """Calibrate and print."""
     path = options.output_path(arguments.output)
-    offline = open_offline(arguments)
-    with offline.recording:
-        result = calibrate(offline)
+    result = calibrated(arguments.bag, options.stated(arguments), progress_bar)
     result.calibration.save(path)
     show(result)
     if arguments.budget:

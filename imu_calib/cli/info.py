@@ -7,6 +7,7 @@ from collections import Counter
 
 from rich.table import Table as Rows
 
+from ..api.calibrating import Opened, open_session
 from ..bags import Recording, open_recording
 from ..calibrator import Calibrator, Setup
 from ..errors import ImuCalibError, NotObservable
@@ -22,7 +23,6 @@ from ..session import COMPENSATED
 from ..turntable import TURN
 from ..units import DEG, DEG_H, STANDARD_GRAVITY
 from . import options
-from .calibrate import Offline, open_offline
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 _SAME_UP = 0.999
@@ -58,14 +58,14 @@ def run(arguments: argparse.Namespace) -> None:
         if (by := recording.custom_data.get(COMPENSATED)) is not None:
             OUTPUT.print(f'compensated by {by}: the compensated stream is in SI', markup=False)
     try:
-        offline = open_offline(arguments)
+        opened = open_session(arguments.bag, options.stated(arguments))
     except ImuCalibError as error:
         OUTPUT.print(f'\nNot looked into: {error}', markup=False)
         return
-    with offline.recording:
-        session = _segment(offline)
-    _show_segments(session, offline.setup)
-    sentence_list('Lost', [*offline.recording.losses, *session.losses])
+    with opened.recording:
+        session = _segment(opened)
+    _show_segments(session, opened.setup)
+    sentence_list('Lost', [*opened.recording.losses, *session.losses])
 
 
 def _counts(recording: Recording) -> Counter[str]:
@@ -83,11 +83,10 @@ def _counts(recording: Recording) -> Counter[str]:
     return counts
 
 
-def _segment(offline: Offline) -> Segmented:
-    segmenter = Segmenter(offline.setup.imu, offline.setup.table)
-    with progress_bar('reading') as show:
-        for _, block in offline.recording.read(offline.streams.kinds(), show):
-            segmenter.feed(block)
+def _segment(opened: Opened) -> Segmented:
+    segmenter = Segmenter(opened.setup.imu, opened.setup.table)
+    for block in opened.blocks(progress_bar):
+        segmenter.feed(block)
     return segmenter.finish()
 
 

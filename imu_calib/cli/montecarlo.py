@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import os
-from dataclasses import replace
 
 import numpy as np
 from rich.table import Table as Rows
@@ -18,11 +17,9 @@ from ..imu import load_imu
 from ..methods import METHODS, method
 from ..montecarlo import Outcome, Study, economical, repeat
 from ..plan import load_plan
-from ..report.parameters import decimals, engineering
+from ..reports.parameters import decimals, engineering
 from ..share import named_file
 from ..simulation import StandOptions
-from ..turntable import load_table
-from ..units import DEG
 from . import options
 from .plot import draw_normalised, plot_path
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -107,12 +104,10 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _study(arguments: argparse.Namespace) -> Study:
-    site = options.site_at(arguments, LUOYANG)
-    table = load_table(arguments.table)
-    azimuth = table.azimuth if arguments.azimuth is None else arguments.azimuth * DEG
-    table = replace(table, azimuth=azimuth)
+    stated = options.stated(arguments)
+    site, table = stated.site(LUOYANG), stated.simulated_table()
     plan = load_plan(arguments.plan)
-    terms, changes = options.find_terms(arguments), options.find_changes(arguments)
+    terms, changes = stated.sensor_terms, stated.changes
     if arguments.method is not None:
         method(arguments.method, terms, changes)
     if plan.by_hand:
@@ -131,10 +126,10 @@ def _study(arguments: argparse.Namespace) -> Study:
         arguments.method,
         terms=terms,
         changes=changes,
-        look=options.find_look(arguments),
+        look=stated.look,
     )
     truth = Calibration.load(named_file('truths', arguments.truth)).model
-    return Study(setup, truth, economical(stand), azimuth)
+    return Study(setup, truth, economical(stand), table.azimuth)
 
 
 def _table(outcome: Outcome) -> Rows:

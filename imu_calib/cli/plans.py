@@ -9,20 +9,19 @@ from dataclasses import replace
 import numpy as np
 from rich.table import Table as Rows
 
-from ..calibration import Calibration
+from ..api.predicting import predicted, setup_of, shortest
+from ..api.stated import as_truth
 from ..calibrator import Setup
-from ..earth import LUOYANG
 from ..errors import InputError, NotObservable
-from ..imu import load_imu
-from ..methods import METHODS, check_plan, closed_form_beside, free
+from ..methods import METHODS, free
 from ..model import Parameter, SensorModel, parameters_of, terms_of
 from ..plan import Plan, Position, Step, load_plan
-from ..prediction import Forecast, OfTerm, duration, forecast, listed, of_each_term, reach
-from ..report.parameters import decimals, engineering
-from ..share import named_file, share_folder
+from ..prediction import Forecast, OfTerm, duration
+from ..reports.parameters import decimals, engineering
+from ..share import share_folder
 from ..stream import Mode
 from ..turntable import Table, load_table
-from ..units import DEG, PPM, parse
+from ..units import DEG, PPM
 from . import options
 from .terminal import OUTPUT
 
@@ -98,7 +97,7 @@ def run(arguments: argparse.Namespace) -> None:
         _refuse_without_imu(arguments)
         _lay_out(load_plan(arguments.plan), table)
     else:
-        _predict(arguments, table)
+        _predict(arguments)
 
 
 def _refuse_without_imu(arguments: argparse.Namespace) -> None:
@@ -112,49 +111,35 @@ def _refuse_without_imu(arguments: argparse.Namespace) -> None:
         )
 
 
-def _predict(arguments: argparse.Namespace, table: Table) -> None:
-    if arguments.azimuth is not None:
-        table = replace(table, azimuth=arguments.azimuth * DEG)
-    site = options.site_at(arguments, LUOYANG)
-    plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
-    truth = Calibration.load(named_file('truths', arguments.truth)).model
-    terms = options.find_terms(arguments)
-    if options.find_changes(arguments):
-        raise InputError(
-            f'--terms: found {arguments.terms!r}, expected terms of the sensors alone: '
-            'how a session drifts is nothing of its plan (calibrate --terms estimates it).'
-        )
-    held = None if plan.by_hand else table
-    setup = Setup(imu, plan, held, site, arguments.method, terms=terms)
-    check_plan(setup.method_name, plan, site)
+def _predict(arguments: argparse.Namespace) -> None:
+    setup = setup_of(options.stated(arguments))
+    truth = as_truth(arguments.truth).model
+    plan, imu, held, site = setup.plan, setup.imu, setup.table, setup.site
     OUTPUT.print(f'{plan.title} ({plan.source})')
-    where = 'by hand' if plan.by_hand else f'on table {table.name}'
+    where = 'by hand' if held is None else f'on table {held.name}'
     OUTPUT.print(f'{where} with IMU {imu.id}, latitude {site.latitude / DEG:.3f} deg\n')
     if held is not None and held.assumption:
         OUTPUT.print(f'{held.assumption}\n')
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return
-    found = forecast(setup, truth, wander=arguments.bias_instability)
-    beside = closed_form_beside(found.method, plan)
-    if beside is None:
+    prediction = predicted(setup, truth, wander=arguments.bias_instability)
+    found, own = prediction.forecast, prediction.closed_form
+    if own is None:
         _show_forecast(found)
+    elif own.refusal:
+        _show_forecast(found)
+        OUTPUT.print(f'closed form {own.method}: {own.refusal}', markup=False)
     else:
-        own = forecast(
-            replace(setup, method=beside, terms=()), truth, wander=arguments.bias_instability
-        )
-        if own.refusal:
-            _show_forecast(found)
-            OUTPUT.print(f'closed form {beside}: {own.refusal}', markup=False)
-        else:
-            _show_forecast(_side_by_side(own, found), best=found.method)
+        _show_forecast(_side_by_side(own, found), best=found.method)
     if not arguments.bias_instability and imu.gyro.bias_instability + imu.accel.bias_instability:
         OUTPUT.print(
             'Biases stand still here; with --bias-instability they wander by the data sheet'
             f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
         )
-    _show_terms(of_each_term(found, setup, truth, wander=arguments.bias_instability))
-    _show_time(plan, table)
+    _show_terms(prediction.terms)
+    if held is not None:
+        _show_time(plan, held)
     if found.refusal:
         raise NotObservable(f'Plan {plan.name}, method {found.method}: {found.refusal}')
 
@@ -171,10 +156,9 @@ def _side_by_side(own: Forecast, joint: Forecast) -> Forecast:
 
 
 def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
-    parameters = {p.name: p for p in listed(setup)}
-    wanted = dict(_wanted(text, parameters) for text in arguments.reach)
-    reached = reach(setup, truth, wanted)
-    _show_forecast(reached.forecast, wanted)
+    wanted = dict(_parted(text) for text in arguments.reach)
+    reached = shortest(setup, truth, wanted)
+    _show_forecast(reached.forecast, reached.wanted)
     rows = Rows(box=None, pad_edge=False, header_style='bold')
     for heading in ('position', 'dwell, s', 'instead of'):
         rows.add_column(heading, justify='left' if heading == 'position' else 'right')
@@ -188,26 +172,14 @@ def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel)
         _show_time(reached.plan, setup.table)
 
 
-def _wanted(text: str, parameters: Mapping[str, Parameter]) -> tuple[str, float]:
-    """Read NAME=STD, of parameters by name.
-
-    Raises:
-        InputError: No such parameter, or not a standard deviation in a unit of its own.
-
-    """
-    name, equals, value = text.partition('=')
-    parameter = parameters.get(name.strip())
-    if not equals or parameter is None:
-        known = ', '.join(parameters)
-        raise InputError(f'--reach {text}: expected NAME=STD, NAME one of {known}.')
-    std = parse(value, parameter.unit.dimension, f'--reach {name}')
-    if not std > 0:
-        raise InputError(f'--reach {text}: a standard deviation is above zero.')
-    return parameter.name, std
+def _parted(text: str) -> tuple[str, str]:
+    """Part NAME=STD; where it is something else, what reads the name says so."""
+    name, _, value = text.partition('=')
+    return name.strip(), value
 
 
 def _show_forecast(
-    found: Forecast, wanted: dict[str, float] | None = None, *, best: str = 'best'
+    found: Forecast, wanted: Mapping[str, float] | None = None, *, best: str = 'best'
 ) -> None:
     rows = Rows(box=None, pad_edge=False, header_style='bold')
     on_a_table = not found.evidence.plan.by_hand

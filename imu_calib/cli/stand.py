@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..api.stated import load_truth
 from ..calibration import Calibration
 from ..devices import Baud, FrameFormat, check_port, choose_baud, is_serial, load_format, too_slow
 from ..earth import LUOYANG
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu
 from ..plan import load_plan
+from ..share import shipped
 from ..turntable import load_table
 from . import options
 from .listening import listen
@@ -160,7 +162,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> Calibration | None:
         frames = _check_device(arguments)
     elif arguments.device:
         raise InputError('--device: simulated hardware has frames of its own; give --port, too.')
-    site = options.site_at(arguments, LUOYANG)
+    site = options.stated(arguments).site(LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     table = None if plan.by_hand else load_table(arguments.table)
     if arguments.port:
@@ -172,7 +174,7 @@ def _check(arguments: argparse.Namespace, words: Words) -> Calibration | None:
     from . import stand_session
 
     stand_session.check(arguments, imu, plan, table, site)
-    return None if arguments.port else options.load_truth(arguments.truth, imu)
+    return None if arguments.port else load_truth(arguments.truth, imu)
 
 
 def _check_baud(arguments: argparse.Namespace) -> None:
@@ -201,7 +203,7 @@ def _check_device(arguments: argparse.Namespace) -> FrameFormat:
     if not arguments.device:
         missing.append(
             "--device, the format of the frames that come there: a device's name "
-            f'({options.shipped("devices")}), or a file of your own (docs/devices.md)'
+            f'({shipped("devices")}), or a file of your own (docs/devices.md)'
         )
     if arguments.latitude is None:
         missing.append('--latitude, of a real stand, in degrees')

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..api.stated import TRUE_TABLE
 from ..calibration import Calibration
 from ..calibrator import Setup
 from ..earth import LUOYANG, Site
@@ -21,7 +22,7 @@ from ..methods import free
 from ..model import AUTO_TERMS
 from ..plan import Plan, load_plan
 from ..prediction import check_session
-from ..report.parameters import parameter_tables
+from ..reports.parameters import parameter_tables
 from ..simulation import StandOptions, load_imperfections
 from ..turntable import Table, load_table
 from . import by_hand, options, resume
@@ -49,8 +50,8 @@ def check(
     # Which runtime there is, is asked here alone: the other commands need none.
     from . import monitor  # noqa: F401
 
-    terms, changes = options.find_terms(arguments), options.find_changes(arguments)
-    look = options.find_look(arguments)
+    stated = options.stated(arguments)
+    terms, changes, look = stated.sensor_terms, stated.changes, stated.look
     setup = Setup(imu, plan, table, site, arguments.method, terms=terms, changes=changes, look=look)
     _check_session(setup)
     if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
@@ -152,7 +153,7 @@ def _save_true_table(arguments: argparse.Namespace, folder: Path) -> None:
     table = load_table(arguments.table)
     read = load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)
     if read.true is not None:
-        read.true.save(folder / options.TRUE_TABLE, table)
+        read.true.save(folder / TRUE_TABLE, table)
 
 
 def _session(

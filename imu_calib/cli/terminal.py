@@ -4,18 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-
-class Show(Protocol):
-    """Takes what is done, the total, and perhaps another text."""
-
-    def __call__(self, done: int, total: int, changed: str = ...) -> None:
-        """Show it."""
-
+from ..api.watching import Show
 
 _WIDTH_OF_A_FILE = 160
 OUTPUT = Console(soft_wrap=True, highlight=False)

@@ -139,14 +139,14 @@ class ThermalCalibration:
         text += dump({'calibrations': documents}, default_flow_style=None, width=200)
         return text
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the file whole or not at all.
 
         Raises:
             InputError: It cannot be written.
 
         """
-        write_whole(path, self.to_yaml())
+        write_whole(Path(path).expanduser(), self.to_yaml())
 
 
 AnyCalibration: TypeAlias = Calibration | ThermalCalibration
@@ -205,13 +205,14 @@ def temperature_range(calibration: AnyCalibration) -> tuple[float, float]:
     return float(seen_once['lowest']) - _MARGIN, float(seen_once['highest']) + _MARGIN
 
 
-def load_calibration(path: Path) -> AnyCalibration:
+def load_calibration(path: str | Path) -> AnyCalibration:
     """Read a calibration file, single or combined.
 
     Raises:
         InputError: Unreadable, or no calibration; names file and key.
 
     """
+    path = Path(path).expanduser()
     section = Section.load(path)
     if not section.has('calibrations'):
         calibration = Calibration.load(path)

@@ -20,7 +20,7 @@ from ..errors import InputError
 from ..imu import TriadSpec
 from ..noise import Coefficient
 from ..observation.evidence import SMALLEST_VARIANCE
-from ..report.noise import noise_of
+from ..reports.noise import noise_of
 from ..stream import Floats, Units
 from ..units import HOUR
 from .exported import Exported, Source, always_left_out

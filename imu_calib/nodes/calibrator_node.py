@@ -20,7 +20,7 @@ from ..middleware import messages
 from ..model import AUTO_TERMS, Parameter, chosen, looked_for
 from ..model.session_terms import parted
 from ..plan import load_plan
-from ..report.parameters import engineering
+from ..reports.parameters import engineering
 from ..session import describe
 from ..turntable import load_table
 from ..units import DEG

@@ -53,11 +53,13 @@ class Reached:
     Attributes:
         plan: The plan with these dwells, its order, attitudes and turns as they were.
         forecast: What it would give.
+        wanted: Standard deviations by name of the parameter, SI units.
 
     """
 
     plan: Plan
     forecast: Forecast
+    wanted: Mapping[str, float]
 
 
 def reach(
@@ -100,7 +102,7 @@ def reach(
         pairs = zip(plan.positions, before.positions, strict=True)
         if max(abs(p.dwell - q.dwell) - _CLOSE * q.dwell for p, q in pairs) <= 0:
             break
-    return Reached(plan, forecast(replace(setup, plan=plan), truth, azimuth))
+    return Reached(plan, forecast(replace(setup, plan=plan), truth, azimuth), wanted)
 
 
 def _shorter(

@@ -1,0 +1,185 @@
+"""A recording in, a calibration out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..bags import Recording, open_recording
+from ..calibrator import Result, Setup
+from ..errors import NotObservable
+from ..imu import ImuSpec
+from ..methods.free.session import calibrator_of
+from ..plan import Plan
+from ..stream import Block
+from ..turntable import Table
+from .stated import (
+    Named,
+    Stated,
+    Streams,
+    imu_of,
+    plan_of,
+    serial_of,
+    site_of,
+    streams_of,
+    table_of,
+)
+from .watching import Progress, silent
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A recording with all that is needed to calibrate from it."""
+
+    recording: Recording
+    setup: Setup
+    streams: Streams
+
+    def blocks(self, progress: Progress = silent) -> Iterator[Block]:
+        """Read the topics that count, in order."""
+        with progress('reading') as show:
+            for _, block in self.recording.read(self.streams.kinds(), show):
+                yield block
+
+
+def calibrate(
+    bag: Named,
+    *,
+    plan: Plan | Named | None = None,
+    imu: ImuSpec | Named | None = None,
+    table: Table | Named | None = None,
+    azimuth: float | None = None,
+    latitude: float | None = None,
+    latitude_std: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+    method: str | None = None,
+    terms: str | None = None,
+    serial: str | None = None,
+    imu_topic: str | None = None,
+    joint_topic: str | None = None,
+    setpoint_topic: str | None = None,
+    imu_only: bool = False,
+    progress: Progress = silent,
+) -> Result:
+    """Calibrate from a recording.
+
+    What is not stated is taken from the recording, as far as it says; names are those of files that
+    ship (`imu-calib plans` lists plans), paths those of your own.
+
+    Args:
+        bag: Folder of rosbag2, or one .mcap or .db3 file.
+        plan: That was run; 'none' where none was.
+        imu: What the IMU's numbers mean.
+        table: The turntable.
+        azimuth: Heading of the table's zero against north, counter-clockwise, deg.
+        latitude: Of the site, deg, negative in the south.
+        latitude_std: Its standard deviation, deg.
+        height: Above the ellipsoid, m; says what gravity is where none is stated.
+        height_std: Its standard deviation, m.
+        gravity: As measured, m/s^2.
+        gravity_std: Its standard deviation, m/s^2.
+        method: The estimator; None for the joint estimate where it applies, else the plan's own.
+        terms: What the joint estimate adds to the 24 parameters, names with commas between: 'auto'
+            (those that the session shows, as None), 'none', or terms by name.
+        serial: Serial number of the unit.
+        imu_topic: Of sensor_msgs/Imu, where there are several.
+        joint_topic: Of sensor_msgs/JointState, likewise.
+        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint, likewise.
+        imu_only: Use the IMU and the order of the plan alone.
+        progress: Shows how far it is; nothing by default.
+
+    Returns:
+        The calibration with all that led to it.
+
+    Raises:
+        InputError: Something is missing, ambiguous, unreadable, or not what it is said to be.
+        NotObservable: The data cannot give all parameters; says which and why.
+
+    """
+    stated = Stated(
+        plan=plan,
+        imu=imu,
+        table=table,
+        azimuth=azimuth,
+        imu_topic=imu_topic,
+        joint_topic=joint_topic,
+        setpoint_topic=setpoint_topic,
+        imu_only=imu_only,
+        latitude=latitude,
+        latitude_std=latitude_std,
+        height=height,
+        height_std=height_std,
+        gravity=gravity,
+        gravity_std=gravity_std,
+        method=method,
+        terms=terms,
+        serial=serial,
+    )
+    return calibrated(bag, stated, progress)
+
+
+def calibrated(bag: Named, stated: Stated, progress: Progress = silent) -> Result:
+    """Calibrate from a recording, with what is stated of it as one value; as `calibrate`."""
+    opened = open_session(bag, stated)
+    with opened.recording:
+        return solve(opened, progress)
+
+
+def open_session(bag: Named, stated: Stated) -> Opened:
+    """Open a recording, and find what goes with it.
+
+    Raises:
+        InputError: Something is missing, ambiguous or unreadable.
+
+    """
+    recording = open_recording(Path(bag))
+    streams = streams_of(stated, recording)
+    table = table_of(stated, recording)
+    imu = imu_of(stated, recording, streams.imu)
+    if streams.skew is None:
+        # Nobody is to wait for a gyro that the recording does not hold.
+        imu = replace(imu, skewed=None)
+    setup = Setup(
+        imu,
+        plan_of(stated, recording, streams),
+        table if streams.joints is not None else None,
+        site_of(stated, recording),
+        stated.method,
+        serial_of(stated, recording),
+        stated.sensor_terms,
+        stated.changes,
+        stated.look,
+    )
+    return Opened(recording, setup, streams)
+
+
+def solve(opened: Opened, progress: Progress = silent) -> Result:
+    """Run an opened recording through the calibrator.
+
+    Raises:
+        InputError: Unreadable, or not what it is said to be.
+        NotObservable: The data cannot give all parameters.
+
+    """
+    calibrator = calibrator_of(opened.setup)
+    for block in opened.blocks(progress):
+        calibrator.feed(block)
+    lost = tuple(opened.recording.losses)
+    try:
+        result = calibrator.finish()
+    except NotObservable as error:
+        raise NotObservable(' '.join([str(error), *lost])) from None
+    calibration = result.calibration
+    provenance = {
+        'recording': opened.recording.path.name,
+        'sha256': opened.recording.sha256(),
+        'topics': sorted(opened.streams.kinds()),
+        **calibration.provenance,
+    }
+    findings = (*calibration.findings, *lost)
+    calibration = replace(calibration, provenance=provenance, findings=findings)
+    return replace(result, calibration=calibration)

@@ -1,0 +1,209 @@
+"""Topics of a recording as columns of numbers, with their units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bags import Recording, Topic, open_recording
+from ..cdr import Kind
+from ..config import Section
+from ..errors import InputError
+from ..imu import read_imu
+from ..session import described_imu
+from ..stream import (
+    Block,
+    ImuBlock,
+    JointBlock,
+    Setpoint,
+    SetpointBlock,
+    Stamps,
+    TemperatureBlock,
+    Units,
+)
+from .extras import wanted
+from .stated import Named
+
+if TYPE_CHECKING:
+    import pandas
+
+_READ = {k.type_name: k for k in (Kind.IMU, Kind.JOINTS, Kind.SETPOINTS, Kind.TEMPERATURES)}
+_NUMBERS = {
+    Units.PULSES: ('pulse', 'pulse'),
+    Units.COUNTS: ('count', 'count'),
+    Units.SI: ('rad/s', 'm/s^2'),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """A topic as columns.
+
+    Attributes:
+        topic: Its name.
+        type: Its message type.
+        stamp: (n,) header stamps, ns.
+        columns: (n,) values of each field, by its name in the message.
+        units: Of each field that has one.
+        losses: Sentences about what could not be read.
+
+    """
+
+    topic: str
+    type: str
+    stamp: Stamps
+    columns: Mapping[str, NDArray[Any]]
+    units: Mapping[str, str]
+    losses: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return a column by its name.
+
+        Raises:
+            InputError: There is none of that name; those that are there are listed.
+
+        """
+        if name not in self.columns:
+            raise InputError(
+                f'{self.topic} has no column {name!r}; it has: {", ".join(self.columns)}.'
+            )
+        return self.columns[name]
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a pandas.DataFrame, its index the stamps, its `attrs['units']` the units.
+
+        Raises:
+            InputError: pandas is not installed.
+
+        """
+        wanted('pandas', 'A data frame', 'dataframe')
+        import pandas as pd
+
+        index = pd.DatetimeIndex(self.stamp.astype('datetime64[ns]'), name='stamp')
+        frame = pd.DataFrame(dict(self.columns), index=index)
+        frame.attrs['units'] = dict(self.units)
+        return frame
+
+
+@overload
+def read(bag: Named, topic: str) -> Columns: ...
+@overload
+def read(bag: Named, topic: None = None) -> dict[str, Columns]: ...
+def read(bag: Named, topic: str | None = None) -> Columns | dict[str, Columns]:
+    """Read topics of a recording into memory.
+
+    Args:
+        bag: Folder of rosbag2, or one .mcap or .db3 file.
+        topic: The one that is wanted; None for all that the suite understands: sensor_msgs/Imu,
+            JointState and Temperature, imu_calib_msgs/TurntableSetpoint.
+
+    Returns:
+        The topic's columns; without a topic those of each, by name.
+
+    Raises:
+        InputError: Nothing of it can be read, or there is no such topic; those that are there are
+            listed.
+
+    """
+    with open_recording(bag) as recording:
+        topics = {t.name: t for t in recording.topics if t.type in _READ}
+        if topic is None:
+            return {name: _columns(recording, t) for name, t in topics.items() if t.count != 0}
+        name = topic if topic.startswith('/') else f'/{topic}'
+        found = topics.get(topic, topics.get(name))
+        if found is None:
+            listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics)
+            raise InputError(
+                f'{recording.path}: no topic {topic} of a type that is understood '
+                f'({", ".join(_READ)}); its topics: {listed}.'
+            )
+        return _columns(recording, found)
+
+
+def _columns(recording: Recording, topic: Topic) -> Columns:
+    kind = _READ[topic.type]
+    blocks = [block for _, block in recording.read({topic.name: kind})]
+    parts = [_fields(block) for block in blocks]
+    names = list(dict.fromkeys(name for part in parts for name in part))
+    lengths = [len(block) for block in blocks]
+    joined = {
+        name: np.concatenate([_or_missing(p, name, n) for p, n in zip(parts, lengths, strict=True)])
+        for name in names
+    }
+    stamps = [np.empty(0, np.int64), *(_stamps(block) for block in blocks)]
+    units = {name: unit for name in names if (unit := _unit(name, recording, topic))}
+    losses = tuple(recording.losses)
+    return Columns(topic.name, topic.type, np.concatenate(stamps), joined, units, losses)
+
+
+def _or_missing(part: Mapping[str, NDArray[Any]], name: str, count: int) -> NDArray[Any]:
+    """Return a column of a block; NaN where messages there have no such joint."""
+    return part[name] if name in part else np.full(count, np.nan)
+
+
+def _stamps(block: Block) -> Stamps:
+    if isinstance(block, SetpointBlock):
+        return np.array([s.stamp for s in block.setpoints], dtype=np.int64)
+    return block.stamp
+
+
+def _fields(block: Block) -> dict[str, NDArray[Any]]:
+    """Return the columns of a block by the names that the fields have in the message."""
+    if isinstance(block, ImuBlock):
+        pairs = (('angular_velocity', block.gyro), ('linear_acceleration', block.accel))
+        return {f'{name}.{a}': v[:, k] for name, v in pairs for k, a in enumerate('xyz')}
+    if isinstance(block, JointBlock):
+        pairs = (('position', block.position), ('velocity', block.velocity))
+        return {f'{f}.{j}': v[:, k] for f, v in pairs for k, j in enumerate(block.names)}
+    if isinstance(block, TemperatureBlock):
+        return {'temperature': block.celsius}
+    assert isinstance(block, SetpointBlock), 'skewed gyros are read as sensor_msgs/Imu'
+    return _of_setpoints(block.setpoints)
+
+
+def _of_setpoints(setpoints: tuple[Setpoint, ...]) -> dict[str, NDArray[Any]]:
+    names = list(dict.fromkeys(joint for s in setpoints for joint in s.joints))
+    found: dict[str, NDArray[Any]] = {
+        'plan': np.array([s.plan for s in setpoints], dtype=object),
+        'step': np.array([s.step for s in setpoints]),
+        'position_id': np.array([s.position for s in setpoints], dtype=object),
+        'mode': np.array([s.mode.name for s in setpoints], dtype=object),
+    }
+    for joint in names:
+        places = [s.joints.index(joint) if joint in s.joints else None for s in setpoints]
+        for field, of in (('positions', 'angles'), ('rates', 'rates')):
+            found[f'{field}.{joint}'] = np.array(
+                [
+                    np.nan if k is None else getattr(s, of)[k]
+                    for s, k in zip(setpoints, places, strict=True)
+                ]
+            )
+    found['turns'] = np.array([s.turns for s in setpoints])
+    found['dwell'] = np.array([s.dwell for s in setpoints])
+    return found
+
+
+def _unit(name: str, recording: Recording, topic: Topic) -> str:
+    """Return the unit of a column; empty where it has none."""
+    field = name.partition('.')[0]
+    if topic.type == Kind.IMU.type_name:
+        text = described_imu(recording.custom_data, topic.name)
+        units = Units.SI
+        if text is not None:
+            units = read_imu(Section.parse(text, f'{recording.path}: its IMU')).units
+        return _NUMBERS[units][field != 'angular_velocity']
+    return {
+        'position': 'rad',
+        'positions': 'rad',
+        'velocity': 'rad/s',
+        'rates': 'rad/s',
+        'temperature': 'degC',
+        'dwell': 's',
+    }.get(field, '')

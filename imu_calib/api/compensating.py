@@ -1,0 +1,272 @@
+"""A recording's raw IMU stream to rates and forces; the rest as it was."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..bags import Recording, RecordingWriter, Topic, open_recording
+from ..cdr import Kind, Malformed, Messages, decode_imu, encode_rates
+from ..compensation.apply import Mark, noise_gains
+from ..compensation.compensator import Compensator, Reading
+from ..compensation.thermal import (
+    AnyCalibration,
+    ThermalCalibration,
+    check_unit,
+    first_of,
+    load_calibration,
+)
+from ..errors import InputError
+from ..imu import ImuSpec, compensated_imu
+from ..session import COMPENSATED, described_anew
+from ..stream import ImuBlock, Stamps
+from .stated import Named, Stated, imu_topic, serial_of, skew_topic, stated_imu, temperature_topic
+from .watching import Progress, silent
+
+_RAW, _RATES = '/pulses', '/data_raw'
+_WORDS = {
+    Mark.GYRO_RANGE: 'a gyro at the end of its range (covariance -1: no estimate)',
+    Mark.ACCEL_RANGE: 'an accelerometer at the end of its range (covariance -1: no estimate)',
+    Mark.RATE: 'faster than the unit was turned when it was calibrated',
+    Mark.TEMPERATURE: 'colder or warmer than it was calibrated at; the nearest was used',
+    Mark.PARITY: 'four gyros that contradict each other',
+    Mark.NO_NUMBER: 'values that are no numbers (left out)',
+}
+
+
+@dataclass(frozen=True)
+class Compensated:
+    """What became of a recording's raw stream.
+
+    Attributes:
+        path: The recording that was written.
+        topic: The raw stream.
+        target: The stream that was computed from it.
+        beside: Topics whose values were used too: temperature, a skewed gyro.
+        taken: Samples of the raw stream.
+        given: Samples written.
+        marked: How many samples are what, for instance beyond the range.
+        findings: What a person should know, in sentences.
+
+    """
+
+    path: Path
+    topic: str
+    target: str
+    beside: tuple[str, ...]
+    taken: int
+    given: int
+    marked: Mapping[Mark, int]
+    findings: tuple[str, ...]
+
+
+def compensate(
+    bag: Named,
+    calibration: AnyCalibration | Named,
+    output: Named,
+    *,
+    imu: ImuSpec | Named | None = None,
+    serial: str | None = None,
+    imu_topic: str | None = None,
+    output_topic: str | None = None,
+    frame_id: str = '',
+    keep: bool = False,
+    compression: str = '',
+    progress: Progress = silent,
+) -> Compensated:
+    """Write a recording again, its raw IMU stream as rates and forces in SI.
+
+    Args:
+        bag: Folder of rosbag2, or one .mcap or .db3 file.
+        calibration: calibration.yaml, single or combined, or what was read from one.
+        output: Recording to write (mcap): a folder that does not exist.
+        imu: What the IMU's numbers mean; None: as the recording says, else the calibration.
+        serial: Serial number of the unit.
+        imu_topic: The raw stream, where there are several of sensor_msgs/Imu.
+        output_topic: None: imu/data_raw for imu/pulses.
+        frame_id: Of the samples written; empty for their own.
+        keep: Write the raw stream, too.
+        compression: '', 'lz4' or 'zstd', of the output.
+        progress: Shows how far it is; nothing by default.
+
+    Raises:
+        InputError: Unreadable, the calibration is not this unit's, or the output exists.
+
+    """
+    if isinstance(calibration, str | Path):
+        file = Path(calibration).expanduser()
+        loaded, name = load_calibration(file), str(calibration)
+    else:
+        file, loaded, name = Path(), calibration, 'the calibration'
+    with open_recording(bag) as recording:
+        topic = _topic(imu_topic, recording)
+        stated = Stated(imu=imu, serial=serial)
+        spec = _check_unit(loaded, name, stated, recording, topic)
+        target = _target(output_topic, recording, topic)
+        compensator = Compensator(loaded)
+        beside = _take_aside(compensator, recording, topic, progress)
+        meant = described_anew(
+            recording.custom_data,
+            target,
+            compensated_imu(spec, *noise_gains(first_of(loaded).model)),
+            raw_is_kept=keep,
+        )
+        data = {**meant, COMPENSATED: file.name or first_of(loaded).imu.id}
+        stream = _Stream(compensator, target, frame_id)
+        with (
+            RecordingWriter(output, data, compression) as writer,
+            progress('compensating') as show,
+        ):
+            for other in recording.topics:
+                if keep or other.name != topic.name:
+                    writer.copy_topic(other)
+            writer.add_topic(target, Kind.IMU.type_name)
+            for one, messages, times in recording.messages(show):
+                if one.name != topic.name or keep:
+                    writer.write(one.name, one.type, messages, times.log, times.publish)
+                if one.name == topic.name:
+                    stream.write(writer, messages, times.log)
+            stream.finish(writer)
+        return Compensated(
+            Path(output),
+            topic.name,
+            target,
+            tuple(beside),
+            stream.taken,
+            stream.given,
+            {mark: compensator.counts[mark] for mark in Mark if compensator.counts[mark]},
+            (*_findings(stream), *recording.losses),
+        )
+
+
+class _Stream:
+    """The IMU's stream on its way from one recording to the other."""
+
+    def __init__(self, compensator: Compensator, target: str, frame_id: str) -> None:
+        self.compensator = compensator
+        self.malformed = Malformed()
+        self.taken = self.given = 0
+        self._target = target
+        self._frame_id = frame_id
+        self._dropped = 0
+        self._times: deque[Stamps] = deque()
+
+    def write(self, writer: RecordingWriter, messages: Messages, log_time: Stamps) -> None:
+        """Compensate messages and write what can be written."""
+        before = self.malformed.count
+        blocks = decode_imu(messages, self.malformed)
+        if self.malformed.count > before:
+            log_time = log_time[_sound(messages)]
+        self.taken += len(messages)
+        self._times.append(log_time)
+        for block in blocks:
+            self._put(writer, self.compensator.take(block))
+
+    def finish(self, writer: RecordingWriter) -> None:
+        """Write what waited for the end."""
+        self._put(writer, self.compensator.finish())
+
+    def _put(self, writer: RecordingWriter, readings: list[Reading]) -> None:
+        # What is left out was the oldest that had not gone out.
+        self._next_times(self.compensator.dropped - self._dropped)
+        self._dropped = self.compensator.dropped
+        for reading in readings:
+            values, frame_id = reading.values, self._frame_id or reading.frame_id
+            block = ImuBlock(reading.stamp, values.rate, values.force, frame_id)
+            encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
+            times = self._next_times(len(reading))[reading.numbers]
+            self.given += len(times)
+            kept = encoded.select(reading.numbers)
+            writer.write(self._target, Kind.IMU.type_name, kept, times)
+
+    def _next_times(self, count: int) -> Stamps:
+        """Take out the log times of the oldest samples."""
+        parts = [np.empty(0, np.int64)]
+        while count:
+            times = self._times.popleft()
+            parts.append(times[:count])
+            if count < len(times):
+                self._times.appendleft(times[count:])
+            count -= len(parts[-1])
+        return np.concatenate(parts)
+
+
+def _sound(messages: Messages) -> list[bool]:
+    """Say of every message whether it can be decoded."""
+    return [
+        bool(decode_imu(messages.select(slice(k, k + 1)), Malformed()))
+        for k in range(len(messages))
+    ]
+
+
+def _check_unit(
+    calibration: AnyCalibration, name: str, stated: Stated, recording: Recording, topic: Topic
+) -> ImuSpec:
+    """Hold the calibration against what is said of the IMU, if anything is; return what is."""
+    serial = serial_of(stated, recording)
+    known = stated_imu(stated, recording, topic.name)
+    # Where nobody says anything of the unit's type, the calibration does.
+    imu, where = (first_of(calibration).imu, str(recording.path)) if known is None else known
+    check_unit(calibration, name, imu, where, serial)
+    return imu
+
+
+def _topic(wanted: str | None, recording: Recording) -> Topic:
+    """Return the topic of the raw stream."""
+    name = imu_topic(wanted, recording)
+    return next(topic for topic in recording.topics if topic.name == name)
+
+
+def _target(wanted: str | None, recording: Recording, topic: Topic) -> str:
+    """Return the topic to write, which must be a new one."""
+    target = f'{topic.name.removesuffix(_RAW)}{_RATES}' if wanted is None else wanted
+    target = target if target.startswith('/') else f'/{target}'
+    if any(other.name == target for other in recording.topics):
+        raise InputError(
+            f'{recording.path} has a topic {target} already; choose another with --output-topic.'
+        )
+    return target
+
+
+def _take_aside(
+    compensator: Compensator, recording: Recording, topic: Topic, progress: Progress
+) -> list[str]:
+    """Take in what belongs to samples before the samples come; return the topics."""
+    temperature = temperature_topic(recording)
+    named = {} if temperature is None else {temperature: Kind.TEMPERATURES}
+    calibration = compensator.calibration
+    if isinstance(calibration, ThermalCalibration) and temperature is None:
+        raise InputError(
+            f'{recording.path}: no topic of type {Kind.TEMPERATURES.type_name}, which a combined '
+            'calibration needs.'
+        )
+    skewed = skew_topic(recording, topic.name)
+    if first_of(calibration).model.skewed is not None and skewed is not None:
+        named[skewed] = Kind.SKEW
+    if named:
+        with progress('reading') as show:
+            for _, block in recording.read(named, show):
+                compensator.take(block)
+    return sorted(named)
+
+
+def _findings(stream: _Stream) -> list[str]:
+    """Say what a person should know of the samples."""
+    compensator = stream.compensator
+    known = [
+        f'{compensator.counts[m]} samples: {_WORDS[m]}.' for m in Mark if compensator.counts[m]
+    ]
+    if compensator.alone:
+        known.append(f"{compensator.alone} samples went without the skewed gyro's value.")
+    if compensator.dropped:
+        known.append(f'{compensator.dropped} samples could not be timed and are left out.')
+    if stream.malformed.count:
+        known.append(
+            f'{stream.malformed.count} malformed messages are left out; the first: '
+            f'{stream.malformed.reason}.'
+        )
+    return known

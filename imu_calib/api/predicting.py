@@ -1,0 +1,170 @@
+"""What a plan will give, before it is run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from ..calibration import Calibration
+from ..calibrator import Setup
+from ..earth import LUOYANG
+from ..errors import InputError
+from ..imu import ImuSpec
+from ..methods import check_plan, closed_form_beside
+from ..model import Parameter, SensorModel
+from ..plan import Plan
+from ..prediction import Forecast, OfTerm, Reached, forecast, listed, of_each_term, reach
+from ..turntable import Table
+from ..units import parse
+from .stated import Named, Stated, as_imu, as_plan, as_truth
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a session would reach.
+
+    Attributes:
+        setup: Plan, method, table, IMU and site.
+        forecast: Of the method: standard deviations, and the least that the session allows.
+        closed_form: Of the plan's closed form beside a joint estimate; None where there is none.
+        terms: What the session would tell of each term of the sensors, added alone.
+
+    """
+
+    setup: Setup
+    forecast: Forecast
+    closed_form: Forecast | None
+    terms: tuple[OfTerm, ...]
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by the names of the parameters, SI units; NaN: not determined."""
+        names = (p.name for p in self.forecast.parameters)
+        return dict(zip(names, self.forecast.std.tolist(), strict=True))
+
+
+def predict(
+    plan: Plan | Named,
+    imu: ImuSpec | Named,
+    *,
+    table: Table | Named = 'three_axis',
+    truth: Calibration | Named = 'cao2022_table1',
+    azimuth: float | None = None,
+    method: str | None = None,
+    terms: str | None = None,
+    bias_instability: bool = False,
+    latitude: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+) -> Prediction:
+    """Predict the standard deviations of a session.
+
+    Args:
+        plan: Name, file or value.
+        imu: Likewise; its noise and the size of its pulses count.
+        table: Likewise; it does not count where the plan is run by hand.
+        truth: What the unit is thought to be: its counters run by it.
+        azimuth: Heading of the table's zero, where it is known, deg.
+        method: The estimator; None for the joint estimate where it applies, else the plan's own.
+        terms: Of the sensors, to be estimated too: names with commas between.
+        bias_instability: Let the biases wander by the IMU's figure.
+        latitude: deg; None for Luoyang's.
+        height: Above the ellipsoid, m.
+        height_std: m.
+        gravity: As measured, m/s^2.
+        gravity_std: m/s^2.
+
+    Raises:
+        InputError: A file is missing or broken, or they do not fit each other.
+        NotObservable: The plan cannot give its method the parameters, however it is run.
+
+    """
+    stated = Stated(
+        plan=plan,
+        imu=imu,
+        table=table,
+        azimuth=azimuth,
+        method=method,
+        terms=terms,
+        latitude=latitude,
+        height=height,
+        height_std=height_std,
+        gravity=gravity,
+        gravity_std=gravity_std,
+    )
+    return predicted(setup_of(stated), as_truth(truth).model, wander=bias_instability)
+
+
+def setup_of(stated: Stated) -> Setup:
+    """Return what a prediction is asked of, from what is stated.
+
+    Raises:
+        InputError: A file is missing or broken, or terms are asked for that no plan has a say in.
+        NotObservable: The plan cannot give its method the parameters, however it is run.
+
+    """
+    assert stated.plan is not None, 'a prediction is of a plan'
+    assert stated.imu is not None, 'a prediction is of an IMU'
+    table, site = stated.simulated_table(), stated.site(LUOYANG)
+    plan, imu = as_plan(stated.plan), as_imu(stated.imu)
+    terms = stated.sensor_terms
+    if stated.changes:
+        raise InputError(
+            f'--terms: found {stated.terms!r}, expected terms of the sensors alone: '
+            'how a session drifts is nothing of its plan (calibrate --terms estimates it).'
+        )
+    setup = Setup(imu, plan, None if plan.by_hand else table, site, stated.method, terms=terms)
+    check_plan(setup.method_name, plan, site)
+    return setup
+
+
+def predicted(setup: Setup, truth: SensorModel, *, wander: bool) -> Prediction:
+    """Predict; as `predict`, of what was stated."""
+    found = forecast(setup, truth, wander=wander)
+    beside = closed_form_beside(found.method, setup.plan)
+    own = None
+    if beside is not None:
+        own = forecast(replace(setup, method=beside, terms=()), truth, wander=wander)
+    told = tuple(of_each_term(found, setup, truth, wander=wander))
+    return Prediction(setup, found, own, told)
+
+
+def shortest(setup: Setup, truth: SensorModel, wanted: Mapping[str, str | float]) -> Reached:
+    """Find the shortest dwells that reach standard deviations.
+
+    Args:
+        setup: As `setup_of` returns it.
+        truth: What the unit is thought to be.
+        wanted: By the name of a parameter: a number in SI units, or a text with its unit.
+
+    Raises:
+        InputError: No such parameter, or no standard deviation; or what no dwell can reach.
+
+    """
+    parameters = {p.name: p for p in listed(setup)}
+    read = dict(_wanted(name, value, parameters) for name, value in wanted.items())
+    return reach(setup, truth, read)
+
+
+def _wanted(
+    name: str, value: str | float, parameters: Mapping[str, Parameter]
+) -> tuple[str, float]:
+    """Read a standard deviation of a parameter.
+
+    Raises:
+        InputError: No such parameter, or not a standard deviation in a unit of its own.
+
+    """
+    parameter = parameters.get(name.strip())
+    if parameter is None or value == '':
+        known = ', '.join(parameters)
+        raise InputError(f'--reach {name}={value}: expected NAME=STD, NAME one of {known}.')
+    std = value
+    if isinstance(value, str):
+        std = parse(value, parameter.unit.dimension, f'--reach {name}')
+    assert not isinstance(std, str)
+    if not std > 0:
+        raise InputError(f'--reach {name}={value}: a standard deviation is above zero.')
+    return parameter.name, std

@@ -1,0 +1,142 @@
+"""A calibration and its recording to one HTML file, for the screen and for A4."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..bags import open_recording
+from ..calibration import Calibration
+from ..calibrator import Result
+from ..errors import InputError
+from ..estimation.tested import State
+from ..imu import ImuSpec
+from ..methods import JOINT
+from ..model import AUTO_TERMS, NO_TERMS, terms_of
+from ..model.session_terms import SESSION_TERMS
+from ..reports.page import Contents, page
+from .calibrating import calibrated
+from .stated import NO_PLAN, Named, Stated, as_calibration, as_imu
+from .watching import Progress, silent
+
+_ALIKE = 0.1
+"""Of a standard deviation: two results of one recording that are closer are the same. A judgement:
+versions of a library differ by rounding, 1e-6 of one; another plan or site by many."""
+
+
+def report(
+    calibration: Result | Calibration | Named,
+    output: Named = 'report.html',
+    *,
+    bag: Named | None = None,
+    imu: ImuSpec | Named | None = None,
+    compare: Sequence[Calibration | Named] = (),
+    stated: Stated | None = None,
+    progress: Progress = silent,
+) -> Path:
+    """Write a report.
+
+    Args:
+        calibration: What `calibrate` returned, which adds the course of the session, or a
+            calibration, or its file.
+        output: HTML file to write.
+        bag: The recording that a calibration was made from: it is calibrated anew for the course.
+        imu: The unit's file, for verdicts against its specification; a recording's own else.
+        compare: Further calibrations of the unit: adds repeatability and drift.
+        stated: What is stated of the recording beside that, as for `calibrate`.
+        progress: Shows how far it is; nothing by default.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: A file is missing or broken, the recording is another one, or does not give the
+            numbers of the calibration.
+
+    """
+    return written(calibration, output, bag, imu, compare, stated or Stated(), progress)[0]
+
+
+def written(
+    calibration: Result | Calibration | Named,
+    output: Named,
+    bag: Named | None,
+    imu: ImuSpec | Named | None,
+    compare: Sequence[Calibration | Named],
+    stated: Stated,
+    progress: Progress,
+) -> tuple[Path, ImuSpec | None]:
+    """Write a report; return the file, and the unit's description as far as it is known."""
+    path = Path(output)
+    result = calibration if isinstance(calibration, Result) else None
+    found = (
+        calibration.calibration if isinstance(calibration, Result) else as_calibration(calibration)
+    )
+    name = Path(calibration).name if isinstance(calibration, str | Path) else found.imu.id
+    others = {
+        str(other) if isinstance(other, str | Path) else f'{k + 1}': as_calibration(other)
+        for k, other in enumerate(compare)
+    }
+    if result is None and bag is not None:
+        result = _recalibrate(bag, replace(stated, imu=imu), found, name, progress)
+    unit = None if result is None else result.calibration.imu
+    if unit is None and imu is not None:
+        unit = as_imu(imu)
+    text = page(Contents(found, name, unit, result, others))
+    try:
+        path.write_text(text, encoding='utf-8')
+    except OSError as error:
+        raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
+    return path, unit
+
+
+def _terms(calibration: Calibration) -> str:
+    """Return what --terms was for a calibration: what it did not find itself."""
+    names = [term.name for term in terms_of(calibration.parameters)]
+    if calibration.provenance.get('terms_looked_for'):
+        tests = calibration.provenance.get('tests_of_terms', {})
+        asked = [n for n in names if tests.get(n, {}).get('state') == State.ASKED.value]
+        names = [*asked, AUTO_TERMS]
+    told = calibration.provenance.get('terms') or []
+    names += [name for name in told if name.partition(':')[0] in SESSION_TERMS]
+    return ','.join(names) or NO_TERMS
+
+
+def _recalibrate(
+    bag: Named, stated: Stated, calibration: Calibration, name: str, progress: Progress
+) -> Result:
+    """Run the recording through the calibrator again, as it was run for the calibration.
+
+    Raises:
+        InputError: It is another recording, or does not give the same numbers.
+
+    """
+    told = calibration.provenance
+    method = told.get('method') if stated.method is None else stated.method
+    terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
+    plan = NO_PLAN if stated.plan is None and told.get('plan', '') is None else stated.plan
+    with open_recording(bag) as recording:
+        expected, found = told.get('sha256'), recording.sha256()
+        if expected is not None and expected != found:
+            raise InputError(
+                f'{recording.path}: is not the recording that {name} was made '
+                f'from (sha256 {found[:12]}..., expected {str(expected)[:12]}...).'
+            )
+    result = calibrated(bag, replace(stated, method=method, terms=terms, plan=plan), progress)
+    again = result.calibration
+    if again.parameters != calibration.parameters or _far_apart(again, calibration):
+        raise InputError(
+            f'{bag}: does not give the numbers of {name}: give the '
+            '--plan, --imu, --table, --latitude, --method and --terms that it was made with.'
+        )
+    return result
+
+
+def _far_apart(again: Calibration, calibration: Calibration) -> bool:
+    """Say whether two results differ by more than versions of a library explain."""
+    known = np.isfinite(calibration.std)
+    apart = np.abs(again.values - calibration.values)[known]
+    return bool(np.any(apart > _ALIKE * calibration.std[known]))

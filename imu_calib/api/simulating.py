@@ -1,0 +1,177 @@
+"""A recording that a real stand, or a hand, could have written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..bags import RecordingWriter
+from ..calibration import Calibration
+from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
+from ..earth import LUOYANG
+from ..errors import InputError
+from ..methods import check_plan
+from ..plan import Plan, load_plan
+from ..session import describe
+from ..simulation import SimulatedStand, StandOptions, load_imperfections
+from ..simulation.hand import as_planned
+from ..simulation.stand import IMU_TOPIC
+from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, SkewBlock, Stamps
+from ..turntable import load_table
+from ..units import DEG
+from .stated import TRUE_TABLE, Named, Stated, as_imu, load_truth
+from .watching import Progress, silent
+
+TRUTH = 'truth.yaml'
+"""Beside a simulated recording: the true parameters of the unit."""
+
+_TABLE = 'three_axis'
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A recording that was simulated.
+
+    Attributes:
+        path: Its folder.
+        plan: What was run.
+        truth: The true parameters of the unit, also in the file `TRUTH` of the folder.
+        duration: s.
+        true_table: The file of the table as it truly is; None where it is as described.
+
+    """
+
+    path: Path
+    plan: Plan
+    truth: Calibration
+    duration: float
+    true_table: Path | None
+
+
+def simulate(
+    plan: Named,
+    output: Named,
+    *,
+    imu: Named = 'fog_medium',
+    table: Named | None = None,
+    truth: Calibration | Named = 'cao2022_table1',
+    azimuth: float | None = None,
+    bias_instability: bool = False,
+    imperfections: Named | None = None,
+    seed: int = 0,
+    latitude: float | None = None,
+    latitude_std: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+    serial: str = '',
+    compression: str = '',
+    progress: Progress = silent,
+) -> Simulated:
+    """Simulate a session and write its recording.
+
+    Args:
+        plan: Name or file.
+        output: Folder to create.
+        imu: Name or file: what the numbers of the IMU mean, and its noise.
+        table: Name or file; None for the three-axis table, and for none where the plan is by hand.
+        truth: The unit's true parameters.
+        azimuth: True heading of the table's zero against north, about up, deg.
+        bias_instability: Let the biases wander by the IMU's figure.
+        imperfections: What is wrong with the stand: name or file.
+        seed: The same seed gives the same bits.
+        latitude: As stated in the recording, as are all to `gravity_std`, deg; None for Luoyang's.
+        latitude_std: deg.
+        height: m.
+        height_std: m.
+        gravity: m/s^2.
+        gravity_std: m/s^2.
+        serial: Serial number of the unit.
+        compression: '', 'lz4' or 'zstd', of the recording.
+        progress: Shows how far it is; nothing by default.
+
+    Raises:
+        InputError: A file is missing or broken, they do not fit each other, or the folder exists.
+        NotObservable: The plan cannot give its method the parameters, however it is run.
+
+    """
+    site = Stated(
+        latitude=latitude,
+        latitude_std=latitude_std,
+        height=height,
+        height_std=height_std,
+        gravity=gravity,
+        gravity_std=gravity_std,
+    ).site(LUOYANG)
+    spec = as_imu(imu)
+    true = load_truth(truth, spec)
+    steps = load_plan(plan)
+    check_plan(steps.method, steps, site)
+    named = None if steps.by_hand else table or _TABLE
+    blocks: Iterator[tuple[str, Block]]
+    stands = None if named is None else load_table(named)
+    stated = StandOptions(
+        azimuth=(azimuth or 0.0) * DEG,
+        # A uniform error of this half width has the standard deviation that the table states.
+        positioning_error=0.0 if stands is None else math.sqrt(3) * stands.positioning,
+        bias_instability=bias_instability,
+    )
+    if imperfections is not None:
+        stated = load_imperfections(imperfections, stated, stands, seed)
+    if stands is None:
+        _refuse_table(steps, table, azimuth)
+        held = as_planned(steps, np.random.default_rng([seed, 1]))
+        read = held.blocks(spec, true.model, site, stated, seed)
+        duration, blocks = held.duration, ((IMU_TOPIC, block) for block in read)
+    else:
+        stand = SimulatedStand(steps, stands, spec, true.model, site, stated, seed)
+        duration, blocks = stand.duration, stand.blocks()
+    target = Path(output)
+    data = describe(str(plan), str(imu), None if named is None else str(named), site, serial)
+    with RecordingWriter(target, data, compression) as writer, progress('simulating') as show:
+        start = None
+        for topic, block in blocks:
+            kind, messages, stamp = serialised(block)
+            writer.write(f'/{topic}', kind.type_name, messages, stamp)
+            start = int(stamp[0]) if start is None else start
+            show(int(stamp[-1]) - start, round(duration * 1e9))
+    true.save(target / TRUTH)
+    true_table = None
+    if stands is not None and stated.true is not None:
+        true_table = target / TRUE_TABLE
+        stated.true.save(true_table, stands)
+    return Simulated(target, steps, true, duration, true_table)
+
+
+def _refuse_table(plan: Plan, table: Named | None, azimuth: float | None) -> None:
+    """Refuse options of a table for a plan that is run without one.
+
+    Raises:
+        InputError: Names the option.
+
+    """
+    for name, found in (('table', table), ('azimuth', azimuth)):
+        if found is not None:
+            raise InputError(
+                f'--{name}: found {found}, expected none: plan {plan.name} is run by hand, '
+                'without a table.'
+            )
+
+
+def serialised(block: Block) -> tuple[Kind, Messages, Stamps]:
+    """Serialise a block: what it is, its messages, and when each was recorded."""
+    if isinstance(block, ImuBlock):
+        return Kind.IMU, encode_imu(block), block.stamp
+    if isinstance(block, SkewBlock):
+        return Kind.SKEW, encode_imu(block.as_imu()), block.stamp
+    if isinstance(block, JointBlock):
+        return Kind.JOINTS, encode_joints(block), block.stamp
+    if isinstance(block, SetpointBlock):
+        stamps = np.array([s.stamp for s in block.setpoints], dtype=np.int64)
+        return Kind.SETPOINTS, encode_setpoints(block), stamps
+    return Kind.TEMPERATURES, encode_temperatures(block), block.stamp

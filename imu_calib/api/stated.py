@@ -1,0 +1,427 @@
+"""What a session is made of: as its caller states it, or else as the recording says of itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from ..calibration import Calibration
+from ..cdr import Kind
+from ..config import Section
+from ..earth import MEASURED, Site
+from ..errors import InputError
+from ..imu import ImuSpec, load_imu, read_imu
+from ..model import AUTO_TERMS, Term, chosen, looked_for
+from ..model.session_terms import Change, parted
+from ..plan import UNPLANNED, Plan, load_plan, read_plan
+from ..session import SERIAL_NUMBER, described_imu, described_site, imu_key
+from ..share import named_file, shipped
+from ..turntable import Table, load_table, read_table
+from ..units import DEG
+
+if TYPE_CHECKING:
+    # Costs more to load than most commands need.
+    from ..bags import Recording, Topic
+
+Named: TypeAlias = str | Path
+"""The name of a file that ships, or the path of one."""
+
+NO_PLAN = 'none'
+"""What a caller states for a plan where none was run, or the recording's own is not to be used."""
+
+TRUE_TABLE = 'true_table.yaml'
+"""Beside a simulated recording: the table as it truly is, where it is not as described."""
+
+_TABLE = 'three_axis'
+_SKEW = 'imu/skew'
+_TEMPERATURE = 'imu/temperature'
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a caller states of a session; None leaves it to the recording, or to its default.
+
+    Attributes:
+        plan: That was run; `NO_PLAN` for none.
+        imu: What the IMU's numbers mean.
+        table: The turntable.
+        azimuth: Heading of the table's zero against north, deg.
+        imu_topic: Of sensor_msgs/Imu.
+        joint_topic: Of sensor_msgs/JointState.
+        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint.
+        imu_only: Use the IMU and the order of the plan alone.
+        latitude: Degrees, negative in the south.
+        latitude_std: Its standard deviation, deg.
+        height: Above the ellipsoid, m.
+        height_std: Its standard deviation, m.
+        gravity: As measured, m/s^2.
+        gravity_std: Its standard deviation, m/s^2.
+        method: Name of the estimator.
+        terms: What the joint estimate adds to the 24 parameters: names with commas between.
+        serial: Serial number of the unit.
+
+    """
+
+    plan: Plan | Named | None = None
+    imu: ImuSpec | Named | None = None
+    table: Table | Named | None = None
+    azimuth: float | None = None
+    imu_topic: str | None = None
+    joint_topic: str | None = None
+    setpoint_topic: str | None = None
+    imu_only: bool = False
+    latitude: float | None = None
+    latitude_std: float | None = None
+    height: float | None = None
+    height_std: float | None = None
+    gravity: float | None = None
+    gravity_std: float | None = None
+    method: str | None = None
+    terms: str | None = None
+    serial: str | None = None
+
+    @property
+    def _terms(self) -> str:
+        return AUTO_TERMS if self.terms is None else self.terms
+
+    @property
+    def sensor_terms(self) -> tuple[Term, ...]:
+        """Terms of the sensors that are asked for by name.
+
+        Raises:
+            InputError: No such term.
+
+        """
+        return chosen(parted(self._terms)[0])
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Coefficients of the session's terms that are asked for by name.
+
+        Raises:
+            InputError: No such term, or two that exclude each other.
+
+        """
+        return parted(self._terms)[1]
+
+    @property
+    def look(self) -> bool:
+        """Whether terms that the session shows are to be estimated too."""
+        return looked_for(self._terms)
+
+    def site(self, otherwise: float) -> Site:
+        """Return the site as it is stated; its latitude is `otherwise`, deg, where it is not.
+
+        Raises:
+            InputError: No place on Earth is there.
+
+        """
+        latitude = otherwise if self.latitude is None else self.latitude
+        return Site.at(
+            latitude * DEG,
+            self.height,
+            self.gravity,
+            height_std=self.height_std,
+            gravity_std=self.gravity_std,
+            latitude_std=None if self.latitude_std is None else self.latitude_std * DEG,
+        )
+
+    def simulated_table(self) -> Table:
+        """Return the table that is stated, or the three-axis table, at the azimuth stated."""
+        return self.at_azimuth(as_table(self.table or _TABLE))
+
+    def at_azimuth(self, table: Table) -> Table:
+        """Return a table at the azimuth that is stated, if any.
+
+        Raises:
+            InputError: It is no angle.
+
+        """
+        if self.azimuth is None:
+            return table
+        if not math.isfinite(self.azimuth):
+            raise InputError(f'--azimuth: found {self.azimuth}, expected degrees.')
+        return replace(table, azimuth=self.azimuth * DEG)
+
+
+@dataclass(frozen=True)
+class Streams:
+    """Names of the topics to read; None where the recording has none."""
+
+    imu: str
+    joints: str | None
+    setpoints: str | None
+    skew: str | None = None
+    temperature: str | None = None
+
+    def kinds(self) -> dict[str, Kind]:
+        """Return what each topic carries."""
+        named = {
+            self.imu: Kind.IMU,
+            self.joints: Kind.JOINTS,
+            self.setpoints: Kind.SETPOINTS,
+            self.skew: Kind.SKEW,
+            self.temperature: Kind.TEMPERATURES,
+        }
+        return {topic: kind for topic, kind in named.items() if topic is not None}
+
+
+def as_plan(plan: Plan | Named) -> Plan:
+    """Return a plan that is named, or that already is one."""
+    return plan if isinstance(plan, Plan) else load_plan(plan)
+
+
+def as_imu(imu: ImuSpec | Named) -> ImuSpec:
+    """Return an IMU that is named, or that already is one."""
+    return imu if isinstance(imu, ImuSpec) else load_imu(imu)
+
+
+def as_table(table: Table | Named) -> Table:
+    """Return a table that is named, or that already is one."""
+    return table if isinstance(table, Table) else load_table(table)
+
+
+def as_calibration(calibration: Calibration | Named) -> Calibration:
+    """Return a calibration that is the file of a path, or that already is one."""
+    return calibration if isinstance(calibration, Calibration) else Calibration.load(calibration)
+
+
+def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan:
+    """Return the plan of a recording; none is needed where joint states tell the attitudes.
+
+    Raises:
+        InputError: There is neither, or the file is broken.
+
+    """
+    if (plan := stated_plan(stated, recording)) is not None:
+        return plan
+    if streams.joints is not None:
+        return UNPLANNED
+    raise InputError(
+        f'{recording.path} does not say which plan was run: give --plan ({shipped("plans")}). '
+        'None is needed where joint states of a table tell the attitudes; here are none.'
+    )
+
+
+def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
+    """Return the plan that is stated, or the one that the recording carries; None without.
+
+    Raises:
+        InputError: The file is broken.
+
+    """
+    if stated.plan == NO_PLAN:
+        return None
+    if stated.plan is not None:
+        return as_plan(stated.plan)
+    if (text := recording.custom_data.get('imu_calib.plan')) is not None:
+        return read_plan(Section.parse(text, f'{recording.path}: its plan'))
+    return None
+
+
+def imu_of(stated: Stated, recording: Recording, topic: str) -> ImuSpec:
+    """Return the IMU that is stated, or the one that the recording carries for a topic.
+
+    Raises:
+        InputError: There is neither, or the file is broken.
+
+    """
+    if (known := stated_imu(stated, recording, topic)) is not None:
+        return known[0]
+    raise InputError(
+        f"{recording.path} does not say what the IMU's numbers mean: "
+        f'give --imu ({shipped("imus")}, or a file).'
+    )
+
+
+def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpec, str] | None:
+    """Return what is said of the IMU behind a topic, and who says it; None where nobody does.
+
+    Raises:
+        InputError: The file is broken, or says other units than a stream that was computed has.
+
+    """
+    data = recording.custom_data
+    text, says = described_imu(data, topic), f'{recording.path}: its IMU'
+    described = None if text is None else read_imu(Section.parse(text, says))
+    if stated.imu is None:
+        return None if described is None else (described, says)
+    given = as_imu(stated.imu)
+    name = given.id if isinstance(stated.imu, ImuSpec) else str(stated.imu)
+    if described is not None and imu_key(topic) in data and given.units is not described.units:
+        raise InputError(
+            f'--imu {name}: units: found {given.units.value}, but {topic} of {recording.path} was '
+            f'computed from the raw stream and holds {described.units.value}: leave --imu out.'
+        )
+    return given, name
+
+
+def serial_of(stated: Stated, recording: Recording) -> str:
+    """Return the serial number that is stated, or that of the recording; empty without one.
+
+    Raises:
+        InputError: The two differ.
+
+    """
+    said, given = recording.custom_data.get(SERIAL_NUMBER, ''), stated.serial
+    if given is not None and said and given != said:
+        raise InputError(
+            f'--serial: found {given}, but {recording.path} is of the unit with serial number '
+            f'{said}.'
+        )
+    return given or said
+
+
+def table_of(stated: Stated, recording: Recording) -> Table:
+    """Return the table that is stated, that of the recording, or the three-axis table."""
+    text = recording.custom_data.get('imu_calib.table')
+    if stated.table is not None or text is None:
+        return stated.simulated_table()
+    return stated.at_azimuth(read_table(Section.parse(text, f'{recording.path}: its table')))
+
+
+def site_of(stated: Stated, recording: Recording) -> Site:
+    """Return the site that is stated, or the one that the recording carries.
+
+    What is stated of height and gravity counts at the recording's latitude too.
+
+    Raises:
+        InputError: Nobody says where it was taken, or no place on Earth is there.
+
+    """
+    if stated.latitude is not None:
+        return stated.site(stated.latitude)
+    own = described_site(recording.custom_data, str(recording.path))
+    height, gravity = stated.height, stated.gravity
+    doubts = (stated.height_std, stated.gravity_std, stated.latitude_std)
+    if all(value is None for value in (height, gravity, *doubts)):
+        return own
+    if height is None:
+        height = own.height
+        if gravity is None and own.gravity_source == MEASURED:
+            gravity = own.gravity
+    doubt = own.latitude_std if stated.latitude_std is None else stated.latitude_std * DEG
+    return Site.at(
+        own.latitude,
+        height,
+        gravity,
+        height_std=stated.height_std,
+        gravity_std=stated.gravity_std,
+        latitude_std=doubt,
+    )
+
+
+def as_truth(truth: Calibration | Named) -> Calibration:
+    """Return true parameters: a shipped name, a file, or what already are some."""
+    if isinstance(truth, Calibration):
+        return truth
+    return Calibration.load(named_file('truths', truth))
+
+
+def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
+    """Return the true parameters of a simulated unit.
+
+    Raises:
+        InputError: They tell nothing of the unit's skewed gyro.
+
+    """
+    known = as_truth(truth)
+    if imu.skewed is not None and known.model.skewed is None:
+        name = 'of this unit' if isinstance(truth, Calibration) else truth
+        raise InputError(
+            f'--truth {name} tells nothing of the skewed gyro of IMU {imu.id}: a simulated one '
+            'needs it (for instance --truth fog_skewed).'
+        )
+    return known
+
+
+def streams_of(stated: Stated, recording: Recording) -> Streams:
+    """Choose the topics: those that are stated, or the only candidate of each type.
+
+    Raises:
+        InputError: No IMU topic, or several candidates; they are listed.
+
+    """
+    imu = imu_topic(stated.imu_topic, recording)
+    skew = skew_topic(recording, imu)
+    temperature = temperature_topic(recording)
+    if stated.imu_only:
+        return Streams(imu, None, None, skew, temperature)
+    joints = _choose(recording, Kind.JOINTS, stated.joint_topic, '--joint-topic')
+    setpoints = _choose(recording, Kind.SETPOINTS, stated.setpoint_topic, '--setpoint-topic')
+    return Streams(imu, joints, setpoints, skew, temperature)
+
+
+def imu_topic(wanted: str | None, recording: Recording) -> str:
+    """Return the topic of the IMU: the one that is stated, or the only candidate.
+
+    Raises:
+        InputError: There is none, or several; they are listed.
+
+    """
+    imu = _choose(recording, Kind.IMU, wanted, '--imu-topic')
+    if imu is None:
+        listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics) or 'none at all'
+        raise InputError(
+            f'{recording.path}: no topic of type {Kind.IMU.type_name}; its topics: {listed}.'
+        )
+    return imu
+
+
+def skew_topic(recording: Recording, imu: str) -> str | None:
+    """Return the topic of a skewed gyro beside an IMU's; None without one, or with several."""
+    skewed = [
+        t.name
+        for t in recording.topics
+        if t.type == Kind.IMU.type_name
+        and t.name.endswith(_SKEW)
+        and t.name != imu
+        and t.count != 0
+    ]
+    return skewed[0] if len(skewed) == 1 else None
+
+
+def temperature_topic(recording: Recording) -> str | None:
+    """Return the topic of the unit's thermometer: the only one, or the one that is called so."""
+    kind = Kind.TEMPERATURES.type_name
+    filled = [t.name for t in recording.topics if t.type == kind and t.count != 0]
+    if len(filled) > 1:
+        filled = [name for name in filled if name.endswith(_TEMPERATURE)]
+    return filled[0] if len(filled) == 1 else None
+
+
+def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -> str | None:
+    candidates = [t for t in recording.topics if t.type == kind.type_name]
+    if wanted is not None:
+        return _named(recording, candidates, wanted, kind, option)
+    filled = [t for t in candidates if t.count != 0 and not t.name.endswith(_SKEW)]
+    filled = filled or candidates
+    if not filled:
+        return None
+    if len(filled) > 1:
+        listed = ', '.join(t.name for t in filled)
+        raise InputError(
+            f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
+            f'Choose with {option}.'
+        )
+    return filled[0].name
+
+
+def _named(
+    recording: Recording, candidates: list[Topic], wanted: str, kind: Kind, option: str
+) -> str:
+    name = wanted if wanted.startswith('/') else f'/{wanted}'
+    for topic in recording.topics:
+        if topic.name in {wanted, name}:
+            if topic.type != kind.type_name:
+                raise InputError(
+                    f'{option} {wanted}: found {topic.type}, expected {kind.type_name}.'
+                )
+            return topic.name
+    listed = ', '.join(t.name for t in candidates) or 'none'
+    raise InputError(
+        f'{option} {wanted}: {recording.path} has no such topic; '
+        f'of type {kind.type_name} it has: {listed}.'
+    )

@@ -1,0 +1,214 @@
+"""The acceptance test of a calibration, by a recording that did not make it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..bags import Recording, open_recording
+from ..calibration import Calibration
+from ..compensation.thermal import (
+    AnyCalibration,
+    ThermalCalibration,
+    check_identity,
+    first_of,
+    load_calibration,
+)
+from ..errors import InputError
+from ..imu import ImuSpec
+from ..plan import UNPLANNED, Plan
+from ..segmentation.segmenter import Segmenter
+from ..segmentation.thermometer import Temperature
+from ..turntable import Table
+from ..verification import Verification, observe
+from ..verification import verify as judge
+from .stated import (
+    Named,
+    Stated,
+    serial_of,
+    site_of,
+    stated_imu,
+    stated_plan,
+    streams_of,
+    table_of,
+)
+from .watching import Progress, silent
+
+_OTHER_TEMPERATURE = 5.0
+"""K between two sessions from which on it is said. A judgement: MEMS biases move by a tenth of a
+degree per second in it, those of fibre-optic gyros within their stability."""
+
+_THE_SAME = 'This recording made the calibration: it cannot but bear it out.'
+
+
+def verify(
+    calibration: AnyCalibration | Named,
+    bag: Named,
+    *,
+    plan: Plan | Named | None = None,
+    imu: ImuSpec | Named | None = None,
+    table: Table | Named | None = None,
+    azimuth: float | None = None,
+    latitude: float | None = None,
+    latitude_std: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+    serial: str | None = None,
+    imu_topic: str | None = None,
+    joint_topic: str | None = None,
+    setpoint_topic: str | None = None,
+    imu_only: bool = False,
+    another_unit: bool = False,
+    progress: Progress = silent,
+) -> Verification:
+    """Hold a calibration against a recording.
+
+    Args:
+        calibration: calibration.yaml, single or combined, or what was read from one.
+        bag: Folder of rosbag2, or one .mcap or .db3 file.
+        plan: As for `calibrate`, as are all below but the last two.
+        imu: What the IMU's numbers mean; where nobody says, the calibration does.
+        table: The turntable.
+        azimuth: deg.
+        latitude: deg.
+        latitude_std: deg.
+        height: m.
+        height_std: m.
+        gravity: m/s^2.
+        gravity_std: m/s^2.
+        serial: Serial number of the unit.
+        imu_topic: Of sensor_msgs/Imu.
+        joint_topic: Of sensor_msgs/JointState.
+        setpoint_topic: Of imu_calib_msgs/TurntableSetpoint.
+        imu_only: Use the IMU and the order of the plan alone.
+        another_unit: Compare where calibration and recording name different units, too.
+        progress: Shows how far it is; nothing by default.
+
+    Returns:
+        The verdict on gyros and accelerometers, and what it rests on.
+
+    Raises:
+        InputError: Something is missing or unreadable, or the recording is of another unit.
+        NotObservable: The recording holds nothing to compare with.
+
+    """
+    stated = Stated(
+        plan=plan,
+        imu=imu,
+        table=table,
+        azimuth=azimuth,
+        imu_topic=imu_topic,
+        joint_topic=joint_topic,
+        setpoint_topic=setpoint_topic,
+        imu_only=imu_only,
+        latitude=latitude,
+        latitude_std=latitude_std,
+        height=height,
+        height_std=height_std,
+        gravity=gravity,
+        gravity_std=gravity_std,
+        serial=serial,
+    )
+    return verified(calibration, bag, stated, another_unit=another_unit, progress=progress)
+
+
+def verified(
+    calibration: AnyCalibration | Named,
+    bag: Named,
+    stated: Stated,
+    *,
+    another_unit: bool = False,
+    progress: Progress = silent,
+) -> Verification:
+    """Hold a calibration against a recording, with what is stated of it as one value."""
+    if isinstance(calibration, str | Path):
+        loaded, name = load_calibration(Path(calibration)), str(calibration)
+    else:
+        loaded, name = calibration, f'calibration of {first_of(calibration).imu.id}'
+    with open_recording(bag) as recording:
+        return _verify(loaded, name, recording, stated, another_unit, progress)
+
+
+def _verify(
+    loaded: AnyCalibration,
+    name: str,
+    recording: Recording,
+    stated: Stated,
+    another_unit: bool,
+    progress: Progress,
+) -> Verification:
+    streams = streams_of(stated, recording)
+    # What nobody says is left out: a plan gives names, a table attitudes.
+    plan = stated_plan(stated, recording) or UNPLANNED
+    known = stated_imu(stated, recording, streams.imu)
+    imu, says = (_described(first_of(loaded)), str(recording.path)) if known is None else known
+    if not another_unit:
+        _check_identity(loaded, name, imu, says, serial_of(stated, recording))
+    # A skewed gyro is not verified: nobody is to wait for it.
+    imu = replace(imu, skewed=None)
+    site = site_of(stated, recording)
+    table = table_of(stated, recording) if streams.joints is not None else None
+    segmenter = Segmenter(imu, table)
+    kinds = {t: kind for t, kind in streams.kinds().items() if t != streams.skew}
+    with progress('reading') as show:
+        for _, block in recording.read(kinds, show):
+            segmenter.feed(block)
+    session = segmenter.finish()
+    calibration, notes = _at(loaded, session.temperature)
+    observed = observe(session, imu, site, plan, table, calibration.clock)
+    found = judge(calibration, replace(observed, notes=(*notes, *observed.notes)))
+    if calibration.provenance.get('sha256') != recording.sha256():
+        return found
+    return replace(found, findings=(_THE_SAME, *found.findings))
+
+
+def _check_identity(
+    calibration: AnyCalibration, name: str, imu: ImuSpec, where: str, serial: str
+) -> None:
+    """Refuse the calibration of another unit than the recording's, where both say whose they are.
+
+    Raises:
+        InputError: Names the key, what was found and what was expected, and what to do.
+
+    """
+    try:
+        check_identity(calibration, name, imu.id, where, serial)
+    except InputError as error:
+        raise InputError(
+            f'{error} Give the calibration of that unit; --another-unit compares them all the same.'
+        ) from None
+
+
+def _described(calibration: Calibration) -> ImuSpec:
+    """Return what the calibration knows of its IMU, the noise that made it included."""
+    imu = calibration.imu
+    walk = np.nan_to_num(np.array(calibration.provenance.get('random_walk', [0.0] * 6), float))
+    gyro, accel = np.sqrt(np.mean(walk.reshape(2, 3) ** 2, axis=1))
+    return replace(
+        imu,
+        gyro=replace(imu.gyro, random_walk=float(gyro)),
+        accel=replace(imu.accel, random_walk=float(accel)),
+    )
+
+
+def _at(loaded: AnyCalibration, seen: Temperature | None) -> tuple[Calibration, list[str]]:
+    """Return the calibration at the recording's temperature, and what is to be said of it."""
+    if isinstance(loaded, ThermalCalibration):
+        if seen is None:
+            raise InputError(
+                'The calibration depends on the temperature, which the recording does not tell.'
+            )
+        return loaded.at(seen.mean), []
+    made_at = loaded.provenance.get('temperature')
+    if seen is None or not isinstance(made_at, dict):
+        return loaded, []
+    if abs(seen.mean - float(made_at['mean'])) < _OTHER_TEMPERATURE:
+        return loaded, []
+    return loaded, [
+        f'The recording was made at {seen.mean:.1f} degrees Celsius, the calibration at '
+        f'{float(made_at["mean"]):.1f}.'
+    ]
