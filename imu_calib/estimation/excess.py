@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -35,6 +35,7 @@ from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..segmentation.session import Move
 from ..stream import Floats
+from .likelihood import along_columns, beside, fixed
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
@@ -60,6 +61,7 @@ class _Wandering:
     nodes: Floats
     functionals: Floats
     slopes: int
+    _memo: dict[float, Floats] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -97,8 +99,11 @@ class _Wandering:
             time: Correlation time as a fraction of the session.
 
         """
-        apart = np.abs(self.nodes[:, None] - self.nodes) / self.span
-        return np.asarray(self.functionals @ np.exp(-apart / time) @ self.functionals.T)
+        if time not in self._memo:
+            apart = np.abs(self.nodes[:, None] - self.nodes) / self.span
+            kernel = self.functionals @ np.exp(-apart / time) @ self.functionals.T
+            self._memo[time] = np.asarray(kernel)
+        return self._memo[time]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +118,7 @@ class _Triad:
         left: (r,) what is left.
         calm: (r, r) covariance by the wandering that the data sheet states.
         beyond: (r, r) covariances by wandering of each time of `_TIMES`, for unit ratios.
-        arrivals: (r, r) covariances by joints that stop, and by stops, for one rad^2.
+        arrivals: (r, e) what joints that stop and what stops do, for one rad.
         wandering: Where the bias is looked at.
         typical: What a ratio of one stands for, SI units squared.
         stated: Variance of the wandering stated, SI units squared.
@@ -124,7 +129,7 @@ class _Triad:
     left: Floats
     calm: Floats
     beyond: tuple[Floats, ...]
-    arrivals: tuple[Floats, ...]
+    arrivals: tuple[Floats, Floats]
     wandering: _Wandering
     typical: float
     stated: float
@@ -132,9 +137,9 @@ class _Triad:
     def arriving(self, joints: float, stops: float) -> Floats:
         """Return the covariance by noise and arrivals of these variances, rad^2."""
         found = np.eye(len(self.left))
-        for variance, pattern in zip((joints, stops), self.arrivals, strict=True):
+        for variance, columns in zip((joints, stops), self.arrivals, strict=True):
             if variance:
-                found += variance * pattern
+                found += variance * (columns @ columns.T)
         return found
 
     def weigh(self, joints: float = 0.0, stops: float = 0.0) -> tuple[Floats, Floats]:
@@ -146,9 +151,8 @@ class _Triad:
 
         """
         base = self.arriving(joints, stops)
-        calm = _along(base, self.calm, self.left, _SHARES)
-        whole = base + self.calm
-        return calm, np.array([_along(whole, k, self.left, _RATIOS) for k in self.beyond])
+        calm = [fixed(base + share * self.calm, self.left) for share in _SHARES.tolist()]
+        return np.array(calm), beside(base + self.calm, self.beyond, self.left, _RATIOS)
 
     def wander(self, share: float, time: int, ratio: float) -> Floats:
         """Return the covariance by a share of the wandering stated and one beyond it."""
@@ -164,34 +168,14 @@ class _Triad:
 
         """
         base = np.eye(len(self.left)) + wander
-        joints, stops = self.arrivals
-        mixed = [(1 - share) * joints + share * stops for share in _KINDS]
-        return np.array([_along(base, kernel, self.left, variances) for kernel in mixed])
+        shares = _KINDS.tolist()
+        mixed = [np.sqrt([1 - share, share]) for share in shares]
+        return along_columns(base, self.arrivals, mixed, self.left, variances)
 
 
 def _spread(kernel: Floats) -> Floats:
     """Repeat a kernel over stretches for three channels, in the order of the rows."""
     return np.asarray(np.kron(kernel, np.eye(3)), dtype=float)
-
-
-def _along(base: Floats, kernel: Floats, left: Floats, ratios: Floats) -> Floats:
-    """Return the log likelihoods of what is left with covariances base + ratio kernel."""
-    root = np.linalg.cholesky(base)
-    columns = np.column_stack([kernel, left])
-    columns = scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False)
-    kernel, left = columns[:, :-1], columns[:, -1]
-    kernel = scipy.linalg.solve_triangular(root, kernel.T, lower=True, check_finite=False)
-    return np.asarray(_likelihoods(kernel, left, ratios) - np.log(np.diag(root)).sum())
-
-
-def _likelihoods(kernel: Floats, z: Floats, ratios: Floats) -> Floats:
-    """Return the log likelihoods of z with the covariances 1 + ratio kernel, one per ratio."""
-    if not kernel.any():
-        return np.full(len(ratios), -0.5 * float(z @ z))
-    values, vectors = np.linalg.eigh(kernel)
-    grown = 1 + np.outer(ratios, np.maximum(values, 0.0))
-    square = (vectors.T @ z) ** 2
-    return np.asarray(-0.5 * (np.log(grown) + square / grown).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,13 +314,18 @@ def _arrivals(
     with the likeliest.
     """
     hypotheses = [wander.hypotheses(triad) for triad, wander in zip(triads, still, strict=True)]
-    found = _lines(triads, hypotheses, variances)
+    lines = [
+        [weight + triad.lines(wander, variances) for weight, wander in its]
+        for triad, its in zip(triads, hypotheses, strict=True)
+    ]
+    found = _pooled(lines)
     kind, size = divmod(int(found.argmax()), len(variances))
     joints = (1 - float(_KINDS[kind])) * float(variances[size])
     stops = float(_KINDS[kind]) * float(variances[size])
-    for triad, its in zip(triads, hypotheses, strict=True):
-        its.append(_Wander.of(*triad.weigh(joints, stops)).hypotheses(triad)[1])
-    found = _lines(triads, hypotheses, variances)
+    for triad, its in zip(triads, lines, strict=True):
+        weight, wander = _Wander.of(*triad.weigh(joints, stops)).hypotheses(triad)[1]
+        its.append(weight + triad.lines(wander, variances))
+    found = _pooled(lines)
     known = sum(wander.known for wander in still)
     # Wanderings of gyros and accelerometers are asked for one by one: half of the cause in each is
     # none.
@@ -357,17 +346,9 @@ def _arrivals(
     return share, joints, stops
 
 
-def _lines(
-    triads: Sequence[_Triad],
-    hypotheses: Sequence[list[tuple[float, Floats]]],
-    variances: Floats,
-) -> Floats:
+def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
     """Return the log likelihoods of arrivals by all triads, (kinds, v), wanderings averaged."""
-    found = np.zeros((len(_KINDS), len(variances)))
-    for triad, its in zip(triads, hypotheses, strict=True):
-        each = [weight + triad.lines(wander, variances) for weight, wander in its]
-        found += scipy.special.logsumexp(each, axis=0)
-    return found
+    return np.asarray(np.sum([scipy.special.logsumexp(its, axis=0) for its in lines], axis=0))
 
 
 def _spread_out(
@@ -464,7 +445,7 @@ def _triad(
         np.concatenate([z, slope_left * slopes]),
         seen_by(wandering.stated_kernel(), stated),
         tuple(seen_by(wandering.kernel(time), typical) for time in _TIMES),
-        tuple(np.asarray(m @ m.T) for m in moved),
+        (moved[0], moved[1]),
         wandering,
         typical,
         stated,

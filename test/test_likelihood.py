@@ -1,0 +1,59 @@
+"""Log likelihoods along a line of covariances: those of the normal distribution, one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from imu_calib.estimation.likelihood import along_columns, beside, fixed
+from imu_calib.stream import Floats
+
+RATIOS = np.array([0.0, 0.03, 1.0, 300.0, 1e5])
+
+
+def normal(left: Floats, covariance: Floats) -> float:
+    """The logarithm of the density, without its constant."""
+    constant = 0.5 * len(left) * np.log(2 * np.pi)
+    return float(multivariate_normal(np.zeros(len(left)), covariance).logpdf(left)) + constant
+
+
+def drawn(size: int, rank: int) -> tuple[Floats, Floats, Floats]:
+    """A covariance, columns of another of some rank, and what is left."""
+    rng = np.random.default_rng(size)
+    root, columns = rng.standard_normal((size, size)), rng.standard_normal((size, rank))
+    return root @ root.T / size + np.eye(size), columns, rng.standard_normal(size)
+
+
+@pytest.mark.parametrize(('size', 'rank'), [(1, 1), (2, 1), (7, 7), (40, 12), (40, 60)])
+def test_every_size_of_a_part_has_the_likelihood_of_its_covariance(size: int, rank: int) -> None:
+    base, columns, left = drawn(size, rank)
+    kernels = [columns @ columns.T, np.zeros((size, size))]
+    exact = [[normal(left, base + r * k) for r in RATIOS] for k in kernels]
+    # Eight digits: a part 1e5 times the rest is rounded to 1e-11 of the rest.
+    assert beside(base, kernels, left, RATIOS) == pytest.approx(np.array(exact), rel=1e-8)
+    assert fixed(base, left) == pytest.approx(normal(left, base), rel=1e-12)
+
+
+@pytest.mark.parametrize(('size', 'rank'), [(2, 1), (40, 12), (40, 60)])
+def test_parts_of_few_columns_have_it_too(size: int, rank: int) -> None:
+    base, columns, left = drawn(size, rank)
+    parts = (columns, columns[:, :1] ** 2)
+    factors = [np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.array([0.6, 0.8])]
+    exact = []
+    for first, second in factors:
+        kernel = first**2 * parts[0] @ parts[0].T + second**2 * parts[1] @ parts[1].T
+        exact.append([normal(left, base + r * kernel) for r in RATIOS])
+    found = along_columns(base, parts, factors, left, RATIOS)
+    assert found == pytest.approx(np.array(exact), rel=1e-8)
+    none = along_columns(base, (columns[:, :0], columns[:, :0]), factors, left, RATIOS)
+    assert none == pytest.approx(np.full_like(none, normal(left, base)), rel=1e-12)
+
+
+def test_a_part_that_rounding_makes_negative_counts_as_none_there() -> None:
+    columns = np.ones((3, 1)) * 1e8
+    kernel = columns @ columns.T - np.diag([0.0, 0.0, 3.0])
+    left = np.array([1.0, 1.0, 1.0])
+    found = beside(np.eye(3), [kernel], left, np.array([1.0]))[0, 0]
+    # Across the part the three ones have nothing, along it they are nothing beside it.
+    assert found == pytest.approx(-0.5 * np.log(3e16), abs=0.5)
