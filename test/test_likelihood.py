@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
 from imu_calib.estimation.likelihood import along_columns, beside, fixed
+from imu_calib.estimation.wandering import Wandering
 from imu_calib.stream import Floats
 
 RATIOS = np.array([0.0, 0.03, 1.0, 300.0, 1e5])
@@ -57,3 +60,21 @@ def test_a_part_that_rounding_makes_negative_counts_as_none_there() -> None:
     found = beside(np.eye(3), [kernel], left, np.array([1.0]))[0, 0]
     # Across the part the three ones have nothing, along it they are nothing beside it.
     assert found == pytest.approx(-0.5 * np.log(3e16), abs=0.5)
+
+
+def test_a_wandering_is_seen_by_stretches_as_its_instants_make_it() -> None:
+    # Three rests one after the other, and a turn within the second of them.
+    starts, durations = np.array([0.0, 40.0, 90.0, 45.0]), np.array([30.0, 45.0, 10.0, 8.0])
+    sloped = np.array([True, False, True, True])
+    seen = Wandering.over(starts, durations, np.array([1.0, 1.0, 10.0, 1.0]), sloped)
+    time = 25.0
+    grid = (np.arange(8) + 0.5) / 8
+    rows = [unit * np.full(8, 1 / 8) for unit in (1, 1, 10, 1)]
+    # The slope is that of the least-squares line.
+    rows += [np.polynomial.polynomial.polyfit(d * grid, np.eye(8), 1)[1] for d in durations[sloped]]
+    stretches = [0, 1, 2, 3, 0, 2, 3]
+    instants = [starts[k] + durations[k] * grid for k in stretches]
+    for (i, one), (j, other) in product(enumerate(rows), enumerate(rows)):
+        apart = np.abs(instants[i][:, None] - instants[j])
+        exact = one @ np.exp(-apart / time) @ other
+        assert seen.kernel(time / seen.span)[i, j] == pytest.approx(exact, rel=1e-12, abs=1e-15)

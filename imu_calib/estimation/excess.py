@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -36,6 +36,7 @@ from ..observation.evidence import SMALLEST_VARIANCE
 from ..segmentation.session import Move
 from ..stream import Floats
 from .likelihood import along_columns, beside, fixed
+from .wandering import Wandering
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
@@ -44,66 +45,12 @@ _KINDS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
 """Shares of stops in the variance of arrivals: none, all, and mixtures of both."""
 
 _CALLED_FOR = 4.5
-_STATED_TIME = 1000.0
 _SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
 _LOG_ODDS = np.log([1 / 33, 1 / 33, 1 / 33, 10 / 11])
 _UNLIKELY = 1e-3
 """Of a case that is as good as none: it moves variances by less than their own spread by far."""
 
-_NODES = 8
 _BLOCKS_FOR_A_SLOPE = 4
-
-
-@dataclass(frozen=True, eq=False)
-class _Wandering:
-    """Where a process is looked at: nodes in time, and the means and slopes over them."""
-
-    nodes: Floats
-    functionals: Floats
-    slopes: int
-    _memo: dict[float, Floats] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def of(
-        cls, starts: Floats, durations: Floats, units: Floats, with_slope: NDArray[np.bool_]
-    ) -> _Wandering:
-        """Lay nodes over stretches: rows of `functionals` are all means, then the slopes.
-
-        Args:
-            starts: (n,) of the stretches, s.
-            durations: (n,) s.
-            units: (n,) what a mean of one counts for: the time of a move, whose output is an angle.
-            with_slope: (n,) whether the slope counts too.
-
-        """
-        grid = (np.arange(_NODES) + 0.5) / _NODES
-        nodes = (starts[:, None] + durations[:, None] * grid).ravel()
-        means = np.kron(np.diag(units), np.full(_NODES, 1 / _NODES))
-        centred = grid - 0.5
-        line = np.kron(np.diag(1 / durations), centred / (centred @ centred))
-        return cls(nodes, np.vstack([means, line[with_slope]]), int(np.sum(with_slope)))
-
-    @property
-    def span(self) -> float:
-        """Length of the session, s."""
-        return max(float(np.ptp(self.nodes)), 1.0)
-
-    def stated_kernel(self) -> Floats:
-        """Return `kernel` of the wandering that a data sheet states."""
-        return self.kernel(_STATED_TIME / self.span)
-
-    def kernel(self, time: float) -> Floats:
-        """Return the covariance of means and slopes for unit variance.
-
-        Args:
-            time: Correlation time as a fraction of the session.
-
-        """
-        if time not in self._memo:
-            apart = np.abs(self.nodes[:, None] - self.nodes) / self.span
-            kernel = self.functionals @ np.exp(-apart / time) @ self.functionals.T
-            self._memo[time] = np.asarray(kernel)
-        return self._memo[time]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +77,7 @@ class _Triad:
     calm: Floats
     beyond: tuple[Floats, ...]
     arrivals: tuple[Floats, Floats]
-    wandering: _Wandering
+    wandering: Wandering
     typical: float
     stated: float
 
@@ -417,7 +364,7 @@ def _triad(
             for x in sloped
         ]
     ).ravel()
-    wandering = _Wandering.of(
+    wandering = Wandering.over(
         (starts - starts.min()) * 1e-9,
         durations,
         units,

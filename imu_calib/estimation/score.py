@@ -18,9 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..budget import Source
 from ..model import AXES, TERMS, Parameter, Term, parameters_of, positions, terms_of
-from ..observation.components import Factor
 from ..observation.equations import Equations
 from ..observation.information import meant, useful
 from ..stream import Floats
@@ -108,13 +106,7 @@ def columns_of(
     result = {}
     for family in found:
         if family.term is None:
-            parts = [
-                c.part
-                for c in family.freed(ideal, _TABLE).shared(state)
-                if c.source is Source.TABLE
-            ]
-            leaning = [part.columns for part in parts if isinstance(part, Factor)]
-            columns = np.hstack([np.zeros((len(slopes), 0)), *leaning])
+            columns = family.freed(ideal, _TABLE).by_table(state)
             result[family] = columns, np.full(columns.shape[1], _TABLE)
             continue
         sizes = np.array([useful(p) for p in family.parameters])

@@ -11,17 +11,17 @@ methods.md, section 11, for what goes into the state.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
+from typing import TypeVar, cast
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from ..budget import Share, Source
-from ..directions import across
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..model.session_terms import Change
@@ -31,6 +31,7 @@ from .arrivals import NO_ARRIVALS, Arrivals
 from .components import Component, Diagonal, Factor, shares
 from .doubts import encoder_rates, level_gravity, own_parts, unknown_north
 from .evidence import SMALLEST_VARIANCE, Evidence
+from .headings import whole
 from .modulation import columns, stated_changes
 from .rows import Rows
 
@@ -57,10 +58,6 @@ _GENERATORS = np.array(
         [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
     ]
 )
-
-
-_HEADINGS = 8
-"""Means over so many equal steps of a whole turn are exact for products of up to seven inputs."""
 
 
 def _turn(axis: int, angle: float) -> Floats:
@@ -106,6 +103,10 @@ class Surroundings:
             slopes.append(np.column_stack([by_azimuth, by_x, -gy @ level]))
         by_latitude = both @ _turn(2, -azimuth) @ site.earth_rate_by_latitude
         return cls(vectors[0], vectors[1], by_latitude, slopes[0], slopes[1], both.T)
+
+
+_Inputs = tuple[Surroundings, Floats, Floats, Floats, Floats]
+Value = TypeVar('Value')
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,27 +233,37 @@ class Equations:
         azimuth, tilt_x, tilt_y = state[self.sensors : self.clock]
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 
-    @cached_property
+    @property
     def _attitudes(self) -> Floats:
-        return self.evidence.attitudes()
+        return self.evidence.held
 
-    @cached_property
+    @property
     def _turning(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Up in body axes (t, 3), rate by the table's own clock (t,), whether that clock counts."""
-        turns = self.evidence.turns
-        ups = np.array([t.up for t in turns]).reshape(-1, 3)
-        timed = np.array([t.seconds is not None for t in turns], dtype=bool)
-        return ups, np.array([t.rate() for t in turns]), timed
+        return self.evidence.turning
 
-    @cached_property
+    @property
     def _headings(self) -> Floats:
-        return headings(self._turning[0])
+        return self.evidence.headings
 
-    def _inputs(self, state: Floats) -> tuple[Surroundings, Floats, Floats, Floats, Floats]:
+    def _once(self, what: str, state: Floats, worked_out: Callable[[Floats], Value]) -> Value:
+        """Return what is the same whatever the weights: it is worked out once at each state."""
+        key = (what, state.tobytes(), self.time_constant)
+        for known, parameters, changes, value in self.evidence.memo:
+            if known == key and parameters is self.parameters and changes is self.changes:
+                return cast(Value, value)
+        found = worked_out(state)
+        self.evidence.memo.append((key, self.parameters, self.changes, found))
+        return found
+
+    def _inputs(self, state: Floats) -> _Inputs:
         """Return the surroundings, rates and forces at rest (s, 3), those of the turns (t, 8, 3).
 
         Turns are seen at eight headings: of what is linear the mean is the part along the axis.
         """
+        return self._once('inputs', state, self._seen)
+
+    def _seen(self, state: Floats) -> _Inputs:
         around = self.surroundings(state)
         ups, rates, _ = self._turning
         felt = self._headings @ around.force
@@ -271,7 +282,7 @@ class Equations:
 
     def predict(self, state: Floats) -> Floats:
         """Return what a state says that should be read, (m,)."""
-        predicted = self._predicted(state)
+        predicted = self._once('prediction', state, self._predicted)
         if not state[self.changing].any():
             return predicted
         return np.asarray(predicted + self.jacobian(state)[:, self.changing] @ state[self.changing])
@@ -306,6 +317,9 @@ class Equations:
 
         By the table they are those of the mean parameters: what changes of these is parts in 1e5.
         """
+        return self._once('derivatives', state, self._derivatives)
+
+    def _derivatives(self, state: Floats) -> Floats:
         around, rate, force, turning, felt = self._inputs(state)
         model, n = self.model(state), self.sensors
         at_rest = np.zeros((len(rate), 6, self.size))
@@ -412,9 +426,8 @@ class Equations:
             parameters, deviations = zip(*self.doubts, strict=True)
             columns = self.by_parameters(state, parameters) * np.array(deviations)
             found.append(Component(Source.TERMS, Factor(columns)))
-        at_rest, turning = evidence.leaning
-        if at_rest.shape[2]:
-            found.append(Component(Source.TABLE, Factor(self._leaning(state, at_rest, turning))))
+        if (by_table := self.by_table(state)).shape[1]:
+            found.append(Component(Source.TABLE, Factor(by_table)))
         if evidence.site.latitude_std:
             slope = self.latitude_slope(state) * evidence.site.latitude_std
             found.append(Component(Source.LATITUDE, Factor(slope[:, None])))
@@ -470,6 +483,13 @@ class Equations:
         at_rest, turned = (np.broadcast_to(-np.eye(3), (count, 3, 3)) for count in every)
         return self._leaning(state, at_rest, turned)
 
+    def by_table(self, state: Floats) -> Floats:
+        """Return what the errors that the table states do to the outputs, (m, e): one deviation."""
+        at_rest, turning = self.evidence.leaning
+        if not at_rest.shape[2]:
+            return np.zeros((len(self.rows), 0))
+        return self._leaning(state, at_rest, turning)
+
     def latitude_slope(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the latitude, (m,) per rad."""
         return np.asarray(self.by_rate(state) @ self.surroundings(state).rate_by_latitude)
@@ -498,6 +518,9 @@ class Equations:
 
         Those of joints that stop, and what each stop leans of its own.
         """
+        return self._once('arrivals', state, self._arrivals)
+
+    def _arrivals(self, state: Floats) -> tuple[Floats, Floats]:
         joints, stops = (
             self._leaning(state, leaning.at_rest, leaning.turning)
             for leaning in self.evidence.arrivals
@@ -535,31 +558,6 @@ class Equations:
             columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
         columns = np.vstack([columns, self.prior_rows(state)])
         return columns[:, :-1], columns[:, -1]
-
-
-def headings(ups: Floats) -> Floats:
-    """Return the attitudes that whole turns go through at equal steps, (t, 8, 3, 3): to body axes.
-
-    Those of the second half are the first half's with the level axes reversed to the last bit: what
-    a whole turn cancels vanishes, and does not stay as rounding that seems observed.
-
-    Args:
-        ups: (t, 3) up in body axes.
-
-    """
-    angles = np.arange(_HEADINGS // 2) * (2 * np.pi / _HEADINGS)
-    cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    first, second = (axes[:, None] for axes in across(ups))
-    half = np.stack([cosine * first + sine * second, cosine * second - sine * first], axis=-1)
-    level = np.concatenate([half, -half], axis=1)
-    up = np.broadcast_to(ups[:, None, :, None], (*level.shape[:3], 1))
-    return np.concatenate([level, up], axis=-1)
-
-
-def whole(values: Floats) -> Floats:
-    """Return the mean (t, ...) over the `headings` of whole turns, (t, 8, ...)."""
-    half = _HEADINGS // 2
-    return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _HEADINGS)
 
 
 def _both(rotations: Floats) -> Floats:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..earth import Site
 from ..errors import NotObservable
@@ -22,11 +25,14 @@ from ..table_errors import LEVELLED
 from ..turntable import Table
 from .arms import Arms
 from .arrivals import Leaning, around, of_joints, of_stops
+from .headings import headings
 from .moves import Moves
 from .rows import Rows
 
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
+_REMEMBERED = 12
+"""Four at each of three states: of the last step, and of the two from which the next fits start."""
 _QUARTZ = 50e-6
 _STATED_FREEDOM = 10.0
 _ENOUGH_FREEDOM = 20.0
@@ -116,6 +122,28 @@ class Evidence:
                 [[t.scale_factor_temperature, t.bias_temperature] for t in (imu.gyro, imu.accel)]
             ),
         )
+
+    @cached_property
+    def memo(self) -> deque[tuple[Any, ...]]:
+        """What was worked out of it at the last few states (`Equations`)."""
+        return deque(maxlen=_REMEMBERED)
+
+    @cached_property
+    def held(self) -> Floats:
+        """The attitudes at rest, as `attitudes` returns them."""
+        return self.attitudes()
+
+    @cached_property
+    def turning(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Up in body axes (t, 3), rate by the table's own clock (t,), whether that clock counts."""
+        ups = np.array([t.up for t in self.turns]).reshape(-1, 3)
+        timed = np.array([t.seconds is not None for t in self.turns], dtype=bool)
+        return ups, np.array([t.rate() for t in self.turns]), timed
+
+    @cached_property
+    def headings(self) -> Floats:
+        """The attitudes that turns go through, (t, 8, 3, 3), see `headings`."""
+        return headings(self.turning[0])
 
     @cached_property
     def led(self) -> Moves:

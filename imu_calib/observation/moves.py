@@ -121,11 +121,14 @@ class Moves:
 
     def by_parameters(self, model: SensorModel, parameters: tuple[Parameter, ...]) -> Floats:
         """Return the derivatives of `off` by parameters of the sensors, (m, 3, p)."""
-        result = np.zeros((len(self), 3, len(parameters)))
-        for k, path in enumerate(self.paths(model)):
-            answers = model.derivatives(path.rates, path.forces, parameters)[:, :3]
-            result[k] = path.following(answers)
-        return result
+        paths = self.paths(model)
+        if not paths:
+            return np.zeros((0, 3, len(parameters)))
+        rates = np.concatenate([path.rates for path in paths])
+        forces = np.concatenate([path.forces for path in paths])
+        answers = model.derivatives(rates, forces, parameters)[:, :3]
+        each = np.split(answers, np.cumsum([len(path.rates) for path in paths])[:-1])
+        return np.array([p.following(one) for p, one in zip(paths, each, strict=True)])
 
     def by_clock(self, model: SensorModel) -> Floats:
         """Return the derivatives of `off` by how fast the clock is that times rates, (m, 3) rad.

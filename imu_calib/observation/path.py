@@ -95,8 +95,8 @@ class Path:
             derivatives: (n, 3, p) of the gyros' outputs at `rates`.
 
         """
-        timed = self.carried * self.seconds[:, None, None]
-        return np.asarray(np.einsum('nij,njp->ip', timed, derivatives))
+        timed = np.moveaxis(self.carried * self.seconds[:, None, None], 1, 0)
+        return np.asarray(timed.reshape(3, -1) @ derivatives.reshape(timed[0].size, -1))
 
     def spread(self, walk: Floats) -> Floats:
         """Return the covariance of the rotation at the end by (3,) random walks, (3, 3) rad^2."""
@@ -110,13 +110,12 @@ def _led(
     """Return of motions (n, 3) rates, rotations from the middle of each interval, the whole one."""
     _, accel = model.predict(np.zeros(3), np.concatenate(forces))
     rates, _ = model.compensate(outputs, accel)
-    found = []
-    ends = np.cumsum([len(each) for each in seconds])[:-1]
-    for mine, each in zip(np.split(rates, ends), seconds, strict=True):
-        steps = mine * each[:, None]
-        whole, after = chained(steps)
-        found.append((mine, after @ rotations(-steps / 2), whole))
-    return found
+    counts = [len(each) for each in seconds]
+    steps = rates * np.concatenate(seconds)[:, None]
+    wholes, after = _chained(steps, counts)
+    middles = after @ rotations(-steps / 2)
+    ends = np.cumsum(counts)[:-1]
+    return list(zip(np.split(rates, ends), np.split(middles, ends), wholes, strict=True))
 
 
 def rotations(vectors: Floats) -> Floats:
@@ -152,12 +151,26 @@ def chained(vectors: Floats) -> tuple[Floats, Floats]:
         the end of each interval to the end.
 
     """
-    steps = rotations(-vectors)
+    wholes, after = _chained(vectors, [len(vectors)])
+    return wholes[0], after
+
+
+def _chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
+    """Follow vectors through motions of so many of (n, 3) rotation vectors each; see `chained`.
+
+    Returns:
+        (m, 3, 3), one for each motion, and (n, 3, 3) to the end of its own.
+
+    """
+    ends = np.cumsum(counts)
+    follow = np.repeat(ends, counts) - np.arange(len(vectors)) - 1
     # Products of all that follow, by doubling: after pass k each holds 2^k steps.
-    product = steps.copy()
+    product = rotations(-vectors)
     reach = 1
-    while reach < len(product):
-        product[:-reach] = product[reach:] @ product[:-reach]
+    while reach < max(counts):
+        here = np.flatnonzero(follow >= reach)
+        product[here] = product[here + reach] @ product[here]
         reach *= 2
     after = np.concatenate([product[1:], np.eye(3)[None]])
-    return np.asarray(product[0]), after
+    after[ends - 1] = np.eye(3)
+    return product[ends - counts], after

@@ -17,8 +17,8 @@ from ..calibrator import Setup
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
 from ..model import SensorModel, Skewed
-from ..observation.equations import headings, whole
 from ..observation.evidence import Evidence
+from ..observation.headings import headings, whole
 from ..profile import Course, moving
 from ..segmentation.clock import ClockFit
 from ..segmentation.counter import mean_rate, rate_between

@@ -1,0 +1,102 @@
+"""A bias that wanders as a Gauss-Markov process, as means and slopes of stretches see it.
+
+Source: docs/mathematics.md, 'Joint estimate'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats
+
+_STATED_TIME = 1000.0
+"""Correlation time of the wandering that a data sheet states, s."""
+
+_NODES = 8
+"""Instants of a stretch at which the process is looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wandering:
+    """Where a process is looked at: nodes in time, and the means and slopes over them.
+
+    Attributes:
+        nodes: (n, 8) instants of each stretch, s.
+        of: (k,) the stretch that each mean or slope is of, all means first.
+        weights: (k, 8) of its nodes.
+
+    """
+
+    nodes: Floats
+    of: NDArray[np.intp]
+    weights: Floats
+    _memo: dict[float, Floats] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def over(
+        cls, starts: Floats, durations: Floats, units: Floats, with_slope: NDArray[np.bool_]
+    ) -> Wandering:
+        """Lay nodes over n stretches, whose means come first, then the slopes.
+
+        Args:
+            starts: (n,) of the stretches, s.
+            durations: (n,) s.
+            units: (n,) what a mean of one counts for: the time of a move, whose output is an angle.
+            with_slope: (n,) whether the slope counts too.
+
+        """
+        grid = (np.arange(_NODES) + 0.5) / _NODES
+        centred = grid - 0.5
+        means = np.outer(units, np.full(_NODES, 1 / _NODES))
+        slopes = np.outer(1 / durations, centred / (centred @ centred))
+        every = np.arange(len(starts))
+        return cls(
+            starts[:, None] + durations[:, None] * grid,
+            np.concatenate([every, every[with_slope]]),
+            np.vstack([means, slopes[with_slope]]),
+        )
+
+    @property
+    def span(self) -> float:
+        """Length of the session, s."""
+        return max(float(np.ptp(self.nodes)), 1.0)
+
+    def stated_kernel(self) -> Floats:
+        """Return `kernel` of the wandering that a data sheet states."""
+        return self.kernel(_STATED_TIME / self.span)
+
+    def kernel(self, time: float) -> Floats:
+        """Return the covariance of means and slopes for unit variance, (k, k).
+
+        Args:
+            time: Correlation time as a fraction of the session.
+
+        """
+        if time not in self._memo:
+            self._memo[time] = self._kernel(time * self.span)
+        return self._memo[time]
+
+    def _kernel(self, time: float) -> Floats:
+        """Return `kernel` for a correlation time in s.
+
+        From one stretch to a later one the process decays by how far apart they are: what each
+        holds of it, and the time between, are factors.
+        """
+        nodes, weights = self.nodes[self.of], self.weights
+        first, last = nodes[:, 0], nodes[:, -1]
+        until = (weights * np.exp((nodes - last[:, None]) / time)).sum(axis=1)
+        since = (weights * np.exp((first[:, None] - nodes) / time)).sum(axis=1)
+        between = first - last[:, None]
+        later = between >= 0
+        decayed = np.exp(-np.where(later, between, 0.0) / time)
+        found = np.where(later, until[:, None] * decayed * since, 0.0)
+        found += found.T
+        one, other = np.nonzero(~(later | later.T))
+        apart = np.abs(nodes[one][:, :, None] - nodes[other][:, None])
+        found[one, other] = np.einsum(
+            'ki,kij,kj->k', weights[one], np.exp(-apart / time), weights[other]
+        )
+        return np.asarray(found)
