@@ -1,7 +1,8 @@
 """Write docs/imperfections.md: what sessions say, and how far they are off, on imperfect stands.
 
-Each condition is a file of imperfections (docs/simulation.md). Sessions that were run are kept as
-lines of a file, so that the study goes on where it was stopped; delete the file to begin anew.
+Each condition is a file of imperfections (docs/simulation.md), or a term of the sensors. Sessions
+that were run are kept as lines of a file, so that the study goes on where it was stopped; delete
+the file to begin anew.
 
 Usage: python docs/imperfections.py [--seeds 2] [--jobs 1] [--rows imperfections.jsonl]
        python docs/imperfections.py --only 'stamps late' --seeds 5
@@ -11,14 +12,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
+import sys
+import zlib
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
@@ -27,14 +33,18 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import ImuCalibError
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETER_NAMES, SensorModel, Triad
+from imu_calib.model.terms import TERMS, term
 from imu_calib.montecarlo import single_threaded
 from imu_calib.plan import Plan, load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedStand, StandOptions
 from imu_calib.simulation.imperfections import read_imperfections
 from imu_calib.stream import Floats
-from imu_calib.turntable import load_table
+from imu_calib.table_errors import ASSUMED
+from imu_calib.turntable import Table, load_table, read_table
 from imu_calib.units import DEG
+
+sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 DWELL = 40.0
@@ -43,47 +53,128 @@ GRADES = {
     'fog_medium': 'cao2022_table1',
     'mems_counts': 'mems_counts',
 }
-PERFECT = 'perfect'
+EXACT = 'perfect, and stated exact'
 SILENT = 4.5
 """Deviations: chance passes them in one of 6000 sessions of 24 parameters."""
 
-CONDITIONS = {
-    PERFECT: '{}',
-    'tilt 20 arcsec': 'table: {tilt: {east: 20 arcsec, north: -10 arcsec}}',
-    'tilt 20 arcsec, six positions': 'table: {tilt: {east: 20 arcsec, north: -10 arcsec}}',
-    'tilt 0.1 deg': 'table: {tilt: {east: 0.1 deg, north: -0.03 deg}}',
-    'tilt 0.1 deg, six positions': 'table: {tilt: {east: 0.1 deg, north: -0.03 deg}}',
-    'zeros 60 arcsec': 'table: {zeros: 60 arcsec}',
-    'orthogonality 10 arcsec': 'table: {orthogonality: 10 arcsec}',
-    'wobble 2 arcsec': 'table: {wobble: {once: 2 arcsec, twice: 2 arcsec}}',
-    'encoder harmonics 3 arcsec': 'table: {encoder: {once: 3 arcsec, twice: 3 arcsec}}',
-    'encoder noise 7 arcsec': 'joint_states: {noise: 7 arcsec}',
-    'encoder noise 15 arcsec': 'joint_states: {noise: 15 arcsec}',
-    'encoder of 16 bits': 'joint_states: {resolution: 19.775390625 arcsec}',
-    'joint stamps jitter 1 ms': 'joint_states: {jitter: 1 ms}',
-    'arrivals of joints 5 arcsec': 'table: {arrivals: {joints: 5 arcsec}}',
-    'arrivals of stops 2 arcsec': 'table: {arrivals: {tilt: 2 arcsec, heading: 2 arcsec}}',
-    'servo 30 arcsec': 'table: {servo: 30 arcsec}',
-    'ramps 20 deg/s^2': 'table: {acceleration: 20 deg/s^2}',
-    'ramps 10 deg/s^2': 'table: {acceleration: 10 deg/s^2}',
-    'stamps jitter 1 ms': 'stamps: {jitter: 1 ms}',
-    'stamps late': 'stamps: {late: 1 %, delay: 20 ms}',
-    'stamps in bunches of 4': 'stamps: {bunch: 4}',
-    'clock 50 ppm': 'stamps: {clock_rate: 50 ppm}',
-    'lost 0.05 %': 'samples: {lost: 0.05 %}',
-    'lost 0.5 %': 'samples: {lost: 0.5 %}',
-    'lost 2 %': 'samples: {lost: 2 %}',
-    'twice 0.05 %': 'samples: {twice: 0.05 %}',
-    'twice 2 %': 'samples: {twice: 2 %}',
-    'frozen 3 s every 5 min': 'samples: {frozen: {every: 5 min, for: 3 s}}',
-    'ringing': 'mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}',
-    'floor shakes': 'mounting: {floor: {rate: 0.05 deg/s, force: 2 mg}}',
-    'temperature ramp': (
-        'temperature: {ramp: 10 K/h, gyro: {bias: 0.02 (deg/h)/K, scale_factor: 2 ppm/K}, '
-        'accelerometer: {bias: 5 ug/K, scale_factor: 5 ppm/K}}'
-    ),
-    'warm-up': 'temperature: {warm_up: {gyro: 0.1 deg/h, accelerometer: 50 ug}}',
+CAUSES = {
+    'tilt': 'table is tilted',
+    'zeros': 'zeros of the joints that are off',
+    'orthogonality': 'joint axes that are not at right angles',
+    'wobble': 'joint axes that wobble',
+    'encoder': 'encoders that err within the turn',
+    'joints': 'as if joints stopped',
+    'stops': 'as if the table leaned',
+    'moves': 'By the gyros .* of .* moves end elsewhere',
+    'outliers': 'Does not fit the rest',
+    'turns': 'turns .* scatter|Turns .* scatter',
+    'gyro drift': 'biases of the gyros wander',
+    'accelerometer drift': 'biases of the accelerometers wander',
+    'temperature': 'temperature moved',
+    'north': 'gyros see north',
+    'course': 'The session shows .*(trend|warm_up)',
+    **{t.name: rf'The session shows .*\b{t.name}\b' for t in TERMS},
 }
+"""Words by which a finding names a cause."""
+
+SIZES = {
+    'g_sensitivity': (0.02, 0.1, 70.0),
+    'gyro_asymmetry': (20.0, 100.0, 800.0),
+    'gyro_rate_dependence': (20.0, 100.0, 800.0),
+    'gyro_cubic': (20.0, 100.0, 800.0),
+    'gyro_quadratic': (20.0, 100.0, 800.0),
+    'accel_quadratic': (20.0, 50.0, 1000.0),
+    'accel_asymmetry': (20.0, 50.0, 1000.0),
+    'accel_cubic': (20.0, 50.0, 1000.0),
+    'accel_cross': (20.0, 50.0, 1000.0),
+    'gyro_g2': (0.02, 0.1, 70.0),
+}
+"""Largest coefficients of terms, in their units, for each grade."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is wrong with a stand.
+
+    Attributes:
+        file: Of imperfections.
+        causes: Keys of `CAUSES` by which it is named rightly; others are wrong names.
+        plan: What is run.
+        exact: Whether the description of the table states that it is exact.
+        term: That the sensors have; empty for none.
+
+    """
+
+    file: str = '{}'
+    causes: tuple[str, ...] = ()
+    plan: str = 'twelve_position'
+    exact: bool = False
+    term: str = ''
+
+
+_TILTED = 'table: {tilt: {east: 0.1 deg, north: -0.03 deg}}'
+_LEVEL = 'table: {tilt: {east: 20 arcsec, north: -10 arcsec}}'
+_DRIFT = ('gyro drift', 'accelerometer drift', 'course')
+
+CONDITIONS = {
+    EXACT: Condition(exact=True),
+    'perfect': Condition(),
+    'laboratory: a little of everything': Condition(
+        named_file('imperfections', 'laboratory').read_text(encoding='utf-8'),
+        ('zeros', 'orthogonality', 'joints', 'stops', 'temperature', *_DRIFT),
+    ),
+    'tilt 20 arcsec': Condition(_LEVEL, ('tilt',)),
+    'tilt 20 arcsec, six positions': Condition(_LEVEL, ('tilt',), 'six_position'),
+    'tilt 0.1 deg': Condition(_TILTED, ('tilt',)),
+    'tilt 0.1 deg, six positions': Condition(_TILTED, ('tilt',), 'six_position'),
+    'zeros 60 arcsec': Condition('table: {zeros: 60 arcsec}', ('zeros',)),
+    'orthogonality 10 arcsec': Condition('table: {orthogonality: 10 arcsec}', ('orthogonality',)),
+    'wobble 2 arcsec': Condition('table: {wobble: {once: 2 arcsec, twice: 2 arcsec}}', ('wobble',)),
+    'encoder harmonics 3 arcsec': Condition(
+        'table: {encoder: {once: 3 arcsec, twice: 3 arcsec}}', ('encoder',)
+    ),
+    'encoder noise 7 arcsec': Condition('joint_states: {noise: 7 arcsec}'),
+    'encoder noise 15 arcsec': Condition('joint_states: {noise: 15 arcsec}'),
+    'encoder of 16 bits': Condition('joint_states: {resolution: 19.775390625 arcsec}'),
+    'joint stamps jitter 1 ms': Condition('joint_states: {jitter: 1 ms}'),
+    'arrivals of joints 5 arcsec': Condition('table: {arrivals: {joints: 5 arcsec}}', ('joints',)),
+    'arrivals of stops 2 arcsec': Condition(
+        'table: {arrivals: {tilt: 2 arcsec, heading: 2 arcsec}}', ('stops', 'joints')
+    ),
+    'servo 30 arcsec': Condition('table: {servo: 30 arcsec}'),
+    'ramps 20 deg/s^2': Condition('table: {acceleration: 20 deg/s^2}'),
+    'ramps 10 deg/s^2': Condition('table: {acceleration: 10 deg/s^2}'),
+    'stamps jitter 1 ms': Condition('stamps: {jitter: 1 ms}'),
+    'stamps late': Condition('stamps: {late: 1 %, delay: 20 ms}'),
+    'stamps in bunches of 4': Condition('stamps: {bunch: 4}'),
+    'clock 50 ppm': Condition('stamps: {clock_rate: 50 ppm}'),
+    'lost 0.05 %': Condition('samples: {lost: 0.05 %}'),
+    'lost 0.5 %': Condition('samples: {lost: 0.5 %}'),
+    'lost 2 %': Condition('samples: {lost: 2 %}'),
+    'twice 0.05 %': Condition('samples: {twice: 0.05 %}'),
+    'twice 2 %': Condition('samples: {twice: 2 %}'),
+    'frozen 3 s every 5 min': Condition('samples: {frozen: {every: 5 min, for: 3 s}}'),
+    'ringing': Condition('mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}'),
+    'floor shakes': Condition('mounting: {floor: {rate: 0.05 deg/s, force: 2 mg}}'),
+    'temperature ramp': Condition(
+        'temperature: {ramp: 10 K/h, gyro: {bias: 0.02 (deg/h)/K, scale_factor: 2 ppm/K}, '
+        'accelerometer: {bias: 5 ug/K, scale_factor: 5 ppm/K}}',
+        ('temperature', *_DRIFT),
+    ),
+    'warm-up': Condition(
+        'temperature: {warm_up: {gyro: 0.1 deg/h, accelerometer: 50 ug}}', _DRIFT
+    ),
+    **{name: Condition(causes=(name,), term=name) for name in SIZES},
+}
+
+
+def described(exact: bool) -> Table:
+    """Return the table as its file describes it; one that is not exact states nothing of itself."""
+    if exact:
+        return load_table('three_axis')
+    stated = yaml.safe_load(named_file('tables', 'three_axis').read_text(encoding='utf-8'))
+    left = {key: value for key, value in stated.items() if key not in ASSUMED}
+    return read_table(Section(left, 'three_axis'))
 
 
 def quick(plan: Plan) -> Plan:
@@ -91,39 +182,65 @@ def quick(plan: Plan) -> Plan:
     return replace(plan, positions=tuple(replace(p, dwell=DWELL) for p in plan.positions))
 
 
+def unit_of(grade: str, name: str) -> SensorModel:
+    """Return the unit of a grade, with a term if there is one."""
+    unit = Calibration.load(named_file('truths', GRADES[grade])).model
+    if not name:
+        return unit
+    parameters = term(name).parameters
+    size = SIZES[name][list(GRADES).index(grade)] * parameters[0].unit.scale
+    values = size * np.resize([1.0, -0.7, 0.5, 0.3], len(parameters))
+    return unit.with_values(parameters, values)
+
+
+def stand(condition: str, grade: str, seed: int) -> tuple[SimulatedStand, Setup]:
+    """Return a simulated stand, and what the calibrator knows of it."""
+    one = CONDITIONS[condition]
+    table, plan = described(one.exact), quick(load_plan(one.plan))
+    if one.plan == 'six_position':
+        table = replace(table, azimuth=0.0)
+    draw = zlib.crc32(f'{condition} {grade} {seed}'.encode())
+    section = Section.parse(one.file, condition)
+    options = read_imperfections(section, StandOptions(positioning_error=0.0), table, draw)
+    imu = load_imu(grade)
+    simulated = SimulatedStand(plan, table, imu, unit_of(grade, one.term), SITE, options, draw)
+    return simulated, Setup(imu, plan, table, SITE, look=True)
+
+
 def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
     """Simulate and calibrate one session; return what it says as a row."""
+    one = CONDITIONS[condition]
     row: dict[str, Any] = {
         'condition': condition,
-        'file': CONDITIONS[condition],
+        'file': one.file,
         'grade': grade,
         'seed': seed,
     }
-    table = load_table('three_axis')
-    plan = quick(load_plan('six_position' if 'six' in condition else 'twelve_position'))
-    if 'six' in condition:
-        table = replace(table, azimuth=0.0)
-    perfect = StandOptions(positioning_error=0.0, bias_instability=False)
-    # Every grade has noise of its own: figures of one seed would else be one draw thrice.
-    draw = seed * len(GRADES) + list(GRADES).index(grade)
-    section = Section.parse(CONDITIONS[condition], condition)
-    options = read_imperfections(section, perfect, table, draw)
-    imu, unit = load_imu(grade), Calibration.load(named_file('truths', GRADES[grade])).model
-    stand = SimulatedStand(plan, table, imu, unit, SITE, options, draw)
-    calibrator = Calibrator(Setup(imu, plan, table, SITE))
+    simulated, setup = stand(condition, grade, seed)
+    calibrator = Calibrator(setup)
     try:
-        for _, block in stand.blocks():
+        for _, block in simulated.blocks():
             calibrator.feed(block)
-        found = calibrator.finish().calibration
+        result = calibrator.finish()
     except ImuCalibError as error:
         return {**row, 'refused': str(error)}
-    wanted = truth(unit, options, stand.duration)
+    found = result.calibration
+    wanted = truth(unit_of(grade, one.term), simulated.options, simulated.duration)
     off = (found.values[:24] - wanted) / found.std[:24]
+    assert setup.table is not None
+    # What is said of a coefficient that the session does not show, and of what it would move.
+    held = [
+        [t.name, moved[0].name]
+        for t in result.solution.tests
+        for least, moved in zip(t.smallest, t.moved, strict=False)
+        if moved is not None and not np.isfinite(least)
+    ]
     return {
         **row,
         'off': np.round(off, 2).tolist(),
         'std': found.std[:24].tolist(),
-        'findings': list(found.findings),
+        'findings': [f for f in found.findings if f != setup.table.assumption],
+        'held': held,
     }
 
 
@@ -160,7 +277,7 @@ def rows_of(path: Path) -> dict[tuple[str, str, str, int], dict[str, Any]]:
 def run(wanted: Iterable[tuple[str, str, int]], path: Path, jobs: int) -> None:
     """Run the sessions that are missing and keep each as it ends."""
     done = rows_of(path)
-    missing = [w for w in wanted if (w[0], CONDITIONS[w[0]], w[1], w[2]) not in done]
+    missing = [w for w in wanted if (w[0], CONDITIONS[w[0]].file, w[1], w[2]) not in done]
     with single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
         sessions = pool.map(_session, missing)
         for row in sessions:
@@ -175,10 +292,11 @@ def _session(which: tuple[str, str, int]) -> dict[str, Any]:
 
 
 def _line(row: dict[str, Any]) -> str:
-    head = f'{row["condition"]}, {row["grade"]}, seed {row["seed"]}'
+    head = f'{row["condition"]}, {row["grade"]}, seed {row["seed"]}: {outcome(row)}'
+    blamed = f' (blames {", ".join(misnamed(row))})' if misnamed(row) else ''
     if 'refused' in row:
-        return f'{head}: refused. {row["refused"]}'
-    return f'{head}: {_worst(row)}; {" ".join(row["findings"])}'
+        return f'{head}. {row["refused"]}'
+    return f'{head}{blamed}: {_worst(row)}; {" ".join(row["findings"])}'
 
 
 def _worst(row: dict[str, Any]) -> str:
@@ -186,30 +304,74 @@ def _worst(row: dict[str, Any]) -> str:
     return f'{PARAMETER_NAMES[k]} {row["off"][k]:+.1f}'
 
 
+def named(row: dict[str, Any]) -> set[str]:
+    """Return the causes that findings name."""
+    return {
+        cause
+        for cause, words in CAUSES.items()
+        if any(re.search(words, finding) for finding in row.get('findings', ()))
+    }
+
+
+def misnamed(row: dict[str, Any]) -> list[str]:
+    """Return the causes that findings name and that are not there."""
+    return sorted(named(row) - set(CONDITIONS[row['condition']].causes))
+
+
+def outcome(row: dict[str, Any]) -> str:
+    """Say in a word what a session came to."""
+    if 'refused' in row:
+        return 'refused'
+    wrong = {PARAMETER_NAMES[k] for k in np.flatnonzero(np.abs(row['off']) > SILENT)}
+    if not wrong:
+        return 'honest'
+    causes = set(CONDITIONS[row['condition']].causes)
+    held = {parameter for name, parameter in row['held'] if name in causes}
+    return 'named' if causes & named(row) or wrong <= held else 'silently wrong'
+
+
 def verdict(rows: list[dict[str, Any]]) -> str:
     """Say in a word what a condition came to."""
-    refused = sum('refused' in r for r in rows)
-    wrong = [r for r in rows if 'off' in r and np.abs(r['off']).max() > SILENT]
-    silent = [r for r in wrong if not r['findings']]
-    words = []
-    if refused:
-        words.append(f'{refused} of {len(rows)} refused')
-    if silent:
-        words.append(f'{len(silent)} of {len(rows)} silently wrong')
-    if len(wrong) > len(silent):
-        words.append(f'{len(wrong) - len(silent)} of {len(rows)} wrong, with findings')
+    outcomes = [outcome(row) for row in rows]
+    words = [
+        f'{outcomes.count(bad)} of {len(rows)} {said}'
+        for bad, said in (
+            ('refused', 'refused'),
+            ('silently wrong', 'silently wrong'),
+            ('named', 'wrong, and named'),
+        )
+        if bad in outcomes
+    ]
+    blamed = [row for row in rows if misnamed(row)]
+    if blamed:
+        causes = sorted({cause for row in blamed for cause in misnamed(row)})
+        words.append(f'{len(blamed)} of {len(rows)} blamed on {", ".join(causes)}')
     return '; '.join(words) or 'honest'
 
 
-def widened(rows: list[dict[str, Any]], perfect: list[dict[str, Any]], kind: str) -> str:
-    """Return the largest ratio of deviations to the perfect session's, geometric mean of seeds."""
+@cache
+def bounds(condition: str, grade: str) -> tuple[float, ...] | None:
+    """Return the bound of a condition's deviations, (24,); None where it is not known."""
+    return None
+
+
+def widened(rows: list[dict[str, Any]], kind: str) -> list[float]:
+    """Return by how much the stated deviations are beyond the perfect session's, for each of a kind.
+
+    Of seeds the geometric mean.
+    """
+    stated = [r['std'] for r in rows if 'std' in r]
     of = [k for k, name in enumerate(PARAMETER_NAMES) if name.startswith(kind)]
-    here = [r['std'] for r in rows if 'std' in r]
-    there = [r['std'] for r in perfect if 'std' in r]
+    return list(np.exp(np.log(stated).mean(axis=0))[of]) if stated else []
+
+
+def widening(these: list[dict[str, Any]], perfect: list[dict[str, Any]], kind: str) -> str:
+    """Return the largest ratio of deviations to the perfect session's, and that of the bounds."""
+    here, there = widened(these, kind), widened(perfect, kind)
     if not here or not there:
         return '-'
-    ratio = np.exp(np.log(here).mean(axis=0) - np.log(there).mean(axis=0))
-    return f'{ratio[of].max():.2f}'
+    ratios = np.array(here) / np.array(there)
+    return f'{ratios.max():.2f}'
 
 
 def page(rows: list[dict[str, Any]], seeds: int) -> str:
@@ -218,7 +380,7 @@ def page(rows: list[dict[str, Any]], seeds: int) -> str:
     for condition in CONDITIONS:
         for grade in GRADES:
             these = [r for r in rows if (r['condition'], r['grade']) == (condition, grade)]
-            perfect = [r for r in rows if (r['condition'], r['grade']) == (PERFECT, grade)]
+            perfect = [r for r in rows if (r['condition'], r['grade']) == (EXACT, grade)]
             if not these:
                 continue
             solved = [r for r in these if 'off' in r]
@@ -226,12 +388,16 @@ def page(rows: list[dict[str, Any]], seeds: int) -> str:
             said = {f for r in these for f in r.get('findings', [r.get('refused', '')])}
             lines.append(
                 f'| {condition} | {grade} | {"-" if worst is None else _worst(worst)} '
-                f'| {widened(these, perfect, "K")} | {widened(these, perfect, "D")} '
+                f'| {widening(these, perfect, "K")} | {widening(these, perfect, "D")} '
                 f'| {verdict(these)} | {_short(said)} |'
             )
     lines.append('\nThe files:\n')
     run_already = {r['condition'] for r in rows}
-    lines += [f'- {name}: `{text}`' for name, text in CONDITIONS.items() if name in run_already]
+    lines += [
+        f'- {name}: `{one.file}`'
+        for name, one in CONDITIONS.items()
+        if name in run_already and one.file != '{}'
+    ]
     return '\n'.join(lines) + '\n'
 
 
@@ -246,20 +412,7 @@ def _short(said: set[str]) -> str:
 
 HEAD = """\
 # What sessions say on imperfect stands
-
-Written by `docs/imperfections.py`: sessions of {dwell:g} s per position, {seeds} seeds each, of
-three units of [config/imus](../config/imus), on the table `three_axis`. The keys of the files are
-in [simulation.md](simulation.md). Worst: the parameter whose error is the largest in its stated
-standard deviations. Widened: the largest ratio of the stated deviations of K and of D to those of
-the perfect stand. Wrong: an error of more than 4.5 deviations; silently, where nothing is said.
-
-The file of the table states nothing of its axes, zeros and encoders here: they are taken as exact.
-One that states them ([tables.md](tables.md)) has them in the covariance.
-
-The truth is that of the mean over the session, in seconds of the table's clock.
-
-| condition | unit | worst | K widened | D widened | verdict | what is said |
-|---|---|---|---|---|---|---|"""
+"""
 
 
 def main() -> None:
@@ -276,10 +429,14 @@ def main() -> None:
         for seed in range(a.seeds)
         for condition in CONDITIONS
         for grade in a.grades
-        if a.only in condition or condition == PERFECT
+        if a.only in condition
     ]
     run(wanted, a.rows, a.jobs)
-    rows = [r for r in rows_of(a.rows).values() if r['file'] == CONDITIONS.get(r['condition'])]
+    rows = [
+        r
+        for r in rows_of(a.rows).values()
+        if r['condition'] in CONDITIONS and r['file'] == CONDITIONS[r['condition']].file
+    ]
     if not a.only:
         text = page([r for r in rows if r['seed'] < a.seeds], a.seeds)
         Path(__file__).with_suffix('.md').write_text(text, encoding='utf-8')
