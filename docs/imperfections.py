@@ -161,9 +161,7 @@ CONDITIONS = {
         'accelerometer: {bias: 5 ug/K, scale_factor: 5 ppm/K}}',
         ('temperature', *_DRIFT),
     ),
-    'warm-up': Condition(
-        'temperature: {warm_up: {gyro: 0.1 deg/h, accelerometer: 50 ug}}', _DRIFT
-    ),
+    'warm-up': Condition('temperature: {warm_up: {gyro: 0.1 deg/h, accelerometer: 50 ug}}', _DRIFT),
     **{name: Condition(causes=(name,), term=name) for name in SIZES},
 }
 

@@ -36,6 +36,7 @@ from imu_calib.montecarlo import economical
 from imu_calib.observation.equations import Equations, Nuisance
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import Plan, Position, load_plan
+from imu_calib.prediction.forecast import forecast
 from imu_calib.segmentation.segment import Segment, Statistics, Turn
 from imu_calib.simulation import StandOptions
 from imu_calib.stream import Floats
@@ -398,6 +399,21 @@ def test_a_stated_drift_on_the_stand_is_in_the_standard_deviations() -> None:
         assert np.abs(normalised(found)).max() < 4.5
         assert found.wandering is not None
         assert found.wandering[3] == pytest.approx(20 * MICRO_G, rel=0.5)
+
+
+def test_moves_do_not_know_biases_better_than_a_drift_leaves_them() -> None:
+    # The mean of a Gauss-Markov process of standard deviation s and correlation time tau is known
+    # from all of a stretch T of it, seen without noise, to s sqrt(2 / (2 + T / tau)) (Grenander
+    # 1954, Ann. Math. Stat. 25, 252).
+    spec, plan = load_imu('mems_counts'), quick_plan('twelve_position', 40.0)
+    evidence = simulated(plan, stand(bias_instability=True), spec=spec)
+    assert len(evidence.led) > 6
+    seen = [*evidence.segments, *evidence.turns]
+    length = (max(s.end for s in seen) - min(s.start for s in seen)) / SECOND
+    bound = spec.gyro.bias_instability * np.sqrt(2 / (2 + length / CORRELATION))
+    assert (joint.solve(evidence).std[GYRO_BIAS] > bound).all()
+    setup = Setup(spec, plan, load_table('three_axis'), SITE)
+    assert (forecast(setup, truth().model, wander=True).std[GYRO_BIAS] > bound).all()
 
 
 def test_drift_that_no_data_sheet_states_is_found_and_said() -> None:

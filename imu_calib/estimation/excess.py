@@ -29,6 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..budget import Source
+from ..model import BIASES, positions
 from ..observation.arrivals import NO_ARRIVALS, Arrivals
 from ..observation.components import Component, Dense
 from ..observation.equations import Equations
@@ -118,11 +119,6 @@ class _Triad:
         shares = _KINDS.tolist()
         mixed = [np.sqrt([1 - share, share]) for share in shares]
         return along_columns(base, self.arrivals, mixed, self.left, variances)
-
-
-def _spread(kernel: Floats) -> Floats:
-    """Repeat a kernel over stretches for three channels, in the order of the rows."""
-    return np.asarray(np.kron(kernel, np.eye(3)), dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,12 +303,12 @@ def _spread_out(
         of_calm, of_beyond = wander.weights()
         calm += weight * float(of_calm @ _SHARES + of_beyond.sum())
         by_ratio += weight * of_beyond
-    means = len(triad.rows) // 3
-    stated = calm * triad.stated * _spread(triad.wandering.stated_kernel()[:means, :means])
+    means = len(triad.rows)
+    stated = calm * triad.stated * triad.wandering.stated_kernel()[:means, :means]
     found = np.zeros_like(stated)
     for k, time in enumerate(_TIMES):
         kernel = triad.wandering.kernel(time)[:means, :means]
-        found += float(by_ratio[k] @ _RATIOS) * triad.typical * _spread(kernel)
+        found += float(by_ratio[k] @ _RATIOS) * triad.typical * kernel
     total = calm * triad.stated + float((by_ratio @ _RATIOS).sum()) * triad.typical
     parts = []
     if calm * triad.stated:
@@ -351,7 +347,7 @@ def _triad(
     prior = equations.prior_rows(state)
     starts = np.array([start for _, start in stretches] + [m.start for m in moves], dtype=np.int64)
     durations = np.array([x.duration for x, _ in stretches] + [m.duration for m in moves])
-    units = np.concatenate([np.ones(len(stretches)), durations[len(stretches) :]])
+    biases = positions(BIASES[first : first + 3], equations.parameters)
     with_slope = [
         all(len(b) >= _BLOCKS_FOR_A_SLOPE for b in x.blocks[first : first + 3])
         for x, _ in stretches
@@ -367,7 +363,7 @@ def _triad(
     wandering = Wandering.over(
         (starts - starts.min()) * 1e-9,
         durations,
-        units,
+        jacobian[np.ix_(rows, biases)].reshape(-1, 3, 3),
         np.array(with_slope + [False] * len(moves), dtype=bool),
     )
     project, z = _restricted(
@@ -382,7 +378,7 @@ def _triad(
     stated = float(evidence.instability[first] ** 2)
 
     def seen_by(kernel: Floats, variance: float) -> Floats:
-        return np.asarray(both.T @ (variance * _spread(kernel)) @ both)
+        return np.asarray(both.T @ (variance * kernel) @ both)
 
     moved = [
         np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in arrivals

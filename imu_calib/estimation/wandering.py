@@ -27,36 +27,41 @@ class Wandering:
         nodes: (n, 8) instants of each stretch, s.
         of: (k,) the stretch that each mean or slope is of, all means first.
         weights: (k, 8) of its nodes.
+        answers: (k, 3, 3) what three outputs make of three biases, for each.
 
     """
 
     nodes: Floats
     of: NDArray[np.intp]
     weights: Floats
+    answers: Floats
     _memo: dict[float, Floats] = field(default_factory=dict, repr=False)
 
     @classmethod
     def over(
-        cls, starts: Floats, durations: Floats, units: Floats, with_slope: NDArray[np.bool_]
+        cls, starts: Floats, durations: Floats, answers: Floats, with_slope: NDArray[np.bool_]
     ) -> Wandering:
         """Lay nodes over n stretches, whose means come first, then the slopes.
 
         Args:
             starts: (n,) of the stretches, s.
             durations: (n,) s.
-            units: (n,) what a mean of one counts for: the time of a move, whose output is an angle.
+            answers: (n, 3, 3) derivatives of the outputs by constant biases. A move carries them
+                along as it turns: at its end they are not what their time alone would make.
             with_slope: (n,) whether the slope counts too.
 
         """
         grid = (np.arange(_NODES) + 0.5) / _NODES
         centred = grid - 0.5
-        means = np.outer(units, np.full(_NODES, 1 / _NODES))
+        means = np.full((len(starts), _NODES), 1 / _NODES)
         slopes = np.outer(1 / durations, centred / (centred @ centred))
         every = np.arange(len(starts))
+        alike = np.broadcast_to(np.eye(3), (int(np.sum(with_slope)), 3, 3))
         return cls(
             starts[:, None] + durations[:, None] * grid,
             np.concatenate([every, every[with_slope]]),
             np.vstack([means, slopes[with_slope]]),
+            np.concatenate([answers, alike]),
         )
 
     @property
@@ -69,18 +74,19 @@ class Wandering:
         return self.kernel(_STATED_TIME / self.span)
 
     def kernel(self, time: float) -> Floats:
-        """Return the covariance of means and slopes for unit variance, (k, k).
+        """Return the covariance of means and slopes of three channels for unit variance, (3k, 3k).
 
         Args:
             time: Correlation time as a fraction of the session.
 
         """
         if time not in self._memo:
-            self._memo[time] = self._kernel(time * self.span)
+            alone, rows = self._kernel(time * self.span), self.answers.reshape(-1, 3)
+            self._memo[time] = np.kron(alone, np.ones((3, 3))) * (rows @ rows.T)
         return self._memo[time]
 
     def _kernel(self, time: float) -> Floats:
-        """Return `kernel` for a correlation time in s.
+        """Return the covariance of one channel, (k, k), for a correlation time in s.
 
         From one stretch to a later one the process decays by how far apart they are: what each
         holds of it, and the time between, are factors.

@@ -3,6 +3,7 @@
 from .kinds import TRIADS, Carried, Kind, ParameterKind, Unit
 from .parameters import (
     AXES,
+    BIASES,
     MOST_SKEWED,
     PARAMETER_NAMES,
     PARAMETERS,
@@ -37,6 +38,7 @@ from .terms import (
 __all__ = [
     'AUTO_TERMS',
     'AXES',
+    'BIASES',
     'G_SENSITIVITIES',
     'G_SENSITIVITY',
     'MOST_SKEWED',

@@ -140,6 +140,9 @@ def _triad_parameters(triad: str) -> list[Parameter]:
 PARAMETERS: tuple[Parameter, ...] = (*_triad_parameters('g'), *_triad_parameters('a'))
 """The 24 parameters, in the order of every vector and covariance."""
 
+BIASES: tuple[Parameter, ...] = tuple(p for p in PARAMETERS if p.kind is ParameterKind.BIAS)
+"""The six of them, gyros first."""
+
 PARAMETER_NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
 
 

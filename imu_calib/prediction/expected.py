@@ -16,7 +16,7 @@ import scipy
 from ..calibrator import Setup
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
-from ..model import SensorModel, Skewed
+from ..model import BIASES, SensorModel, Skewed
 from ..observation.evidence import Evidence
 from ..observation.headings import headings, whole
 from ..profile import Course, moving
@@ -412,11 +412,11 @@ def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats
     channel = [*rows.channels.tolist(), *[6] * len(askew)]
     which = np.concatenate([rows.stretch, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*_triads(spec), spec.skewed or TriadSpec())]
-    instability = np.array(figures)[channel]
-    # Moves give angles.
-    instability[rows.move] *= np.array([m.duration for m in moves]).reshape(-1, 1)
-    same = np.equal.outer(channel, channel)
-    return np.asarray(same * means[np.ix_(which, which)] * np.outer(instability, instability))
+    # What a move carries along as it turns; all else reads its own bias.
+    answers = np.eye(7)[channel]
+    answers[rows.move, :3] = evidence.led.by_parameters(SensorModel(), BIASES[:3])
+    by_bias = answers * figures
+    return np.asarray(means[np.ix_(which, which)] * (by_bias @ by_bias.T))
 
 
 def _walk(spec: ImuSpec) -> Floats:
