@@ -363,7 +363,7 @@ def _triad(
     wandering = Wandering.over(
         (starts - starts.min()) * 1e-9,
         durations,
-        jacobian[np.ix_(rows, biases)].reshape(-1, 3, 3),
+        jacobian[np.ix_(rows, np.array(biases))].reshape(-1, 3, 3),
         np.array(with_slope + [False] * len(moves), dtype=bool),
     )
     project, z = _restricted(
