@@ -30,6 +30,7 @@ DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
 
 PLOT = 'matplotlib>=3.6'
 DATA_FRAME = 'pandas>=2'
+ROSBAGS = 'rosbags>=0.10.7'
 
 setup(
     name=NAME,
@@ -64,12 +65,13 @@ setup(
         'dds': [DDS],
         'plot': [PLOT],
         'dataframe': [DATA_FRAME],
+        'ros1': [ROSBAGS],
         'test': [
             'pytest>=7.4',
             'pytest-timeout>=2.2',
             'pytest-xdist>=3',
             'hypothesis>=6',
-            'rosbags>=0.10.7',
+            ROSBAGS,
             DDS,
             PLOT,
             DATA_FRAME,

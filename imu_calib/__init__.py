@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .api.calibrating import calibrate
     from .api.columns import Columns, read
     from .api.compensating import Compensated, compensate
+    from .api.converting import Converted, convert
     from .api.predicting import Prediction, predict
     from .api.reporting import report
     from .api.simulating import Simulated, simulate
@@ -32,6 +33,7 @@ _WHERE = {
     'Calibration': 'calibration',
     'Columns': 'api.columns',
     'Compensated': 'api.compensating',
+    'Converted': 'api.converting',
     'ImuCalibError': 'errors',
     'InputError': 'errors',
     'NotObservable': 'errors',
@@ -42,6 +44,7 @@ _WHERE = {
     'Verification': 'verification',
     'calibrate': 'api.calibrating',
     'compensate': 'api.compensating',
+    'convert': 'api.converting',
     'predict': 'api.predicting',
     'read': 'api.columns',
     'report': 'api.reporting',
@@ -54,6 +57,7 @@ __all__ = [
     'Calibration',
     'Columns',
     'Compensated',
+    'Converted',
     'ImuCalibError',
     'InputError',
     'NotObservable',
@@ -64,6 +68,7 @@ __all__ = [
     'Verification',
     'calibrate',
     'compensate',
+    'convert',
     'predict',
     'read',
     'report',

@@ -16,6 +16,17 @@ from .storage import Losses, RecordingError, Storage
 
 _STORAGE = ('.mcap', '.db3')
 _PACKED = ('.zstd', '.zst')
+_OTHERS = {
+    '.bag': 'is a bag of ROS 1: imu-calib convert {path} -o OUT makes a recording of it.',
+    '.ulg': 'is a log of PX4: ulog2csv (pyulog) makes text files of it, and imu-calib convert a '
+    'recording of those.',
+    **dict.fromkeys(
+        ('.csv', '.txt', '.tsv', '.dat'),
+        'is a text file: imu-calib convert {path} -o OUT --stamp NAME:UNIT --gyro '
+        'NAME,NAME,NAME:UNIT --accel NAME,NAME,NAME:UNIT makes a recording of it.',
+    ),
+}
+"""What people record instead, by the ending of its name, and the way from there."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +72,8 @@ def find_files(path: Path, losses: Losses) -> Found:
 
     """
     if path.is_file():
+        if (way := _OTHERS.get(path.suffix.lower())) is not None:
+            raise RecordingError(f'{path} {way.format(path=path)}')
         return Found((path,), Metadata())
     if not path.is_dir():
         raise RecordingError(f'{path}: no such recording; expected a rosbag2 folder or file.')

@@ -27,6 +27,7 @@ COMMANDS = {
     'plans': 'list plans, lay one out, predict what it gives',
     'montecarlo': 'repeat a simulated session with seeds',
     'info': 'what is in a recording',
+    'convert': 'text files and bags of ROS 1 to a recording',
 }
 """What each does; the module of its name does it."""
 

@@ -1,0 +1,64 @@
+"""imu-calib convert: text files, bags of ROS 1 and IMUs on two topics to a recording."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..api.converting import convert
+from .terminal import OUTPUT, progress_bar, sentence_list
+
+_COLUMNS = 'NAME,NAME,NAME:UNIT'
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
+    parser.add_argument(
+        'file', help='text file (CSV, tabs, blanks), bag of ROS 1, or recording of rosbag2'
+    )
+    parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
+    text = parser.add_argument_group(
+        'text files', 'NAME: as in the heading of the file, or the place of a column from 1 on.'
+    )
+    text.add_argument('--stamp', metavar='NAME:UNIT', help='time of each row, in s, ms, us or ns')
+    text.add_argument('--rate', metavar='HZ', help="of the rows, for instance '200 Hz'")
+    text.add_argument(
+        '--gyro', metavar=_COLUMNS, help='for instance wx,wy,wz:deg/s; also in pulse, or in count'
+    )
+    text.add_argument(
+        '--accel', metavar=_COLUMNS, help='for instance ax,ay,az:g; also in pulse, or in count'
+    )
+    text.add_argument(
+        '--joints', metavar='NAME,...:UNIT', help="the table's joints, for instance outer,inner:deg"
+    )
+    text.add_argument('--temperature', metavar='NAME:degC', help='of the unit')
+    text.add_argument('--delimiter', metavar='C', help='between fields (default: as found)')
+    parser.add_argument('--imu', metavar='NAME|FILE', help='what pulses or counts mean')
+    topics = parser.add_argument_group(
+        'gyros and accelerometers on two topics',
+        'Accelerometers are read at the stamps of the gyros, on straight lines between samples.',
+    )
+    topics.add_argument('--gyro-topic', metavar='TOPIC', help='sensor_msgs/Imu of the gyros')
+    topics.add_argument('--accel-topic', metavar='TOPIC', help='that of the accelerometers')
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Convert, and say what was written."""
+    done = convert(
+        arguments.file,
+        arguments.output,
+        stamp=arguments.stamp,
+        rate=arguments.rate,
+        gyro=arguments.gyro,
+        accel=arguments.accel,
+        joints=arguments.joints,
+        temperature=arguments.temperature,
+        delimiter=arguments.delimiter,
+        gyro_topic=arguments.gyro_topic,
+        accel_topic=arguments.accel_topic,
+        imu=arguments.imu,
+        progress=progress_bar,
+    )
+    listed = ', '.join(f'{count} of {topic}' for topic, count in done.counts.items())
+    OUTPUT.print(f'{listed} written to {done.path}', markup=False)
+    sentence_list('Worth knowing', done.findings)
