@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timezone
 
@@ -16,7 +17,15 @@ from .earth import Site
 from .errors import Contradiction, InputError, NotObservable
 from .gravity import gravity_covariance, with_gravity
 from .imu import ImuSpec
-from .methods import JOINT, check_plan, closed_form_beside, default_method, estimates, method
+from .methods import (
+    JOINT,
+    check_plan,
+    closed_form_beside,
+    default_method,
+    estimates,
+    method,
+    provisional,
+)
 from .methods.comparison import Comparison
 from .methods.solution import Solution
 from .model import AXES, Parameter, SensorModel, Term, terms_of
@@ -36,6 +45,12 @@ from .turntable import Table
 from .units import DEG
 
 _YEAR_2000, _YEAR_2200 = 946_684_800 * 10**9, 7_258_118_400 * 10**9
+
+
+_LATER = (
+    'Provisional: terms are looked for when the session ends (--terms auto); a scale factor that '
+    'differs between the senses, say, is not in this estimate.',
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +159,9 @@ class Calibrator:
     def __init__(self, setup: Setup) -> None:
         check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
-        self._solver = method(setup.method_name, setup.terms, setup.changes, look=setup.look)
+        asked = setup.method_name, setup.terms, setup.changes
+        self._solver = method(*asked, look=setup.look)
+        self._glance = provisional(*asked)
         self._segmenter = Segmenter(setup.imu, setup.table)
 
     def feed(self, block: Block) -> None:
@@ -162,7 +179,7 @@ class Calibrator:
         session = self._segmenter.finish()
         if session.strangers:
             raise InputError(session.strangers)
-        return self._solve(session)
+        return self._solve(session, final=True)
 
     def snapshot(self) -> Calibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself.
@@ -172,17 +189,32 @@ class Calibrator:
         return copy.deepcopy(self)
 
     def review(self) -> Review:
-        """End of the session, or of a snapshot: solve, or say how far it has come.
+        """Say of a snapshot how far the session has come: solve, or what is determined already.
+
+        Terms that nobody asked for are looked for at the end alone: the search takes several times
+        as long as the estimate, and what a session goes on to show may change what it finds.
 
         Raises:
             InputError: The data is not what the set-up says it is.
 
         """
+        return self._reviewed(final=False)
+
+    def conclude(self) -> Review:
+        """End of the session: what `finish` gives, or how far it has come.
+
+        Raises:
+            InputError: The data is not what the set-up says it is.
+
+        """
+        return self._reviewed(final=True)
+
+    def _reviewed(self, *, final: bool) -> Review:
         session = self._segmenter.finish()
         labelled = label(session, self._setup.plan, self._setup.table)
         unsupported = unsupported_steps(session, labelled, self._setup.plan, self._setup.table)
         try:
-            result = self._solve(session)
+            result = self._solve(session, final=final)
         except NotObservable as error:
             std = self._reached(labelled, session)
             return self._review(session, std, unsupported, None, str(error))
@@ -236,7 +268,11 @@ class Calibrator:
         return Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
 
     def _estimate(
-        self, evidence: Evidence, labelled: Labelled, session: Segmented
+        self,
+        evidence: Evidence,
+        labelled: Labelled,
+        session: Segmented,
+        solver: Callable[[Evidence], Solution],
     ) -> tuple[Solution, Comparison | None]:
         """Solve; a joint estimate with the closed form of the plan beside it.
 
@@ -250,7 +286,7 @@ class Calibrator:
         """
         name = closed_form_beside(self._setup.method_name, self._setup.plan)
         if name is None:
-            return self._solver(evidence), None
+            return solver(evidence), None
         closed: Solution | NotObservable
         try:
             closed = method(name)(self._evidence(labelled.of_plan(self._setup.plan), session))
@@ -259,7 +295,7 @@ class Calibrator:
         except NotObservable as error:
             closed = error
         try:
-            solution = self._solver(evidence)
+            solution = solver(evidence)
         except InputError:
             # What a part of a session cannot determine may come out as anything.
             if isinstance(closed, NotObservable):
@@ -269,7 +305,7 @@ class Calibrator:
             return solution, Comparison.refused(name, str(closed))
         return solution, Comparison.of(solution, closed, name)
 
-    def _solve(self, session: Segmented) -> Result:
+    def _solve(self, session: Segmented, *, final: bool) -> Result:
         setup = self._setup
         labelled = label(session, setup.plan, setup.table)
         used = self._used(labelled)
@@ -278,11 +314,18 @@ class Calibrator:
         evidence = self._evidence(used, session)
         lost = _what_was_lost(setup, evidence, labelled, session)
         try:
-            solution, comparison = self._estimate(evidence, labelled, session)
+            solver = self._solver if final else self._glance
+            solution, comparison = self._estimate(evidence, labelled, session, solver)
         except NotObservable as error:
             raise type(error)(' '.join([str(error), *lost])) from None
         contradiction = comparison.finding() if comparison is not None else []
-        findings = (*solution.findings, *contradiction, *lost, *_assumed(setup, solution))
+        findings = (
+            *(() if final or not setup.look else _LATER),
+            *solution.findings,
+            *contradiction,
+            *lost,
+            *_assumed(setup, solution),
+        )
         calibration = Calibration(
             setup.imu,
             solution.model,
@@ -292,7 +335,8 @@ class Calibrator:
                 for r in solution.residuals
             ),
             findings,
-            _provenance(setup, evidence, session, solution, comparison),
+            _provenance(setup, evidence, session, solution, comparison)
+            | (_noise(evidence) if final else {}),
             setup.serial_number,
             solution.parameters,
             None if solution.shares is None else Budget.of(solution.shares),
@@ -388,7 +432,6 @@ def _provenance(
     clock = session.clock
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
     rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
-    seen = session_noise([s.statistics for s in evidence.segments], evidence.walk)
     special: dict[str, object] = {}
     missing = evidence.missing()
     if missing:
@@ -403,7 +446,7 @@ def _provenance(
         'recorded': _date(session.start),
         'method': setup.method_name,
         'terms': [*(t.name for t in terms_of(solution.parameters)), *spelled(setup.changes)],
-        'terms_looked_for': setup.look,
+        'terms_looked_for': setup.look and bool(solution.tests),
         'plan': setup.plan.name or None,
         'table': setup.table.name if setup.table is not None else None,
         'table_clock_std': setup.table.clock if setup.table is not None else None,
@@ -421,7 +464,6 @@ def _provenance(
         'samples': sum(s.statistics.samples for s in evidence.segments)
         + sum(t.statistics.samples for t in evidence.turns),
         'random_walk': [float(v) for v in evidence.walk],
-        'noise': {name: channel.document() for name, channel in seen.items()},
         'residual_rms': [_or_none(v) for v in rms],
         'condition_number': solution.condition,
         'highest_rate': max((abs(float(t.rate())) for t in evidence.turns), default=None),
@@ -440,6 +482,12 @@ def _provenance(
             'scipy': scipy.__version__,
         },
     }
+
+
+def _noise(evidence: Evidence) -> dict[str, object]:
+    """Return the noise that the session showed, for a session that is over: it takes its time."""
+    seen = session_noise([s.statistics for s in evidence.segments], evidence.walk)
+    return {'noise': {name: channel.document() for name, channel in seen.items()}}
 
 
 def _date(stamp: int | None) -> str | None:

@@ -124,6 +124,27 @@ def test_reviews_on_the_way_leave_the_result_as_it_is(tmp_path, wire):
     assert same(finish(session), offline(tmp_path / 'journal'))
 
 
+def test_terms_are_looked_for_when_a_session_ends_and_not_at_every_review(wire):
+    setup = replace(SETUP, look=True)
+    whole = Calibrator(setup)
+    for kind, payloads in wire.items():
+        for block in kind.decode(Messages.join(payloads)):
+            whole.feed(block)
+    review, end = whole.snapshot().review(), whole.snapshot().conclude()
+    assert review.result is not None
+    assert end.result is not None
+    on_the_way, final = review.result.calibration, end.result.calibration
+    assert review.result.solution.tests == ()
+    assert not on_the_way.provenance['terms_looked_for']
+    assert [f for f in on_the_way.findings if 'Provisional: terms are looked for' in f]
+    assert end.result.solution.tests
+    assert final.provenance['terms_looked_for']
+    assert not [f for f in final.findings if 'Provisional' in f]
+    assert same(final, whole.finish().calibration)
+    # This unit has none: it is the same estimate.
+    assert same(on_the_way, final)
+
+
 @pytest.mark.parametrize('killed_at', [0.1, 0.55, 0.93])
 def test_after_a_crash_it_goes_on_from_the_journal_and_names_the_gap(tmp_path, wire, killed_at):
     folder = tmp_path / 'journal'

@@ -108,6 +108,21 @@ def method(
     return partial(_in_table_time, METHODS[name])
 
 
+def provisional(
+    name: str, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
+) -> Callable[[Evidence], Solution]:
+    """Return what a method makes of a session that goes on: `method`, looking for no terms.
+
+    Raises:
+        InputError: As `method`.
+
+    """
+    if name in JOINT:
+        own = (*JOINT[name], *terms)
+        return partial(_in_table_time, partial(joint.provisional, terms=own, changes=changes))
+    return method(name, terms, changes)
+
+
 def _in_table_time(solve: Callable[[Evidence], Solution], evidence: Evidence) -> Solution:
     return solve(in_table_time(evidence))
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ..changes import Changes
-from ..estimation.fit import Estimate
+from ..estimation.fit import Estimate, estimate
 from ..estimation.search import searched
 from ..estimation.tested import findings, tested
 from ..estimation.warmth import moved_temperature
@@ -61,6 +61,25 @@ def solve(
         shares=search.shares(),
         tests=tested(search, terms),
     )
+
+
+def provisional(
+    evidence: Evidence, terms: tuple[Term, ...] = (), changes: tuple[Change, ...] = ()
+) -> Solution:
+    """Estimate what `solve` does of a session that goes on: what is off is neither tested nor on.
+
+    Args:
+        evidence: The session so far.
+        terms: As in `solve`.
+        changes: Likewise.
+
+    Raises:
+        NotObservable: As `solve`.
+        InputError: Likewise.
+
+    """
+    found = estimate(evidence, parameters_of(terms), changes)
+    return replace(_concluded(found), shares=found.shares())
 
 
 def _concluded(found: Estimate) -> Solution:

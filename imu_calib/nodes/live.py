@@ -253,7 +253,9 @@ class LiveSession:
         self._pending_is_final = self._ending
         self._pending_until = self._leader.newest or 0
         self._solving_since = time.monotonic()
-        self._pending = self._solver.submit(self._calibrator.snapshot().review)
+        snapshot = self._calibrator.snapshot()
+        work = snapshot.conclude if self._pending_is_final else snapshot.review
+        self._pending = self._solver.submit(work)
 
     def poll(self) -> bool:
         """Look for what the solver found, and for the end; return whether there is news."""

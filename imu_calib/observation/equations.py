@@ -223,6 +223,9 @@ class Equations:
 
     def model(self, state: Floats) -> SensorModel:
         """Return the sensors that a state (n,) describes, in the mean over the session."""
+        return self._once('sensors', state, self._model)
+
+    def _model(self, state: Floats) -> SensorModel:
         return SensorModel().with_values(self.parameters, state[: self.sensors])
 
     def surroundings(self, state: Floats) -> Surroundings:
@@ -230,6 +233,9 @@ class Equations:
 
         An azimuth that is given is already in the attitudes: the state holds what is left of it.
         """
+        return self._once('surroundings', state, self._surroundings)
+
+    def _surroundings(self, state: Floats) -> Surroundings:
         azimuth, tilt_x, tilt_y = state[self.sensors : self.clock]
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 
@@ -465,6 +471,9 @@ class Equations:
             (m, 3).
 
         """
+        return self._once('by rate', state, self._by_rate)
+
+    def _by_rate(self, state: Floats) -> Floats:
         _, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = model.slopes(rate, force)[..., :3] @ self._to_body

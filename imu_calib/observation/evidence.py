@@ -31,8 +31,8 @@ from .rows import Rows
 
 UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
-_REMEMBERED = 12
-"""Four at each of three states: of the last step, and of the two from which the next fits start."""
+_REMEMBERED = 21
+"""Seven at each of three states: the last step, and two from which the next fits start."""
 _QUARTZ = 50e-6
 _STATED_FREEDOM = 10.0
 _ENOUGH_FREEDOM = 20.0

@@ -113,20 +113,29 @@ def _led(
     counts = [len(each) for each in seconds]
     steps = rates * np.concatenate(seconds)[:, None]
     wholes, after = _chained(steps, counts)
-    middles = after @ rotations(-steps / 2)
+    middles = np.moveaxis(_times(after, _rotations(-steps / 2)), -1, 0)
     ends = np.cumsum(counts)[:-1]
     return list(zip(np.split(rates, ends), np.split(middles, ends), wholes, strict=True))
 
 
 def rotations(vectors: Floats) -> Floats:
     """Return the rotation matrices (n, 3, 3) of (n, 3) rotation vectors (Rodrigues)."""
+    return np.ascontiguousarray(np.moveaxis(_rotations(vectors), -1, 0))
+
+
+def _rotations(vectors: Floats) -> Floats:
+    """Return `rotations` with the index of the vector last, (3, 3, n)."""
+    x, y, z = vectors.T
     angle = np.linalg.norm(vectors, axis=-1)
-    x, y, z = np.moveaxis(vectors, -1, 0)
+    sine = np.sinc(angle / np.pi)
+    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
     zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
-    sine = np.sinc(angle / np.pi)[..., None, None]
-    versine = (0.5 * np.sinc(angle / (2 * np.pi)) ** 2)[..., None, None]
-    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    # The square of a cross product's matrix is v v' - v'v.
+    outer = vectors.T[:, None] * vectors.T
+    result = sine * cross + versine * outer
+    result[range(3), range(3)] += 1 - versine * angle**2
+    return np.asarray(result)
 
 
 def rotation_vector(rotation: Floats) -> Floats:
@@ -152,25 +161,33 @@ def chained(vectors: Floats) -> tuple[Floats, Floats]:
 
     """
     wholes, after = _chained(vectors, [len(vectors)])
-    return wholes[0], after
+    return wholes[0], np.moveaxis(after, -1, 0)
 
 
 def _chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
     """Follow vectors through motions of so many of (n, 3) rotation vectors each; see `chained`.
 
     Returns:
-        (m, 3, 3), one for each motion, and (n, 3, 3) to the end of its own.
+        (m, 3, 3), one for each motion, and (3, 3, n) to the end of its own.
 
     """
     ends = np.cumsum(counts)
     follow = np.repeat(ends, counts) - np.arange(len(vectors)) - 1
     # Products of all that follow, by doubling: after pass k each holds 2^k steps.
-    product = rotations(-vectors)
+    product = _rotations(-vectors)
     reach = 1
     while reach < max(counts):
         here = np.flatnonzero(follow >= reach)
-        product[here] = product[here + reach] @ product[here]
+        product[..., here] = _times(product[..., here + reach], product[..., here])
         reach *= 2
-    after = np.concatenate([product[1:], np.eye(3)[None]])
-    after[ends - 1] = np.eye(3)
-    return product[ends - counts], after
+    after = np.concatenate([product[..., 1:], np.eye(3)[..., None]], axis=-1)
+    after[..., ends - 1] = np.eye(3)[..., None]
+    return np.moveaxis(product[..., ends - counts], -1, 0), after
+
+
+def _times(first: Floats, second: Floats) -> Floats:
+    """Return the products of n matrices with n others, (3, 3, n) each.
+
+    NumPy multiplies small matrices one by one, and takes ten times as long.
+    """
+    return np.asarray((first[:, :, None] * second[None]).sum(axis=1))

@@ -361,15 +361,18 @@ def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
     if not segments:
         return float('nan'), float('inf')
     square = float(np.mean([np.var(b[:, 0], ddof=1) / b[:, 1].mean() for b in segments]))
+    mean, gain, quantum, _ = np.concatenate(segments).T
+    lengths = np.array([len(b) for b in segments])
+    first = np.cumsum(lengths) - lengths
+    # Each segment's own mean takes one degree of freedom.
+    left = np.repeat((lengths - 1) / lengths, lengths)
     for _ in range(_SCORING_STEPS):
-        score, information = 0.0, 0.0
-        for mean, gain, quantum, _ in (b.T for b in segments):
-            variance = np.maximum(square * gain + quantum, _SMALLEST_VARIANCE)
-            weights = 1 / variance / (1 / variance).sum()
-            # The segment's own mean takes one degree of freedom.
-            left = (len(mean) - 1) / len(mean)
-            square_left = (mean - weights @ mean) ** 2 / left
-            score += left * float((gain / variance**2) @ (square_left - quantum))
-            information += left * float((gain / variance) @ (gain / variance))
-        square = max(0.0, score / information)
+        precision = 1 / np.maximum(square * gain + quantum, _SMALLEST_VARIANCE)
+        middle = np.add.reduceat(precision * mean, first) / np.add.reduceat(precision, first)
+        square_left = (mean - np.repeat(middle, lengths)) ** 2 / left
+        score = float((left * gain * precision**2) @ (square_left - quantum))
+        information = float(((gain * precision) ** 2).sum())
+        before, square = square, max(0.0, score / information)
+        if square == before:
+            break
     return square, float(np.sqrt(2 / information))

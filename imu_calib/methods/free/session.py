@@ -130,7 +130,7 @@ class FreeCalibrator:
         return other
 
     def review(self) -> FreeReview:
-        """End of the session, or of a snapshot: solve, and say what to do next."""
+        """Say of a snapshot how far the session has come: solve, and say what to do next."""
         session = self._segmenter.finish()
         still = self._segmenter.still
         result, refusal = None, ''
@@ -147,6 +147,10 @@ class FreeCalibrator:
         if result is not None:
             std = result.calibration.std[: len(PARAMETERS)][FREE]
         return FreeReview(session, estimates(NAME), std, (), result, refusal, guidance)
+
+    def conclude(self) -> FreeReview:
+        """End of the session: `review` solves it as `finish` does."""
+        return self.review()
 
     def _guidance(
         self,
