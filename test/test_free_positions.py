@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.stats import chi2
 from sessions import SITE
 
@@ -17,18 +18,20 @@ from imu_calib.cli.main import main
 from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.imu import load_imu
-from imu_calib.methods.free import FREE, Swing, in_frame_of_accelerometers
-from imu_calib.methods.free import fit as free
+from imu_calib.methods.free import ESTIMATES, FREE, in_frame_of_accelerometers, solve
 from imu_calib.methods.free.guidance import Stage, guide
-from imu_calib.methods.free.holds import Hold
 from imu_calib.methods.free.session import FreeCalibrator
-from imu_calib.methods.free.system import System, level_axes
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
+from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.free import FreeEquations, led_on
 from imu_calib.observation.path import chained
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
+from imu_calib.segmentation.clock import NO_CLOCK
 from imu_calib.segmentation.motion import Motion, Rest
 from imu_calib.segmentation.moves import joined
+from imu_calib.segmentation.segment import Segment, Statistics
+from imu_calib.segmentation.session import Move
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
@@ -91,8 +94,7 @@ def test_the_covariance_is_that_of_the_errors_to_a_sixth() -> None:
     ups = np.array([p.up for p in load_plan('free_positions').positions])[::2]
     square = 0.0
     for _ in range(runs):
-        holds, swings = held(model, ups, rng)
-        found = free.solve(holds, swings, NOWHERE)
+        found = solve(held(model, ups, rng))
         assert (found.scatter == 1).all()
         wrong = (found.model.vector() - model.vector())[FREE]
         covariance = found.covariance[np.ix_(FREE, FREE)]
@@ -115,15 +117,18 @@ NOWHERE = Still(SITE.latitude, SITE.gravity, SITE.gravity_source)
 
 
 def held(
-    model: SensorModel, ups: Floats, rng: np.random.Generator
-) -> tuple[list[Hold], list[Swing]]:
-    """Holds at (k, 3) ups and the shortest turns between them, each in 20 samples."""
-    at_rest, turning, period = 2e-5, 1e-4, 0.05
-    holds, swings = [], []
+    model: SensorModel, ups: Floats, rng: np.random.Generator, site: Site = NOWHERE
+) -> Evidence:
+    """Holds at (k, 3) ups and the shortest turns between them, each in 20 samples, a second."""
+    at_rest, turning, period, walk = 2e-5, 1e-4, 0.05, np.repeat([1e-4, 1e-3], 3)
+    gain, none = (np.repeat([at_rest, 1e-3], 3) / walk) ** 2, np.zeros(6)
+    holds, moves = [], []
     for k, up in enumerate(ups):
         rate, force = model.predict(np.zeros(3), up * SITE.gravity)
         gyro, accel = rate + at_rest * rng.standard_normal(3), force + 1e-3 * rng.standard_normal(3)
-        holds.append(Hold(2 * k, 2 * k + 1, gyro, accel, np.full(3, at_rest**2), np.full(3, 1e-6)))
+        mean, start = np.concatenate([gyro, accel]), 2_000_000_000 * k
+        seen = Statistics(100, 0, 1.0, mean, gain, none, mean, (), none, none)
+        holds.append(Segment(start, start + 1_000_000_000, seen, np.eye(3), str(k + 1)))
         if k + 1 == len(ups):
             continue
         # The body turns so that up moves from here to the next one.
@@ -134,8 +139,13 @@ def held(
         true = np.tile(axis / np.linalg.norm(axis) * angle / 20, (20, 1)) / period
         increments = (true @ model.gyro.response.T + model.gyro.bias) * period
         increments += turning / np.sqrt(20) * rng.standard_normal((20, 3))
-        swings.append(Swing(k, increments, np.full(20, period), turning**2))
-    return holds, swings
+        begin = holds[-1].end
+        seconds = np.full(20, period)
+        moves.append(Move(begin, begin + 1_000_000_000, increments, seconds, np.zeros(3)))
+    plan = load_plan('free_positions')
+    return Evidence(
+        tuple(holds), (), plan, site, NO_CLOCK, None, walk, moves=tuple(moves), free=True
+    )
 
 
 def test_the_level_earth_rate_is_one_vector_and_no_noise_of_each_hold() -> None:
@@ -161,55 +171,63 @@ def test_the_level_earth_rate_is_one_vector_and_no_noise_of_each_hold() -> None:
     assert np.sqrt(np.mean(np.square(biases))) < SITE.north_rate / np.sqrt(3 * 18)
 
 
-def on_the_earth(seed: int, first: list[float]) -> tuple[System, SensorModel, Floats]:
-    """Twelve holds, the first with a given up, and turns that see a north that was estimated."""
-    rng, model = np.random.default_rng(seed), in_frame_of_accelerometers(unit(3))
-    ups = np.vstack([first, rng.standard_normal((11, 3))])
+def on_the_earth() -> tuple[FreeEquations, Floats]:
+    """Twelve holds, the turns between them but one, and a north that was estimated."""
+    rng, model = np.random.default_rng(4), in_frame_of_accelerometers(unit(3))
+    ups = rng.standard_normal((12, 3))
     ups /= np.linalg.norm(ups, axis=1)[:, None]
-    holds, swings = held(model, ups, rng)
-    return (
-        System(tuple(holds), tuple(swings), SITE, np.ones(3), np.array([0.8, -1.1])),
-        model,
-        ups,
-    )
+    evidence = held(model, ups, rng, SITE)
+    evidence = replace(evidence, moves=evidence.moves[:5] + evidence.moves[6:])
+    equations = FreeEquations(led_on(evidence, ups, model), ESTIMATES)
+    state = equations.nominal()
+    state[: len(ESTIMATES)] = model.values(ESTIMATES)
+    state[equations.north] = 0.8, -1.1, 0.3, 0.9
+    return equations, state
 
 
-def test_what_gyros_turn_too_much_turns_every_heading_after() -> None:
-    system, model, ups = on_the_earth(4, [0.3, -0.5, 0.8])
-    jacobian, _, groups = system.rows(model, ups)
-    of_gyros = groups == 1
-    for k, step in enumerate(1e-6 * np.eye(len(PARAMETERS))[:12]):
+def test_the_derivatives_by_parameters_north_and_attitudes_are_those_of_the_prediction() -> None:
+    equations, state = on_the_earth()
+    jacobian = equations.jacobian(state)
+    # Two runs of turns: twice two components of north, and a heading less for each.
+    assert len(state) == 21 + 4 + 4 + 3 * 12 - 2
+    for k, step in enumerate(1e-6 * np.eye(len(state))):
         ahead, behind = (
-            system.rows(SensorModel.from_vector(model.vector() + s), ups)[1][of_gyros]
-            for s in (step, -step)
+            there.predict(at)
+            for there, at in (equations.moved(state, step), equations.moved(state, -step))
         )
-        found = (behind - ahead) / 2e-6
+        found = (ahead - behind) / 2e-6
         # Errors count in the middle of steps of up to 9 degrees: a 24th of its square off in each.
-        assert jacobian[of_gyros, k] == pytest.approx(found, abs=0.01 * np.abs(found).max())
+        assert jacobian[:, k] == pytest.approx(found, abs=1e-3 * np.abs(found).max(initial=1e-9))
 
 
-def test_a_tilt_of_a_hold_takes_the_vertical_earth_rate_along() -> None:
-    system, model, ups = on_the_earth(4, [0.3, -0.5, 0.8])
-    jacobian, left, groups = system.rows(model, ups)
-    last, step = len(ups) - 1, 1e-6
-    for column, axis in zip(jacobian.T[-2:], level_axes(ups[last]), strict=True):
-        moved = ups.copy()
-        moved[last] += step * axis
-        found = (left - system.rows(model, moved)[1])[groups == 1][-3:] / step
-        assert column[groups == 1][-3:] == pytest.approx(found, abs=0.02 * np.abs(found).max())
+def test_a_plain_loop_over_the_samples_predicts_the_same() -> None:
+    """Holds and turns on the Earth by the rotations themselves, no code of the package's."""
+    equations, state = on_the_earth()
+    evidence, model = equations.evidence, equations.model(state)
+    predicted, moved = equations.predict(state), iter(equations.rows.move)
+    east_north = state[equations.north].reshape(2, 2) * SITE.north_rate / np.sqrt(2)
+    for k, hold in enumerate(evidence.segments):
+        # The sixth turn is missing: a second run begins at the seventh hold.
+        earth = np.array([*east_north[int(k > 5)], SITE.up_rate])
+        rate, force = hold.attitude.T @ earth, hold.attitude.T @ [0, 0, SITE.gravity]
+        gyro = model.gyro.response @ rate + model.gyro.bias
+        accel = model.accel.response @ force + model.accel.bias
+        assert predicted[equations.rows.rest[k]] == pytest.approx([*gyro, *accel], rel=1e-12)
+        move = next((m for m in evidence.moves if m.end == hold.start), None)
+        if move is None:
+            continue
+        body = evidence.segments[k - 1].attitude
+        for angle, seconds in zip(move.turned, move.seconds, strict=True):
+            seen = np.linalg.solve(model.gyro.response, angle - model.gyro.bias * seconds)
+            body = expm(cross(-earth * seconds)) @ body @ expm(cross(seen))
+        off = hold.attitude.T @ body
+        vector = np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]]) / 2
+        # Of what is left over, 2e-4 rad, the sine is the angle to 2e-12.
+        assert -predicted[next(moved)] == pytest.approx(vector, abs=1e-11)
 
 
-def test_headings_do_not_jump_where_up_lies_along_an_axis() -> None:
-    """Of two axes across that are as good, steps of the fit would take one and then the other."""
-    system, model, ups = on_the_earth(4, [0.0, 0.0, 1.0])
-    groups = system.rows(model, ups)[2]
-    seen = []
-    for tilt in ((1e-6, 2e-6), (2e-6, 1e-6)):
-        tilted = ups.copy()
-        tilted[0, :2] = tilt
-        seen.append(system.rows(model, tilted)[1][groups == 1])
-    # The Earth rate is three standard deviations of these gyros.
-    assert seen[0] == pytest.approx(seen[1], abs=0.01)
+def cross(v: Floats) -> Floats:
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 def test_north_goes_round_with_the_earth_from_hold_to_hold() -> None:
@@ -239,12 +257,10 @@ def test_three_angles_are_a_choice_of_frame() -> None:
 
 def test_gravity_has_one_length_in_fresh_attitudes() -> None:
     fresh = calibrator(anyhow(20, 71), unit(0), 71)
-    holds, _ = fresh.so_far()
-    _, force = result().calibration.model.compensate(
-        np.array([h.gyro for h in holds]), np.array([h.accel for h in holds])
-    )
+    outputs, variances = fresh.so_far().outputs(), fresh.so_far().variances()
+    _, force = result().calibration.model.compensate(outputs[:, :3], outputs[:, 3:])
     off = np.linalg.norm(force, axis=1) - SITE.gravity
-    noise = np.sqrt(np.mean([h.accel_variance.mean() for h in holds]))
+    noise = np.sqrt(np.mean(variances[:, 3:]))
     assert np.sqrt(np.mean(off**2)) < 2 * noise
 
 
@@ -328,7 +344,7 @@ def test_guidance_asks_for_what_is_missing() -> None:
     free = calibrator(by_hand(angles, np.full(5, 3.0)), unit(0), 0)
     with pytest.raises(NotObservable):
         free.finish()
-    told = guide(*free.so_far(), SPEC, SITE)
+    told = guide(free.so_far())
     assert told.stage is Stage.TURN
     assert told.holds == 5
     assert 'Z down' in told.candidates[0].words
@@ -336,22 +352,21 @@ def test_guidance_asks_for_what_is_missing() -> None:
     gains = [c.gain for c in told.candidates]
     assert gains == sorted(gains, reverse=True)
     assert min(gains) > 0
-    assert guide(*free.so_far(), SPEC, SITE, holding=1.0).text == 'Hold still: 2 s more.'
+    assert guide(free.so_far(), holding=1.0).text == 'Hold still: 2 s more.'
 
 
 def test_guidance_says_enough_when_it_is_and_gains_shrink() -> None:
     free = calibrator(anyhow(30), unit(0), 0)
     free.finish()
-    holds, swings = free.so_far()
-    early = guide(holds[:12], [s for s in swings if s.first < 11], SPEC, SITE)
-    late = guide(holds, swings, SPEC, SITE)
+    found = free.so_far()
+    early, late = guide(replace(found, segments=found.segments[:12])), guide(found)
     assert late.stage is Stage.ENOUGH
     assert late.candidates[0].gain < early.candidates[0].gain
     # What guidance says beforehand is what the solution states.
     assert late.std[FREE & ~BIASES] == pytest.approx(
         result().calibration.std[FREE & ~BIASES], rel=0.25
     )
-    assert guide([], [], SPEC, SITE).stage is Stage.TURN
+    assert guide(replace(found, segments=())).stage is Stage.TURN
 
 
 def test_the_plan_says_beforehand_what_thirty_holds_give() -> None:
@@ -404,10 +419,6 @@ def test_a_steady_turn_is_no_rest_however_the_stream_begins() -> None:
     assert [(p.start, p.end) for part in [*parts, again.finish()] for p in part] == [
         (p.start, p.end) for p in done
     ]
-
-
-def test_swings_without_holds_between_are_values() -> None:
-    assert Swing(0, np.zeros((50, 3)), np.full(50, 0.01), 1e-6).duration == pytest.approx(0.5)
 
 
 def test_recording_on_the_command_line(tmp_path: Path) -> None:

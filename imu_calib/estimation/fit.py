@@ -131,24 +131,31 @@ class Estimate:
 
     def shares(self) -> dict[Source, Share]:
         """Return the covariance of the parameters by source: of the outputs, and of the priors."""
-        equations = self.equations
-        n, m = equations.sensors, len(equations.outputs)
-        factor = np.linalg.cholesky(equations.covariance(self.state))
-        weights = scipy.linalg.solve_triangular(
-            factor, self.gain[:n, :m].T, lower=True, trans='T'
-        ).T
-        found = equations.shares(self.state, weights)
-        for source, which, freedom in (
-            (Source.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
-            (Source.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
-            (Source.CLOCK, [Nuisance.CLOCK], equations.evidence.clock_freedom),
-            (Source.ARM, list(range(len(Nuisance), equations.nuisances)), np.inf),
-        ):
-            prior = self.gain[:n, m + np.array(which, dtype=int)]
-            found[source] = Share.of_parts([(prior @ prior.T, freedom)])
+        found = shares(self.equations, self.state, self.gain)
         if self.between is not None:
-            found[Source.TIME_CONSTANT] = Share.known(self.between[:n, :n])
+            found[Source.TIME_CONSTANT] = Share.known(
+                self.between[: self.equations.sensors, : self.equations.sensors]
+            )
         return found
+
+
+def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Share]:
+    """Return the covariance of the parameters by source: of the outputs, and of the priors.
+
+    Args:
+        equations: That were solved.
+        state: (n,) where they were.
+        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
+
+    """
+    n, m = equations.sensors, len(equations.outputs)
+    factor = np.linalg.cholesky(equations.covariance(state))
+    weights = scipy.linalg.solve_triangular(factor, gain[:n, :m].T, lower=True, trans='T').T
+    found = equations.shares(state, weights)
+    for source, which, freedom in equations.prior_sources:
+        prior = gain[:n, m + np.array(which, dtype=int)]
+        found[source] = Share.of_parts([(prior @ prior.T, freedom)])
+    return found
 
 
 def estimate(

@@ -120,7 +120,7 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
     """Count the level Earth rate as noise of its own size where nobody knows its direction.
 
     By hand every stretch at rest has a heading of its own, and a turn from rest to rest does not
-    average all of it out.
+    average all of it out. Of attitudes that are sought the state holds it.
 
     Args:
         evidence: The session.
@@ -129,7 +129,7 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
 
     """
     segments, turns = evidence.segments, evidence.turns
-    by_hand = 1.0 if evidence.plan.by_hand else 0.0
+    by_hand = 1.0 if evidence.plan.by_hand and not evidence.free else 0.0
     shares = np.array([*(by_hand for _ in segments), *(t.level for t in turns)])
     across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
     square = (shares * evidence.site.north_rate)[:, None, None] ** 2 / 2

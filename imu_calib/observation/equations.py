@@ -179,7 +179,8 @@ class Equations:
     @property
     def changing(self) -> slice:
         """Where the coefficients of the session's terms lie in the state."""
-        return slice(self.sensors + self.nuisances, self.size)
+        start = self.sensors + self.nuisances
+        return slice(start, start + len(self.changes))
 
     @property
     def north_known(self) -> bool:
@@ -239,6 +240,10 @@ class Equations:
         azimuth, tilt_x, tilt_y = state[self.sensors : self.clock]
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 
+    def earth(self, state: Floats) -> Floats:
+        """Return the Earth rate in the frame of each rest's attitude, (s, 3) rad/s."""
+        return np.tile(self.surroundings(state).rate, (len(self.evidence.segments), 1))
+
     @property
     def _attitudes(self) -> Floats:
         return self.evidence.held
@@ -270,13 +275,13 @@ class Equations:
         return self._once('inputs', state, self._seen)
 
     def _seen(self, state: Floats) -> _Inputs:
-        around = self.surroundings(state)
+        around, earth = self.surroundings(state), self.earth(state)
         ups, rates, _ = self._turning
         felt = self._headings @ around.force
         felt[self.evidence.arms.turns] += self._pulled(state)[:, None]
         return (
             around,
-            around.rate @ self._attitudes,
+            np.einsum('si,sij->sj', earth, self._attitudes),
             around.force @ self._attitudes,
             self._headings @ around.rate + (ups * rates[:, None])[:, None],
             felt,
@@ -295,11 +300,11 @@ class Equations:
 
     def _predicted(self, state: Floats) -> Floats:
         """Return what is read by the parameters of the session's mean, (m,)."""
-        around, *inputs = self._inputs(state)
+        _, *inputs = self._inputs(state)
         model = self.model(state)
         predicted = self._answers(model, inputs)
         predicted[self._divided] /= 1 + state[self.clock]
-        led = self.evidence.led.off(model, around.rate).reshape(self.rows.move.shape)
+        led = self.evidence.led.off(model, self.earth(state)).reshape(self.rows.move.shape)
         if state[self.clock]:
             led = led + self._led_by_clock(model) * state[self.clock]
         predicted[self.rows.move] = led
@@ -463,6 +468,16 @@ class Equations:
         Source: docs/mathematics.md, 'Uncertainty budget'.
         """
         return shares((*self.own, *self.shared(state)), gain)
+
+    @property
+    def prior_sources(self) -> tuple[tuple[Source, list[int], float], ...]:
+        """Whose priors the rows of `prior_rows` are, and degrees of freedom of their size."""
+        return (
+            (Source.AZIMUTH, [Nuisance.AZIMUTH], np.inf),
+            (Source.TILT, [Nuisance.TILT_X, Nuisance.TILT_Y], np.inf),
+            (Source.CLOCK, [Nuisance.CLOCK], self.evidence.clock_freedom),
+            (Source.ARM, list(range(len(Nuisance), self.nuisances)), np.inf),
+        )
 
     def by_rate(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the Earth rate in the frame of the attitudes.

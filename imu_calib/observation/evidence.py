@@ -67,6 +67,7 @@ class Evidence:
         temperature: Of the session; None where no thermometer shows it.
         thermal: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data
             sheet, standard deviations, 1/K and SI/K; 0 where not stated.
+        free: Whether nobody knows the attitudes: they are sought, and moves join them.
 
     """
 
@@ -85,6 +86,7 @@ class Evidence:
     units: Units = Units.PULSES
     temperature: Temperature | None = None
     thermal: Floats = field(default_factory=lambda: np.zeros((2, 2)))
+    free: bool = False
 
     @classmethod
     def of(
@@ -148,7 +150,8 @@ class Evidence:
     @cached_property
     def led(self) -> Moves:
         """The moves that count as observations."""
-        return Moves.between(self.segments, self.turns, self.moves, self.site.gravity)
+        site = self.site
+        return Moves.between(self.segments, self.turns, self.moves, site.gravity, free=self.free)
 
     @cached_property
     def rows(self) -> Rows:
@@ -198,6 +201,11 @@ class Evidence:
         turns = (replace(t, statistics=t.statistics.scaled(factors)) for t in self.turns)
         walk = self.walk * factors
         return replace(self, segments=tuple(segments), turns=tuple(turns), walk=walk)
+
+    def at(self, attitudes: Floats) -> Evidence:
+        """Return the session in other attitudes, (s, 3, 3) R_nb."""
+        pairs = zip(self.segments, attitudes, strict=True)
+        return replace(self, segments=tuple(replace(s, attitude=a) for s, a in pairs))
 
     def outputs(self) -> Floats:
         """Return the mean outputs at rest, (s, 6)."""

@@ -65,14 +65,16 @@ class Moves:
         turns: Sequence[Turn],
         moves: Sequence[Move],
         gravity: float,
+        *,
+        free: bool = False,
     ) -> Moves:
-        """Choose the moves that count.
+        """Choose the moves that count; all of a unit in the hand, whose attitudes are `free`.
 
         A move that holds measured turns shares its noise with them and tells hardly more: it is
         left to them. Where no joint moved there is nothing to be led.
         """
-        by_end = {s.end: k for k, s in enumerate(segments) if s.angles is not None}
-        by_start = {s.start: k for k, s in enumerate(segments) if s.angles is not None}
+        by_end = {s.end: k for k, s in enumerate(segments) if free or s.angles is not None}
+        by_start = {s.start: k for k, s in enumerate(segments) if free or s.angles is not None}
         links = []
         for move in moves:
             first, second = by_end.get(move.start), by_start.get(move.end)
@@ -81,10 +83,11 @@ class Moves:
             if any(t.start < move.end and t.end > move.start for t in turns):
                 continue
             before, after = segments[first].angles, segments[second].angles
-            if before is None or after is None or np.array_equal(before, after):
+            if not free and np.array_equal(np.asarray(before), np.asarray(after)):
                 continue
             encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
-            rounding = _rounding(move, segments[first])
+            # A hand holds no rate: rounded one by one, its samples average out.
+            rounding = np.zeros(3) if free else _rounding(move, segments[first])
             links.append(Link(first, second, move, rounding, encoders, bent(move)))
         attitudes = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)
         return cls(tuple(links), attitudes, gravity)
@@ -109,12 +112,12 @@ class Moves:
 
         Args:
             model: The sensors.
-            earth_rate: (3,) in the frame of the attitudes, rad/s.
+            earth_rate: In the frame of the attitudes, (3,) or of each of them (s, 3), rad/s.
 
         """
-        found = []
+        found, rates = [], np.broadcast_to(earth_rate, (len(self.attitudes), 3))
         for link, path in zip(self.links, self.paths(model), strict=True):
-            turned = rotations(-(earth_rate * link.move.duration)[None])[0]
+            turned = rotations(-rates[[link.second]] * link.move.duration)[0]
             shown = self.attitudes[link.second].T @ turned @ self.attitudes[link.first]
             found.append(rotation_vector(path.whole @ shown.T))
         return np.array(found).reshape(-1, 3)
@@ -175,7 +178,10 @@ class Moves:
 
     def quantisation(self) -> Floats:
         """Return the variances of `off` by pulses, rounding and samples' length, (m, 3) rad^2."""
-        found = [_EDGES * link.move.quantum**2 + link.rounding + link.bent for link in self.links]
+        found = [
+            _EDGES * link.move.quantum**2 + link.rounding + link.bent + link.move.filled
+            for link in self.links
+        ]
         return np.array(found).reshape(-1, 3)
 
     def encoders(self) -> Floats:

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import scipy
 
 from ..calibrator import Setup
+from ..directions import across
+from ..earth import Site
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
+from ..methods.free import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
 from ..observation.evidence import Evidence
 from ..observation.headings import headings, whole
@@ -38,7 +42,9 @@ _SPARE = 1.0
 """How long a table surely keeps its rate before and after the turns that are measured, s."""
 
 _BY_HAND_TURN = 2.0
-_BY_HAND_MOVE = 2.0
+BY_HAND_MOVE = 2.0
+"""From one rest to the next, s."""
+
 _BY_HAND_STILL = 2.0
 """Before and after a turn by hand, s: what divides it from the moves around it."""
 
@@ -48,6 +54,10 @@ _BY_HAND_LEVEL = 0.25
 _STEP = 0.01
 """Into which a move is cut, s: no step turns by more than a degree at 100 deg/s."""
 
+_SHORT_STEPS = 40
+"""Into which a turn by hand is cut: at most 4.5 degrees each."""
+
+_PARALLEL = 1e-6
 _UP = np.array([0.0, 0.0, 1.0])
 _PHASE = 0.5
 _NODES = 8
@@ -151,15 +161,21 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
                 joint=turning.joint,
             )
         )
-    moves = [
-        move
-        for before, after, rest in zip(segments, segments[1:], rests[1:], strict=False)
-        if rest.course is not None
-        and setup.table is not None
-        and _followed(
-            move := _move(before, after, rest.course, setup.table, truth, (earth, force)), setup.imu
-        )
-    ]
+    free = setup.method_name == FREE_POSITIONS
+    if free:
+        segments = _held(segments)
+        moves = [short_move(a, b, truth, setup.site) for a, b in pairwise(segments)]
+    else:
+        moves = [
+            move
+            for before, after, rest in zip(segments, segments[1:], rests[1:], strict=False)
+            if rest.course is not None
+            and setup.table is not None
+            and _followed(
+                move := _move(before, after, rest.course, setup.table, truth, (earth, force)),
+                setup.imu,
+            )
+        ]
     # Joint states at 100 Hz tell the clocks apart far better than any parameter needs.
     clock = ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, len(turns))
     positioning = setup.table.positioning if setup.table is not None else 0.0
@@ -174,6 +190,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         positioning,
         moves=tuple(moves),
         table=setup.table,
+        free=free,
     )
 
 
@@ -243,22 +260,89 @@ def _move(
         world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
 
     """
-    earth, force = world
     seconds = (after.start - before.end) * 1e-9
     knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
     attitudes = table.attitude(course.at(knots)[0])
+    # What the table stands at both ends, before and after.
+    stood = (seconds - course.end) / 2
+    attitudes = np.concatenate([attitudes[:1], attitudes, attitudes[-1:]])
+    return _along(before, after, attitudes, np.array([stood, *np.diff(knots), stood]), truth, world)
+
+
+def _along(
+    before: Segment,
+    after: Segment,
+    attitudes: Floats,
+    spans: Floats,
+    truth: SensorModel,
+    world: tuple[Floats, Floats],
+) -> Move:
+    """Return what the gyros would give through (n + 1, 3, 3) attitudes, (n,) seconds apart."""
+    earth, force = world
     steps = scipy.spatial.transform.Rotation.from_matrix(
         np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
     ).as_rotvec()
-    spans = np.diff(knots)
-    # What the table stands at both ends, before and after.
-    spans = np.concatenate([[(seconds - course.end) / 2], spans, [(seconds - course.end) / 2]])
-    steps = np.vstack([np.zeros(3), steps, np.zeros(3)])
-    middles = np.concatenate([attitudes[:1], (attitudes[:-1] + attitudes[1:]) / 2, attitudes[-1:]])
+    middles = (attitudes[:-1] + attitudes[1:]) / 2
     rates = steps / spans[:, None] + np.einsum('i,nij->nj', earth, middles)
     gyro, _ = truth.predict(rates, np.einsum('i,nij->nj', force, middles))
     quantum = before.statistics.pulse[:3]
     return Move(before.end, after.start, gyro * spans[:, None], spans, quantum)
+
+
+def _held(segments: list[Segment]) -> list[Segment]:
+    """Return holds in other attitudes of the same ups, each the short way from the one before."""
+    found = segments[:1]
+    for segment in segments[1:]:
+        assert segment.attitude is not None
+        shown = shortest(found[-1], segment.attitude[2])
+        found.append(replace(segment, attitude=shown))
+    return found
+
+
+def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
+    """Return a hold like another one, to which the unit is turned the short way.
+
+    Args:
+        last: The hold before, in its attitude.
+        up: (3,) in body axes, unit vector.
+        seconds: How long it is held.
+
+    """
+    start = last.end + _ns(BY_HAND_MOVE)
+    statistics = replace(last.statistics, duration=seconds, walk_gain=np.full(6, 1 / seconds))
+    return replace(
+        last,
+        start=start,
+        end=start + _ns(seconds),
+        statistics=statistics,
+        attitude=shortest(last, up),
+    )
+
+
+def shortest(last: Segment, up: Floats) -> Floats:
+    """Return the attitude (3, 3) to which the short way leads where (3,) `up` is up."""
+    assert last.attitude is not None
+    rising = last.attitude[2]
+    axis = np.cross(up, rising)
+    sine, cosine = float(np.linalg.norm(axis)), float(up @ rising)
+    if sine < _PARALLEL:
+        # Half a turn goes about any level axis; rounding must not choose it.
+        axis = across(np.round(rising, 9))[0]
+    turn = rotation(axis / np.linalg.norm(axis), math.atan2(sine, cosine))
+    return np.asarray(last.attitude @ turn)
+
+
+def short_move(before: Segment, after: Segment, truth: SensorModel, site: Site) -> Move:
+    """Return what the gyros would give on the short way from hold to hold, at an even pace."""
+    assert before.attitude is not None
+    assert after.attitude is not None
+    ends = np.array([before.attitude, after.attitude])
+    turn = scipy.spatial.transform.Rotation.from_matrix(ends[0].T @ ends[1]).as_rotvec()
+    parts = np.linspace(0.0, 1.0, _SHORT_STEPS + 1)[:, None] * turn
+    attitudes = ends[0] @ scipy.spatial.transform.Rotation.from_rotvec(parts).as_matrix()
+    spans = np.full(_SHORT_STEPS, (after.start - before.end) * 1e-9 / _SHORT_STEPS)
+    world = site.up_rate * _UP, site.specific_force
+    return _along(before, after, attitudes, spans, truth, world)
 
 
 def _followed(move: Move, spec: ImuSpec) -> bool:
@@ -279,7 +363,7 @@ def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
             now += seconds + _BY_HAND_STILL
         if position.dwell:
             rests.append(_Rest(position.id, position.attitude, now, now + position.dwell))
-        now += position.dwell + _BY_HAND_MOVE
+        now += position.dwell + BY_HAND_MOVE
     return rests, turnings
 
 

@@ -17,13 +17,13 @@ from ..errors import NotObservable
 from ..estimation.fit import check_observable
 from ..gravity import gravity_covariance
 from ..methods import JOINT, check_plan, free, method, skewed
-from ..methods.free.ahead import deviations
 from ..methods.skewed import RatePoints
 from ..methods.solution import Solution
 from ..model import AXES, PARAMETERS, Parameter, SensorModel
 from ..observation.components import Component, Dense
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
+from ..observation.free import FreeEquations
 from ..observation.information import Information, told
 from ..segmentation.segment import Statistics
 from ..stream import Floats
@@ -83,7 +83,7 @@ def forecast(
     """
     evidence = expected(setup, truth, azimuth)
     if setup.method_name == free.NAME:
-        return _with_common(_in_the_hand(setup, truth, evidence), setup, truth)
+        return _with_common(_in_the_hand(truth, evidence), setup, truth)
     # A closed form knows no moves.
     resting = replace(evidence, moves=())
     name = setup.method_name
@@ -180,10 +180,11 @@ def _best(
     return np.concatenate([best, askew])
 
 
-def _in_the_hand(setup: Setup, truth: SensorModel, evidence: Evidence) -> Forecast:
+def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
     """Ask what holds would tell: the method is the least squares that is the best."""
-    model = free.in_frame_of_accelerometers(truth)
-    std = deviations(setup.plan.positions, setup.imu, setup.site, model)
+    std = np.zeros(len(PARAMETERS))
+    found = information(evidence, free.in_frame_of_accelerometers(truth), free.ESTIMATES)
+    std[free.FREE] = np.sqrt(np.diag(found.covariance)[: len(free.ESTIMATES)])
     return Forecast(evidence, free.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
 
 
@@ -209,7 +210,7 @@ def information(
     extra: Floats | None = None,
 ) -> Information:
     """Return what a session tells at the truth (methods.md, section 11)."""
-    equations = Equations(evidence, parameters)
+    equations = (FreeEquations if evidence.free else Equations)(evidence, parameters)
     if extra is not None:
         modelled = np.arange(len(equations.outputs))
         part = Dense(modelled, extra[np.ix_(modelled, modelled)])

@@ -63,6 +63,10 @@ class ClockFit:
     jumps: tuple[float, ...] = ()
 
 
+NO_CLOCK = ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
+"""Of a session without a motion that a table made."""
+
+
 def clock_sample(
     stamp: Stamps, turned: Floats, joint_stamp: Stamps, joint_angle: Floats
 ) -> ClockSample | None:

@@ -320,11 +320,8 @@ class System:
 def _mounted(evidence: Evidence, small: Floats) -> Evidence:
     """Return a session of a unit that is turned in its mount by a rotation vector (3,)."""
     turned = rotations(small[None])[0]
-    attitudes = evidence.attitudes() @ turned.T
-    pairs = zip(evidence.segments, attitudes, strict=True)
-    segments = tuple(replace(s, attitude=attitude) for s, attitude in pairs)
     turns = tuple(replace(t, up=turned @ t.up) for t in evidence.turns)
-    return replace(evidence, segments=segments, turns=turns)
+    return replace(evidence.at(evidence.attitudes() @ turned.T), turns=turns)
 
 
 def factor_of(covariance: Floats) -> Floats:

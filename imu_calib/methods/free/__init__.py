@@ -1,8 +1,6 @@
 """Free positions: no table, attitudes that nobody knows, holds found by the data."""
 
-from .fit import FreeFit, in_frame_of_accelerometers, refuse, solve
-from .holds import Hold, Swing
-from .system import ESTIMATES, FREE
+from .fit import ESTIMATES, FREE, FreeFit, in_frame_of_accelerometers, refuse, solve
 
 NAME = 'free_positions'
 """The method's name in plans."""
@@ -12,8 +10,6 @@ __all__ = [
     'FREE',
     'NAME',
     'FreeFit',
-    'Hold',
-    'Swing',
     'in_frame_of_accelerometers',
     'refuse',
     'solve',

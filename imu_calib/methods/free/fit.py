@@ -1,10 +1,9 @@
 """Sensors from holds in unknown attitudes: gravity has one length, and turns lead it on.
 
-Unknown are 21 parameters and, for each hold, the direction of up; and how much of specific force
-the gyros feel, where the session shows that they do. The accelerometers see gravity
-along it; the gyros, integrated from hold to hold, must take it from one to the next. All is one
-weighted least squares, so that what the accelerometers do not know of a direction counts in what
-the gyros learn from it.
+The equations are those of every session (`observation/free.py`), in attitudes that are sought. All
+is one weighted least squares, so that what the accelerometers do not know of a direction counts in
+what the gyros learn from it. How much of specific force the gyros feel is unknown too, where the
+session shows that they do.
 
 The frame is that of the accelerometers, as in imu_tk: X along the input axis of channel x, the
 input axis of channel y in the plane of X and Y, so that E_axy = E_axz = E_ayz = 0.
@@ -15,32 +14,38 @@ gyros one after the other; Skog and Haendel 2006, XVII IMEKO, for the norm of gr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from ...budget import Share, Shares, Source
-from ...earth import Site
+from ...budget import Share, Shares
 from ...errors import NotObservable
 from ...estimation.converge import least_squares
+from ...estimation.fit import shares
 from ...model import (
     G_SENSITIVITY,
     PARAMETERS,
     Parameter,
+    ParameterKind,
     SensorModel,
     Term,
     Triad,
-    parameters_of,
 )
 from ...observation.evidence import Evidence
+from ...observation.free import FreeEquations, led_on
 from ...observation.information import Information
+from ...observation.rows import Indices
 from ...stream import Floats
 from ...units import DEG, STANDARD_GRAVITY
 from ..solution import Solution
-from .holds import Hold, Swing
-from .system import System, check_observable, free, level_axes
+
+_KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
+
+FREE = np.array([(p.triad, p.row, p.column) not in _KEPT for p in PARAMETERS])
+"""(24,) which of the 24 exist in the frame of the accelerometers: 21."""
+
+ESTIMATES = tuple(p for p, found in zip(PARAMETERS, FREE, strict=True) if found)
 
 FEWEST = 9
 """Holds below which gravity cannot tell nine parameters of the accelerometers."""
@@ -53,6 +58,7 @@ _SHOWN = 1e-3
 """Probability of chance below which a term is in the model (docs/mathematics.md, 'Free
 positions')."""
 
+_USELESS = 0.05
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
@@ -64,12 +70,11 @@ class FreeFit:
         model: In the frame of the accelerometers.
         parameters: The n of the covariance: the 24, and those of terms that the session shows.
         covariance: (n, n); zero for the three that the frame sets to zero.
-        ups: (k, 3) up in body axes, unit vectors.
         residuals: (k, 6) outputs at rest less what the model says.
         condition: Condition number of the system, columns scaled to unit length.
         scatter: (3,) by how much accelerometers and gyros at rest and turns scatter more than
             their noise, as standard deviations.
-        dropped: Indices of swings that fit nothing.
+        dropped: Indices of the holds before turns that fit nothing.
         shares: The covariance by source.
         chance: Probability that chance alone would show the terms as clearly; 1 without terms.
 
@@ -78,7 +83,6 @@ class FreeFit:
     model: SensorModel
     parameters: tuple[Parameter, ...]
     covariance: Floats
-    ups: Floats
     residuals: Floats
     condition: float
     scatter: Floats
@@ -89,32 +93,26 @@ class FreeFit:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A system, where it is, and which swings fit nothing."""
+    """Equations, where they are, how much they scatter, and which turns fit nothing."""
 
-    system: System
-    model: SensorModel
-    ups: Floats
+    equations: FreeEquations
+    values: Floats
+    scatter: Floats
     dropped: tuple[int, ...] = ()
 
+    @property
+    def groups(self) -> tuple[Indices, ...]:
+        """Which outputs scatter alike: see `FreeFit.scatter`."""
+        rows = self.equations.rows
+        return rows.rest[:, 3:].ravel(), rows.rest[:, :3].ravel(), rows.move.ravel()
+
     def rows(self) -> tuple[Floats, Floats]:
-        jacobian, left, _ = self.system.rows(self.model, self.ups)
-        return jacobian[:, self.system.free], left
+        """Return derivatives and residuals in standard deviations."""
+        return self.equations.whitened(self.values)
 
     def moved(self, step: Floats) -> _State:
-        parameters = self.system.parameters
-        own = free(parameters)
-        found = int(own.sum())
-        last = found + self.system.size[0] - len(parameters)
-        values = self.model.values(parameters)
-        values[own] += step[:found]
-        tilts = step[last:].reshape(-1, 2)
-        ups = self.ups + np.array([t @ level_axes(u) for t, u in zip(tilts, self.ups, strict=True)])
-        return replace(
-            self,
-            system=replace(self.system, north=self.system.north + step[found:last]),
-            model=self.model.with_values(parameters, values),
-            ups=ups / np.linalg.norm(ups, axis=1)[:, None],
-        )
+        equations, values = self.equations.moved(self.values, step)
+        return replace(self, equations=equations, values=values)
 
     def settled(self) -> _State:
         """Return the least squares.
@@ -123,82 +121,118 @@ class _State:
             NotObservable: The iteration does not converge.
 
         """
-        start = self
-        if not len(self.system.north):
-            count = self.system.size[0] - len(self.system.parameters)
-            start = replace(self, system=replace(self.system, north=np.zeros(count)))
-        return least_squares(start, _State.rows, _State.moved, _ITERATIONS)
+        return least_squares(self, _State.rows, _State.moved, _ITERATIONS)
+
+    def scattering(self, scatter: Floats) -> _State:
+        """Return the state with the noise of each group (3,) times as large."""
+        inflation = np.ones(len(self.equations.rows))
+        for rows, factor in zip(self.groups, scatter, strict=True):
+            inflation[rows] = factor**2
+        return replace(
+            self, equations=replace(self.equations, inflation=inflation), scatter=scatter
+        )
+
+    def with_terms(self, terms: tuple[Term, ...]) -> _State:
+        """Return the state with the parameters of terms, zero so far."""
+        more = tuple(p for term in terms for p in term.parameters)
+        equations = replace(self.equations, parameters=(*ESTIMATES, *more))
+        values = np.insert(self.values, len(ESTIMATES), np.zeros(len(more)))
+        return replace(self, equations=equations, values=values)
+
+    def without(self, wild: int) -> _State:
+        """Return the state without a move: it parts a run in two, and north is found anew."""
+        evidence = self.equations.evidence
+        link = evidence.led.links[wild]
+        moves = tuple(move for move in evidence.moves if move is not link.move)
+        equations = replace(self.equations, evidence=replace(evidence, moves=moves), inflation=None)
+        values = equations.nominal()
+        values[: equations.sensors] = self.values[: equations.sensors]
+        dropped = tuple(sorted((*self.dropped, link.first)))
+        return _State(equations, values, np.ones(3), dropped)
 
 
-def solve(
-    holds: Sequence[Hold], swings: Sequence[Swing], site: Site, freedom: float = np.inf
-) -> FreeFit:
+def solve(evidence: Evidence) -> FreeFit:
     """Estimate 21 parameters, and what the session shows besides, from holds and turns between.
 
     Args:
-        holds: At least nine, in as many attitudes.
-        swings: Turns between neighbouring holds; those that are lost may be left out.
-        site: Gravity, and what of the Earth's rate is known.
-        freedom: Degrees of freedom of the sensors' noise.
+        evidence: Rests in at least nine attitudes that nobody knows, and the moves between them.
 
     Raises:
         NotObservable: Too few holds, or attitudes that leave parameters open; names them.
 
     """
-    if len(holds) < FEWEST:
+    if len(evidence.segments) < FEWEST:
         raise NotObservable(
-            f'{len(holds)} holds were found; gravity needs {FEWEST} or more in different '
-            'attitudes to tell the accelerometers, 20 or more for a good answer.'
+            f'{len(evidence.segments)} holds were found; gravity needs {FEWEST} or more in '
+            'different attitudes to tell the accelerometers, 20 or more for a good answer.'
         )
-    accel = ellipsoid(np.array([h.accel for h in holds]), site.gravity)
-    ups = _directions(accel, holds)
-    bias = np.mean([h.gyro for h in holds], axis=0)
-    model = SensorModel(Triad(bias=bias), accel)
-    start = _State(System(tuple(holds), tuple(swings), site, np.ones(3)), model, ups)
-    check_observable(start.system, model, ups)
+    start = _State(*started(evidence), np.ones(3))
+    _check_observable(start)
     state = _weighed(start)
     chance = _chance(state, G_SENSITIVITY)
     if chance < _SHOWN:
-        with_term = replace(start.system, parameters=parameters_of((G_SENSITIVITY,)))
-        state = _weighed(replace(start, system=with_term))
-    system, model, ups = state.system, state.model, state.ups
-    check_observable(system, model, ups)
+        state = _weighed(start.with_terms((G_SENSITIVITY,)))
+    _check_observable(state)
+    equations, values = state.equations, state.values
     information = Information.of(state.rows()[0])
-    covariance = np.zeros((len(system.parameters),) * 2)
-    own = free(system.parameters)
-    found = int(own.sum())
-    covariance[np.ix_(own, own)] = information.covariance[:found, :found]
-    read = model.predict(ups * site.up_rate, ups * site.gravity)
-    residuals = np.array([np.concatenate([h.gyro, h.accel]) for h in holds]) - np.hstack(read)
+    parameters = tuple(dict.fromkeys((*PARAMETERS, *equations.parameters)))
+    own = [parameters.index(p) for p in equations.parameters]
+
+    def of_all(found: Floats, kept: float) -> Floats:
+        result = np.full((len(parameters),) * found.ndim, kept)
+        result[np.ix_(*[own] * found.ndim)] = found
+        return result
+
+    sensors = slice(0, equations.sensors)
+    found = shares(equations, values, information.gain)
     return FreeFit(
-        model,
-        system.parameters,
-        covariance,
-        ups,
-        residuals,
+        equations.model(values),
+        parameters,
+        of_all(information.covariance[sensors, sensors], 0.0),
+        (equations.outputs - equations.predict(values))[equations.rows.rest],
         information.condition,
-        system.scatter,
+        state.scatter,
         state.dropped,
-        _shares(system, information.gain, freedom),
+        {
+            source: Share(of_all(share.covariance, 0.0), of_all(share.freedom, np.inf))
+            for source, share in found.items()
+        },
         chance if chance < _SHOWN else 1.0,
     )
 
 
+def started(evidence: Evidence) -> tuple[FreeEquations, Floats]:
+    """Return the equations in the attitudes that gravity and gyros show, and where they start.
+
+    Raises:
+        NotObservable: The outputs of nine holds or more lie on no ellipsoid.
+
+    """
+    outputs = evidence.outputs()
+    gyro, accel = Triad(bias=outputs[:, :3].mean(axis=0)), Triad()
+    if len(outputs) >= FEWEST:
+        accel = ellipsoid(outputs[:, 3:], evidence.site.gravity)
+    model = SensorModel(gyro, accel)
+    forces = model.compensate(outputs[:, :3], outputs[:, 3:])[1]
+    ups = forces / np.linalg.norm(forces, axis=1)[:, None]
+    equations = FreeEquations(led_on(evidence, ups, model), ESTIMATES)
+    values = equations.nominal()
+    values[: len(ESTIMATES)] = model.values(ESTIMATES)
+    return equations, values
+
+
 def _weighed(state: _State) -> _State:
-    """Return the least squares with what scatters more than its noise, and without wild swings."""
+    """Return the least squares with what scatters more than its noise, and without wild turns."""
     for _ in range(_ROUNDS):
         state = state.settled()
-        system = state.system
-        wild = _wild_swings(system, state.model, state.ups)
+        wild = _wild_turn(state)
+        if wild is not None:
+            state = state.without(wild)
+            continue
         scatter = _scatter(state)
-        if not wild and np.allclose(scatter, system.scatter, rtol=0.02):
+        if np.allclose(scatter, state.scatter, rtol=0.02):
             break
-        dropped = sorted([*state.dropped, *(system.swings[k].first for k in wild)])
-        kept = tuple(s for k, s in enumerate(system.swings) if k not in wild)
-        again = replace(system, swings=kept, scatter=scatter if not wild else np.ones(3))
-        # A turn less parts a run in two: north is then found anew.
-        again = replace(again, north=np.zeros(0)) if wild else again
-        state = replace(state, system=again, dropped=tuple(dropped))
+        state = state.scattering(scatter)
     return state
 
 
@@ -213,10 +247,9 @@ def _chance(state: _State, term: Term) -> float:
         term: Whose coefficients are asked for.
 
     """
-    wider = replace(state.system, parameters=parameters_of((term,)))
     try:
-        found = replace(state, system=wider).settled()
-        check_observable(found.system, found.model, found.ups)
+        found = state.with_terms((term,)).settled()
+        _check_observable(found)
     except NotObservable:
         return 1.0
     jacobian, left = found.rows()
@@ -228,40 +261,29 @@ def _chance(state: _State, term: Term) -> float:
     return float(scipy.special.fdtrc(count, freedom, ratio))
 
 
-def _shares(system: System, gain: Floats, freedom: float) -> dict[Source, Share]:
-    """Return the covariance (n, n) of the parameters by source.
+def _check_observable(state: _State) -> None:
+    """Refuse attitudes and turns that leave parameters open.
 
-    Args:
-        system: Holds and turns.
-        gain: (n, m) derivatives of all unknowns by the rows of `system`, in standard deviations.
-        freedom: Degrees of freedom of the sensors' noise.
+    Raises:
+        NotObservable: Names the parameters.
 
     """
-    pulses, groups = [], []
-    for hold in system.holds:
-        pulses += [hold.pulses[3:] / hold.accel_variance, hold.pulses[:3] / hold.gyro_variance]
-        groups += [0] * 3 + [1] * 3
-    for swing in system.swings:
-        pulses.append(np.full(2, swing.pulses / swing.variance))
-        groups += [2] * 2
-    rest, (unknowns, rows) = len(groups), gain.shape
-    own = 1 / system.scatter[groups] ** 2
-    counted = own * np.concatenate(pulses)
-    found = np.flatnonzero(free(system.parameters))
-
-    def share(columns: Floats, weights: Floats, known_by: float) -> Share:
-        covariance = np.zeros((len(system.parameters),) * 2)
-        part = columns[: len(found)]
-        covariance[np.ix_(found, found)] = (part * weights) @ part.T
-        return Share.of_parts([(covariance, known_by)])
-
-    outputs, priors = gain[:, :rest], gain[:, rest:]
-    return {
-        Source.NOISE: share(outputs, own - counted, freedom),
-        Source.QUANTISATION: share(outputs, counted, np.inf),
-        Source.NORTH: share(priors, np.ones(rows - rest), np.inf),
-        Source.SCATTER: share(outputs, 1 - own, max(1.0, float(rows - unknowns))),
-    }
+    parameters, evidence = state.equations.parameters, state.equations.evidence
+    covariance = Information.of(state.rows()[0]).covariance
+    std = np.sqrt(np.diag(covariance)[: len(parameters)])
+    ratio = np.array([p.kind is not ParameterKind.BIAS for p in parameters])
+    lost = ~np.isfinite(std) | (ratio & (std > _USELESS))
+    if lost.any():
+        names = [p.name for p, gone in zip(parameters, lost, strict=True) if gone]
+        words = []
+        if any(name[2] == 'a' for name in names):
+            words.append('hold the unit in more different attitudes, each axis up and down')
+        if any(name[2] == 'g' for name in names):
+            words.append('turn it by a quarter turn or more about different axes between holds')
+        raise NotObservable(
+            f'{len(evidence.segments)} holds and {len(evidence.led)} turns cannot tell '
+            f'{", ".join(names)}: {"; ".join(words)}.'
+        )
 
 
 def refuse(_: Evidence) -> Solution:
@@ -343,31 +365,24 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
 
 def _scatter(state: _State) -> Floats:
     """Return by how much each group scatters more than its noise, 1 where chance explains it."""
-    plain = replace(state.system, scatter=np.ones(3))
-    _, left, groups = plain.rows(state.model, state.ups)
-    basis = np.linalg.qr(state.rows()[0])[0]
-    taken = (basis**2).sum(axis=1)
+    left = state.scattering(np.ones(3)).rows()[1]
+    taken = (np.linalg.qr(state.rows()[0])[0] ** 2).sum(axis=1)
     result = np.ones(3)
-    for group in range(3):
-        mine = groups == group
-        freedom = float(mine.sum() - taken[mine].sum())
-        square = float(left[mine] @ left[mine])
+    for k, rows in enumerate(state.groups):
+        freedom = float(len(rows) - taken[rows].sum())
+        square = float(left[rows] @ left[rows])
         if freedom > 1 and scipy.special.chdtrc(freedom, square) < _SIGNIFICANT:
-            result[group] = np.sqrt(square / freedom)
+            result[k] = np.sqrt(square / freedom)
     return result
 
 
-def _wild_swings(system: System, model: SensorModel, ups: Floats) -> list[int]:
-    """Find the swing that stands far out of the rest; one at a time, none that is needed."""
-    _, left, groups = replace(system, scatter=np.ones(3)).rows(model, ups)
-    size = np.linalg.norm(left[groups == 2].reshape(-1, 2), axis=1)
+def _wild_turn(state: _State) -> int | None:
+    """Find the turn that stands far out of the rest, if any does."""
+    left = state.scattering(np.ones(3)).rows()[1]
+    size = np.linalg.norm(left[state.equations.rows.move], axis=1)
     if not len(size):
-        return []
+        return None
+    # Across the vertical: about it nothing is left, since headings are sought.
     usual = max(1.0, float(np.median(size)) / np.sqrt(2 * np.log(2)))
     worst = int(np.argmax(size))
-    return [worst] if size[worst] > _OUTLYING * usual else []
-
-
-def _directions(accel: Triad, holds: Sequence[Hold]) -> Floats:
-    forces = np.linalg.solve(accel.response, (np.array([h.accel for h in holds]) - accel.bias).T).T
-    return np.asarray(forces / np.linalg.norm(forces, axis=1)[:, None])
+    return worst if size[worst] > _OUTLYING * usual else None

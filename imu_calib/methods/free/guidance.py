@@ -7,22 +7,19 @@ a gain of 21 ln(2) halves every standard deviation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import product
 
 import numpy as np
 
-from ...earth import Site
-from ...errors import NotObservable
-from ...imu import ImuSpec
-from ...model import AXES, PARAMETERS, ParameterKind, SensorModel, Triad
+from ...model import AXES, PARAMETERS, ParameterKind
+from ...observation.evidence import Evidence
+from ...observation.free import FreeEquations
+from ...prediction.expected import next_hold, short_move
 from ...stream import Floats
 from ...units import ARCMIN, DEG, PPM
-from .fit import FEWEST, ellipsoid
-from .holds import Hold, Swing
-from .system import FREE, System
+from .fit import ESTIMATES, FEWEST, FREE, started
 
 _SCALE_WIDTH = 0.1
 _GYRO_BIAS_WIDTH = 1.0 * DEG
@@ -34,13 +31,8 @@ _CHECKED = 2 * FEWEST
 """Fewest holds that are enough: as many again as gravity has to tell, so that one that was no
 hold, or noise that is more than it should be, shows."""
 
-_STEPS = 40
-_PARALLEL = 1e-6
 HOLD_SECONDS = 3.0
 """How long a hold is to last, s."""
-
-TURN_SECONDS = 2.0
-"""How long a turn from hold to hold is taken to last, s."""
 
 
 class Stage(Enum):
@@ -89,10 +81,7 @@ class Guidance:
 
 
 def guide(
-    holds: Sequence[Hold],
-    swings: Sequence[Swing],
-    imu: ImuSpec,
-    site: Site,
+    evidence: Evidence,
     *,
     holding: float | None = None,
     hold_seconds: float = HOLD_SECONDS,
@@ -102,10 +91,7 @@ def guide(
     """Say what to do next.
 
     Args:
-        holds: Those that have come to their end.
-        swings: The turns between them.
-        imu: Noise figures, for what a further hold would know.
-        site: Gravity.
+        evidence: The holds that have come to their end, and the turns between them.
         holding: How long the unit has been still, s; None while it moves.
         hold_seconds: How long a hold is to last, s.
         reached: (21,) standard deviations that a solution states, where there is one: what
@@ -114,32 +100,27 @@ def guide(
 
     """
     wanted = wanted or Wanted()
+    holds, std = len(evidence.segments), np.full(len(PARAMETERS), np.nan)
     if not holds:
-        std = np.full(len(PARAMETERS), np.nan)
         candidates = tuple(Candidate(w, u, 0.0) for w, u in _directions())
         return _told(holding, hold_seconds, 0, std, candidates, enough=False)
-    model, ups = _nominal(holds, site)
-    system = System(tuple(holds), tuple(swings), site, np.ones(3))
-    base = system.rows(model, ups)[0]
+    equations, values = started(evidence)
+    base = equations.whitened(values)[0]
     now = _log_information(base)
-    std = _deviations(base)
-    if reached is not None:
-        std[FREE] = reached
+    std[FREE] = _deviations(base) if reached is None else reached
     found = []
     for words, up in _directions():
-        block = _further(holds[-1], ups[-1], up, model, imu, site, hold_seconds)
-        size = base.shape[1]
-        rows = np.zeros((len(block), size + 2))
-        rows[:, :24], rows[:, size - 2 :] = block[:, :24], block[:, 24:]
-        grown = np.vstack([np.pad(base, ((0, 0), (0, 2))), rows])
+        grown = np.vstack(
+            [np.pad(base, ((0, 0), (0, 3))), _further(equations, values, up, hold_seconds)]
+        )
         found.append(Candidate(words, up, (_log_information(grown) - now) / 2))
     found.sort(key=lambda c: -c.gain)
     scale = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])
     angle = np.array([p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS])
     with np.errstate(invalid='ignore'):
         good = std <= np.where(scale, wanted.scale_factor, np.where(angle, wanted.angle, np.inf))
-    enough = len(holds) >= _CHECKED and bool(good[FREE & (scale | angle)].all())
-    return _told(holding, hold_seconds, len(holds), std, tuple(found), enough=enough)
+    enough = holds >= _CHECKED and bool(good[FREE & (scale | angle)].all())
+    return _told(holding, hold_seconds, holds, std, tuple(found), enough=enough)
 
 
 def _told(
@@ -181,104 +162,56 @@ def _directions() -> list[tuple[str, Floats]]:
     return sorted(found, key=lambda f: len(f[0]))
 
 
-def _nominal(holds: Sequence[Hold], site: Site) -> tuple[SensorModel, Floats]:
-    """Return the sensors as far as they are known, and up at every hold."""
-    accel = Triad()
-    outputs = np.array([h.accel for h in holds])
-    if len(holds) > FEWEST:
-        try:
-            accel = ellipsoid(outputs, site.gravity)
-        except NotObservable:
-            accel = Triad()
-    forces = np.linalg.solve(accel.response, (outputs - accel.bias).T).T
-    ups = forces / np.linalg.norm(forces, axis=1)[:, None]
-    bias = np.mean([h.gyro for h in holds], axis=0)
-    return SensorModel(Triad(bias=bias), accel), np.asarray(ups)
+def _further(equations: FreeEquations, values: Floats, up: Floats, seconds: float) -> Floats:
+    """Return the rows that a further hold would add, and the turn to it.
 
-
-def _further(
-    last: Hold,
-    up: Floats,
-    target: Floats,
-    model: SensorModel,
-    imu: ImuSpec,
-    site: Site,
-    seconds: float,
-) -> Floats:
-    """Return the rows that a further hold would add: columns of 24, the last up, the next up."""
-    noise = np.array([imu.gyro.random_walk, imu.accel.random_walk])
-    variances = noise**2 / seconds
-    if not (noise > 0).all():
-        variances = np.array([last.gyro_variance.mean(), last.accel_variance.mean()])
-        noise = np.sqrt(variances * seconds)
-    further = planned_hold(target, model, variances, site)
-    swing = planned_swing(0, up, target, model, float(noise[0] ** 2 * TURN_SECONDS))
-    two = System((last, further), (swing,), site, np.ones(3))
-    rows, _, _ = two.rows(model, np.array([up, target]))
-    # North is taken for known by then: its columns, and what was known of it, stay out.
-    north = np.arange(len(PARAMETERS), two.size[0])
-    return np.asarray(np.delete(rows, north, axis=1)[6 : -len(north)])
-
-
-def planned_hold(up: Floats, model: SensorModel, variances: Floats, site: Site) -> Hold:
-    """Return what a hold would read.
+    North is taken for known by then, and the heading of the last hold with it.
 
     Args:
-        up: (3,) in body axes, unit vector.
-        model: The sensors.
-        variances: (2,) of gyros and accelerometers, (rad/s)^2 and (m/s^2)^2.
-        site: Gravity and Earth rate; of the latter the vertical part alone is read.
+        equations: Of the holds so far.
+        values: (n,) their state.
+        up: (3,) of the further one, body axes.
+        seconds: How long it is held.
+
+    Returns:
+        (9, n + 3) in standard deviations; the rotations of the further hold come last.
 
     """
-    gyro, accel = model.predict(up * site.up_rate, up * site.gravity)
-    return Hold(0, 0, gyro, accel, np.full(3, variances[0]), np.full(3, variances[1]))
-
-
-def planned_swing(
-    first: int, up: Floats, target: Floats, model: SensorModel, variance: float
-) -> Swing:
-    """Return the short way from one direction of up to another, at an even pace.
-
-    Args:
-        first: Index of the hold that it leaves.
-        up: (3,) in body axes there, unit vector.
-        target: (3,) the next one.
-        model: The sensors.
-        variance: Of the angle that the gyros' noise adds up to, rad^2.
-
-    """
-    axis = np.cross(target, up)
-    sine, cosine = float(np.linalg.norm(axis)), float(target @ up)
-    if sine < _PARALLEL:
-        # Half a turn goes about any level axis.
-        axis = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
-    angle = np.arctan2(sine, cosine) * axis / np.linalg.norm(axis)
-    period = TURN_SECONDS / _STEPS
-    step = model.gyro.response @ angle / _STEPS + model.gyro.bias * period
-    return Swing(first, np.tile(step, (_STEPS, 1)), np.full(_STEPS, period), variance)
+    evidence = equations.evidence
+    last = evidence.segments[-1]
+    further = next_hold(last, up, seconds)
+    move = short_move(last, further, equations.model(values), evidence.site)
+    pair = replace(evidence, segments=(last, further), moves=(move,))
+    two = replace(equations, evidence=pair)
+    state = two.nominal()
+    state[: two.sensors] = values[: two.sensors]
+    rows = two.whitened(state)[0][6:15]
+    result = np.zeros((len(rows), equations.size + 3))
+    result[:, : two.sensors] = rows[:, : two.sensors]
+    result[:, equations.leaning_last] = rows[:, -5:-3]
+    result[:, -3:] = rows[:, -3:]
+    return result
 
 
 def _prior() -> Floats:
-    """Return how far off a unit may be before anything is known of it, (24,)."""
+    """Return how far off a unit may be before anything is known of it, (21,)."""
     return np.array(
         [
             _SCALE_WIDTH
             if p.kind is not ParameterKind.BIAS
             else (_GYRO_BIAS_WIDTH if p.triad == 'g' else _ACCEL_BIAS_WIDTH)
-            for p in PARAMETERS
+            for p in ESTIMATES
         ]
     )
 
 
 def _information(rows: Floats) -> Floats:
-    """Return the information on the 21 parameters, directions taken out, a wide prior put in."""
-    widths = _prior()
+    """Return the information on the 21 parameters, all else taken out, a wide prior put in."""
+    n = len(ESTIMATES)
     whole = rows.T @ rows
-    n = len(PARAMETERS)
-    directions = whole[n:, n:]
     cross = whole[n:, :n]
-    own = whole[:n, :n] - cross.T @ np.linalg.solve(directions, cross)
-    return np.asarray((own + np.diag(1 / widths**2))[np.ix_(FREE, FREE)])
+    own = whole[:n, :n] - cross.T @ np.linalg.solve(whole[n:, n:], cross)
+    return np.asarray(own + np.diag(1 / _prior() ** 2))
 
 
 def _log_information(rows: Floats) -> float:
@@ -286,7 +219,5 @@ def _log_information(rows: Floats) -> float:
 
 
 def _deviations(rows: Floats) -> Floats:
-    std = np.full(len(PARAMETERS), np.nan)
-    std[FREE] = np.sqrt(np.diag(np.linalg.inv(_information(rows))))
-    with np.errstate(invalid='ignore'):
-        return np.where(std < _TOLD * _prior(), std, np.nan)
+    std = np.sqrt(np.diag(np.linalg.inv(_information(rows))))
+    return np.where(std < _TOLD * _prior(), std, np.nan)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -16,25 +15,22 @@ from ...calibrator import Calibrator, Result, Review, Setup
 from ...errors import NotObservable
 from ...gravity import gravity_covariance, with_gravity
 from ...model import PARAMETERS, SensorModel
-from ...observation.evidence import Evidence, known_noise, noise
-from ...observation.moves import bent
+from ...observation.evidence import Evidence, known_noise
+from ...segmentation.clock import NO_CLOCK
 from ...segmentation.labelling import Labelled
 from ...segmentation.segment import Segment
 from ...segmentation.segmenter import Segmenter
 from ...segmentation.session import Move, Segmented
-from ...stream import Block, Floats, ImuBlock, TemperatureBlock, Units
+from ...stream import Block, Floats, ImuBlock, TemperatureBlock
 from ...units import DEG, STANDARD_GRAVITY
 from .. import estimates
 from ..solution import Residual, Solution
 from . import NAME
-from .fit import FEWEST, FreeFit, scatter_words, solve, term_words
+from .fit import FEWEST, FREE, FreeFit, scatter_words, solve, term_words
 from .guidance import HOLD_SECONDS, Guidance, Stage, guide
-from .holds import Hold, Swing
-from .system import FREE
 
 _LEAST_STD = np.repeat([1e-9, 1e-7], 3)
-_LEAST_ANGLE = 1e-9
-"""What numbers without noise are taken to be known to: rad/s, m/s^2 and rad. The best units of the
+"""What numbers without noise are taken to be known to: rad/s and m/s^2. The best units of the
 shipped ones know 300 times less after a hold, and the solver's conditioning needs an end."""
 _LOST = 100.0
 """Variance of what lost samples leave in a turn, of all else that does, from which on it is lost: a
@@ -77,12 +73,9 @@ class FreeCalibrator:
         if isinstance(block, ImuBlock | TemperatureBlock):
             self._segmenter.feed(block)
 
-    def so_far(self) -> tuple[list[Hold], list[Swing]]:
+    def so_far(self) -> Evidence:
         """Return the holds that have come to their end, and the turns between them."""
-        segments = self._segmenter.segments
-        if not segments:
-            return [], []
-        return self._cut(segments, self._segmenter.moves, self._walk(segments))
+        return self._evidence(self._segmenter.segments, self._segmenter.moves)
 
     def finish(self) -> Result:
         """End of the session: solve.
@@ -98,15 +91,13 @@ class FreeCalibrator:
         if not session.segments:
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
             raise NotObservable(' '.join([text, *self._unrest(), *lost]))
-        segments = tuple(replace(s, position=str(k + 1)) for k, s in enumerate(session.segments))
-        walk, freedom = known_noise(segments, self._setup.imu)
-        holds, swings = self._cut(segments, session.moves, walk)
+        evidence = self._evidence(session.segments, session.moves)
         try:
-            fit = solve(holds, swings, self._setup.site, float(freedom.min()))
+            fit = solve(evidence)
         except NotObservable as error:
-            few = self._unrest() if len(holds) < FEWEST else []
+            few = self._unrest() if len(evidence.segments) < FEWEST else []
             raise NotObservable(' '.join([str(error), *few, *lost])) from None
-        return self._result(session, segments, walk, fit, len(swings))
+        return self._result(session, evidence, fit)
 
     def _unrest(self) -> list[str]:
         """Say how still the unit ever was, and what to do, where holds are too few."""
@@ -166,63 +157,62 @@ class FreeCalibrator:
             if holding < HOLD_SECONDS:
                 # It has not come to its end: what it tells so far does not count yet.
                 segments = tuple(s for s in segments if s.end <= since)
-        setup = self._setup
-        holds: list[Hold] = []
-        swings: list[Swing] = []
         try:
-            if segments:
-                holds, swings = self._cut(segments, session.moves, self._walk(segments))
+            evidence = self._evidence(segments, session.moves)
         except NotObservable:
-            told = guide((), (), setup.imu, setup.site, holding=holding)
+            told = guide(self._evidence((), ()), holding=holding)
             return replace(told, stage=Stage.HOLD, text=_NOISE)
-        return guide(holds, swings, setup.imu, setup.site, holding=holding, reached=reached)
+        return guide(evidence, holding=holding, reached=reached)
 
-    def _walk(self, segments: tuple[Segment, ...]) -> Floats:
-        return noise(segments, self._setup.imu)
+    def _evidence(self, segments: Sequence[Segment], moves: Sequence[Move]) -> Evidence:
+        """Return what holds, numbered, and the turns between them tell.
 
-    def _cut(
-        self, segments: Sequence[Segment], moves: Sequence[Move], walk: Floats
-    ) -> tuple[list[Hold], list[Swing]]:
-        holds = []
-        for segment in segments:
-            mean = segment.statistics.mean
-            variance = segment.statistics.variance(walk) + _LEAST_STD**2
-            parts = (mean[:3], mean[3:], variance[:3], variance[3:], segment.statistics.quantum)
-            holds.append(Hold(segment.start, segment.end, *parts))
-        between = {(a.end, b.start): k for k, (a, b) in enumerate(pairwise(segments))}
-        spec = self._setup.imu
-        pulse = spec.gyro.scale_factor if spec.units is Units.PULSES else spec.gyro.pulse
-        swings = []
-        for move in moves:
-            first = between.get((move.start, move.end))
-            if first is None:
-                continue
-            variance = float(np.mean(walk[:3] ** 2)) * move.duration + pulse**2 / 6
-            variance += bent(move) + _LEAST_ANGLE**2
-            if move.filled > _LOST * variance:
-                continue
-            variance += move.filled
-            swings.append(Swing(first, move.turned, move.seconds, variance, pulse**2 / 6))
-        return holds, swings
+        Raises:
+            NotObservable: Neither they nor the IMU's description tell the noise.
 
-    def _result(
-        self,
-        session: Segmented,
-        segments: tuple[Segment, ...],
-        walk: Floats,
-        fit: FreeFit,
-        swings: int,
-    ) -> Result:
+        """
         setup = self._setup
-        evidence = Evidence(segments, (), setup.plan, setup.site, session.clock, None, walk)
+        holds = tuple(
+            replace(
+                s,
+                position=str(k + 1),
+                attitude=np.eye(3),
+                statistics=replace(s.statistics, quantum=s.statistics.quantum + _LEAST_STD**2),
+            )
+            for k, s in enumerate(segments)
+        )
+        walk, freedom = known_noise(holds, setup.imu) if holds else (np.zeros(6), np.full(6, 1.0))
+        evidence = Evidence(
+            holds,
+            (),
+            setup.plan,
+            setup.site,
+            NO_CLOCK,
+            None,
+            walk,
+            walk_freedom=freedom,
+            moves=tuple(moves),
+            units=setup.imu.units,
+            free=True,
+        )
+        kept = tuple(
+            link.move
+            for link, variance in zip(evidence.led.links, evidence.led.variances(walk), strict=True)
+            if link.move.filled <= _LOST * (variance.mean() - link.move.filled)
+        )
+        return replace(evidence, moves=kept)
+
+    def _result(self, session: Segmented, evidence: Evidence, fit: FreeFit) -> Result:
+        setup = self._setup
+        segments, turns = evidence.segments, len(evidence.led)
         std = np.sqrt(evidence.variances())
         residuals = tuple(
             Residual(str(s.position), s.start, value, deviation)
             for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
         )
         findings = [_FRAME, *term_words(fit), *scatter_words(fit.scatter)]
-        if swings < len(segments) - 1:
-            findings.append(f'{len(segments) - 1 - swings} turns are lost (gaps, saturation).')
+        if turns < len(segments) - 1:
+            findings.append(f'{len(segments) - 1 - turns} turns are lost (gaps, saturation).')
         if fit.dropped:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.dropped)
             findings.append(f'Turns that do not fit the rest are left out: from hold {names}.')
@@ -244,7 +234,7 @@ class FreeCalibrator:
             ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:]) for r in residuals
         )
         provenance = table_session._provenance(setup, evidence, session, solution)
-        provenance['turns'] = swings
+        provenance['turns'] = turns
         provenance['frame'] = 'accelerometers'
         # The attitudes of a plan of free positions are proposals: none is missing.
         provenance.pop('missing_positions', None)
@@ -260,7 +250,8 @@ class FreeCalibrator:
             budget=Budget.of(fit.shares),
         )
         calibration = with_gravity(calibration, setup.site)
-        return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
+        found = tuple(replace(s, attitude=None) for s in segments)
+        return Result(calibration, solution, session, Labelled(found, (), session.rejected))
 
 
 def calibrator_of(setup: Setup) -> Calibrator | FreeCalibrator:

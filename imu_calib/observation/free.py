@@ -1,0 +1,145 @@
+"""Rests in attitudes that nobody knows, with moves between them: a unit in the hand.
+
+The state of `Equations` goes on with the level Earth rate and with a small rotation of each rest.
+The level rate is one vector of the world, and moves without a gap carry its direction along: what
+it does at one rest it does in the move after and at the next rest, so that it is no independent
+noise of each. Of every unbroken run of moves two components are unknown, in standard deviations of
+their prior: a vector of known length and any heading has half the square of that length in each of
+two level axes. The heading of the first rest of a run is a choice of frame.
+
+Source: docs/mathematics.md, 'Free positions'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..budget import Source
+from ..directions import across
+from ..model import SensorModel
+from ..stream import Floats
+from .equations import Equations, Surroundings
+from .evidence import UP, Evidence
+from .path import rotations
+from .rows import Indices
+
+
+@dataclass(frozen=True, eq=False)
+class FreeEquations(Equations):
+    """The equations of a session whose attitudes are sought: those of the evidence are where.
+
+    The state ends with (2 c,) components of the Earth rate, of c unbroken runs of moves, and with
+    rotations of the rests about east, north and up, rad.
+    """
+
+    @cached_property
+    def runs(self) -> Indices:
+        """In which unbroken run of moves each rest lies, (s,)."""
+        unled = np.ones(len(self.evidence.segments), dtype=np.intp)
+        unled[[link.second for link in self.evidence.led.links]] = 0
+        return np.asarray(np.cumsum(unled) - 1)
+
+    @cached_property
+    def _sought(self) -> NDArray[np.bool_]:
+        """Which rotations are sought, (3 s,): all but the heading of the first rest of a run."""
+        sought = np.ones((len(self.runs), 3), dtype=bool)
+        sought[np.unique(self.runs, return_index=True)[1], 2] = False
+        return sought.ravel()
+
+    @property
+    def north(self) -> slice:
+        """Where the components of the level Earth rate lie in the state."""
+        start = self.sensors + self.nuisances + len(self.changes)
+        return slice(start, start + 2 * (int(self.runs.max(initial=-1)) + 1))
+
+    @property
+    def size(self) -> int:
+        """Length of the state."""
+        return int(self.north.stop) + int(np.count_nonzero(self._sought))
+
+    @property
+    def leaning_last(self) -> slice:
+        """Where the rotations of the last rest about east and north lie in the state."""
+        start = self.size - int(np.count_nonzero(self._sought[-3:]))
+        return slice(start, start + 2)
+
+    @property
+    def _level_rate(self) -> float:
+        """Standard deviation of a component of the level Earth rate, rad/s."""
+        return float(self.evidence.site.north_rate / np.sqrt(2))
+
+    def nominal(self) -> Floats:
+        """Return the state (n,) of ideal sensors in the attitudes of the evidence."""
+        return np.append(super().nominal(), np.zeros(self.size - self.north.start))
+
+    def surroundings(self, _: Floats) -> Surroundings:
+        """Return what is vertical of Earth rate and gravity: no azimuth and no tilt turns it."""
+        around, none = Surroundings.at(self.evidence.site, 0.0, 0.0, 0.0), np.zeros((3, 3))
+        rate, by_latitude = around.rate * UP, around.rate_by_latitude * UP
+        return Surroundings(rate, around.force, by_latitude, none, none, np.eye(3))
+
+    def earth(self, state: Floats) -> Floats:
+        """Return the Earth rate in the frame of each rest's attitude, (s, 3) rad/s."""
+        level = state[self.north].reshape(-1, 2)[self.runs] * self._level_rate
+        return np.column_stack([level, np.full(len(level), self.evidence.site.up_rate)])
+
+    def jacobian(self, state: Floats) -> Floats:
+        """Return the derivatives of `predict`, (m, n)."""
+        result = super().jacobian(state)
+        ends = [link.second for link in self.evidence.led.links]
+        run = np.append(self.runs, self.runs[ends])[self.rows.stretch]
+        by_level = self.by_rate(state)[:, :2] * self._level_rate
+        same = run[:, None] == np.arange(self.runs.max(initial=-1) + 1)
+        result[:, self.north] = (same[:, :, None] * by_level[:, None]).reshape(len(run), -1)
+        rests = len(self.runs)
+        about = np.zeros((rests, 3, rests, 3))
+        about[np.arange(rests), :, np.arange(rests)] = self._to_body
+        turned = self._leaning(state, about.reshape(rests, 3, -1), np.zeros((0, 3, 3 * rests)))
+        result[:, self.north.stop :] = turned[:, self._sought]
+        return result
+
+    def prior_rows(self, state: Floats) -> Floats:
+        """Return the priors as equations: (k, n + 1), derivatives and what is left."""
+        rows = np.zeros((self.north.stop - self.north.start, self.size + 1))
+        rows[:, self.north] = np.eye(len(rows))
+        rows[:, -1] = -state[self.north]
+        return np.vstack([super().prior_rows(state), rows])
+
+    @property
+    def prior_sources(self) -> tuple[tuple[Source, list[int], float], ...]:
+        """Whose priors the rows of `prior_rows` are, and degrees of freedom of their size."""
+        north = range(self.nuisances, self.nuisances + self.north.stop - self.north.start)
+        return ((Source.NORTH, list(north), np.inf),)
+
+    def moved(self, state: Floats, step: Floats) -> tuple[FreeEquations, Floats]:
+        """Return the equations in attitudes turned by the end of a step (n,), and the state."""
+        turned = np.zeros(len(self._sought))
+        turned[self._sought] = step[self.north.stop :]
+        attitudes = rotations(turned.reshape(-1, 3)) @ self.evidence.attitudes()
+        state = state + step
+        state[self.north.stop :] = 0.0
+        return replace(self, evidence=self.evidence.at(attitudes)), state
+
+
+def led_on(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
+    """Return a session in attitudes with given ups, at the headings to which moves lead.
+
+    Args:
+        evidence: The session.
+        ups: (s, 3) up in body axes, unit vectors.
+        model: Its gyros lead.
+
+    """
+    east, north = across(ups)
+    attitudes = np.stack([east, north, ups], axis=1)
+    led = evidence.at(attitudes).led
+    for link, path in zip(led.links, led.paths(model), strict=True):
+        up = ups[link.second]
+        east = np.cross(path.whole @ attitudes[link.first, 1], up)
+        east = east / (np.linalg.norm(east) or 1.0)
+        attitudes[link.second] = east, np.cross(up, east), up
+    return evidence.at(attitudes)
