@@ -63,6 +63,7 @@ def conclude(
     shares: Shares,
     condition: float,
     *,
+    gain: Floats,
     parameters: tuple[Parameter, ...] = PARAMETERS,
     findings: Sequence[str],
     north_known: bool,
@@ -75,6 +76,7 @@ def conclude(
         model: What a method found.
         shares: Its covariance (n, n) by source; NaN for accelerometers that were not estimated.
         condition: Condition number of its system.
+        gain: (n, m) derivatives of its parameters by the outputs.
         parameters: What the rows of the covariance stand for.
         findings: What the method has to say already.
         north_known: Whether the attitudes are against north.
@@ -150,6 +152,7 @@ def conclude(
         tuple(notes),
         parameters=parameters,
         shares={**shares, **beyond},
+        gain=gain,
     )
 
 

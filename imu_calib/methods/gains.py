@@ -122,6 +122,7 @@ class Gains:
             model,
             self.shares(evidence, model),
             self.condition,
+            gain=self.rows(evidence),
             parameters=self.parameters,
             findings=findings,
             north_known=north_known,

@@ -158,6 +158,7 @@ def finish(
         model,
         gains.shares(evidence, model),
         gains.condition,
+        gain=gains.rows(evidence),
         findings=findings,
         north_known=north_known,
         accelerometers=accelerometers,

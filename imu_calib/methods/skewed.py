@@ -7,7 +7,7 @@ the spread of its single turns, pooled over the points of one |rate|, then gives
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -191,7 +191,20 @@ def solve(evidence: Evidence) -> Solution:
         condition,
         tuple(findings),
         parameters=_PARAMETERS,
+        gain=_gain(evidence, weights),
     )
+
+
+def _gain(evidence: Evidence, weights: Floats) -> Floats:
+    """Put (4, 4, u) weights in the order of the parameters and of `Solution.gain`, (n, m + u)."""
+    seen = [k for k, turn in enumerate(evidence.turns) if turn.skewed is not None]
+    resting = replace(evidence, moves=()).rows
+    columns = np.column_stack([resting.turn[seen], len(resting) + np.arange(len(seen))])
+    result = np.zeros((len(_PARAMETERS), len(resting) + len(seen)))
+    for row, p in zip(result, _PARAMETERS, strict=True):
+        if p.triad == 'g':
+            row[columns[:, p.row]] = weights[p.row, BIAS if p.column is None else p.column]
+    return result
 
 
 def doubt(evidence: Evidence) -> Floats:

@@ -53,6 +53,9 @@ class Solution:
         changes: By which the parameters change during the session; None where none were asked for.
         tests: What the session says of every term and of the table's errors; empty for a method
             that knows none.
+        gain: (n, m + u) derivatives of the parameters by the outputs of rests and turns, then by
+            those of a skewed gyro in the u turns that it saw; None for a method that weighs them
+            by what they show.
 
     """
 
@@ -70,6 +73,7 @@ class Solution:
     shares: Shares | None = None
     changes: Changes | None = None
     tests: tuple[Tested, ...] = ()
+    gain: Floats | None = None
 
     def __post_init__(self) -> None:
         """Refuse a covariance of other parameters."""

@@ -25,13 +25,9 @@ from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations
 from ..observation.information import Information, told
-from ..segmentation.segment import Statistics
 from ..stream import Floats
 from ..table_clock import clock_share
 from .expected import expected, wandering
-
-_STEP = 0.1
-"""Of an output, in its standard deviations: small against all, large against rounding."""
 
 BIAS_TIME_CONSTANT = 1000.0
 """Correlation time of a bias that wanders, s, as the simulation has it."""
@@ -232,59 +228,9 @@ def _by_closed_form(
     solution = solver(evidence)
     square = np.asarray(solution.std**2)
     if extra is not None:
-        gain = gains(evidence, solver)
-        square = square + np.einsum('ij,jk,ik->i', gain, extra, gain)
+        gain = solution.gain
+        assert gain is not None
+        # Rests come first: of gyros at rest alone the turns that no weight is on are not there.
+        outputs = slice(0, gain.shape[1])
+        square = square + np.einsum('ij,jk,ik->i', gain, extra[outputs, outputs], gain)
     return solution.parameters, square
-
-
-def gains(evidence: Evidence, solver: Callable[[Evidence], Solution]) -> Floats:
-    """Return the derivatives of a method's parameters by its outputs, (n, m + u).
-
-    u is the number of turns that a skewed gyro saw.
-    """
-    evidence = replace(evidence, moves=())
-
-    def parameters(output: int, step: float) -> Floats:
-        solution = solver(_moved(evidence, output, step))
-        return solution.model.values(solution.parameters)
-
-    steps = _STEP * np.sqrt(_own_variances(evidence))
-    columns = [
-        (parameters(k, step) - parameters(k, -step)) / (2 * step) for k, step in enumerate(steps)
-    ]
-    return np.array(columns).T
-
-
-def _own_variances(evidence: Evidence) -> Floats:
-    """Return the variances of all outputs by walk and pulses."""
-    modelled = Equations(evidence).own_variances
-    if all(turn.skewed is None for turn in evidence.turns):
-        return modelled
-    return np.concatenate([modelled, RatePoints.of(evidence).own[:, 3]])
-
-
-def _moved(evidence: Evidence, output: int, step: float) -> Evidence:
-    """Return the evidence with one of its outputs changed."""
-    rows, turns = evidence.rows, evidence.turns
-    for k, c in np.argwhere(rows.rest == output).tolist():
-        segment = evidence.segments[k]
-        changed = replace(segment, statistics=_with_mean(segment.statistics, c, step))
-        segments = (*evidence.segments[:k], changed, *evidence.segments[k + 1 :])
-        return replace(evidence, segments=segments)
-    felt = [[rows.felt[k], 3 + c] for k, c in np.argwhere(rows.turn_accels == output)]
-    for k, c in [*np.argwhere(rows.turn == output).tolist(), *felt]:
-        turned = replace(turns[k], statistics=_with_mean(turns[k].statistics, c, step))
-        break
-    else:
-        askew = [k for k, turn in enumerate(turns) if turn.skewed is not None]
-        k = askew[output - len(rows)]
-        seen = turns[k].skewed
-        assert seen is not None
-        turned = replace(turns[k], skewed=_with_mean(seen, 0, step))
-    return replace(evidence, turns=(*turns[:k], turned, *turns[k + 1 :]))
-
-
-def _with_mean(statistics: Statistics, channel: int, step: float) -> Statistics:
-    mean = statistics.mean.copy()
-    mean[channel] += step
-    return replace(statistics, mean=mean)

@@ -28,7 +28,6 @@ from ..units import PPM
 from .forecast import (
     Forecast,
     forecast,
-    gains,
     gravity_variances,
     information,
     listed,
@@ -184,7 +183,9 @@ def _weights(setup: Setup, truth: SensorModel, evidence: Evidence) -> Floats:
     """Return how the parameters follow from the outputs, (n, 6 s + 3 t)."""
     name = setup.method_name
     if name not in JOINT:
-        return gains(evidence, method(name))
+        gain = method(name)(replace(evidence, moves=())).gain
+        assert gain is not None
+        return gain
     equations = Equations(evidence, setup.parameters)
     state = state_at(equations, truth)
     covariance = information(evidence, truth, setup.parameters).covariance
