@@ -35,7 +35,7 @@ def solve(evidence: Evidence) -> Solution:
         )
     turned, _ = rate_test(evidence)
     fitted, condition = force_weights(
-        evidence.attitudes()[:, 2], once(evidence), _positions(evidence), ESTIMATES
+        evidence.attitudes()[:, 2], once(evidence), evidence.positions_in_words(), ESTIMATES
     )
     g = evidence.site.gravity
     rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
@@ -125,10 +125,3 @@ def _names(parameters: tuple[Parameter, ...]) -> Sequence[str]:
         return names
     own = [', '.join(p.name for p in sensitive if p.column == axis) for axis in range(3)]
     return [f'{a}, {b}' for a, b in zip([biases('g'), *own], names, strict=True)]
-
-
-def _positions(evidence: Evidence) -> str:
-    count = len({s.position for s in evidence.segments})
-    missing = evidence.missing()
-    lost = f' (missing: {", ".join(missing)})' if missing else ''
-    return f'{count} positions{lost}'

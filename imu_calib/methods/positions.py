@@ -124,17 +124,12 @@ def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
             if not positions:
                 raise NotObservable(
                     f'No position with {AXES[axis].upper()} {word} was found'
-                    f'{_missing_words(evidence)}: K_a{AXES[axis]} and the responses of the '
+                    f'{evidence.missing_words()}: K_a{AXES[axis]} and the responses of the '
                     f'accelerometers to {AXES[axis].upper()} cannot be determined.'
                 )
             weights[axis, mine] = shares[mine] / len(positions)
         result.append(weights)
     return result[0], result[1]
-
-
-def _missing_words(evidence: Evidence) -> str:
-    missing = evidence.missing()
-    return f' (missing: {", ".join(missing)})' if missing else ''
 
 
 def finish(

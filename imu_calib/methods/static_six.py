@@ -35,7 +35,7 @@ def solve(evidence: Evidence) -> Solution:
     """
     require_north(evidence)
     weights, condition = _weights(
-        evidence.attitudes(), evidence.site, once(evidence), _positions(evidence)
+        evidence.attitudes(), evidence.site, once(evidence), evidence.positions_in_words()
     )
     gyro = np.vstack([weights[:BIAS] / EARTH_RATE, weights[BIAS:]])
     return gyros_only(evidence, gyro, condition)
@@ -101,9 +101,3 @@ def _weights(attitudes: Floats, site: Site, weights: Floats, what: str) -> tuple
     design = np.column_stack([rates, np.ones(len(rates))]) * root[:, None]
     gain, condition = inverse(design, names, what)
     return gain * root, condition
-
-
-def _positions(evidence: Evidence) -> str:
-    missing = evidence.missing()
-    lost = f' (missing: {", ".join(missing)})' if missing else ''
-    return f'{len({s.position for s in evidence.segments})} positions{lost}'

@@ -53,8 +53,7 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
             incomplete.append(axis)
         else:
             rows.append(weights)
-    missing = evidence.missing()
-    named = f' (missing: {", ".join(missing)})' if missing else ''
+    named = evidence.missing_words()
     groups = ', '.join(AXES[axis].upper() for axis in incomplete)
     if not rows:
         raise NotObservable(

@@ -199,8 +199,10 @@ class Evidence:
         """Return the session with outputs, and their noise, multiplied by (6,) factors."""
         segments = (replace(s, statistics=s.statistics.scaled(factors)) for s in self.segments)
         turns = (replace(t, statistics=t.statistics.scaled(factors)) for t in self.turns)
+        moves = (m.scaled(factors[:3]) for m in self.moves)
         walk = self.walk * factors
-        return replace(self, segments=tuple(segments), turns=tuple(turns), walk=walk)
+        changed = replace(self, segments=tuple(segments), turns=tuple(turns), moves=tuple(moves))
+        return replace(changed, walk=walk)
 
     def at(self, attitudes: Floats) -> Evidence:
         """Return the session in other attitudes, (s, 3, 3) R_nb."""
@@ -286,6 +288,15 @@ class Evidence:
         """Name the positions of the plan that no sound segment stands for."""
         found = {s.position for s in self.segments}
         return [p.id for p in self.plan.positions if p.dwell > 0 and p.id not in found]
+
+    def missing_words(self) -> str:
+        """Name them at the end of a clause; nothing where none is missing."""
+        missing = self.missing()
+        return f' (missing: {", ".join(missing)})' if missing else ''
+
+    def positions_in_words(self) -> str:
+        """Say how many positions were found, and which are missing."""
+        return f'{len({s.position for s in self.segments})} positions{self.missing_words()}'
 
 
 def vertical_axis(up: Floats, position: str | None) -> tuple[int, int]:

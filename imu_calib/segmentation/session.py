@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..stream import Floats, Setpoint
 from .clock import ClockFit
@@ -75,6 +75,10 @@ class Move:
     def duration(self) -> float:
         """How long it took, s."""
         return float(self.seconds.sum())
+
+    def scaled(self, factors: Floats) -> Move:
+        """Return the angles and their quantum multiplied by (3,) factors."""
+        return replace(self, turned=self.turned * factors, quantum=self.quantum * factors)
 
 
 @dataclass(frozen=True, eq=False)
