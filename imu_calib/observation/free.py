@@ -87,9 +87,8 @@ class FreeEquations(Equations):
         level = state[self.north].reshape(-1, 2)[self.runs] * self._level_rate
         return np.column_stack([level, np.full(len(level), self.evidence.site.up_rate)])
 
-    def jacobian(self, state: Floats) -> Floats:
-        """Return the derivatives of `predict`, (m, n)."""
-        result = super().jacobian(state)
+    def _derivatives(self, state: Floats) -> Floats:
+        result = super()._derivatives(state)
         ends = [link.second for link in self.evidence.led.links]
         run = np.append(self.runs, self.runs[ends])[self.rows.stretch]
         by_level = self.by_rate(state)[:, :2] * self._level_rate
