@@ -252,7 +252,7 @@ class Calibration:
             InputError: pandas is not installed.
 
         """
-        from .api.parameters import data_frame
+        from .views import data_frame
 
         return data_frame(self)
 
@@ -263,7 +263,7 @@ class Calibration:
             InputError: matplotlib is not installed.
 
         """
-        from .api.parameters import draw
+        from .views import draw
 
         return draw(self)
 

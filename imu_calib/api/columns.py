@@ -13,6 +13,7 @@ from ..bags import Recording, Topic, open_recording
 from ..cdr import Kind
 from ..config import Section
 from ..errors import InputError
+from ..extras import wanted
 from ..imu import read_imu
 from ..session import described_imu
 from ..stream import (
@@ -25,7 +26,6 @@ from ..stream import (
     TemperatureBlock,
     Units,
 )
-from .extras import wanted
 from .stated import Named
 
 if TYPE_CHECKING:

@@ -18,11 +18,11 @@ from ..cdr import (
     encode_temperatures,
 )
 from ..errors import InputError
+from ..extras import wanted
 from ..share import named_file
 from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
 from ..units import Dimension, parse
 from .columns import read
-from .extras import wanted
 from .stated import Named
 from .text import Text, read_text
 from .watching import Progress, silent

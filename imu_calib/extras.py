@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from importlib.util import find_spec
 
-from ..errors import InputError
+from .errors import InputError
 
 
 def wanted(library: str, what: str, extra: str) -> None:

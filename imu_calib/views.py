@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model import Parameter
 from .extras import wanted
+from .model import Parameter
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-    from ..calibration import Calibration
+    from .calibration import Calibration
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
 _BAR = 2.0
