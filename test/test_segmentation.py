@@ -25,6 +25,7 @@ from imu_calib.segmentation.segment import Statistics
 from imu_calib.segmentation.statistics import (
     Samples,
     gap_free,
+    pooled_walk,
     sample_period,
     statistics_at_rest,
     statistics_between,
@@ -277,6 +278,18 @@ def blocks(means: list[float], middles: list[float], gain: float = 0.1) -> Stati
     row = np.array([[m, gain, 0.0, t] for m, t in zip(means, middles, strict=True)])
     zeros = np.zeros(6)
     return Statistics(1, 0, 1.0, zeros, zeros, zeros, zeros, (row,) * 6, zeros, zeros)
+
+
+@pytest.mark.parametrize('count', [2, 3, 12])
+def test_the_walk_of_short_rests_is_no_smaller_than_it_is(count: int) -> None:
+    # Two blocks about a mean of their own scatter by half of their variance: it is not half as large.
+    rng = np.random.default_rng(7)
+    gain, walk, rests = 0.1, 3.0, 400
+    draws = rng.normal(5.0, walk * np.sqrt(gain), (rests, count))
+    found = pooled_walk([blocks(row.tolist(), list(range(count)), gain) for row in draws])
+    stated = np.sqrt(2 / (rests * (count - 1))) * walk**2
+    assert found.deviation == pytest.approx(np.full(6, stated), rel=0.1)
+    assert found.square == pytest.approx(np.full(6, walk**2), abs=4 * stated)
 
 
 MIDDLES = [5.0, 15, 25, 35, 45, 55, 65, 75]

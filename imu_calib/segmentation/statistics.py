@@ -371,7 +371,7 @@ def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
         middle = np.add.reduceat(precision * mean, first) / np.add.reduceat(precision, first)
         square_left = (mean - np.repeat(middle, lengths)) ** 2 / left
         score = float((left * gain * precision**2) @ (square_left - quantum))
-        information = float(((gain * precision) ** 2).sum())
+        information = float((left * (gain * precision) ** 2).sum())
         before, square = square, max(0.0, score / information)
         if square == before:
             break
