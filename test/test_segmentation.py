@@ -282,14 +282,14 @@ def blocks(means: list[float], middles: list[float], gain: float = 0.1) -> Stati
 
 @pytest.mark.parametrize('count', [2, 3, 12])
 def test_the_walk_of_short_rests_is_no_smaller_than_it_is(count: int) -> None:
-    # Two blocks about a mean of their own scatter by half of their variance: it is not half as large.
+    # Two blocks scatter about the mean of both by half of their variance.
     rng = np.random.default_rng(7)
     gain, walk, rests = 0.1, 3.0, 400
     draws = rng.normal(5.0, walk * np.sqrt(gain), (rests, count))
     found = pooled_walk([blocks(row.tolist(), list(range(count)), gain) for row in draws])
-    stated = np.sqrt(2 / (rests * (count - 1))) * walk**2
-    assert found.deviation == pytest.approx(np.full(6, stated), rel=0.1)
-    assert found.square == pytest.approx(np.full(6, walk**2), abs=4 * stated)
+    relative = np.sqrt(2 / (rests * (count - 1)))
+    assert found.deviation / found.square == pytest.approx(np.full(6, relative))
+    assert found.square / walk**2 == pytest.approx(np.ones(6), abs=3 * relative)
 
 
 MIDDLES = [5.0, 15, 25, 35, 45, 55, 65, 75]
