@@ -445,7 +445,7 @@ def _provenance(
     return {
         'recorded': _date(session.start),
         'method': setup.method_name,
-        'terms': [*(t.name for t in terms_of(solution.parameters)), *spelled(setup.changes)],
+        'terms': [*(t.name for t in terms_of(solution.parameters)), *spelled(_changing(solution))],
         'terms_looked_for': setup.look and bool(solution.tests),
         'plan': setup.plan.name or None,
         'table': setup.table.name if setup.table is not None else None,
@@ -482,6 +482,10 @@ def _provenance(
             'scipy': scipy.__version__,
         },
     }
+
+
+def _changing(solution: Solution) -> tuple[Change, ...]:
+    return () if solution.changes is None else solution.changes.changes
 
 
 def _noise(evidence: Evidence) -> dict[str, object]:

@@ -19,11 +19,12 @@ from imu_calib.budget import Source, total
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.estimation.fit import fit
-from imu_calib.estimation.score import Family, Residuals, Score, columns_of, log_f
+from imu_calib.estimation.score import Family, Residuals, Score, columns_of, log_f, times_of
 from imu_calib.estimation.tested import State, summary
 from imu_calib.imu import load_imu
 from imu_calib.methods.joint import solve
 from imu_calib.model import PARAMETERS, SensorModel, Term, terms_of
+from imu_calib.model.session_terms import LOOKED_FOR
 from imu_calib.model.terms import ACCEL_CROSS, GYRO_ASYMMETRY
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
@@ -208,7 +209,7 @@ def test_the_power_that_is_stated_is_that_of_the_test() -> None:
         equations = Equations(evidence)
         state = fit(equations, equations.nominal())
         columns = columns_of([family], equations, state)
-        return Residuals.of(equations, state).score(family, *columns[family])
+        return Residuals.of(equations, state).score(family, columns[family])
 
     without, _ = expectation(())
     least = float(score(noisy(without, 0)).smallest(alpha)[1])
@@ -280,3 +281,102 @@ def test_the_screen_says_what_a_session_cannot_show() -> None:
         'K_ax, K_ay, K_az hold for accel_cubic = 0, which this session does not show: 10 ug/g^3 '
         'would move K_ax by 10 ppm'
     ]
+
+
+INSTABILITY = np.repeat([0.05 * DEG / 3600, 10 * MICRO_G], 3)
+"""Of biases that wander as they are stated to: some times what the noise of rests hides."""
+
+CORRELATION = 1000.0
+"""Of such wandering, s, as a simulated unit has it."""
+
+
+def changed(evidence: Evidence, biases: Floats, slopes: Floats) -> Evidence:
+    """The evidence whose biases are off by (n, 6) and rise by (n, 6) per s, rests, then turns."""
+    parts: list[Segment | Turn] = []
+    for k, part in enumerate((*evidence.segments, *evidence.turns)):
+        there = replace(
+            part.statistics,
+            mean=part.statistics.mean + biases[k],
+            drift=part.statistics.drift + slopes[k],
+        )
+        parts.append(replace(part, statistics=there))
+    rests = len(evidence.segments)
+    segments = tuple(p for p in parts[:rests] if isinstance(p, Segment))
+    turns = tuple(p for p in parts[rests:] if isinstance(p, Turn))
+    return replace(evidence, segments=segments, turns=turns)
+
+
+def instants(evidence: Evidence) -> tuple[Floats, Floats]:
+    """Middle and length of rests and turns, s."""
+    parts = (*evidence.segments, *evidence.turns)
+    starts, ends = (np.array([getattr(p, of) for p in parts]) * 1e-9 for of in ('start', 'end'))
+    return (starts + ends) / 2, ends - starts
+
+
+def wandering(evidence: Evidence, seed: int) -> Evidence:
+    """The evidence with biases that wander as they are stated to, from instant to instant."""
+    rng = np.random.default_rng([7, seed])
+    middles, lengths = instants(evidence)
+    grid = (np.arange(8) + 0.5) / 8 - 0.5
+    times = (middles[:, None] + lengths[:, None] * grid).ravel()
+    path, now, last = np.empty((len(times), 6)), rng.standard_normal(6), np.inf
+    for k in np.argsort(times).tolist():
+        kept = np.exp(-max(0.0, times[k] - last) / CORRELATION)
+        now = kept * now + np.sqrt(1 - kept**2) * rng.standard_normal(6)
+        path[k], last = now, times[k]
+    path = path.reshape(-1, 8, 6) * INSTABILITY
+    slopes = np.einsum('j,kjc->kc', grid / (grid @ grid), path) / lengths[:, None]
+    return changed(evidence, path.mean(axis=1), slopes)
+
+
+def drifting(evidence: Evidence, size: float) -> Evidence:
+    """The evidence with biases that drift evenly by so many times what they may wander by."""
+    middles, _ = instants(evidence)
+    span = float(np.ptp(middles))
+    signs = np.array([1, -1, 0.7, 1, -0.8, 1.2])
+    biases = np.outer((middles - middles.mean()) / span, size * signs * INSTABILITY)
+    return changed(evidence, biases, np.tile(size * signs * INSTABILITY / span, (len(middles), 1)))
+
+
+def chances(evidence: Evidence, *, wander: bool = True) -> dict[str, float]:
+    """The chances of trend and warm-up in a session, natural logarithms, as the search tests them.
+
+    With `wander` off noise alone is allowed for.
+    """
+    evidence = replace(evidence, instability=INSTABILITY)
+    equations = Equations(evidence)
+    state = fit(equations, equations.nominal())
+    found = {}
+    for course in LOOKED_FOR:
+        family = Family(course.value, course=course)
+        patterns = columns_of([family], equations, state)[family]
+        score = Residuals.of(equations, state).score(family, patterns)
+        if wander:
+            scatter = family.scatter(equations, state, times_of(family)[score.chosen])
+            there = Residuals.of(family.weighed(equations, scatter), state)
+            score = there.score(family, patterns)
+        found[course.value] = score.log_p
+    return found
+
+
+def test_biases_that_wander_as_stated_are_no_drift() -> None:
+    still, _ = expectation(())
+    runs = 16
+    sessions = [wandering(noisy(still, seed), seed) for seed in range(runs)]
+    found = [p for session in sessions for p in chances(session).values()]
+    # Of 32 chances four below 0.01 come once in 4000 times.
+    assert sum(p < np.log(0.01) for p in found) < 4
+    assert min(found) > np.log(1e-3 / 15)
+    # Noise alone would take most of them for a drift.
+    alone = [min(chances(session, wander=False).values()) for session in sessions[:4]]
+    assert sum(p < np.log(1e-3 / 15) for p in alone) >= 3
+
+
+def test_a_drift_counts_beside_all_the_wander_that_is_stated() -> None:
+    still, _ = expectation(())
+    # Nothing else wanders, and what is stated is held against the drift all the same.
+    assert chances(drifting(noisy(still, 1), 2.5))['trend'] > np.log(1e-3)
+    found = chances(drifting(noisy(still, 1), 10.0))
+    assert found['trend'] < np.log(1e-6)
+    # A line is a warm-up that has hardly begun, and that it is one of eleven has its price.
+    assert found['trend'] < found['warm_up'] < np.log(1e-4)

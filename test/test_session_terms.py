@@ -22,13 +22,15 @@ from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import ThermalCalibration, by_temperature, load_calibration
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.estimation.fit import Estimate, estimate
+from imu_calib.estimation.tested import State
 from imu_calib.imu import load_imu
 from imu_calib.methods import method
 from imu_calib.methods.joint import solve
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS, chosen
-from imu_calib.model.session_terms import parted
+from imu_calib.model.session_terms import Course, parted
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.modulation import rates, spans
 from imu_calib.share import named_file
 from imu_calib.simulation import WarmUp
 from imu_calib.stream import Floats, TemperatureBlock
@@ -284,6 +286,59 @@ def test_a_warm_up_fades_at_a_rate_that_is_found(warming: tuple[Evidence, Floats
     scale = np.sqrt(np.outer(np.diag(kept), np.diag(kept)))
     assert np.abs((total - kept) / scale).max() < 1e-6
     assert np.diag(shares[Source.TIME_CONSTANT].covariance)[21] > 0
+
+
+BLAMED = ('wander', 'scatter', 'not fit', 'elsewhere', 'counts for less')
+"""Words of the findings that blame something else."""
+
+
+def test_a_drift_that_nobody_asked_for_is_found_and_named(drifting: Evidence) -> None:
+    found = solve(drifting, look=True)
+    assert found.changes is not None
+    assert {c.course for c in found.changes.changes} == {Course.TREND}
+    told = [f for f in found.findings if 'The session shows' in f]
+    assert len(told) == 1
+    assert 'parameters that drift evenly with time (trend' in told[0]
+    assert not [f for f in found.findings if any(word in f for word in BLAMED)]
+    std = np.sqrt(np.diag(found.covariance)[:24])
+    wrong = (found.model.values(PARAMETERS) - truth_at(middle(drifting))) / std
+    assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
+    states = {test.name: test for test in found.tests}
+    assert states['trend'].state is State.FOUND
+    assert states['trend'].document()['state'] == 'found'
+
+
+def test_a_warm_up_that_nobody_asked_for_is_told_from_a_drift(
+    warming: tuple[Evidence, Floats],
+) -> None:
+    evidence, wanted = warming
+    found = solve(evidence, look=True)
+    assert found.changes is not None
+    assert {c.course for c in found.changes.changes} == {Course.WARM_UP}
+    told = [f for f in found.findings if 'The session shows' in f]
+    assert len(told) == 1
+    assert 'settle as the unit warms up (warm_up' in told[0]
+    # It fades with a fifth of the session: no drift would do.
+    assert 'trend' not in told[0]
+    std = np.sqrt(np.diag(found.covariance)[:24])
+    wrong = (found.model.values(PARAMETERS) - wanted) / std
+    assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
+
+
+def test_outputs_rise_within_a_stretch_as_their_course_does(drifting: Evidence) -> None:
+    starts, ends = spans(drifting)
+    whole = ends.max()
+    tau = 0.25 * whole
+    courses = {
+        Course.TREND: lambda t: t,
+        Course.WARM_UP: lambda t: np.exp(-t / tau),
+        Course.THERMAL: lambda t: RISE * t,
+    }
+    for course, at in courses.items():
+        exact = (at(ends) - at(starts)) / (ends - starts)
+        # A thermometer is read every second and kept in cells of some: a tenth.
+        within = 0.1 if course is Course.THERMAL else 1e-9
+        assert rates(drifting, course, 0.25) == pytest.approx(exact, rel=within)
 
 
 def test_terms_that_the_session_cannot_tell_are_refused(drifting: Evidence) -> None:

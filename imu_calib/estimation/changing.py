@@ -20,7 +20,7 @@ from ..observation.modulation import TIME_CONSTANTS, check_temperature, courses
 from ..stream import Floats
 from .converge import least_squares
 
-_USEFUL = 1e-3
+USEFUL_CHANGE = 1e-3
 """Standard deviation of the change of a scale factor over a session that is of use: that of terms,
 see `information`."""
 
@@ -69,7 +69,7 @@ def _told(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     parameters = told(found, equations.parameters)
     std = np.sqrt(np.diag(found.covariance)[equations.changing])
     moves = [change_of(equations, c) for c in equations.changes]
-    limits = [_USEFUL if c.of_scale_factor else np.inf for c in equations.changes]
+    limits = [USEFUL_CHANGE if c.of_scale_factor else np.inf for c in equations.changes]
     with np.errstate(invalid='ignore'):
         known = np.isfinite(std) & ~(std * moves > limits)
     return known, parameters

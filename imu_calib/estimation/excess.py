@@ -130,12 +130,14 @@ class Excess:
         wandering: (6,) standard deviation of the wandering biases, rad/s and m/s^2.
         extra: What wandering adds to the covariance of the outputs: as the data sheet states it,
             and what the session shows beyond.
+        spared: What of the wandering that the data sheet states the session seems to be without.
 
     """
 
     arriving: Arrivals
     wandering: Floats
     extra: tuple[Component, ...] = ()
+    spared: tuple[Component, ...] = ()
 
     @property
     def stated(self) -> tuple[Component, ...]:
@@ -168,8 +170,9 @@ def excess(equations: Equations, state: Floats) -> Excess:
     spread = [_spread_out(triad, mixture) for triad, mixture in zip(triads, found, strict=True)]
     return Excess(
         Arrivals(math.sqrt(share * joints), math.sqrt(share * stops)),
-        np.repeat([deviation for deviation, _ in spread], 3),
-        tuple(part for _, parts in spread for part in parts),
+        np.repeat([deviation for deviation, *_ in spread], 3),
+        tuple(part for _, parts, _ in spread for part in parts),
+        tuple(part for *_, spared in spread for part in spared),
     )
 
 
@@ -296,15 +299,18 @@ def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
 
 def _spread_out(
     triad: _Triad, mixture: list[tuple[float, _Wander]]
-) -> tuple[float, tuple[Component, ...]]:
-    """Return the wandering's standard deviation, and the posterior's mean of its covariance."""
+) -> tuple[float, tuple[Component, ...], tuple[Component, ...]]:
+    """Return the wandering's standard deviation, the posterior's mean of its covariance.
+
+    And what that lacks of the wandering stated.
+    """
     calm, by_ratio = 0.0, np.zeros((len(_TIMES), len(_RATIOS)))
     for weight, wander in mixture:
         of_calm, of_beyond = wander.weights()
         calm += weight * float(of_calm @ _SHARES + of_beyond.sum())
         by_ratio += weight * of_beyond
     means = len(triad.rows)
-    stated = calm * triad.stated * triad.wandering.stated_kernel()[:means, :means]
+    stated = triad.stated * triad.wandering.stated_kernel()[:means, :means]
     found = np.zeros_like(stated)
     for k, time in enumerate(_TIMES):
         kernel = triad.wandering.kernel(time)[:means, :means]
@@ -312,23 +318,25 @@ def _spread_out(
     total = calm * triad.stated + float((by_ratio @ _RATIOS).sum()) * triad.typical
     parts = []
     if calm * triad.stated:
-        parts.append(Component(Source.BIAS_STATED, Dense(triad.rows, stated)))
+        parts.append(Component(Source.BIAS_STATED, Dense(triad.rows, calm * stated)))
     if by_ratio.any():
         parts.append(Component(Source.BIAS_FOUND, Dense(triad.rows, found)))
-    return math.sqrt(total), tuple(parts)
+    spared = Component(Source.BIAS_STATED, Dense(triad.rows, (1 - calm) * stated))
+    return math.sqrt(total), tuple(parts), (spared,) if triad.stated else ()
 
 
 def _triads(plain: Equations, state: Floats) -> list[_Triad]:
     """Return gyros, with turns and moves, and accelerometers."""
     jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
-    parts = (jacobian, left, plain.covariance(state), plain.arrivals(state))
+    rising = plain.rising(state)
+    parts = (jacobian, left, rising, plain.covariance(state), plain.arrivals(state))
     return [_triad(plain, first, parts, state) for first in (0, 3)]
 
 
 def _triad(
     equations: Equations,
     first: int,
-    parts: tuple[Floats, Floats, Floats, tuple[Floats, ...]],
+    parts: tuple[Floats, Floats, Floats, Floats, tuple[Floats, ...]],
     state: Floats,
 ) -> _Triad:
     """Cut out gyros (first = 0, with the turns) or accelerometers (first = 3)."""
@@ -342,7 +350,7 @@ def _triad(
     if first == 0:
         stretches += [(x.statistics, x.start) for x in evidence.turns]
         moves = [link.move for link in evidence.led.links]
-    jacobian, left, covariance, arrivals = parts
+    jacobian, left, rising, covariance, arrivals = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
     starts = np.array([start for _, start in stretches] + [m.start for m in moves], dtype=np.int64)
@@ -353,7 +361,9 @@ def _triad(
         for x, _ in stretches
     ]
     sloped = [x for (x, _), good in zip(stretches, with_slope, strict=True) if good]
-    slope_left = np.array([x.drift[first : first + 3] for x in sloped]).ravel()
+    drifts = np.array([x.drift[first : first + 3] for x in sloped]).reshape(-1, 3)
+    explained = rising[rows].reshape(-1, 3)[np.flatnonzero(with_slope)]
+    slope_left = (drifts - explained).ravel()
     slope_variances = np.array(
         [
             [_slope_variance(x.blocks[c], evidence.walk[c]) for c in range(first, first + 3)]

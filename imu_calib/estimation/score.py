@@ -18,12 +18,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..model import AXES, TERMS, Parameter, Term, parameters_of, positions, terms_of
+from ..model import AXES, PARAMETERS, TERMS, Parameter, Term, parameters_of, positions, terms_of
+from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..observation.equations import Equations
-from ..observation.information import meant, useful
+from ..observation.information import Information, meant, useful
+from ..observation.modulation import TIME_CONSTANTS
+from ..observation.modulation import columns as modulated
 from ..stream import Floats
 from ..table_errors import TableErrors
-from ..units import ARCMIN, ARCSEC
+from ..units import ARCMIN, ARCSEC, DEG, MICRO_G
+from .changing import USEFUL_CHANGE, change_of
 from .excess import Excess, excess
 
 _SEEN = 10.0
@@ -49,20 +53,32 @@ _TINY = -500.0
 
 @dataclass(frozen=True)
 class Family:
-    """What is switched on together: a term of the sensors, or a kind of error of the table.
+    """What is switched on together: a term of the sensors or the session, or errors of the table.
 
     Attributes:
         name: Of the term, or of the field of `TableErrors`.
-        term: The term; None for an error of the table.
+        term: The term of the sensors, or None.
+        course: What a term of the session follows, or None.
 
     """
 
     name: str
     term: Term | None = None
+    course: Course | None = None
+
+    @property
+    def of_table(self) -> bool:
+        """Whether it is an error of the table."""
+        return self.term is None and self.course is None
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Coefficients of a term of the session; none for others."""
+        return () if self.course is None else session_term(self.name)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Of the term; none for an error of the table."""
+        """Of a term of the sensors; none for others."""
         return () if self.term is None else self.term.parameters
 
     def freed(self, equations: Equations, size: float) -> Equations:
@@ -72,53 +88,112 @@ class Family:
         table = replace(table, errors=replace(TableErrors(), **{self.name: size}))
         return replace(equations, evidence=replace(equations.evidence, table=table))
 
-    def scatter(self, equations: Equations, state: Floats) -> Excess:
+    def scatter(self, equations: Equations, state: Floats, time_constant: float) -> Excess:
         """Return what scatters beside the noise once the family explains what it can.
 
         Scatter that is estimated without a term that is missing holds the term, and hides it.
+
+        Args:
+            equations: Without the family.
+            state: (n,) their solution.
+            time_constant: Of a warm-up, as a fraction of the session.
+
         """
+        if self.course is not None:
+            there = replace(equations, changes=self.changes, time_constant=time_constant)
+            start = np.concatenate([state, np.zeros(len(self.changes))])
+            return excess(there, stepped(there, start))
         if self.term is None:
             return excess(self.freed(equations, _FREE), state)
         return excess(*with_parameters(equations, state, self.parameters))
+
+    def weighed(self, equations: Equations, scatter: Excess) -> Equations:
+        """Return the equations with the scatter under which the family is tested.
+
+        A bias that wanders is no drift: a term of the session takes the place of wandering, which
+        then seems less than the data sheet states, and is counted in full.
+        """
+        extra = scatter.extra if self.course is None else (*scatter.extra, *scatter.spared)
+        return replace(equations, extra=extra, arriving=scatter.arriving)
 
     def judged(self, equations: Equations) -> NDArray[np.bool_]:
         """Return which outputs (m,) tell how well the covariance is known."""
         of_accels = equations.rows.channels >= len(AXES)
         if self.term is None:
+            # Errors of the table and terms of the session enter both triads.
             return np.ones_like(of_accels)
         return of_accels if self.term.triad == 'a' else ~of_accels
 
 
+Pattern = tuple[Floats, Floats]
+"""How coefficients of the largest useful size move the outputs, (m, k), and those sizes, (k,)."""
+
+
 def columns_of(
     found: Sequence[Family], equations: Equations, state: Floats
-) -> dict[Family, tuple[Floats, Floats]]:
-    """Return how coefficients of the largest useful size move the outputs, and those sizes.
+) -> dict[Family, tuple[Pattern, ...]]:
+    """Return the patterns of families: one, or of a warm-up one for each time constant.
 
     Attitudes count as they are meant: what the last digits of an encoder would tell is not seen.
-
-    Returns:
-        (m, k) and (k,) SI units, by family.
-
     """
     ideal = replace(equations, evidence=meant(equations.evidence))
     parameters = tuple(p for family in found for p in family.parameters)
-    slopes = ideal.by_parameters(state, parameters)
-    result = {}
+    slopes = ideal.by_parameters(state, (*parameters, *PARAMETERS))
+    result: dict[Family, tuple[Pattern, ...]] = {}
     for family in found:
-        if family.term is None:
+        if family.course is not None:
+            base = slopes[:, len(parameters) :]
+            result[family] = tuple(_changing(ideal, family, base, t) for t in times_of(family))
+        elif family.term is None:
             columns = family.freed(ideal, _TABLE).by_table(state)
-            result[family] = columns, np.full(columns.shape[1], _TABLE)
-            continue
-        sizes = np.array([useful(p) for p in family.parameters])
-        places = positions(family.parameters, parameters)
-        result[family] = slopes[:, places] * sizes, sizes
+            result[family] = ((columns, np.full(columns.shape[1], _TABLE)),)
+        else:
+            sizes = np.array([useful(p) for p in family.parameters])
+            places = positions(family.parameters, parameters)
+            result[family] = ((slopes[:, places] * sizes, sizes),)
     return result
+
+
+def times_of(family: Family) -> list[float]:
+    """Return the time constants that a term of the session may have, fractions of the session."""
+    return TIME_CONSTANTS.tolist() if family.course is Course.WARM_UP else [1.0]
+
+
+def _changing(ideal: Equations, family: Family, derivatives: Floats, time: float) -> Pattern:
+    """Return the pattern of a term of the session, (m, n) derivatives by the 24 parameters given.
+
+    Where scale factors cannot be told from it they are what the last digits of the others tell:
+    directions that nobody sees are left out with them.
+    """
+    there = replace(ideal, changes=family.changes, time_constant=time)
+    columns = modulated(ideal.evidence, family.changes, derivatives, PARAMETERS, time)
+    sizes = [_largest(change) / change_of(there, change) for change in family.changes]
+    return columns * sizes, np.array(sizes)
+
+
+def _largest(change: Change) -> float:
+    """Return the largest useful size of what a coefficient changes during a session, SI units."""
+    if change.of_scale_factor:
+        return USEFUL_CHANGE
+    return _LARGEST_DRIFT[change.parameters[0].triad]
+
+
+_LARGEST_DRIFT = {'g': 0.1 * DEG, 'a': 1e5 * MICRO_G}
+"""Of a bias during a session, rad/s and m/s^2: a chip that is switched on may do as much."""
+
+
+def stepped(equations: Equations, state: Floats) -> Floats:
+    """Return a state moved by one step of the least squares: enough for what is linear."""
+    jacobian, left = equations.whitened(state)
+    return np.asarray(state + Information.of(jacobian).gain @ left)
 
 
 def families(equations: Equations) -> tuple[Family, ...]:
     """Return all that is off and can be told of at all."""
     on = terms_of(equations.parameters)
     found = [Family(term.name, term) for term in TERMS if term not in on]
+    if not equations.changes:
+        found += [Family(course.value, course=course) for course in LOOKED_FOR]
     evidence = equations.evidence
     angles = [*(s.angles for s in evidence.segments), *(t.angles for t in evidence.turns)]
     if evidence.table is not None and all(one is not None for one in angles):
@@ -154,6 +229,8 @@ class Score:
         freedom: Degrees of freedom of that.
         estimate: (k,) coefficients by one step from zero, SI units; 0 along what is not seen.
         deviation: (k,) their standard deviations; infinite where they are not seen.
+        tries: Patterns of which it is the most significant, each of which may be it by chance.
+        chosen: Which of them.
 
     """
 
@@ -163,6 +240,8 @@ class Score:
     freedom: float
     estimate: Floats
     deviation: Floats
+    tries: int = 1
+    chosen: int = 0
 
     @property
     def tested(self) -> bool:
@@ -174,7 +253,9 @@ class Score:
         """Natural logarithm of the probability of such a statistic by chance; 0 if not tested."""
         if not self.tested:
             return 0.0
-        return log_f(self.statistic / self.rank / self.scale, self.rank, self.freedom)
+        one = log_f(self.statistic / self.rank / self.scale, self.rank, self.freedom)
+        # Bonferroni: an upper bound, however much the patterns are alike.
+        return min(0.0, one + float(np.log(self.tries)))
 
     def smallest(self, chance: float) -> Floats:
         """Return the coefficients (k,) that are found nine times in ten, each alone, SI units.
@@ -188,7 +269,9 @@ class Score:
         """
         if not self.tested:
             return np.full(len(self.deviation), np.inf)
-        limit = self.rank * float(scipy.special.fdtri(self.rank, self.freedom, 1 - chance))
+        limit = self.rank * float(
+            scipy.special.fdtri(self.rank, self.freedom, 1 - chance / self.tries)
+        )
         return np.asarray(self.deviation * np.sqrt(self.scale) * (np.sqrt(limit) + _NINE_IN_TEN))
 
 
@@ -218,8 +301,15 @@ class Residuals:
         factor = np.linalg.cholesky(equations.covariance(state))
         return cls(equations, np.asarray(basis), _without(left, basis), np.asarray(factor))
 
-    def score(self, family: Family, columns: Floats, sizes: Floats) -> Score:
-        """Test a family by its `columns_of`."""
+    def score(self, family: Family, patterns: Sequence[Pattern]) -> Score:
+        """Test a family by its `columns_of`: the most significant of several counts as one of so
+        many.
+        """
+        scores = [self._score(family, *pattern) for pattern in patterns]
+        best = min(range(len(scores)), key=lambda k: scores[k].log_p)
+        return replace(scores[best], tries=len(scores), chosen=best)
+
+    def _score(self, family: Family, columns: Floats, sizes: Floats) -> Score:
         count, rows = len(sizes), len(self.left)
         white = np.zeros((rows, count))
         white[: len(columns)] = scipy.linalg.solve_triangular(

@@ -26,8 +26,9 @@ from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import before, told
 from ..stream import Floats
-from .fit import Estimate, estimate, fit, with_scatter
-from .score import Family, Residuals, Score, columns_of, families
+from .changing import timed, with_changes
+from .fit import Estimate, estimate, fit
+from .score import Family, Residuals, Score, columns_of, families, times_of
 
 CHANCE = 1e-3
 """By which a session without any of them has a family found, all families together."""
@@ -100,7 +101,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """What is on: parameters of the sensors, doubts, and the evidence with the table's errors."""
+    """What is on: parameters of sensors and session, doubts, the table's errors in the evidence."""
 
     evidence: Evidence
     parameters: tuple[Parameter, ...]
@@ -114,7 +115,9 @@ class _Model:
         model = self
         for one in found:
             table = model.evidence.table
-            if one.family.term is None and table is not None:
+            if one.family.course is not None:
+                model = replace(model, changes=one.family.changes)
+            elif one.family.of_table and table is not None:
                 errors = replace(table.errors, **{one.family.name: one.size})
                 evidence = replace(model.evidence, table=replace(table, errors=errors))
                 model = replace(model, evidence=evidence)
@@ -125,13 +128,33 @@ class _Model:
                 model = replace(model, parameters=parameters_of(terms))
         return model
 
+    def without(self, family: Family) -> _Model:
+        """Return what is on but a term."""
+        if family.course is not None:
+            return replace(self, changes=())
+        terms = [term for term in terms_of(self.parameters) if term != family.term]
+        return replace(self, parameters=parameters_of(terms))
+
     def on(self, equations: Equations, state: Floats) -> tuple[Equations, Floats]:
-        """Return equations of a session with what is on here, and their state; new ones are 0."""
+        """Return equations of a session with what is on here, and their state; new ones are 0.
+
+        Raises:
+            NotObservable: The session does not tell how its parameters change.
+
+        """
         evidence = replace(equations.evidence, table=self.evidence.table)
         values = dict(zip(equations.parameters, state, strict=False))
         sensors = [values.get(parameter, 0.0) for parameter in self.parameters]
         here = replace(equations, parameters=self.parameters, doubts=self.doubts, evidence=evidence)
-        return here, np.concatenate([sensors, state[equations.sensors :]])
+        courses = {change.course for change in self.changes}
+        known = dict(zip(equations.changes, state[equations.changing], strict=True))
+        kept = {c: v for c, v in known.items() if c.course in courses}
+        there = np.concatenate([sensors, state[equations.table]])
+        if kept or not self.changes:
+            here = replace(here, changes=tuple(kept))
+            return here, np.concatenate([there, list(kept.values())])
+        here, _ = with_changes(replace(here, changes=()), self.changes)
+        return timed(here, np.concatenate([there, np.zeros(len(here.changes))]))
 
 
 def searched(
@@ -199,7 +222,13 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
         spares = 0 if scores[-1][family].log_p < limit else score.rank
         found.append(Found(family, score.log_p, *_size(model, family, score), spares))
         model = start.with_found(found)
-        views = [model.on(*view) for view in views]
+        try:
+            views = [model.on(*view) for view in views]
+        except NotObservable:
+            # A term of the session that it does not tell apart from all else.
+            found.pop()
+            rejected.add(family)
+            continue
         views = [(equations, fit(equations, state)) for equations, state in views]
 
 
@@ -224,7 +253,7 @@ def _under_own_scatter(
     """
     columns = columns_of(open_ones, equations, state)
     plain = Residuals.of(equations, state)
-    scores = {family: plain.score(family, *columns[family]) for family in open_ones}
+    scores = {family: plain.score(family, columns[family]) for family in open_ones}
     suspect = [
         family
         for family, score in scores.items()
@@ -234,8 +263,9 @@ def _under_own_scatter(
     for k, family in enumerate(suspect):
         if k % _AT_ONCE == 0 and any(scores[f].log_p < _limit(open_ones) for f in suspect[:k]):
             return scores | {f: replace(scores[f], statistic=0.0) for f in suspect[k:]}
-        scattering = with_scatter(equations, family.scatter(equations, state))
-        scores[family] = Residuals.of(scattering, state).score(family, *columns[family])
+        time = times_of(family)[scores[family].chosen]
+        scattering = family.weighed(equations, family.scatter(equations, state, time))
+        scores[family] = Residuals.of(scattering, state).score(family, columns[family])
     return scores
 
 
@@ -256,10 +286,10 @@ def _confirmed(
         model = start.with_found((*found[:k], *found[k + 1 :]))
         without, state = model.on(trial.equations, trial.state)
         # Of a table that errs, patterns are as many as there are outputs: terms alone are rivals.
-        others = [f for f in families(without) if f.term is not None or f == one.family]
+        others = [f for f in families(without) if not f.of_table or f == one.family]
         columns = columns_of(others, without, state)
-        residuals = Residuals.of(without, state)
-        scores = {f: residuals.score(f, *columns[f]) for f in others}
+        residuals = Residuals.of(one.family.weighed(without, trial.scatter), state)
+        scores = {f: residuals.score(f, columns[f]) for f in others}
         here, limit = scores[one.family], _limit(families(without))
         if here.log_p >= limit:
             continue
@@ -282,6 +312,8 @@ def _size(
     What is not seen of it is taken to be as large as what is seen, by Student's t for as many
     directions as were seen.
     """
+    if family.course is not None:
+        return (), 0.0
     if family.term is not None:
         terms = (*terms_of(model.parameters), family.term)
         trial = Equations(model.evidence, parameters_of(terms), doubts=model.doubts)
@@ -300,7 +332,7 @@ def _concluded(current: Estimate, found: tuple[Found, ...]) -> Search:
     off = [f for f in families(equations) if f not in named]
     columns = columns_of(off, equations, state)
     residuals = Residuals.of(equations, state)
-    scores = {f: residuals.score(f, *columns[f]) for f in off}
+    scores = {f: residuals.score(f, columns[f]) for f in off}
     m, n = len(equations.outputs), equations.sensors
     gain = current.gain[:n, :m]
     leverage = {}
@@ -329,18 +361,16 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
     common = [k for k, p in enumerate(equations.parameters) if p not in mine]
     own = [k for k, p in enumerate(equations.parameters) if p in mine]
     left = current_square(equations, current.state)
+    model = _Model(
+        equations.evidence, equations.parameters, equations.changes, equations.doubts
+    ).without(found.family)
     for rival in found.rivals:
-        terms = [t for t in terms_of(equations.parameters) if t != found.family.term]
-        terms += [] if rival.term is None else [rival.term]
-        other = replace(equations, parameters=parameters_of(terms))
-        kept = positions([equations.parameters[k] for k in common], other.parameters)
-        start = np.zeros(other.size)
-        start[kept] = current.state[common]
-        start[other.sensors :] = current.state[n:]
         try:
+            other, start = model.with_found([Found(rival, 0.0)]).on(equations, current.state)
             state = fit(other, start)
         except NotObservable:
             continue
+        kept = positions([equations.parameters[k] for k in common], other.parameters)
         weight = 1 / (1 + np.exp(min(50.0, (current_square(other, state) - left) / 2)))
         off = np.zeros(n)
         off[common] = state[kept] - current.state[common]

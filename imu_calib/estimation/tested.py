@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 
 from ..model import Parameter, Term
+from ..model.session_terms import Change, largest
 from ..stream import Floats
 from ..units import ARCSEC
 from .search import Found, Search
@@ -39,7 +40,8 @@ class Tested:
         name: Of the term, or the key in the table's file.
         state: What became of it.
         log10_p: Decimal logarithm of the chance of such a test; None where there was none.
-        parameters: Of a term.
+        parameters: Of a term of the sensors.
+        changes: Coefficients of a term of the session.
         smallest: (k,) coefficients that would have been found nine times in ten, SI units;
             infinite for those that the session does not show. Empty for what is on.
         moved: For each coefficient that is off, which parameter it would move most, and by how
@@ -51,6 +53,7 @@ class Tested:
     state: State
     log10_p: float | None = None
     parameters: tuple[Parameter, ...] = ()
+    changes: tuple[Change, ...] = ()
     smallest: tuple[float, ...] = ()
     moved: tuple[tuple[Parameter, float] | None, ...] = ()
 
@@ -59,7 +62,7 @@ class Tested:
         result: dict[str, object] = {'state': self.state.value}
         if self.log10_p is not None:
             result['log10_p'] = round(self.log10_p, 2)
-        if self.smallest and self.parameters:
+        if self.smallest and (self.parameters or self.changes):
             result['found_from'] = [v if np.isfinite(v) else None for v in self.smallest]
         moved = {
             p.name: {'parameter': one[0].name, 'by': one[1]}
@@ -76,14 +79,17 @@ def tested(search: Search, asked: tuple[Term, ...]) -> tuple[Tested, ...]:
     result = [Tested(t.name, State.ASKED, parameters=t.parameters) for t in asked]
     for one in search.found:
         state = State.NOT_DETERMINED if one.doubts else State.FOUND
-        result.append(Tested(one.family.name, state, one.log_p / _LN10, one.family.parameters))
+        family = one.family
+        found = Tested(family.name, state, one.log_p / _LN10, family.parameters, family.changes)
+        result.append(found)
     for family, score in search.scores.items():
         smallest = tuple(float(v) for v in score.smallest(search.alpha))
         slopes = search.leverage.get(family, _NONE).T
         moved = tuple(_moved(search, *pair) for pair in zip(family.parameters, slopes, strict=True))
         state = State.OFF if score.tested else State.NOT_TESTED
         log10_p = score.log_p / _LN10 if score.tested else None
-        result.append(Tested(family.name, state, log10_p, family.parameters, smallest, moved))
+        parameters, changes = family.parameters, family.changes
+        result.append(Tested(family.name, state, log10_p, parameters, changes, smallest, moved))
     return tuple(result)
 
 
@@ -111,13 +117,24 @@ def findings(search: Search) -> list[str]:
 def _found(found: Found) -> str:
     family = found.family
     chance = f'by chance once in 10^{max(3, round(-found.log_p / _LN10))} sessions'
-    if family.term is None:
+    if family.of_table:
         size = f'{found.size / ARCSEC:.2g} arcsec'
         return (
             f'The session shows {_TABLE_WORDS[family.name]} ({chance}): the standard deviations '
             f'allow for {size} each, which the description of the table does not state '
             f'({family.name}).'
         )
+    if family.course is not None:
+        words = family.course.words
+        text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
+        if found.rivals:
+            names = ' or '.join(rival.name for rival in found.rivals)
+            text += (
+                f' {names} would explain it as well, and the standard deviations allow for that. '
+                'Let the unit run for an hour before the session, or record its temperature.'
+            )
+        return text
+    assert family.term is not None
     words = family.term.kind.value.words
     if found.doubts:
         unit = found.doubts[0][0].unit
@@ -149,7 +166,7 @@ def summary(tests: tuple[Tested, ...]) -> list[str]:
     """Return lines for the screen: what was found, what is off and how small, what is not seen."""
     lines = []
     on = [t.name for t in tests if t.state in (State.ASKED, State.FOUND, State.NOT_DETERMINED)]
-    terms = [t for t in tests if t.parameters]
+    terms = [t for t in tests if t.parameters or t.changes]
     off = [_power(t) for t in terms if t.state is State.OFF]
     lines.append(f'terms: {", ".join(on) or "none"}')
     if off:
@@ -166,6 +183,8 @@ def summary(tests: tuple[Tested, ...]) -> list[str]:
 
 
 def _power(one: Tested) -> str:
+    if one.changes:
+        return f'{one.name} {largest(one.changes, one.smallest)}'
     seen = [v for v in one.smallest if np.isfinite(v)]
     unit = one.parameters[0].unit
     return f'{one.name} {max(seen) / unit.scale:.2g} {unit.shown}' if seen else one.name

@@ -10,6 +10,7 @@ Source: docs/mathematics.md, 'Terms of a session'.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -31,6 +32,15 @@ class Course(Enum):
     """exp(-t / tau) since the session began, less its mean; tau is found on a grid."""
     THERMAL = 'thermal'
     """Temperature, K, from the session's mean."""
+
+    @property
+    def words(self) -> str:
+        """What it is, for people."""
+        return {
+            Course.TREND: 'parameters that drift evenly with time',
+            Course.WARM_UP: 'parameters that settle as the unit warms up',
+            Course.THERMAL: 'parameters that follow the temperature',
+        }[self]
 
     @property
     def per(self) -> str:
@@ -79,6 +89,9 @@ class Change:
         """Whether it changes scale factors."""
         return self.parameters[0].kind is ParameterKind.SCALE_FACTOR_ERROR
 
+
+LOOKED_FOR = (Course.TREND, Course.WARM_UP)
+"""Courses that every session has, and that are looked for; the two of them at once are refused."""
 
 SESSION_TERMS = tuple(course.value for course in Course)
 """Names of all terms of a session."""
@@ -151,6 +164,26 @@ def spelled(changes: Sequence[Change]) -> list[str]:
         chosen = all(c.asked for c in mine)
         found.append(f'{course.value}:{"+".join(c.name for c in mine)}' if chosen else course.value)
     return found
+
+
+def largest(changes: Sequence[Change], values: Sequence[float | None]) -> str:
+    """Return the largest of each kind of coefficients for people: 'D_g 0.2 deg/h per h, K_a ...'.
+
+    Args:
+        changes: The coefficients.
+        values: Of each, SI units; None or infinite for one that is not known.
+
+    """
+    found: dict[str, float] = {}
+    shown: dict[str, str] = {}
+    for one, value in zip(changes, values, strict=True):
+        kind = one.name[: len('D_g')]
+        if value is None or not math.isfinite(value) or abs(value) <= found.get(kind, -1.0):
+            continue
+        words, scale = one.course.shown_per
+        found[kind] = abs(value)
+        shown[kind] = f'{kind} {abs(value) / (one.unit.scale * scale):.2g} {one.unit.shown}{words}'
+    return ', '.join(shown.values())
 
 
 def _changes(course: Course, name: str, *, asked: bool) -> tuple[Change, ...]:

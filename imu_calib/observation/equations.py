@@ -32,7 +32,7 @@ from .components import Component, Diagonal, Factor, shares
 from .doubts import encoder_rates, level_gravity, own_parts, unknown_north
 from .evidence import SMALLEST_VARIANCE, Evidence
 from .headings import whole
-from .modulation import columns, stated_changes
+from .modulation import columns, slopes, stated_changes
 from .rows import Rows
 
 
@@ -398,6 +398,12 @@ class Equations:
 
         """
         return columns(self.evidence, changes, derivatives, self.parameters, self.time_constant)
+
+    def rising(self, state: Floats) -> Floats:
+        """Return by how much outputs rise within their stretch, (m,) per s: by what changes."""
+        jacobian, changes, time = self.jacobian(state), self.changes, self.time_constant
+        found = slopes(self.evidence, changes, jacobian, self.parameters, time)
+        return np.asarray(found @ state[self.changing])
 
     @property
     def _to_body(self) -> Floats:

@@ -9,7 +9,7 @@ Source: docs/mathematics.md, 'Terms of a session'.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -64,6 +64,30 @@ def courses(evidence: Evidence, course: Course, time_constant: float) -> Floats:
         lasting = np.maximum(ends - starts, 1e-9) / tau
         return np.asarray(np.exp(-starts / tau) * -np.expm1(-lasting) / lasting - mean)
     return temperatures(evidence) - reference(evidence)
+
+
+def rates(evidence: Evidence, course: Course, time_constant: float) -> Floats:
+    """Return by how much a course rises over each rest, turn and move, (s + t + m,) per s.
+
+    Args:
+        evidence: The session.
+        course: Which.
+        time_constant: Of a warm-up, as a fraction of the session.
+
+    """
+    starts, ends = spans(evidence)
+    lasting = np.maximum(ends - starts, 1e-9)
+    if course is Course.TREND:
+        return np.ones_like(starts)
+    if course is Course.WARM_UP:
+        tau = time_constant * float(ends.max(initial=0.0))
+        return np.asarray(np.exp(-starts / tau) * np.expm1(-lasting / tau) / lasting)
+    assert evidence.temperature is not None
+    first, last = _instants(evidence)
+    half = np.asarray((last - first) // 2, dtype=np.int64)
+    early = evidence.temperature.over(first, first + half)
+    late = evidence.temperature.over(first + half, last)
+    return np.asarray((late - early) / (lasting / 2))
 
 
 def temperatures(evidence: Evidence) -> Floats:
@@ -121,8 +145,39 @@ def columns(
         time_constant: Of a warm-up, as a fraction of the session.
 
     """
+    return _along(evidence, changes, derivatives, parameters, time_constant, courses)
+
+
+def slopes(
+    evidence: Evidence,
+    changes: Sequence[Change],
+    derivatives: Floats,
+    parameters: Sequence[Parameter],
+    time_constant: float,
+) -> Floats:
+    """Return by how much outputs rise within their stretch by coefficients, (m, k) per s.
+
+    Args:
+        evidence: The session.
+        changes: As in `columns`.
+        derivatives: Likewise.
+        parameters: Likewise.
+        time_constant: Likewise.
+
+    """
+    return _along(evidence, changes, derivatives, parameters, time_constant, rates)
+
+
+def _along(
+    evidence: Evidence,
+    changes: Sequence[Change],
+    derivatives: Floats,
+    parameters: Sequence[Parameter],
+    time_constant: float,
+    course: Callable[[Evidence, Course, float], Floats],
+) -> Floats:
     found = np.zeros((len(derivatives), len(changes)))
-    known = {c: courses(evidence, c, time_constant) for c in {change.course for change in changes}}
+    known = {c: course(evidence, c, time_constant) for c in {change.course for change in changes}}
     for k, change in enumerate(changes):
         own = [parameters.index(p) for p in change.parameters]
         found[:, k] = known[change.course][evidence.rows.stretch] * derivatives[:, own].sum(axis=1)

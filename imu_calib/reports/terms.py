@@ -7,6 +7,7 @@ from html import escape
 
 from ..calibration import Calibration
 from ..model import TERMS, Parameter, by_name
+from ..model.session_terms import SESSION_TERMS, Change, Course, largest, session_term
 from .html import paragraph, table
 
 _NOTE = (
@@ -26,6 +27,9 @@ def terms_section(calibration: Calibration) -> tuple[str, ...]:
     for name, test in tests.items():
         term = known.get(name)
         words = 'error of the table' if term is None else term.kind.value.words
+        changes: tuple[Change, ...] = ()
+        if name in SESSION_TERMS:
+            words, changes = Course(name).words, session_term(str(name))
         parameters = () if term is None else term.parameters
         rows.append(
             [
@@ -33,7 +37,7 @@ def terms_section(calibration: Calibration) -> tuple[str, ...]:
                 escape(words),
                 escape(str(test.get('state', '-'))),
                 _chance(test.get('log10_p')),
-                _smallest(parameters, test.get('found_from')),
+                _smallest(parameters, changes, test.get('found_from')),
                 _moved(parameters, test.get('would_move')),
             ]
         )
@@ -47,8 +51,12 @@ def _chance(log10_p: object) -> str:
     return f'{10**log10_p:.2g}' if log10_p > -3 else f'10<sup>{log10_p:.0f}</sup>'
 
 
-def _smallest(parameters: tuple[Parameter, ...], found_from: object) -> str:
+def _smallest(
+    parameters: tuple[Parameter, ...], changes: tuple[Change, ...], found_from: object
+) -> str:
     """Return the largest of the coefficients that would have been found."""
+    if changes and isinstance(found_from, list) and len(found_from) == len(changes):
+        return escape(largest(changes, found_from)) or 'not shown'
     if not parameters or not isinstance(found_from, list):
         return '-'
     seen = [v for v in found_from if isinstance(v, (int, float))]
