@@ -337,9 +337,9 @@ def _concluded(current: Estimate, found: tuple[Found, ...]) -> Search:
     gain = current.gain[:n, :m]
     leverage = {}
     for family in off:
-        if family.term is not None:
-            slopes = equations.by_parameters(state, family.parameters)
-            white = scipy.linalg.solve_triangular(residuals.factor, slopes, lower=True)
+        if not family.of_table:
+            columns_at, sizes = columns[family][scores[family].chosen]
+            white = scipy.linalg.solve_triangular(residuals.factor, columns_at / sizes, lower=True)
             leverage[family] = gain @ white
     alpha = CHANCE / max(1, len(off))
     doubt = np.zeros((n, n))

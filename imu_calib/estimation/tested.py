@@ -19,6 +19,10 @@ _AMOUNT = 10.0
 _MATTERS = 0.1
 """Standard deviations by which `_AMOUNT` must move a parameter to be named."""
 
+_HIDDEN = 4.5
+"""Standard deviations by which a term of the session that is just not found moves a parameter that
+is then said to hold without it alone: chance passes them in one of 6000 sessions."""
+
 _LN10 = float(np.log(10.0))
 
 
@@ -64,9 +68,10 @@ class Tested:
             result['log10_p'] = round(self.log10_p, 2)
         if self.smallest and (self.parameters or self.changes):
             result['found_from'] = [v if np.isfinite(v) else None for v in self.smallest]
+        names = [one.name for one in self.parameters] + [one.name for one in self.changes]
         moved = {
-            p.name: {'parameter': one[0].name, 'by': one[1]}
-            for p, one in zip(self.parameters, self.moved, strict=False)
+            name: {'parameter': one[0].name, 'by': one[1]}
+            for name, one in zip(names, self.moved, strict=False)
             if one is not None
         }
         if moved:
@@ -85,7 +90,9 @@ def tested(search: Search, asked: tuple[Term, ...]) -> tuple[Tested, ...]:
     for family, score in search.scores.items():
         smallest = tuple(float(v) for v in score.smallest(search.alpha))
         slopes = search.leverage.get(family, _NONE).T
-        moved = tuple(_moved(search, *pair) for pair in zip(family.parameters, slopes, strict=True))
+        amounts = [_AMOUNT * p.unit.scale for p in family.parameters] or smallest
+        least = _MATTERS if family.parameters else _HIDDEN
+        moved = tuple(_moved(search, a, s, least) for a, s in zip(amounts, slopes, strict=False))
         state = State.OFF if score.tested else State.NOT_TESTED
         log10_p = score.log_p / _LN10 if score.tested else None
         parameters, changes = family.parameters, family.changes
@@ -97,14 +104,22 @@ _NONE = np.zeros((0, 0))
 
 
 def _moved(
-    search: Search, coefficient: Parameter, slopes: Floats
+    search: Search, amount: float, slopes: Floats, least: float
 ) -> tuple[Parameter, float] | None:
-    """Return which parameter a coefficient moves most, in its deviations, and by how much."""
+    """Return which parameter a coefficient moves most, in its deviations, and by how much.
+
+    Args:
+        search: What was found.
+        amount: Of the coefficient.
+        slopes: (n,) how the parameters follow it.
+        least: Deviations by which the amount must move one to be named.
+
+    """
     equations = search.estimate.equations
     std = np.sqrt(np.diag(search.estimate.covariance)[: equations.sensors])
     far = np.abs(slopes) / std
     k = int(np.argmax(far))
-    if not far[k] * _AMOUNT * coefficient.unit.scale > _MATTERS:
+    if not np.isfinite(amount) or not far[k] * amount > least:
         return None
     return equations.parameters[k], float(slopes[k])
 
@@ -179,7 +194,31 @@ def summary(tests: tuple[Tested, ...]) -> list[str]:
         ]
         if held:
             lines.append(_held(one, held))
+        if hidden := _hidden(one):
+            lines.append(hidden)
     return lines
+
+
+def _hidden(one: Tested) -> str:
+    """Say which parameters hold only if scale factors do not change: by how much they might."""
+    seen = [
+        (change, least, moved)
+        for change, least, moved in zip(one.changes, one.smallest, one.moved, strict=False)
+        if moved is not None and change.of_scale_factor
+    ]
+    if not seen:
+        return ''
+    names = list(dict.fromkeys(moved[0].name for *_, moved in seen))
+    changes, smallest, _ = zip(*seen, strict=True)
+    by = [
+        f'{moved.name} by {abs(slope) * least / moved.unit.scale:.2g} {moved.unit.shown}'
+        for _, least, (moved, slope) in seen
+    ]
+    verb = 'holds' if len(names) == 1 else 'hold'
+    return (
+        f'{", ".join(names)} {verb} for {one.name} = 0: {largest(changes, smallest)} may pass '
+        f'unseen and would move {" and ".join(by)}'
+    )
 
 
 def _power(one: Tested) -> str:

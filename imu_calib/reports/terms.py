@@ -38,7 +38,7 @@ def terms_section(calibration: Calibration) -> tuple[str, ...]:
                 escape(str(test.get('state', '-'))),
                 _chance(test.get('log10_p')),
                 _smallest(parameters, changes, test.get('found_from')),
-                _moved(parameters, test.get('would_move')),
+                _moved(parameters, changes, test.get('would_move')),
             ]
         )
     headings = ['', 'kind', 'state', 'chance', 'found from', 'would move']
@@ -64,12 +64,20 @@ def _smallest(
     return escape(f'{max(seen) / unit.scale:.2g} {unit.shown}') if seen else 'not shown'
 
 
-def _moved(parameters: tuple[Parameter, ...], moved: object) -> str:
+def _moved(parameters: tuple[Parameter, ...], changes: tuple[Change, ...], moved: object) -> str:
     """Return by how much the coefficient that matters most would move a parameter, per unit."""
-    if not parameters or not isinstance(moved, Mapping) or not moved:
+    if not isinstance(moved, Mapping) or not moved:
         return '-'
     coefficient, entry = max(moved.items(), key=lambda pair: abs(pair[1]['by']))
-    unit = next(p.unit for p in parameters if p.name == coefficient)
     other = by_name([entry['parameter']])[0]
-    by = abs(entry['by']) * unit.scale / other.unit.scale
+    by = abs(entry['by']) / other.unit.scale
+    for one in changes:
+        if one.name == coefficient:
+            words, scale = one.course.shown_per
+            by *= one.unit.scale * scale
+            return escape(
+                f'{other.name}: {by:.2g} {other.unit.shown} for 1 {one.unit.shown}{words}'
+            )
+    unit = next(p.unit for p in parameters if p.name == coefficient)
+    by *= unit.scale
     return escape(f'{other.name}: {by:.2g} {other.unit.shown} for 1 {unit.shown}')
