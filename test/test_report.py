@@ -26,6 +26,7 @@ from imu_calib.model import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.reports.page import Contents, page
 from imu_calib.reports.repeatability import Repeated, repeated
 from imu_calib.reports.svg import Axis
+from imu_calib.reports.terms import terms_section
 from imu_calib.segmentation.session import Rejected
 from imu_calib.specification import Specification, Verdict, judge
 from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
@@ -134,6 +135,21 @@ def test_without_a_specification_no_verdict_is_given(contents: Contents) -> None
 
 def paper_imu_without_limits() -> ImuSpec:
     return replace(paper_imu(), specification=None)
+
+
+def test_terms_of_the_session_have_units_of_their_own(result: Result) -> None:
+    tested = {
+        'state': 'off',
+        'log10_p': -0.3,
+        'found_from': [1e-9, 1e-9, 5e-10, 5e-8, 5e-8, 5e-8, 1e-8, None],
+        'would_move': {'K_g': {'parameter': 'K_gz', 'by': 360.0}},
+    }
+    provenance = {**result.calibration.provenance, 'tests_of_terms': {'trend': tested}}
+    shown = ' '.join(terms_section(replace(result.calibration, provenance=provenance)))
+    assert 'parameters that drift evenly with time' in shown
+    # 1e-9 rad/s^2, 5e-8 m/s^3 and 1e-8 1/s; of K_a nothing is seen.
+    assert 'D_g 0.74 deg/h per h, D_a 18 ug per h, K_g 36 ppm per h<' in shown
+    assert 'K_gz: 0.1 ppm for 1 ppm per h' in shown
 
 
 def test_what_was_not_used_is_named_with_its_reason(text: str) -> None:

@@ -332,7 +332,11 @@ def _concluded(current: Estimate, found: tuple[Found, ...]) -> Search:
     off = [f for f in families(equations) if f not in named]
     columns = columns_of(off, equations, state)
     residuals = Residuals.of(equations, state)
-    scores = {f: residuals.score(f, columns[f]) for f in off}
+    of_session = [f for f in off if f.course is not None]
+    beside = residuals
+    if of_session and current.scatter.spared:
+        beside = Residuals.of(of_session[0].weighed(equations, current.scatter), state)
+    scores = {f: (beside if f in of_session else residuals).score(f, columns[f]) for f in off}
     m, n = len(equations.outputs), equations.sensors
     gain = current.gain[:n, :m]
     leverage = {}
