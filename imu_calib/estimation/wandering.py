@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..stream import Floats
 
-_STATED_TIME = 1000.0
-"""Correlation time of the wandering that a data sheet states, s."""
+STATED_TIME = 1000.0
+"""Correlation time of the wandering that a data sheet states, s, as the simulation has it."""
 
 _NODES = 8
 """Instants of a stretch at which the process is looked at."""
@@ -71,7 +71,7 @@ class Wandering:
 
     def stated_kernel(self) -> Floats:
         """Return `kernel` of the wandering that a data sheet states."""
-        return self.kernel(_STATED_TIME / self.span)
+        return self.kernel(STATED_TIME / self.span)
 
     def kernel(self, time: float) -> Floats:
         """Return the covariance of means and slopes of three channels for unit variance, (3k, 3k).
@@ -81,11 +81,11 @@ class Wandering:
 
         """
         if time not in self._memo:
-            alone, rows = self._kernel(time * self.span), self.answers.reshape(-1, 3)
+            alone, rows = self.of_one(time * self.span), self.answers.reshape(-1, 3)
             self._memo[time] = np.kron(alone, np.ones((3, 3))) * (rows @ rows.T)
         return self._memo[time]
 
-    def _kernel(self, time: float) -> Floats:
+    def of_one(self, time: float) -> Floats:
         """Return the covariance of one channel, (k, k), for a correlation time in s.
 
         From one stretch to a later one the process decays by how far apart they are: what each

@@ -18,6 +18,7 @@ from ..calibrator import Setup
 from ..directions import across
 from ..earth import Site
 from ..errors import InputError
+from ..estimation.wandering import STATED_TIME, Wandering
 from ..imu import ImuSpec, TriadSpec
 from ..methods.free import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
@@ -60,7 +61,6 @@ _SHORT_STEPS = 40
 _PARALLEL = 1e-6
 _UP = np.array([0.0, 0.0, 1.0])
 _PHASE = 0.5
-_NODES = 8
 _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 """A skewed gyro of which nobody says how it lies: between all three."""
 
@@ -121,7 +121,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
     for rest in rests:
         body = rest.attitude.T
         mean = np.concatenate(truth.predict(body @ earth, body @ force))
-        statistics = _at_rest(setup.imu, mean, rest.end - rest.start)
+        statistics = _read(setup.imu, mean, rest.end - rest.start)
         segments.append(
             Segment(
                 _ns(rest.start),
@@ -139,12 +139,12 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         both = turned @ earth + turning.up * turning.rate, turned @ force
         mean = whole(np.concatenate(truth.predict(*both), axis=-1))[0]
         spare = 0.0 if setup.plan.by_hand else _SPARE
-        statistics = _turning(setup.imu, mean, turning.seconds, spare)
+        statistics = _read(setup.imu, mean, turning.seconds, spare)
         askew = None
         if setup.imu.skewed is not None:
             lies = truth.skewed or _ANYHOW
             fourth = np.append(lies.predict(spin)[0], np.zeros(5))
-            askew = _turning(skewed_alone(setup.imu), fourth, turning.seconds)
+            askew = _read(skewed_alone(setup.imu), fourth, turning.seconds, _SPARE)
         turns.append(
             Turn(
                 _ns(turning.start),
@@ -367,32 +367,45 @@ def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
     return rests, turnings
 
 
-def _at_rest(spec: ImuSpec, mean: Floats, seconds: float) -> Statistics:
-    """Return the statistics of a stretch at rest that reads (6,) `mean`."""
-    gain, quantum = np.empty(6), np.empty(6)
-    for c, triad in enumerate(_triads(spec)):
-        if spec.units is Units.PULSES:
-            gain[c], quantum[c] = _counted(triad, _period(spec), float(mean[c]), seconds)
-        else:
-            gain[c], quantum[c] = 1 / seconds, _rounded(spec, triad)
-    return _statistics(mean, gain, quantum, seconds, spec)
+def _read(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:
+    """Return the statistics of what reads (6,) `mean`.
 
+    Args:
+        spec: Units and noise.
+        mean: Outputs, rad/s and m/s^2.
+        seconds: How long.
+        spare: Of whole turns, beyond which counts are read on both sides, s; None at rest.
 
-def _turning(spec: ImuSpec, mean: Floats, seconds: float, spare: float = _SPARE) -> Statistics:
-    """Return the statistics of whole turns; counts are read from `spare` s beyond them too."""
-    gain, quantum = np.full(6, 1 / seconds), np.empty(6)
-    period = _period(spec)
+    """
+    gain, quantum = np.full(6, 1 / seconds), np.zeros(6)
+    period, nothing = _period(spec), np.full(6, np.nan)
+    steps = np.array([triad.scale_factor for triad in _triads(spec)])
     for c, triad in enumerate(_triads(spec)):
-        if spec.units is not Units.PULSES:
-            quantum[c] = _rounded(spec, triad)
-            continue
-        pulse = triad.scale_factor
-        pulses = _pulses(triad, period, float(mean[c]), seconds + 2 * spare)
-        first = (len(pulses) - seconds / period) / 2
-        last = len(pulses) - first
-        found = rate_between(pulses, period, first, last, triad.random_walk / pulse)
-        gain[c], quantum[c] = found.walk_gain, found.quantum * pulse**2
-    return _statistics(mean, gain, quantum, seconds, spec)
+        if spec.units is Units.COUNTS:
+            quantum[c] = _rounded(triad, period)
+        elif spec.units is Units.PULSES:
+            walk = triad.random_walk / triad.scale_factor
+            pulses = _pulses(triad, period, float(mean[c]), seconds + 2 * (spare or 0.0))
+            first = (len(pulses) - seconds / period) / 2
+            found = (
+                mean_rate(pulses, period, walk)
+                if spare is None
+                else rate_between(pulses, period, first, len(pulses) - first, walk)
+            )
+            gain[c], quantum[c] = found.walk_gain, found.quantum * triad.scale_factor**2
+    return Statistics(
+        samples=round(seconds / period),
+        missing=0,
+        duration=seconds,
+        mean=mean,
+        walk_gain=gain,
+        quantum=quantum,
+        end_points=mean,
+        blocks=tuple(np.empty((0, 4)) for _ in range(6)),
+        drift=nothing,
+        drift_std=nothing,
+        pulse=steps if spec.units is Units.PULSES else np.zeros(6),
+    )
 
 
 def skewed_alone(spec: ImuSpec) -> ImuSpec:
@@ -409,47 +422,15 @@ def _each(
     if count < 2:
         return None
     seconds = turning.seconds / count
-    single = _turning(spec, whole.mean, seconds)
+    single = _read(spec, whole.mean, seconds, _SPARE)
     mean, square = whole.mean[:3], single.variance(_walk(spec))[:3]
     if askew is not None:
         alone = skewed_alone(spec)
-        single = _turning(alone, askew.mean, seconds)
+        single = _read(alone, askew.mean, seconds, _SPARE)
         mean = np.append(mean, askew.mean[0])
         square = np.append(square, single.variance(_walk(alone))[0])
     ramp = np.arange(count) - (count - 1) / 2
     return np.asarray(mean + np.outer(ramp / ramp.std(ddof=1), np.sqrt(square)))
-
-
-def _statistics(
-    mean: Floats, gain: Floats, quantum: Floats, seconds: float, spec: ImuSpec
-) -> Statistics:
-    nothing = np.full(6, np.nan)
-    return Statistics(
-        samples=round(seconds / _period(spec)),
-        missing=0,
-        duration=seconds,
-        mean=mean,
-        walk_gain=gain,
-        quantum=quantum,
-        end_points=mean,
-        blocks=tuple(np.empty((0, 4)) for _ in range(6)),
-        drift=nothing,
-        drift_std=nothing,
-        pulse=_pulse(spec),
-    )
-
-
-def _pulse(spec: ImuSpec) -> Floats:
-    """Return the (6,) size of a pulse, rad and m/s; 0 where there are none."""
-    if spec.units is not Units.PULSES:
-        return np.zeros(6)
-    return np.repeat([spec.gyro.scale_factor, spec.accel.scale_factor], 3)
-
-
-def _counted(triad: TriadSpec, period: float, mean: float, seconds: float) -> tuple[float, float]:
-    pulse = triad.scale_factor
-    found = mean_rate(_pulses(triad, period, mean, seconds), period, triad.random_walk / pulse)
-    return found.walk_gain, found.quantum * pulse**2
 
 
 def _pulses(triad: TriadSpec, period: float, mean: float, seconds: float) -> Floats:
@@ -458,16 +439,14 @@ def _pulses(triad: TriadSpec, period: float, mean: float, seconds: float) -> Flo
     return np.diff(np.floor(edges * (mean * period / triad.scale_factor) + _PHASE))
 
 
-def _rounded(spec: ImuSpec, triad: TriadSpec) -> float:
+def _rounded(triad: TriadSpec, period: float) -> float:
     """Return the variance that an ADC's rounding leaves: Widrow and Kollar 2008, section 4.4."""
-    if spec.units is not Units.COUNTS:
-        return 0.0
     step = triad.scale_factor
-    noise = triad.random_walk**2 / _period(spec) / step**2
+    noise = triad.random_walk**2 / period / step**2
     return step**2 / 12 * math.exp(-4 * math.pi**2 * noise)
 
 
-def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats:
+def wandering(evidence: Evidence, spec: ImuSpec) -> Floats:
     """Return the covariance of the outputs by biases that wander, (m + u,) square.
 
     First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
@@ -477,7 +456,6 @@ def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats
     Args:
         evidence: Stretches and turns in time.
         spec: Bias instabilities.
-        time_constant: Correlation time, s.
 
     """
     rests, turns = evidence.segments, evidence.turns
@@ -485,12 +463,9 @@ def wandering(evidence: Evidence, spec: ImuSpec, time_constant: float) -> Floats
     spans = [(s.start, s.end) for s in rests]
     spans += [(t.start, t.end) for t in turns]
     spans += [(m.start, m.end) for m in moves]
-    grid = (np.arange(_NODES) + 0.5) / _NODES
     begin, end = (np.array(spans).reshape(-1, 2).T) * 1e-9
-    nodes = (begin[:, None] + (end - begin)[:, None] * grid).ravel()
-    kernel = np.exp(-np.abs(nodes[:, None] - nodes) / time_constant)
-    n = len(spans)
-    means = kernel.reshape(n, _NODES, n, _NODES).mean(axis=(1, 3))
+    none = np.zeros((len(spans), 3, 3)), np.zeros(len(spans), dtype=bool)
+    means = Wandering.over(begin, end - begin, *none).of_one(STATED_TIME)
     askew = [len(rests) + k for k, t in enumerate(turns) if t.skewed is not None]
     rows = evidence.rows
     channel = [*rows.channels.tolist(), *[6] * len(askew)]

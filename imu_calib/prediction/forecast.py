@@ -29,9 +29,6 @@ from ..stream import Floats
 from ..table_clock import clock_share
 from .expected import expected, wandering
 
-BIAS_TIME_CONSTANT = 1000.0
-"""Correlation time of a bias that wanders, s, as the simulation has it."""
-
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
@@ -89,7 +86,7 @@ def forecast(
     square = _nothing(parameters)
     if name not in JOINT:
         try:
-            extra = wandering(resting, setup.imu, BIAS_TIME_CONSTANT) if wander else None
+            extra = wandering(resting, setup.imu) if wander else None
             parameters, square = _by_closed_form(resting, solver, extra)
             if name == skewed.NAME:
                 square = square + skewed.doubt(evidence)
@@ -102,7 +99,7 @@ def forecast(
             refusal = str(error)
     best = _nothing(parameters)
     if name in JOINT or not setup.plan.by_hand:
-        extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
+        extra = wandering(evidence, setup.imu) if wander else None
         best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
@@ -120,7 +117,7 @@ def with_parameters(
 
     NaN stands for what the session does not determine.
     """
-    extra = wandering(evidence, setup.imu, BIAS_TIME_CONSTANT) if wander else None
+    extra = wandering(evidence, setup.imu) if wander else None
     best = _best(evidence, truth, parameters, extra)
     found = Forecast(evidence, setup.method_name, parameters, best, best, '')
     return _with_common(found, setup, truth).std
