@@ -26,7 +26,7 @@ from imu_calib.session import describe
 from imu_calib.stream import Floats, ImuBlock, Units
 from imu_calib.table_errors import TableErrors
 from imu_calib.turntable import Table, load_table, rotation
-from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, STANDARD_GRAVITY
+from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
 from imu_calib.verification import Observed, Quantity, Verdict, Verification, observe, verify
 
 PLAN = quick_plan('six_position', 20.0)
@@ -81,6 +81,22 @@ def test_the_right_calibration_is_accepted(seed: int) -> None:
         assert judged.diagnosis is None
         # Five standard deviations of chi-square.
         assert abs(judged.square - judged.freedom) < 5 * np.sqrt(2 * judged.freedom)
+
+
+def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
+    # What turns and their run-ups were is a move of a thousand degrees; the Earth's rate alone
+    # knows K_g to a percent.
+    seen = replace(observed(), evidence=replace(observed().evidence, turns=()))
+    assert len(seen.evidence.led) == 5
+    (gyros, _) = verify(calibration(), seen).triads
+    assert gyros.verdict is Verdict.PASS
+    assert abs(gyros.square - gyros.freedom) < 5 * np.sqrt(2 * gyros.freedom)
+    wrong = verify(gyro(g().error_matrix + 300 * PPM * np.eye(3)), seen)
+    assert wrong.triads[0].verdict is Verdict.FAIL
+    assert 'the scale factors are others' in symptom(wrong, gyros=True)
+    resting = replace(seen, evidence=replace(seen.evidence, moves=()))
+    unseen = verify(gyro(g().error_matrix + 300 * PPM * np.eye(3)), resting)
+    assert unseen.triads[0].verdict is Verdict.PASS
 
 
 def test_what_is_compared_scatters_as_stated() -> None:

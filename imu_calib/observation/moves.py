@@ -89,8 +89,9 @@ class Moves:
             # A hand holds no rate: rounded one by one, its samples average out.
             rounding = np.zeros(3) if free else _rounding(move, segments[first])
             links.append(Link(first, second, move, rounding, encoders, bent(move)))
-        attitudes = np.array([s.attitude for s in segments]).reshape(-1, 3, 3)
-        return cls(tuple(links), attitudes, gravity)
+        # Where nobody tells them no table's move counts; of a unit in the hand they are sought.
+        attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]
+        return cls(tuple(links), np.array(attitudes).reshape(-1, 3, 3), gravity)
 
     def __len__(self) -> int:
         return len(self.links)

@@ -71,7 +71,8 @@ def compare(system: System, values: Floats, factor: Floats, fit: Fit) -> list[Co
     covariances = _covariances(found, spread[: len(outputs)], factor)
     if not system.gyros:
         return list(_forces(system, found[0], covariances, fit))
-    turns = _turns(system, values, factor, spread[len(outputs) :]) if system.evidence.turns else []
+    turned = slice(len(outputs), len(outputs) + len(system.evidence.turns))
+    turns = _turns(system, values, factor, spread[turned]) if system.evidence.turns else []
     return [*_rates(system, found[0], covariances), *turns]
 
 
@@ -121,7 +122,8 @@ def _turns(system: System, values: Floats, factor: Floats, spread: Floats) -> It
     forces, along = ups * site.gravity, ups * (rates + site.up_rate)[:, None]
     outputs = np.array([t.statistics.mean[:3] for t in turns])
     # What goes round with the unit leaves something in the mean of what is not linear.
-    beside = system.predicted(values)[-len(turns) :] - model.predict(along, forces)[0]
+    turned = slice(len(system.outputs), len(system.outputs) + len(turns))
+    beside = system.predicted(values)[turned] - model.predict(along, forces)[0]
     found = system.sensors.compensated(values, outputs - beside, forces)
     covariances = _covariances(found, spread, factor)
     for turn, rate, w, c in zip(turns, rates, found[0], covariances, strict=True):

@@ -127,9 +127,10 @@ def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
             'changed places and a matrix that was transposed hardly show in them.'
         )
     elif not observed.evidence.turns:
+        others = ' and in the moves between rests' if len(observed.evidence.led) else ' alone'
         notes.append(
             'No turns by an encoder: scale factors and misalignments of the gyros show in the '
-            'Earth rate alone.'
+            f'Earth rate{others}.'
         )
     if not calibration.has_accelerometers:
         notes.append('The accelerometers were not calibrated: they are not verified.')
@@ -170,7 +171,9 @@ class _Trial:
             f'Between {what} the {self.name} scatter {factor:.1f} times more than within them, '
             'whatever the parameters (arrivals of the table, drift): the limits are widened.'
             + (' So much is a doubt by itself.' if factor > _TOO_WIDE else '')
-            for what, factor in zip(('positions', 'turns'), self.system.inflation, strict=True)
+            for what, factor in zip(
+                ('positions', 'turns', 'moves'), self.system.inflation, strict=True
+            )
             if factor > 1
         ]
 

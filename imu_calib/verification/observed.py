@@ -114,10 +114,8 @@ def observe(
         replace(t, position=t.position or str(k + 1)) for k, t in enumerate(labelled.turns)
     )
     named = replace(labelled, segments=segments, turns=turns)
-    # What the gyros saw between rests is not compared.
-    resting = replace(session, moves=())
-    evidence = _by_the_clock_of(clock, Evidence.of(named, resting, plan, imu, site, table))
-    evidence = evidence if known else replace(evidence, turns=())
+    evidence = _by_the_clock_of(clock, Evidence.of(named, session, plan, imu, site, table))
+    evidence = evidence if known else replace(evidence, turns=(), moves=())
     return Observed(evidence, imu, sample_rate, (*labelled.notes, *session.losses))
 
 

@@ -54,7 +54,7 @@ class Fit:
         std: (p,) their standard deviations.
         unknown: (u,) what else the session shows: `Nuisance`, and where it was asked for a small
             rotation in the mount, rad; nothing without attitudes.
-        ratios: Squared residual over its expectation: of rests, and of turns (1 without).
+        ratios: Squared residual over its expectation: of rests, of turns, of moves (1 without).
         spare: How many residuals at rest are left to tell by, beyond what was estimated.
 
     """
@@ -64,7 +64,7 @@ class Fit:
     delta: Floats
     std: Floats
     unknown: Floats
-    ratios: tuple[float, float]
+    ratios: tuple[float, ...]
     spare: float
 
     @property
@@ -82,7 +82,7 @@ class System:
         sensors: Gyros or accelerometers.
         reading: Factor by which the outputs are to be multiplied.
         up: By the accelerometers; None where attitudes tell it.
-        inflation: Factors on the noise of rests and of turns.
+        inflation: Factors on the noise of rests, of turns and of moves.
         wander: Standard deviation of the biases from rest to rest, rad/s or m/s^2.
         seen: The unknowns that the session shows whatever the parameters, to begin with; None
             before that is known.
@@ -94,7 +94,7 @@ class System:
     sensors: Sensors
     reading: float = 1.0
     up: Up | None = None
-    inflation: tuple[float, float] = (1.0, 1.0)
+    inflation: tuple[float, ...] = (1.0, 1.0, 1.0)
     wander: float = 0.0
     seen: Floats | None = None
     mount_free: bool = False
@@ -138,6 +138,8 @@ class System:
         """Those of the joint estimate, where attitudes are known."""
         biases = np.zeros(len(self.evidence.rows))
         biases[self.evidence.rows.rest] = (self.wander * self.reading) ** 2
+        seconds = np.array([m.move.duration for m in self.evidence.led.links]).reshape(-1, 1)
+        biases[self.evidence.rows.move] = (self.wander * self.reading * seconds) ** 2
         return Equations(
             self.evidence,
             self.sensors.parameters,
@@ -147,19 +149,21 @@ class System:
 
     @cached_property
     def _mine(self) -> Indices:
-        """Which of these are the triad's: those at rest, then those of turns."""
+        """Which of these are the triad's: those at rest, of turns, of moves."""
         return self.equations.rows.gyros if self.gyros else self.equations.rows.accels
 
     @cached_property
-    def _turning(self) -> NDArray[np.bool_]:
-        """Which of the triad's equations are of turns, (m,)."""
+    def _kinds(self) -> Indices:
+        """Which of the triad's equations are at rest (0), of turns (1) and of moves (2), (m,)."""
         if self.up is not None:
-            return np.zeros(len(self.outputs) * (2 if self.gyros else 1), dtype=bool)
-        return self._mine >= self.evidence.rows.rest.size
+            return np.zeros(len(self.outputs) * (2 if self.gyros else 1), dtype=np.intp)
+        rows = self.evidence.rows
+        of_moves = (rows.move.min(initial=len(rows)) <= self._mine) & self.gyros
+        return np.where(self._mine < rows.rest.size, 0, np.where(of_moves, 2, 1))
 
     @property
     def _widened(self) -> Floats:
-        return np.where(self._turning, self.inflation[1], self.inflation[0])
+        return np.array(self.inflation)[self._kinds]
 
     @cached_property
     def _known(self) -> Floats:
@@ -177,7 +181,7 @@ class System:
         return np.concatenate([free, np.full(3 if self.mount_free else 0, True)])
 
     def spread(self, values: Floats) -> Floats:
-        """Return the covariances of what each rest and each turn reads, whatever the parameters.
+        """Return the covariances of what rests, turns and moves read, whatever the parameters.
 
         What is known beforehand but not exactly counts: clock, heading, tilt.
 
@@ -185,7 +189,7 @@ class System:
             values: (p,) of the parameters.
 
         Returns:
-            (s + t, 3, 3).
+            (s + t + m, 3, 3).
 
         """
         if self.up is not None:
@@ -200,7 +204,7 @@ class System:
         return np.asarray(found * self._widened[::3, None, None] ** 2)
 
     def predicted(self, values: Floats) -> Floats:
-        """Return what rests and turns should read (s + t, 3), the table as it is described."""
+        """Return what they should read (s + t + m, 3), the table as it is described."""
         state = np.append(values, self._known)
         return self.equations.predict(state)[self._mine].reshape(-1, 3)
 
@@ -209,15 +213,21 @@ class System:
         if self.up is not None:
             bias = Triad.from_vector(values).bias
             return self.magnitude / float(np.median(np.linalg.norm(self.outputs - bias, axis=1)))
+        # Moves read no difference: they tell nothing of it.
         seen = self.equations.outputs[self._mine]
         weighed = seen / np.diagonal(self.spread(values), axis1=1, axis2=2).ravel()
         return float(weighed @ self.predicted(values).ravel() / (weighed @ seen))
 
-    def inflated(self, ratios: tuple[float, float]) -> System:
+    def inflated(self, ratios: tuple[float, ...]) -> System:
         """Return the system with its noise widened."""
-        a, b = self.inflation
-        factors = (a * np.sqrt(max(ratios[0], 1.0)), b * np.sqrt(max(ratios[1], 1.0)))
-        return replace(self, inflation=(float(factors[0]), float(factors[1])))
+        factors = np.sqrt(np.maximum(ratios, 1.0)) * self.inflation
+        return replace(self, inflation=tuple(factors.tolist()))
+
+    @cached_property
+    def _resting(self) -> System:
+        """The system without moves, which are not linear in what is far off."""
+        evidence = replace(self.observed.evidence, moves=())
+        return replace(self, observed=replace(self.observed, evidence=evidence))
 
     def fit(self, values: Floats, factor: Floats, hopeless: float = 0.0) -> Fit:
         """Explain the session by a model whose parameters have errors.
@@ -229,6 +239,20 @@ class System:
 
         """
         k = factor.shape[1]
+        resting = self._resting if len(self.evidence.led) else self
+        point, square = resting._start(resting._allowing(values, factor), k)
+        system = self._allowing(values, factor)
+        if scipy.special.chdtrc(len(resting._kinds), square / 2) >= hopeless:
+            # Where nothing fits nearby, chi-square where it began rejects it.
+            with suppress(NotObservable):
+                point = least_squares(point, system, np.add, _ROUNDS)
+        return self._concluded(*system(point), point, factor)
+
+    def _allowing(
+        self, values: Floats, factor: Floats
+    ) -> Callable[[Floats], tuple[Floats, Floats]]:
+        """Return the equations at a (k + u,) point: errors of the parameters, and the unknowns."""
+        k = factor.shape[1]
 
         def system(point: Floats) -> tuple[Floats, Floats]:
             columns, left = self._whitened(values + factor @ point[:k], point[k:])
@@ -237,12 +261,7 @@ class System:
             prior = np.eye(k, columns.shape[1])
             return np.vstack([columns, prior]), np.append(left, -point[:k])
 
-        point, square = self._start(system, k)
-        if scipy.special.chdtrc(len(self._turning), square / 2) >= hopeless:
-            # Where nothing fits nearby, chi-square where it began rejects it.
-            with suppress(NotObservable):
-                point = least_squares(point, system, np.add, _ROUNDS)
-        return self._concluded(*system(point), point, factor)
+        return system
 
     def _start(
         self, system: Callable[[Floats], tuple[Floats, Floats]], k: int
@@ -294,15 +313,15 @@ class System:
         return rows[:, :-1], rows[:, -1]
 
     def _concluded(self, columns: Floats, left: Floats, point: Floats, factor: Floats) -> Fit:
-        k, turning = factor.shape[1], self._turning
-        count = len(turning)
+        k, count = factor.shape[1], len(self._kinds)
         found = Information.of(columns)
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
         free = columns[:count, k:][:, self._free]
         norms = np.linalg.norm(free, axis=0)
         spread = np.diag(factor @ found.covariance[:k, :k] @ factor.T)
 
-        def ratio(these: NDArray[np.bool_]) -> float:
+        def ratio(kind: int) -> float:
+            these = self._kinds == kind
             expected, square = float(spare[these].sum()), float((left[:count][these] ** 2).sum())
             return square / expected if expected > _TOO_FEW else 1.0
 
@@ -312,8 +331,8 @@ class System:
             factor @ point[:k],
             np.sqrt(np.maximum(spread, 0.0)),
             point[k:],
-            (ratio(~turning), ratio(turning)),
-            float(spare[~turning].sum()),
+            tuple(ratio(kind) for kind in range(len(self.inflation))),
+            float(spare[self._kinds == 0].sum()),
         )
 
 

@@ -176,7 +176,6 @@ class FreeCalibrator:
             replace(
                 s,
                 position=str(k + 1),
-                attitude=np.eye(3),
                 statistics=replace(s.statistics, quantum=s.statistics.quantum + _LEAST_STD**2),
             )
             for k, s in enumerate(segments)
@@ -250,8 +249,7 @@ class FreeCalibrator:
             budget=Budget.of(fit.shares),
         )
         calibration = with_gravity(calibration, setup.site)
-        found = tuple(replace(s, attitude=None) for s in segments)
-        return Result(calibration, solution, session, Labelled(found, (), session.rejected))
+        return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
 
 
 def calibrator_of(setup: Setup) -> Calibrator | FreeCalibrator:
