@@ -68,8 +68,8 @@ that nobody measured.
 _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
     'n_positions': lambda plan, _: n_positions.check(plan),
     'off_axis_four': off_axis_four.check,
-    'rate_24': lambda plan, _: rate_24.check(plan),
-    'skewed': lambda plan, _: skewed.check(plan),
+    'rate_24': lambda plan, _: n_positions.check(plan, PARAMETERS),
+    'skewed': lambda plan, _: n_positions.check_turns(plan),
     'static_six': static_six.check,
 }
 

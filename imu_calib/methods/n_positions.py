@@ -47,19 +47,8 @@ def solve(evidence: Evidence) -> Solution:
     return Gains(gyro, accel, condition).conclude(evidence, north_known=True)
 
 
-def check(plan: Plan) -> None:
-    """Refuse a plan that cannot tell the 33 parameters apart, before it is run.
-
-    Raises:
-        NotObservable: Names the parameters.
-
-    """
-    check_positions(plan, ESTIMATES)
-    check_turns(plan)
-
-
-def check_positions(plan: Plan, parameters: tuple[Parameter, ...]) -> None:
-    """Refuse a plan whose positions cannot tell the parameters apart.
+def check(plan: Plan, parameters: tuple[Parameter, ...] = ESTIMATES) -> None:
+    """Refuse a plan that cannot tell parameters apart, before it is run.
 
     Args:
         plan: To be run.
@@ -73,6 +62,7 @@ def check_positions(plan: Plan, parameters: tuple[Parameter, ...]) -> None:
     ups = np.array([p.up for p in held]).reshape(-1, 3)
     what = f'The {len(held)} positions of plan {plan.name}'
     force_weights(ups, np.ones(len(held)), what, parameters)
+    check_turns(plan)
 
 
 def check_turns(plan: Plan) -> None:

@@ -13,9 +13,8 @@ import numpy as np
 from ..errors import NotObservable
 from ..model import PARAMETERS
 from ..observation.evidence import Evidence
-from ..plan import Plan
 from .gains import BIAS, Gains, biases, once, rate_test
-from .n_positions import check_positions, check_turns, force_weights
+from .n_positions import force_weights
 from .solution import Solution
 
 
@@ -42,14 +41,3 @@ def solve(evidence: Evidence) -> Solution:
     fitted, spread = force_weights(ups, once(evidence), f'{count} positions', PARAMETERS)
     accel = np.vstack([fitted[1:] / evidence.site.gravity, fitted[:1]])
     return Gains(gyro, accel, max(condition, spread)).conclude(evidence, north_known=True)
-
-
-def check(plan: Plan) -> None:
-    """Refuse a plan that cannot tell the parameters apart, before it is run.
-
-    Raises:
-        NotObservable: Names the parameters.
-
-    """
-    check_positions(plan, PARAMETERS)
-    check_turns(plan)

@@ -15,12 +15,10 @@ import numpy as np
 from ..errors import NotObservable
 from ..model import SensorModel, Skewed, Triad, parameters_of, positions, skewed_parameters
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
-from ..plan import Plan
 from ..stream import Floats
 from ..units import DEG, DEG_H
 from .checks import check_axes, clocks, far_scales
 from .gains import BIAS, biases, inverse, responses
-from .n_positions import check_turns
 from .solution import Solution
 
 NAME = 'skewed'
@@ -231,16 +229,6 @@ def doubt(evidence: Evidence) -> Floats:
         slope = (above - below) / (2 * _SLIGHT)
         added += 2 / max(freedom, 1.0) * np.einsum('cut,tc->cu', slope**2, variances)
     return np.asarray(np.diag(_in_order(np.diag(added.ravel()))))
-
-
-def check(plan: Plan) -> None:
-    """Refuse a plan that does not turn about each axis, before it is run.
-
-    Raises:
-        NotObservable: Names the parameters.
-
-    """
-    check_turns(plan)
 
 
 def bound(points: RatePoints, extra: Floats | None = None) -> Floats:

@@ -77,6 +77,25 @@ class Information:
         return cls(covariance, observed, condition, gain)
 
 
+def log_determinant(information: Floats, first: int) -> float:
+    """Return the logarithm of the determinant of the information on what a state begins with.
+
+    What comes after it, the session must find and nobody wants: it is taken out. Columns are scaled
+    to length one first: rad/s and m/s^2 are far apart.
+
+    Args:
+        information: (n, n) of the whole state.
+        first: How many entries are wanted.
+
+    """
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    scaled = information * np.outer(scale, scale)
+    whole, others = np.linalg.slogdet(scaled), np.linalg.slogdet(scaled[first:, first:])
+    if whole[0] <= 0 or others[0] <= 0:
+        return -np.inf
+    return float(whole[1] - others[1] - 2 * np.log(scale[:first]).sum())
+
+
 def reached(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Floats:
     """Return the standard deviations that a session allows so far.
 

@@ -18,6 +18,7 @@ from ..calibrator import Setup
 from ..errors import ImuCalibError, InputError
 from ..model import PARAMETERS, SensorModel
 from ..observation.equations import Equations
+from ..observation.information import log_determinant
 from ..plan import Plan, Position, RateTest
 from ..stream import Floats
 from ..turntable import Table, rotation
@@ -178,7 +179,7 @@ def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int)
             others = prior + blocks[[c for k, c in enumerate(chosen) if k != place]].sum(axis=0)
             axis = place if place < len(upright) else None
             value = [
-                _log_information(others + blocks[k])
+                log_determinant(others + blocks[k], _SENSORS)
                 if axis is None or choices[k].matrix[2, axis] > 1 - 1e-9
                 else -np.inf
                 for k in range(len(choices))
@@ -189,20 +190,6 @@ def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int)
         if not changed:
             break
     return chosen
-
-
-def _log_information(information: Floats) -> float:
-    """Return the logarithm of the determinant on the 24, what the session does not want taken out.
-
-    Columns are scaled to length one first: rad/s and m/s^2 are far apart.
-    """
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    scaled = information * np.outer(scale, scale)
-    whole = np.linalg.slogdet(scaled)
-    others = np.linalg.slogdet(scaled[_SENSORS:, _SENSORS:])
-    if whole[0] <= 0 or others[0] <= 0:
-        return -np.inf
-    return float(whole[1] - others[1] - 2 * np.log(scale[:_SENSORS]).sum())
 
 
 def _timed(
@@ -246,7 +233,7 @@ def log_information(setup: Setup, truth: SensorModel) -> float:
     """Return the logarithm of the determinant of a plan's information on the 24 parameters."""
     equations = Equations(expected(setup, truth))
     rows = equations.whitened(state_at(equations, truth))[0]
-    return _log_information(rows.T @ rows)
+    return log_determinant(rows.T @ rows, _SENSORS)
 
 
 def _order(attitudes: list[Attitude]) -> list[int]:

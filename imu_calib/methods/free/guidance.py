@@ -16,6 +16,7 @@ import numpy as np
 from ...model import AXES, PARAMETERS, ParameterKind
 from ...observation.evidence import Evidence
 from ...observation.free import FreeEquations
+from ...observation.information import Information, log_determinant
 from ...prediction.expected import next_hold, short_move
 from ...stream import Floats
 from ...units import ARCMIN, DEG, PPM
@@ -106,14 +107,16 @@ def guide(
         return _told(holding, hold_seconds, 0, std, candidates, enough=False)
     equations, values = started(evidence)
     base = equations.whitened(values)[0]
-    now = _log_information(base)
+    base = np.vstack([np.eye(len(ESTIMATES), base.shape[1]) / _widths()[:, None], base])
+    now = log_determinant(base.T @ base, len(ESTIMATES))
     std[FREE] = _deviations(base) if reached is None else reached
     found = []
     for words, up in _directions():
         grown = np.vstack(
             [np.pad(base, ((0, 0), (0, 3))), _further(equations, values, up, hold_seconds)]
         )
-        found.append(Candidate(words, up, (_log_information(grown) - now) / 2))
+        gain = (log_determinant(grown.T @ grown, len(ESTIMATES)) - now) / 2
+        found.append(Candidate(words, up, gain))
     found.sort(key=lambda c: -c.gain)
     scale = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in PARAMETERS])
     angle = np.array([p.kind is ParameterKind.MISALIGNMENT for p in PARAMETERS])
@@ -193,31 +196,14 @@ def _further(equations: FreeEquations, values: Floats, up: Floats, seconds: floa
     return result
 
 
-def _prior() -> Floats:
+def _widths() -> Floats:
     """Return how far off a unit may be before anything is known of it, (21,)."""
+    biases = {'g': _GYRO_BIAS_WIDTH, 'a': _ACCEL_BIAS_WIDTH}
     return np.array(
-        [
-            _SCALE_WIDTH
-            if p.kind is not ParameterKind.BIAS
-            else (_GYRO_BIAS_WIDTH if p.triad == 'g' else _ACCEL_BIAS_WIDTH)
-            for p in ESTIMATES
-        ]
+        [biases[p.triad] if p.kind is ParameterKind.BIAS else _SCALE_WIDTH for p in ESTIMATES]
     )
 
 
-def _information(rows: Floats) -> Floats:
-    """Return the information on the 21 parameters, all else taken out, a wide prior put in."""
-    n = len(ESTIMATES)
-    whole = rows.T @ rows
-    cross = whole[n:, :n]
-    own = whole[:n, :n] - cross.T @ np.linalg.solve(whole[n:, n:], cross)
-    return np.asarray(own + np.diag(1 / _prior() ** 2))
-
-
-def _log_information(rows: Floats) -> float:
-    return float(np.linalg.slogdet(_information(rows))[1])
-
-
 def _deviations(rows: Floats) -> Floats:
-    std = np.sqrt(np.diag(np.linalg.inv(_information(rows))))
-    return np.where(std < _TOLD * _prior(), std, np.nan)
+    std = np.sqrt(np.diag(Information.of(rows).covariance)[: len(ESTIMATES)])
+    return np.where(std < _TOLD * _widths(), std, np.nan)
