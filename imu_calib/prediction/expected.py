@@ -1,66 +1,54 @@
 """The evidence that a session of a plan would give, before it is run.
 
 What the sensors would read follows from the model; how well their means would be known follows
-from random walk, pulses and times alone. A counter without noise, run at the rate that it would
-see, goes through the very estimators that a session goes through (`segmentation.counter`).
+from random walk, pulses and times alone (`readings`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy
 
 from ..calibrator import Setup
-from ..directions import across
-from ..earth import Site
 from ..errors import InputError
 from ..estimation.wandering import STATED_TIME, Wandering
 from ..imu import ImuSpec, TriadSpec
 from ..methods.free import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
-from ..observation.evidence import Evidence
+from ..observation.evidence import UP, Evidence
 from ..observation.headings import headings, whole
-from ..profile import Course, moving
+from ..observation.ways import (
+    BY_HAND_MOVE,
+    held_in_turn,
+    move_along,
+    nanoseconds,
+    short_move,
+    way,
+)
+from ..profile import Course
 from ..segmentation.clock import ClockFit
-from ..segmentation.counter import mean_rate, rate_between
 from ..segmentation.moves import COARSEST
-from ..segmentation.segment import Segment, Statistics, Turn
+from ..segmentation.segment import Segment, Turn
 from ..segmentation.sensor import NEARLY
 from ..segmentation.session import Move
-from ..stream import Floats, Mode, Units
-from ..turntable import TURN, Table, rotation
+from ..stream import Floats, Mode
+from ..turntable import TURN, rotation
+from .readings import SPARE, each_turn, period_of, reading, skewed_alone, triads, walk_of
 from .schedule import SETTLE, schedule
 
-_SAMPLE_RATE = 100.0
 _UNSEEN = 0.5
 """What the segmentation leaves at the two ends of a rest: a window of the joint states each, s."""
 
-_SPARE = 1.0
-"""How long a table surely keeps its rate before and after the turns that are measured, s."""
-
 _BY_HAND_TURN = 2.0
-BY_HAND_MOVE = 2.0
-"""From one rest to the next, s."""
-
 _BY_HAND_STILL = 2.0
 """Before and after a turn by hand, s: what divides it from the moves around it."""
 
 _BY_HAND_LEVEL = 0.25
 """What such a turn leaves of a level rate where it rises and falls for a third of a second each."""
 
-_STEP = 0.01
-"""Into which a move is cut, s: no step turns by more than a degree at 100 deg/s."""
-
-_SHORT_STEPS = 40
-"""Into which a turn by hand is cut: at most 4.5 degrees each."""
-
-_PARALLEL = 1e-6
-_UP = np.array([0.0, 0.0, 1.0])
-_PHASE = 0.5
 _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 """A skewed gyro of which nobody says how it lies: between all three."""
 
@@ -105,7 +93,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         InputError: The table cannot run the plan, or the IMU states no noise.
 
     """
-    walk = _walk(setup.imu)
+    walk = walk_of(setup.imu)
     if not (walk > 0).all():
         raise InputError(
             f'The IMU {setup.imu.id} states no angle_random_walk or no velocity_random_walk: '
@@ -115,17 +103,17 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
     stated = setup.table.azimuth if setup.table is not None else None
     heading = (stated or 0.0) if azimuth is None else azimuth
     # The attitudes of a session are those of the table's own idea of north.
-    world = rotation(_UP, (stated or 0.0) - heading)
+    world = rotation(UP, (stated or 0.0) - heading)
     earth, force = world @ setup.site.earth_rate, setup.site.specific_force
     segments = []
     for rest in rests:
         body = rest.attitude.T
         mean = np.concatenate(truth.predict(body @ earth, body @ force))
-        statistics = _read(setup.imu, mean, rest.end - rest.start)
+        statistics = reading(setup.imu, mean, rest.end - rest.start)
         segments.append(
             Segment(
-                _ns(rest.start),
-                _ns(rest.end),
+                nanoseconds(rest.start),
+                nanoseconds(rest.end),
                 statistics,
                 rest.attitude,
                 rest.position,
@@ -138,24 +126,24 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         turned = headings(turning.up[None])
         both = turned @ earth + turning.up * turning.rate, turned @ force
         mean = whole(np.concatenate(truth.predict(*both), axis=-1))[0]
-        spare = 0.0 if setup.plan.by_hand else _SPARE
-        statistics = _read(setup.imu, mean, turning.seconds, spare)
+        spare = 0.0 if setup.plan.by_hand else SPARE
+        statistics = reading(setup.imu, mean, turning.seconds, spare)
         askew = None
         if setup.imu.skewed is not None:
             lies = truth.skewed or _ANYHOW
             fourth = np.append(lies.predict(spin)[0], np.zeros(5))
-            askew = _read(skewed_alone(setup.imu), fourth, turning.seconds, _SPARE)
+            askew = reading(skewed_alone(setup.imu), fourth, turning.seconds, SPARE)
         turns.append(
             Turn(
-                _ns(turning.start),
-                _ns(turning.start + turning.seconds),
+                nanoseconds(turning.start),
+                nanoseconds(turning.start + turning.seconds),
                 statistics,
                 turning.rate * turning.seconds,
                 None if setup.plan.by_hand else turning.seconds,
                 turning.up,
                 turning.position,
                 skewed=askew,
-                each=_each(setup.imu, statistics, askew, turning),
+                each=each_turn(setup.imu, statistics, askew, turning.rate),
                 level=_BY_HAND_LEVEL if setup.plan.by_hand else 0.0,
                 angles=turning.angles,
                 joint=turning.joint,
@@ -163,7 +151,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         )
     free = setup.method_name == FREE_POSITIONS
     if free:
-        segments = _held(segments)
+        segments = held_in_turn(segments)
         moves = [short_move(a, b, truth, setup.site) for a, b in pairwise(segments)]
     else:
         moves = [
@@ -172,7 +160,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
             if rest.course is not None
             and setup.table is not None
             and _followed(
-                move := _move(before, after, rest.course, setup.table, truth, (earth, force)),
+                move := move_along(before, after, rest.course, setup.table, truth, (earth, force)),
                 setup.imu,
             )
         ]
@@ -226,129 +214,12 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
             span = (standing + _UNSEEN / 2, visit.end - _UNSEEN / 2)
             course = None
             if at is not None and not np.array_equal(at, visit.angles):
-                course = _way(table, at, visit.angles)
+                course = way(table, at, visit.angles)
             rests.append(_Rest(step.position, attitude, *span, visit.angles, course))
             at = visit.angles
         else:
             at = None
     return rests, turnings
-
-
-def _way(table: Table, origin: Floats, goal: Floats) -> Course:
-    """Return the course of the joints at the table's limits."""
-    limits = [(joint.max_rate, joint.max_acceleration) for joint in table.joints]
-    rates, accelerations = zip(*limits, strict=True)
-    return moving(origin.tolist(), goal.tolist(), rates, accelerations)
-
-
-def _move(
-    before: Segment,
-    after: Segment,
-    course: Course,
-    table: Table,
-    truth: SensorModel,
-    world: tuple[Floats, Floats],
-) -> Move:
-    """Return what the gyros would give on the way from one rest to the next.
-
-    Args:
-        before: The rest that it begins at.
-        after: The rest that it ends at.
-        course: Of the joints.
-        table: Whose.
-        truth: The sensors.
-        world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
-
-    """
-    seconds = (after.start - before.end) * 1e-9
-    knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
-    attitudes = table.attitude(course.at(knots)[0])
-    # What the table stands at both ends, before and after.
-    stood = (seconds - course.end) / 2
-    attitudes = np.concatenate([attitudes[:1], attitudes, attitudes[-1:]])
-    return _along(before, after, attitudes, np.array([stood, *np.diff(knots), stood]), truth, world)
-
-
-def _along(
-    before: Segment,
-    after: Segment,
-    attitudes: Floats,
-    spans: Floats,
-    truth: SensorModel,
-    world: tuple[Floats, Floats],
-) -> Move:
-    """Return what the gyros would give through (n + 1, 3, 3) attitudes, (n,) seconds apart."""
-    earth, force = world
-    steps = scipy.spatial.transform.Rotation.from_matrix(
-        np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
-    ).as_rotvec()
-    middles = (attitudes[:-1] + attitudes[1:]) / 2
-    rates = steps / spans[:, None] + np.einsum('i,nij->nj', earth, middles)
-    gyro, _ = truth.predict(rates, np.einsum('i,nij->nj', force, middles))
-    quantum = before.statistics.pulse[:3]
-    return Move(before.end, after.start, gyro * spans[:, None], spans, quantum)
-
-
-def _held(segments: list[Segment]) -> list[Segment]:
-    """Return holds in other attitudes of the same ups, each the short way from the one before."""
-    found = segments[:1]
-    for segment in segments[1:]:
-        assert segment.attitude is not None
-        shown = shortest(found[-1], segment.attitude[2])
-        found.append(replace(segment, attitude=shown))
-    return found
-
-
-def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
-    """Return a hold like another one, to which the unit is turned the short way.
-
-    Args:
-        last: The hold before, in its attitude.
-        up: (3,) in body axes, unit vector.
-        seconds: How long it is held.
-
-    """
-    start = last.end + _ns(BY_HAND_MOVE)
-    statistics = replace(last.statistics, duration=seconds, walk_gain=np.full(6, 1 / seconds))
-    return replace(
-        last,
-        start=start,
-        end=start + _ns(seconds),
-        statistics=statistics,
-        attitude=shortest(last, up),
-    )
-
-
-def shortest(last: Segment, up: Floats) -> Floats:
-    """Return the attitude (3, 3) to which the short way leads where (3,) `up` is up."""
-    assert last.attitude is not None
-    rising = last.attitude[2]
-    axis = np.cross(up, rising)
-    sine, cosine = float(np.linalg.norm(axis)), float(up @ rising)
-    if sine < _PARALLEL:
-        # Half a turn goes about any level axis; rounding must not choose it.
-        axis = across(np.round(rising, 9))[0]
-    turn = rotation(axis / np.linalg.norm(axis), math.atan2(sine, cosine))
-    return np.asarray(last.attitude @ turn)
-
-
-def short_move(before: Segment, after: Segment, truth: SensorModel, site: Site) -> Move:
-    """Return what the gyros would give on the short way from hold to hold, at an even pace."""
-    assert before.attitude is not None
-    assert after.attitude is not None
-    ends = np.array([before.attitude, after.attitude])
-    turn = scipy.spatial.transform.Rotation.from_matrix(ends[0].T @ ends[1]).as_rotvec()
-    parts = np.linspace(0.0, 1.0, _SHORT_STEPS + 1)[:, None] * turn
-    attitudes = ends[0] @ scipy.spatial.transform.Rotation.from_rotvec(parts).as_matrix()
-    spans = np.full(_SHORT_STEPS, (after.start - before.end) * 1e-9 / _SHORT_STEPS)
-    world = site.up_rate * _UP, site.specific_force
-    return _along(before, after, attitudes, spans, truth, world)
-
-
-def _followed(move: Move, spec: ImuSpec) -> bool:
-    """Say whether a session would lead a move on: see `segmentation.moves`."""
-    fastest = float(np.abs(move.turned / move.seconds[:, None]).max())
-    return fastest * _period(spec) <= COARSEST and fastest < NEARLY * spec.gyro.range
 
 
 def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
@@ -367,83 +238,10 @@ def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
     return rests, turnings
 
 
-def _read(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:
-    """Return the statistics of what reads (6,) `mean`.
-
-    Args:
-        spec: Units and noise.
-        mean: Outputs, rad/s and m/s^2.
-        seconds: How long.
-        spare: Of whole turns, beyond which counts are read on both sides, s; None at rest.
-
-    """
-    gain, quantum = np.full(6, 1 / seconds), np.zeros(6)
-    period, nothing = _period(spec), np.full(6, np.nan)
-    steps = np.array([triad.scale_factor for triad in _triads(spec)])
-    for c, triad in enumerate(_triads(spec)):
-        if spec.units is Units.COUNTS:
-            quantum[c] = _rounded(triad, period)
-        elif spec.units is Units.PULSES:
-            walk = triad.random_walk / triad.scale_factor
-            pulses = _pulses(triad, period, float(mean[c]), seconds + 2 * (spare or 0.0))
-            first = (len(pulses) - seconds / period) / 2
-            found = (
-                mean_rate(pulses, period, walk)
-                if spare is None
-                else rate_between(pulses, period, first, len(pulses) - first, walk)
-            )
-            gain[c], quantum[c] = found.walk_gain, found.quantum * triad.scale_factor**2
-    return Statistics(
-        samples=round(seconds / period),
-        missing=0,
-        duration=seconds,
-        mean=mean,
-        walk_gain=gain,
-        quantum=quantum,
-        end_points=mean,
-        blocks=tuple(np.empty((0, 4)) for _ in range(6)),
-        drift=nothing,
-        drift_std=nothing,
-        pulse=steps if spec.units is Units.PULSES else np.zeros(6),
-    )
-
-
-def skewed_alone(spec: ImuSpec) -> ImuSpec:
-    """Return an IMU whose first gyro is the skewed one."""
-    assert spec.skewed is not None
-    return replace(spec, gyro=spec.skewed, skewed=None)
-
-
-def _each(
-    spec: ImuSpec, whole: Statistics, askew: Statistics | None, turning: _Turning
-) -> Floats | None:
-    """Return means of the single turns that scatter just as their noise would on average."""
-    count = max(1, round(abs(turning.rate) * turning.seconds / TURN))
-    if count < 2:
-        return None
-    seconds = turning.seconds / count
-    single = _read(spec, whole.mean, seconds, _SPARE)
-    mean, square = whole.mean[:3], single.variance(_walk(spec))[:3]
-    if askew is not None:
-        alone = skewed_alone(spec)
-        single = _read(alone, askew.mean, seconds, _SPARE)
-        mean = np.append(mean, askew.mean[0])
-        square = np.append(square, single.variance(_walk(alone))[0])
-    ramp = np.arange(count) - (count - 1) / 2
-    return np.asarray(mean + np.outer(ramp / ramp.std(ddof=1), np.sqrt(square)))
-
-
-def _pulses(triad: TriadSpec, period: float, mean: float, seconds: float) -> Floats:
-    """Return what a counter without noise delivers at a rate (rad/s or m/s^2)."""
-    edges = np.arange(max(2, math.ceil(seconds / period)) + 1)
-    return np.diff(np.floor(edges * (mean * period / triad.scale_factor) + _PHASE))
-
-
-def _rounded(triad: TriadSpec, period: float) -> float:
-    """Return the variance that an ADC's rounding leaves: Widrow and Kollar 2008, section 4.4."""
-    step = triad.scale_factor
-    noise = triad.random_walk**2 / period / step**2
-    return step**2 / 12 * math.exp(-4 * math.pi**2 * noise)
+def _followed(move: Move, spec: ImuSpec) -> bool:
+    """Say whether a session would lead a move on: see `segmentation.moves`."""
+    fastest = float(np.abs(move.turned / move.seconds[:, None]).max())
+    return fastest * period_of(spec) <= COARSEST and fastest < NEARLY * spec.gyro.range
 
 
 def wandering(evidence: Evidence, spec: ImuSpec) -> Floats:
@@ -470,25 +268,9 @@ def wandering(evidence: Evidence, spec: ImuSpec) -> Floats:
     rows = evidence.rows
     channel = [*rows.channels.tolist(), *[6] * len(askew)]
     which = np.concatenate([rows.stretch, np.array(askew, dtype=int)])
-    figures = [t.bias_instability for t in (*_triads(spec), spec.skewed or TriadSpec())]
+    figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]
     # What a move carries along as it turns; all else reads its own bias.
     answers = np.eye(7)[channel]
     answers[rows.move, :3] = evidence.led.by_parameters(SensorModel(), BIASES[:3])
     by_bias = answers * figures
     return np.asarray(means[np.ix_(which, which)] * (by_bias @ by_bias.T))
-
-
-def _walk(spec: ImuSpec) -> Floats:
-    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
-
-
-def _triads(spec: ImuSpec) -> list[TriadSpec]:
-    return [spec.gyro] * 3 + [spec.accel] * 3
-
-
-def _period(spec: ImuSpec) -> float:
-    return 1 / (spec.sample_rate or _SAMPLE_RATE)
-
-
-def _ns(seconds: float) -> int:
-    return round(seconds * 1e9)

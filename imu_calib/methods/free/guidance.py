@@ -17,7 +17,7 @@ from ...model import AXES, PARAMETERS, ParameterKind
 from ...observation.evidence import Evidence
 from ...observation.free import FreeEquations
 from ...observation.information import Information, log_determinant
-from ...prediction.expected import next_hold, short_move
+from ...observation.ways import next_hold, short_move
 from ...stream import Floats
 from ...units import ARCMIN, DEG, PPM
 from .fit import ESTIMATES, FEWEST, FREE, started

@@ -1,0 +1,146 @@
+"""What gyros would give on the way from rest to rest: by a table's joints, and by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from ..directions import across
+from ..earth import Site
+from ..model import SensorModel
+from ..profile import Course, moving
+from ..segmentation.segment import Segment
+from ..segmentation.session import Move
+from ..stream import Floats
+from ..turntable import Table, rotation
+from .evidence import UP
+
+BY_HAND_MOVE = 2.0
+"""From one rest to the next, s."""
+
+_STEP = 0.01
+"""Into which a move is cut, s: no step turns by more than a degree at 100 deg/s."""
+
+_SHORT_STEPS = 40
+"""Into which a turn by hand is cut: at most 4.5 degrees each."""
+
+_PARALLEL = 1e-6
+
+
+def way(table: Table, origin: Floats, goal: Floats) -> Course:
+    """Return the course of the joints at the table's limits."""
+    limits = [(joint.max_rate, joint.max_acceleration) for joint in table.joints]
+    rates, accelerations = zip(*limits, strict=True)
+    return moving(origin.tolist(), goal.tolist(), rates, accelerations)
+
+
+def move_along(
+    before: Segment,
+    after: Segment,
+    course: Course,
+    table: Table,
+    truth: SensorModel,
+    world: tuple[Floats, Floats],
+) -> Move:
+    """Return what the gyros would give on the way from one rest to the next.
+
+    Args:
+        before: The rest that it begins at.
+        after: The rest that it ends at.
+        course: Of the joints.
+        table: Whose.
+        truth: The sensors.
+        world: (3,) Earth rate and (3,) specific force in the frame of the attitudes, SI.
+
+    """
+    seconds = (after.start - before.end) * 1e-9
+    knots = np.linspace(0.0, course.end, max(2, math.ceil(course.end / _STEP)) + 1)
+    attitudes = table.attitude(course.at(knots)[0])
+    # What the table stands at both ends, before and after.
+    stood = (seconds - course.end) / 2
+    attitudes = np.concatenate([attitudes[:1], attitudes, attitudes[-1:]])
+    return _along(before, after, attitudes, np.array([stood, *np.diff(knots), stood]), truth, world)
+
+
+def _along(
+    before: Segment,
+    after: Segment,
+    attitudes: Floats,
+    spans: Floats,
+    truth: SensorModel,
+    world: tuple[Floats, Floats],
+) -> Move:
+    """Return what the gyros would give through (n + 1, 3, 3) attitudes, (n,) seconds apart."""
+    earth, force = world
+    steps = scipy.spatial.transform.Rotation.from_matrix(
+        np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
+    ).as_rotvec()
+    middles = (attitudes[:-1] + attitudes[1:]) / 2
+    rates = steps / spans[:, None] + np.einsum('i,nij->nj', earth, middles)
+    gyro, _ = truth.predict(rates, np.einsum('i,nij->nj', force, middles))
+    quantum = before.statistics.pulse[:3]
+    return Move(before.end, after.start, gyro * spans[:, None], spans, quantum)
+
+
+def held_in_turn(segments: list[Segment]) -> list[Segment]:
+    """Return holds in other attitudes of the same ups, each the short way from the one before."""
+    found = segments[:1]
+    for segment in segments[1:]:
+        assert segment.attitude is not None
+        shown = shortest(found[-1], segment.attitude[2])
+        found.append(replace(segment, attitude=shown))
+    return found
+
+
+def next_hold(last: Segment, up: Floats, seconds: float) -> Segment:
+    """Return a hold like another one, to which the unit is turned the short way.
+
+    Args:
+        last: The hold before, in its attitude.
+        up: (3,) in body axes, unit vector.
+        seconds: How long it is held.
+
+    """
+    start = last.end + nanoseconds(BY_HAND_MOVE)
+    statistics = replace(last.statistics, duration=seconds, walk_gain=np.full(6, 1 / seconds))
+    return replace(
+        last,
+        start=start,
+        end=start + nanoseconds(seconds),
+        statistics=statistics,
+        attitude=shortest(last, up),
+    )
+
+
+def shortest(last: Segment, up: Floats) -> Floats:
+    """Return the attitude (3, 3) to which the short way leads where (3,) `up` is up."""
+    assert last.attitude is not None
+    rising = last.attitude[2]
+    axis = np.cross(up, rising)
+    sine, cosine = float(np.linalg.norm(axis)), float(up @ rising)
+    if sine < _PARALLEL:
+        # Half a turn goes about any level axis; rounding must not choose it.
+        axis = across(np.round(rising, 9))[0]
+    turn = rotation(axis / np.linalg.norm(axis), math.atan2(sine, cosine))
+    return np.asarray(last.attitude @ turn)
+
+
+def short_move(before: Segment, after: Segment, truth: SensorModel, site: Site) -> Move:
+    """Return what the gyros would give on the short way from hold to hold, at an even pace."""
+    assert before.attitude is not None
+    assert after.attitude is not None
+    ends = np.array([before.attitude, after.attitude])
+    turn = scipy.spatial.transform.Rotation.from_matrix(ends[0].T @ ends[1]).as_rotvec()
+    parts = np.linspace(0.0, 1.0, _SHORT_STEPS + 1)[:, None] * turn
+    attitudes = ends[0] @ scipy.spatial.transform.Rotation.from_rotvec(parts).as_matrix()
+    spans = np.full(_SHORT_STEPS, (after.start - before.end) * 1e-9 / _SHORT_STEPS)
+    world = site.up_rate * UP, site.specific_force
+    return _along(before, after, attitudes, spans, truth, world)
+
+
+def nanoseconds(seconds: float) -> int:
+    """Return seconds as stamps count them."""
+    return round(seconds * 1e9)

@@ -1,0 +1,118 @@
+"""What counters, ADCs and rates by themselves would show of a rest, or of whole turns.
+
+A counter without noise, run at the rate that it would see, goes through the very estimators that a
+session goes through (`segmentation.counter`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..imu import ImuSpec, TriadSpec
+from ..segmentation.counter import mean_rate, rate_between
+from ..segmentation.segment import Statistics
+from ..stream import Floats, Units
+from ..turntable import TURN
+
+SPARE = 1.0
+"""How long a table surely keeps its rate before and after the turns that are measured, s."""
+
+_SAMPLE_RATE = 100.0
+_PHASE = 0.5
+
+
+def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:
+    """Return the statistics of what reads (6,) `mean`.
+
+    Args:
+        spec: Units and noise.
+        mean: Outputs, rad/s and m/s^2.
+        seconds: How long.
+        spare: Of whole turns, beyond which counts are read on both sides, s; None at rest.
+
+    """
+    gain, quantum = np.full(6, 1 / seconds), np.zeros(6)
+    period, nothing = period_of(spec), np.full(6, np.nan)
+    steps = np.array([triad.scale_factor for triad in triads(spec)])
+    for c, triad in enumerate(triads(spec)):
+        if spec.units is Units.COUNTS:
+            quantum[c] = _rounded(triad, period)
+        elif spec.units is Units.PULSES:
+            walk = triad.random_walk / triad.scale_factor
+            pulses = _pulses(triad, period, float(mean[c]), seconds + 2 * (spare or 0.0))
+            first = (len(pulses) - seconds / period) / 2
+            found = (
+                mean_rate(pulses, period, walk)
+                if spare is None
+                else rate_between(pulses, period, first, len(pulses) - first, walk)
+            )
+            gain[c], quantum[c] = found.walk_gain, found.quantum * triad.scale_factor**2
+    return Statistics(
+        samples=round(seconds / period),
+        missing=0,
+        duration=seconds,
+        mean=mean,
+        walk_gain=gain,
+        quantum=quantum,
+        end_points=mean,
+        blocks=tuple(np.empty((0, 4)) for _ in range(6)),
+        drift=nothing,
+        drift_std=nothing,
+        pulse=steps if spec.units is Units.PULSES else np.zeros(6),
+    )
+
+
+def skewed_alone(spec: ImuSpec) -> ImuSpec:
+    """Return an IMU whose first gyro is the skewed one."""
+    assert spec.skewed is not None
+    return replace(spec, gyro=spec.skewed, skewed=None)
+
+
+def each_turn(
+    spec: ImuSpec, whole: Statistics, askew: Statistics | None, rate: float
+) -> Floats | None:
+    """Return means of the single turns that scatter just as their noise would on average."""
+    count = max(1, round(abs(rate) * whole.duration / TURN))
+    if count < 2:
+        return None
+    seconds = whole.duration / count
+    single = reading(spec, whole.mean, seconds, SPARE)
+    mean, square = whole.mean[:3], single.variance(walk_of(spec))[:3]
+    if askew is not None:
+        alone = skewed_alone(spec)
+        single = reading(alone, askew.mean, seconds, SPARE)
+        mean = np.append(mean, askew.mean[0])
+        square = np.append(square, single.variance(walk_of(alone))[0])
+    ramp = np.arange(count) - (count - 1) / 2
+    return np.asarray(mean + np.outer(ramp / ramp.std(ddof=1), np.sqrt(square)))
+
+
+def _pulses(triad: TriadSpec, period: float, mean: float, seconds: float) -> Floats:
+    """Return what a counter without noise delivers at a rate (rad/s or m/s^2)."""
+    edges = np.arange(max(2, math.ceil(seconds / period)) + 1)
+    return np.diff(np.floor(edges * (mean * period / triad.scale_factor) + _PHASE))
+
+
+def _rounded(triad: TriadSpec, period: float) -> float:
+    """Return the variance that an ADC's rounding leaves: Widrow and Kollar 2008, section 4.4."""
+    step = triad.scale_factor
+    noise = triad.random_walk**2 / period / step**2
+    return step**2 / 12 * math.exp(-4 * math.pi**2 * noise)
+
+
+def walk_of(spec: ImuSpec) -> Floats:
+    """Return the random-walk coefficients of the six channels, (6,)."""
+    return np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
+
+
+def triads(spec: ImuSpec) -> list[TriadSpec]:
+    """Return the description of each of the six channels."""
+    return [spec.gyro] * 3 + [spec.accel] * 3
+
+
+def period_of(spec: ImuSpec) -> float:
+    """Return the sample interval, s: that of 100 Hz where none is stated."""
+    return 1 / (spec.sample_rate or _SAMPLE_RATE)
