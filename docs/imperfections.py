@@ -11,198 +11,52 @@ Usage: python docs/imperfections.py [--seeds 2] [--jobs 1] [--rows imperfections
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import re
 import sys
-import zlib
+from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.config import Section
-from imu_calib.earth import Site, normal_gravity
+import imu_calib
+from imu_calib.alignment import free_of_frame
+from imu_calib.calibrator import Calibrator
 from imu_calib.errors import ImuCalibError
 from imu_calib.imu import load_imu
-from imu_calib.model import PARAMETER_NAMES, SensorModel, Triad
-from imu_calib.model.terms import TERMS, term
+from imu_calib.model import PARAMETER_NAMES, PARAMETERS
+from imu_calib.model.terms import term
 from imu_calib.montecarlo import single_threaded
 from imu_calib.plan import Plan, load_plan
-from imu_calib.share import named_file
-from imu_calib.simulation import SimulatedStand, StandOptions
-from imu_calib.simulation.imperfections import read_imperfections
 from imu_calib.stream import Floats
-from imu_calib.table_errors import ASSUMED
-from imu_calib.turntable import Table, load_table, read_table
-from imu_calib.units import DEG
+from imu_calib.turntable import Table
 
 sys.path.insert(0, str(Path(__file__).parent.parent / 'test'))
+from bound_of_stands import Stand, bound_of
+from imperfect_stands import (
+    CAUSES,
+    CONDITIONS,
+    DWELL,
+    EXACT,
+    GRADES,
+    SITE,
+    SIZES,
+    described,
+    quick,
+    stand,
+    truth,
+    unit_of,
+)
 
-SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
-DWELL = 40.0
-GRADES = {
-    'fog_navigation': 'cao2022_table1',
-    'fog_medium': 'cao2022_table1',
-    'mems_counts': 'mems_counts',
-}
-EXACT = 'perfect, and stated exact'
 SILENT = 4.5
 """Deviations: chance passes them in one of 6000 sessions of 24 parameters."""
-
-CAUSES = {
-    'tilt': 'table is tilted',
-    'zeros': 'zeros of the joints that are off',
-    'orthogonality': 'joint axes that are not at right angles',
-    'wobble': 'joint axes that wobble',
-    'encoder': 'encoders that err within the turn',
-    'joints': 'as if joints stopped',
-    'stops': 'as if the table leaned',
-    'moves': 'By the gyros .* of .* moves end elsewhere',
-    'outliers': 'Does not fit the rest',
-    'turns': 'turns .* scatter|Turns .* scatter',
-    'gyro drift': 'biases of the gyros wander',
-    'accelerometer drift': 'biases of the accelerometers wander',
-    'temperature': 'temperature moved',
-    'north': 'gyros see north',
-    'course': 'The session shows .*(trend|warm_up)',
-    **{t.name: rf'The session shows .*\b{t.name}\b' for t in TERMS},
-}
-"""Words by which a finding names a cause."""
-
-SIZES = {
-    'g_sensitivity': (0.02, 0.1, 70.0),
-    'gyro_asymmetry': (20.0, 100.0, 800.0),
-    'gyro_rate_dependence': (20.0, 100.0, 800.0),
-    'gyro_cubic': (20.0, 100.0, 800.0),
-    'gyro_quadratic': (20.0, 100.0, 800.0),
-    'accel_quadratic': (20.0, 50.0, 1000.0),
-    'accel_asymmetry': (20.0, 50.0, 1000.0),
-    'accel_cubic': (20.0, 50.0, 1000.0),
-    'accel_cross': (20.0, 50.0, 1000.0),
-    'gyro_g2': (0.02, 0.1, 70.0),
-}
-"""Largest coefficients of terms, in their units, for each grade."""
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What is wrong with a stand.
-
-    Attributes:
-        file: Of imperfections.
-        causes: Keys of `CAUSES` by which it is named rightly; others are wrong names.
-        plan: What is run.
-        exact: Whether the description of the table states that it is exact.
-        term: That the sensors have; empty for none.
-
-    """
-
-    file: str = '{}'
-    causes: tuple[str, ...] = ()
-    plan: str = 'twelve_position'
-    exact: bool = False
-    term: str = ''
-
-
-_TILTED = 'table: {tilt: {east: 0.1 deg, north: -0.03 deg}}'
-_LEVEL = 'table: {tilt: {east: 20 arcsec, north: -10 arcsec}}'
-_DRIFT = ('gyro drift', 'accelerometer drift', 'course')
-
-CONDITIONS = {
-    EXACT: Condition(exact=True),
-    'perfect': Condition(),
-    'laboratory: a little of everything': Condition(
-        named_file('imperfections', 'laboratory').read_text(encoding='utf-8'),
-        ('zeros', 'orthogonality', 'joints', 'stops', 'temperature', *_DRIFT),
-    ),
-    'tilt 20 arcsec': Condition(_LEVEL, ('tilt',)),
-    'tilt 20 arcsec, six positions': Condition(_LEVEL, ('tilt',), 'six_position'),
-    'tilt 0.1 deg': Condition(_TILTED, ('tilt',)),
-    'tilt 0.1 deg, six positions': Condition(_TILTED, ('tilt',), 'six_position'),
-    'zeros 60 arcsec': Condition('table: {zeros: 60 arcsec}', ('zeros',)),
-    'orthogonality 10 arcsec': Condition('table: {orthogonality: 10 arcsec}', ('orthogonality',)),
-    'wobble 2 arcsec': Condition('table: {wobble: {once: 2 arcsec, twice: 2 arcsec}}', ('wobble',)),
-    'encoder harmonics 3 arcsec': Condition(
-        'table: {encoder: {once: 3 arcsec, twice: 3 arcsec}}', ('encoder',)
-    ),
-    'encoder noise 7 arcsec': Condition('joint_states: {noise: 7 arcsec}'),
-    'encoder noise 15 arcsec': Condition('joint_states: {noise: 15 arcsec}'),
-    'encoder of 16 bits': Condition('joint_states: {resolution: 19.775390625 arcsec}'),
-    'joint stamps jitter 1 ms': Condition('joint_states: {jitter: 1 ms}'),
-    'arrivals of joints 5 arcsec': Condition('table: {arrivals: {joints: 5 arcsec}}', ('joints',)),
-    'arrivals of stops 2 arcsec': Condition(
-        'table: {arrivals: {tilt: 2 arcsec, heading: 2 arcsec}}', ('stops', 'joints')
-    ),
-    'servo 30 arcsec': Condition('table: {servo: 30 arcsec}'),
-    'ramps 20 deg/s^2': Condition('table: {acceleration: 20 deg/s^2}'),
-    'ramps 10 deg/s^2': Condition('table: {acceleration: 10 deg/s^2}'),
-    'stamps jitter 1 ms': Condition('stamps: {jitter: 1 ms}'),
-    'stamps late': Condition('stamps: {late: 1 %, delay: 20 ms}'),
-    'stamps in bunches of 4': Condition('stamps: {bunch: 4}'),
-    'clock 50 ppm': Condition('stamps: {clock_rate: 50 ppm}'),
-    'lost 0.05 %': Condition('samples: {lost: 0.05 %}'),
-    'lost 0.5 %': Condition('samples: {lost: 0.5 %}'),
-    'lost 2 %': Condition('samples: {lost: 2 %}'),
-    'twice 0.05 %': Condition('samples: {twice: 0.05 %}'),
-    'twice 2 %': Condition('samples: {twice: 2 %}'),
-    'frozen 3 s every 5 min': Condition('samples: {frozen: {every: 5 min, for: 3 s}}'),
-    'ringing': Condition('mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}'),
-    'floor shakes': Condition('mounting: {floor: {rate: 0.05 deg/s, force: 2 mg}}'),
-    'temperature ramp': Condition(
-        'temperature: {ramp: 10 K/h, gyro: {bias: 0.02 (deg/h)/K, scale_factor: 2 ppm/K}, '
-        'accelerometer: {bias: 5 ug/K, scale_factor: 5 ppm/K}}',
-        ('temperature', *_DRIFT),
-    ),
-    'warm-up': Condition('temperature: {warm_up: {gyro: 0.1 deg/h, accelerometer: 50 ug}}', _DRIFT),
-    **{name: Condition(causes=(name,), term=name) for name in SIZES},
-}
-
-
-def described(exact: bool) -> Table:
-    """Return the table as its file describes it; one that is not exact states nothing of itself."""
-    if exact:
-        return load_table('three_axis')
-    stated = yaml.safe_load(named_file('tables', 'three_axis').read_text(encoding='utf-8'))
-    left = {key: value for key, value in stated.items() if key not in ASSUMED}
-    return read_table(Section(left, 'three_axis'))
-
-
-def quick(plan: Plan) -> Plan:
-    """Return a plan with shorter dwells."""
-    return replace(plan, positions=tuple(replace(p, dwell=DWELL) for p in plan.positions))
-
-
-def unit_of(grade: str, name: str) -> SensorModel:
-    """Return the unit of a grade, with a term if there is one."""
-    unit = Calibration.load(named_file('truths', GRADES[grade])).model
-    if not name:
-        return unit
-    parameters = term(name).parameters
-    size = SIZES[name][list(GRADES).index(grade)] * parameters[0].unit.scale
-    values = size * np.resize([1.0, -0.7, 0.5, 0.3], len(parameters))
-    return unit.with_values(parameters, values)
-
-
-def stand(condition: str, grade: str, seed: int) -> tuple[SimulatedStand, Setup]:
-    """Return a simulated stand, and what the calibrator knows of it."""
-    one = CONDITIONS[condition]
-    table, plan = described(one.exact), quick(load_plan(one.plan))
-    if one.plan == 'six_position':
-        table = replace(table, azimuth=0.0)
-    draw = zlib.crc32(f'{condition} {grade} {seed}'.encode())
-    section = Section.parse(one.file, condition)
-    options = read_imperfections(section, StandOptions(positioning_error=0.0), table, draw)
-    imu = load_imu(grade)
-    simulated = SimulatedStand(plan, table, imu, unit_of(grade, one.term), SITE, options, draw)
-    return simulated, Setup(imu, plan, table, SITE, look=True)
 
 
 def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
@@ -223,7 +77,8 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
     except ImuCalibError as error:
         return {**row, 'refused': str(error)}
     found = result.calibration
-    wanted = truth(unit_of(grade, one.term), simulated.options, simulated.duration)
+    unit = unit_of(grade, one.term)
+    wanted = truth(unit, simulated.options, simulated.duration)
     off = (found.values[:24] - wanted) / found.std[:24]
     assert setup.table is not None
     # What is said of a coefficient that the session does not show, and of what it would move.
@@ -233,35 +88,30 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
         for least, moved in zip(t.smallest, t.moved, strict=False)
         if moved is not None and not np.isfinite(least)
     ]
+    angles = [
+        free_of_frame(model, np.eye(24) if square is None else square, PARAMETERS)
+        for model, square in ((found.model, found.covariance[:24, :24]), (unit, None))
+    ]
     return {
         **row,
         'off': np.round(off, 2).tolist(),
         'std': found.std[:24].tolist(),
         'findings': [f for f in found.findings if f != setup.table.assumption],
         'held': held,
+        'free': [
+            round(float((one - other) / std), 2)
+            for is_, should in zip(*angles, strict=True)
+            for one, other, std in zip(is_.values, should.values, is_.std, strict=True)
+        ],
+        'code': version(),
     }
 
 
-def truth(unit: SensorModel, options: StandOptions, duration: float) -> Floats:
-    """Return the 24 parameters that a session should find: in the mean, by the table's clock."""
-    times = np.linspace(0.0, duration, 1000)
-    kelvin = float(options.warming.excess(times).mean())
-    faded = float(np.exp(-times / options.warm_up.time_constant).mean())
-    drift, fading = options.thermal_drift, options.warm_up
-    gyro, accel = unit.gyro, unit.accel
-    gyro_scale = (1 + kelvin * np.broadcast_to(drift.gyro_scale, 3))[:, None]
-    accel_scale = (1 + kelvin * np.broadcast_to(drift.accel_scale, 3))[:, None]
-    eye = np.eye(3)
-    gyro_bias = (
-        gyro.bias + kelvin * np.asarray(drift.gyro_bias) + faded * np.asarray(fading.gyro_bias)
-    )
-    accel_bias = (
-        accel.bias + kelvin * np.asarray(drift.accel_bias) + faded * np.asarray(fading.accel_bias)
-    )
-    return SensorModel(
-        Triad(gyro_scale * gyro.response - eye, gyro_bias),
-        Triad(accel_scale * accel.response - eye, accel_bias),
-    ).vector()
+@cache
+def version() -> str:
+    """Return a digest of the package that runs here."""
+    files = sorted(Path(imu_calib.__file__).parent.rglob('*.py'))
+    return hashlib.sha256(b''.join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 
 def rows_of(path: Path) -> dict[tuple[str, str, str, int], dict[str, Any]]:
@@ -302,22 +152,25 @@ def _worst(row: dict[str, Any]) -> str:
     return f'{PARAMETER_NAMES[k]} {row["off"][k]:+.1f}'
 
 
-def named(row: dict[str, Any]) -> set[str]:
-    """Return the causes that findings name."""
-    return {
-        cause
-        for cause, words in CAUSES.items()
-        if any(re.search(words, finding) for finding in row.get('findings', ()))
-    }
+def named(finding: str) -> set[str]:
+    """Return the causes that a finding names."""
+    return {cause for cause, words in CAUSES.items() if re.search(words, finding)}
 
 
-def misnamed(row: dict[str, Any]) -> list[str]:
-    """Return the causes that findings name and that are not there."""
-    return sorted(named(row) - set(CONDITIONS[row['condition']].causes))
+def misnamed(row: dict[str, Any]) -> set[str]:
+    """Return the causes that findings name without the right one beside them."""
+    right = set(CONDITIONS[row['condition']].causes)
+    each = [named(finding) for finding in row.get('findings', ())]
+    return set().union(*(causes for causes in each if not causes & right))
 
 
 def outcome(row: dict[str, Any]) -> str:
-    """Say in a word what a session came to."""
+    """Say in a word what a session came to.
+
+    Misalignments are against the table's axes. Zeros that are further off than is assumed of them,
+    which is said, turn them all alike, and no sensor shows that: what is free of the frame must
+    hold then.
+    """
     if 'refused' in row:
         return 'refused'
     wrong = {PARAMETER_NAMES[k] for k in np.flatnonzero(np.abs(row['off']) > SILENT)}
@@ -325,7 +178,10 @@ def outcome(row: dict[str, Any]) -> str:
         return 'honest'
     causes = set(CONDITIONS[row['condition']].causes)
     held = {parameter for name, parameter in row['held'] if name in causes}
-    return 'named' if causes & named(row) or wrong <= held else 'silently wrong'
+    if any(causes & named(finding) for finding in row['findings']) or wrong <= held:
+        return 'named'
+    frame = 'zeros' in causes and all(name.startswith('E') for name in wrong)
+    return 'frame' if frame and max(map(abs, row['free'])) < SILENT else 'silently wrong'
 
 
 def verdict(rows: list[dict[str, Any]]) -> str:
@@ -337,44 +193,75 @@ def verdict(rows: list[dict[str, Any]]) -> str:
             ('refused', 'refused'),
             ('silently wrong', 'silently wrong'),
             ('named', 'wrong, and named'),
+            ('frame', 'off by the frame alone'),
         )
         if bad in outcomes
     ]
     blamed = [row for row in rows if misnamed(row)]
     if blamed:
-        causes = sorted({cause for row in blamed for cause in misnamed(row)})
+        causes = sorted(set().union(*map(misnamed, blamed)))
         words.append(f'{len(blamed)} of {len(rows)} blamed on {", ".join(causes)}')
     return '; '.join(words) or 'honest'
 
 
 @cache
-def bounds(condition: str, grade: str) -> tuple[float, ...] | None:
+def bound(condition: str, grade: str) -> Floats | None:
     """Return the bound of a condition's deviations, (24,); None where it is not known."""
-    return None
+    one = CONDITIONS[condition]
+    if one.bound is None:
+        return None
+    table, imu = described(one.exact), load_imu(grade)
+    errors = table.errors
+    stand_of = Stand(
+        positioning=table.positioning,
+        zeros=errors.zeros,
+        orthogonality=errors.orthogonality,
+        wobble=errors.wobble,
+        encoder=errors.encoder,
+        drift=(imu.gyro.bias_instability, imu.accel.bias_instability),
+    )
+    stand_of = replace(stand_of, **one.bound)  # type: ignore[arg-type]
+    return bound_of(_plan(one.plan), imu, unit_of(grade, ''), SITE, _table(), stand_of)
 
 
-def widened(rows: list[dict[str, Any]], kind: str) -> list[float]:
-    """Return by how much the stated deviations are beyond the perfect session's, for each of a kind.
+@cache
+def _table() -> Table:
+    return described(exact=True)
+
+
+@cache
+def _plan(name: str) -> Plan:
+    return quick(load_plan(name))
+
+
+def widening(rows: list[dict[str, Any]], perfect: list[dict[str, Any]], kind: str) -> str:
+    """Return the largest ratio of stated deviations to the perfect session's, beside the bound's.
 
     Of seeds the geometric mean.
     """
-    stated = [r['std'] for r in rows if 'std' in r]
-    of = [k for k, name in enumerate(PARAMETER_NAMES) if name.startswith(kind)]
-    return list(np.exp(np.log(stated).mean(axis=0))[of]) if stated else []
-
-
-def widening(these: list[dict[str, Any]], perfect: list[dict[str, Any]], kind: str) -> str:
-    """Return the largest ratio of deviations to the perfect session's, and that of the bounds."""
-    here, there = widened(these, kind), widened(perfect, kind)
+    own = [k for k, name in enumerate(PARAMETER_NAMES) if name.startswith(kind)]
+    here, there = ([r['std'] for r in which if 'std' in r] for which in (rows, perfect))
     if not here or not there:
         return '-'
-    ratios = np.array(here) / np.array(there)
-    return f'{ratios.max():.2f}'
+    ratio = np.exp(np.log(here).mean(axis=0) - np.log(there).mean(axis=0))[own].max()
+    condition, grade = rows[0]['condition'], rows[0]['grade']
+    least, exact = bound(condition, grade), bound(EXACT, grade)
+    beside = '-' if least is None or exact is None else f'{(least / exact)[own].max():.2f}'
+    return f'{ratio:.2f} ({beside})'
 
 
-def page(rows: list[dict[str, Any]], seeds: int) -> str:
+def page(rows: list[dict[str, Any]]) -> str:
     """Return the page."""
-    lines = [HEAD.format(dwell=DWELL, seeds=seeds)]
+    counts = Counter((r['condition'], r['grade']) for r in rows).values()
+    fewest, most = min(counts), max(counts)
+    many = f'{most} seeds each' if fewest == most else f'{fewest} to {most} seeds each'
+    other = sum(r.get('code') != version() for r in rows)
+    code = (
+        f'{other} of the {len(rows)} sessions were run by an earlier state of the package.'
+        if other
+        else f'All {len(rows)} sessions were run by the package as it is beside this page.'
+    )
+    lines = [HEAD.format(dwell=DWELL, seeds=many, code=code, total=_total(rows))]
     for condition in CONDITIONS:
         for grade in GRADES:
             these = [r for r in rows if (r['condition'], r['grade']) == (condition, grade)]
@@ -394,8 +281,13 @@ def page(rows: list[dict[str, Any]], seeds: int) -> str:
     lines += [
         f'- {name}: `{one.file}`'
         for name, one in CONDITIONS.items()
-        if name in run_already and one.file != '{}'
+        if name in run_already and one.file != '{}' and '\n' not in one.file
     ]
+    lines += ['- laboratory: [laboratory.yaml](../config/imperfections/laboratory.yaml)']
+    lines.append('\nThe largest coefficients of the terms:\n')
+    for name, sizes in SIZES.items():
+        unit = term(name).parameters[0].unit.shown
+        lines.append(f'- {name}: {", ".join(f"{size:g}" for size in sizes)} {unit}')
     return '\n'.join(lines) + '\n'
 
 
@@ -408,9 +300,46 @@ def _short(said: set[str]) -> str:
     return first.replace('|', '/') + more
 
 
+def _total(rows: list[dict[str, Any]]) -> str:
+    """Say how many sessions came out how."""
+    outcomes = Counter(map(outcome, rows))
+    blamed = sum(bool(misnamed(row)) for row in rows)
+    return (
+        f'Of {len(rows)} sessions {outcomes["silently wrong"]} are silently wrong, '
+        f'{outcomes["refused"]} refused, {outcomes["named"]} wrong with the cause named, '
+        f'{outcomes["frame"]} off by the frame alone, and {blamed} name a cause that is not there.'
+    )
+
+
 HEAD = """\
 # What sessions say on imperfect stands
-"""
+
+Written by `docs/imperfections.py`: sessions of {dwell:g} s per position of three units of
+[config/imus](../config/imus), {seeds}, calibrated by what `imu-calib calibrate` does by default.
+{code} The keys of the files are in [simulation.md](simulation.md).
+
+The table is `three_axis`. Its description says here what a laboratory's often does, nothing of how
+good it is: what is assumed then is in [tables.md](tables.md) and stands on the screen. In one row
+for each unit the table is perfect and states it. Biases wander as the data sheets say.
+
+- worst: the parameter whose error is the largest in its stated standard deviations
+- widened: the largest ratio of the stated deviations of K, and of D, to those of the perfect table
+  that states it; in brackets that of the information bound (`test/bound_of_stands.py`), which knows
+  how large the errors of the stand are. It knows nothing of shaking, of frozen counts, of biases
+  that fade and of terms.
+- wrong: an error of more than 4.5 deviations. It is named where a finding names its cause, or where
+  the result says for which term that is not seen the parameter holds; else it is silent.
+- off by the frame alone: the table's zeros are further off than is assumed of them. That turns all
+  misalignments alike and no sensor shows it; the angles between the input axes hold.
+- blamed: findings name something that is not there. Terms that explain a session as well as the
+  right one, and are named with it, do not count.
+
+{total}
+
+The truth is that of the mean over the session, in seconds of the table's clock.
+
+| condition | unit | worst | K widened | D widened | verdict | what is said |
+|---|---|---|---|---|---|---|"""
 
 
 def main() -> None:
@@ -436,7 +365,7 @@ def main() -> None:
         if r['condition'] in CONDITIONS and r['file'] == CONDITIONS[r['condition']].file
     ]
     if not a.only:
-        text = page([r for r in rows if r['seed'] < a.seeds], a.seeds)
+        text = page([r for r in rows if r['seed'] < a.seeds])
         Path(__file__).with_suffix('.md').write_text(text, encoding='utf-8')
 
 

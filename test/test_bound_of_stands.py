@@ -1,0 +1,38 @@
+"""The bound on imperfect stands against the bound on a perfect one, and what errors must do."""
+
+import numpy as np
+import pytest
+from bound import bound
+from bound_of_stands import Stand, bound_of
+from sessions import SITE, paper_imu, quick_plan, truth
+
+from imu_calib.model import PARAMETER_NAMES
+from imu_calib.stream import Floats
+from imu_calib.turntable import load_table
+from imu_calib.units import ARCSEC
+
+SPEC, PLAN, TABLE = paper_imu(), quick_plan('twelve_position', 40.0), load_table('three_axis')
+DRIFTING = 1e-6
+"""Of the biases, rad/s and m/s^2: far above what the noise leaves of gyros."""
+
+
+def of(stand: Stand) -> Floats:
+    return bound_of(PLAN, SPEC, truth().model, SITE, TABLE, stand)
+
+
+def test_on_a_perfect_stand_it_is_the_bound() -> None:
+    at_rest = {position.id: 41.0 for position in PLAN.positions}
+    floor = bound(PLAN, SPEC, truth().model, SITE, 0.0, at_rest, TABLE)
+    assert of(Stand()) == pytest.approx(floor, rel=1e-6)
+
+
+def test_each_error_reaches_the_parameters_that_it_must() -> None:
+    # The unit turned against the table by the inner zero: E_gxy and E_gyx take all of it.
+    turned = PARAMETER_NAMES.index('E_gxy')
+    size = 60 * ARCSEC
+    assert of(Stand(zeros=size))[turned] > size * (1 - 1e-3)
+    # The mean of a process that wanders with 1000 s, over 1200 s (Grenander 1954).
+    drifting = of(Stand(drift=(DRIFTING, DRIFTING)))[9:12]
+    assert (drifting > DRIFTING * np.sqrt(2 / (2 + 1.2))).all()
+    # Scale factors that drift evenly by a free rate are known where turns come thrice.
+    assert (of(Stand(ramp=True))[:3] > of(Stand())[:3]).all()
