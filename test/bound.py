@@ -145,7 +145,9 @@ def read(plan: Plan, site: Site, state: Floats, ways: list[Way]) -> Floats:
             turned = first.T @ second
             spin = np.array([turned[2, 1], turned[0, 2], turned[1, 0]]) / step
             rate = spin + (base @ second).T @ site.earth_rate
-            total += way.attitudes[-1].T @ second @ model.predict(rate, np.zeros(3))[0] * step
+            # Seen from the middle of the interval: to second order in what it turns by.
+            carried = way.attitudes[-1].T @ (first + second) / 2
+            total += carried @ model.predict(rate, np.zeros(3))[0] * step
         # Where it stands before and after.
         beside = (way.seconds - way.moving) * model.gyro.bias
         values.append(total + (way.attitudes[-1].T @ way.attitudes[0] + np.eye(3)) @ beside / 2)

@@ -27,10 +27,11 @@ def test_on_a_perfect_stand_it_is_the_bound() -> None:
 
 
 def test_each_error_reaches_the_parameters_that_it_must() -> None:
-    # The unit turned against the table by the inner zero: E_gxy and E_gyx take all of it.
+    # The unit turned against the table by the inner zero: E_gxy takes all of it, but for products
+    # of that turn with what the unit's own axes lean by, a third of a degree, which moves see.
     turned = PARAMETER_NAMES.index('E_gxy')
     size = 60 * ARCSEC
-    assert of(Stand(zeros=size))[turned] > size * (1 - 1e-3)
+    assert of(Stand(zeros=size))[turned] > size * 0.98
     # The mean of a process that wanders with 1000 s, over 1200 s (Grenander 1954).
     drifting = of(Stand(drift=(DRIFTING, DRIFTING)))[9:12]
     assert (drifting > DRIFTING * np.sqrt(2 / (2 + 1.2))).all()
