@@ -1,0 +1,69 @@
+"""The study of imperfect stands judges sessions by what the package says."""
+
+import re
+import sys
+from typing import Any
+
+import pytest
+from loopback import CHECKOUT
+
+import imu_calib
+
+sys.path.insert(0, str(CHECKOUT / 'docs'))
+from imperfect_stands import CAUSES, CONDITIONS
+from imperfections import PARAMETER_NAMES, misnamed, outcome
+
+from imu_calib.model.terms import TERMS
+
+TERM = 'The session shows accelerometer quadratic term (accel_quadratic, by chance once in 10^8).'
+
+
+def row(condition: str, **others: Any) -> dict[str, Any]:
+    """Return a session in which all is well but for what is stated."""
+    sound = {'off': [0.0] * 24, 'free': [0.0] * 9, 'findings': [], 'held': []}
+    return {'condition': condition, **sound, **others}
+
+
+def off(name: str) -> list[float]:
+    return [5.0 * (name == other) for other in PARAMETER_NAMES]
+
+
+def test_each_cause_is_known_by_words_that_the_package_says() -> None:
+    """A sentence that changes would else make right names silent."""
+    package = (CHECKOUT / imu_calib.__name__).rglob('*.py')
+    # Sentences of several lines as one.
+    said = re.sub(r"'\n\s*f?'", '', '\n'.join(path.read_text('utf-8') for path in package))
+    terms = {one.name for one in TERMS}
+    for cause in set(CAUSES) - terms - {'course'}:
+        for part in re.split(r'\.\*|\|', CAUSES[cause]):
+            assert part.strip() in said or 'biases of the' in part, cause
+    assert re.search(CAUSES['accel_quadratic'], TERM)
+
+
+def test_the_causes_of_conditions_are_known() -> None:
+    assert {c for one in CONDITIONS.values() for c in one.causes} <= set(CAUSES)
+
+
+@pytest.mark.parametrize(
+    ('session', 'word'),
+    [
+        (row('perfect'), 'honest'),
+        (row('perfect', off=off('K_ax')), 'silently wrong'),
+        (row('perfect', off=off('K_ax'), findings=[TERM]), 'silently wrong'),
+        (row('accel_quadratic', off=off('K_ax'), findings=[TERM]), 'named'),
+        (row('accel_cubic', off=off('K_ax'), held=[['accel_cubic', 'K_ax']]), 'named'),
+        (row('accel_cubic', off=off('K_ay'), held=[['accel_cubic', 'K_ax']]), 'silently wrong'),
+        (row('zeros 60 arcsec', off=off('E_gxy')), 'frame'),
+        (row('zeros 60 arcsec', off=off('E_gxy'), free=[5.0] * 9), 'silently wrong'),
+        (row('orthogonality 10 arcsec', off=off('E_gxy')), 'silently wrong'),
+        ({'condition': 'perfect', 'refused': 'Nothing.'}, 'refused'),
+    ],
+)
+def test_an_error_is_named_by_its_own_cause_alone(session: dict[str, Any], word: str) -> None:
+    assert outcome(session) == word
+
+
+def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
+    assert misnamed(row('accel_asymmetry', findings=[TERM])) == {'accel_quadratic'}
+    both = f'{TERM} accel_asymmetry would explain it as well.'
+    assert not misnamed(row('accel_asymmetry', findings=[both]))
