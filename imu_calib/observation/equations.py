@@ -412,7 +412,13 @@ class Equations:
     @cached_property
     def own(self) -> tuple[Component, ...]:
         """The parts of the covariance that each output has for itself, whatever the state."""
-        return own_parts(self.evidence, self.inflation)
+        if self.inflation is not None:
+            return own_parts(self.evidence, self.inflation)
+        # Most equations of a session differ in what comes on top of this.
+        known = self.evidence.standing
+        if 'own' not in known:
+            known['own'] = own_parts(self.evidence, None)
+        return cast(tuple[Component, ...], known['own'])
 
     @cached_property
     def own_variances(self) -> Floats:
@@ -582,12 +588,24 @@ class Equations:
             (m + k, n) derivatives and (m + k,) outputs less prediction.
 
         """
+        # A fit ends where what follows begins.
+        if self._latest.get('at') != (key := state.tobytes()):
+            self._latest.update(at=key, columns=self._whitened(state))
+        columns = cast(Floats, self._latest['columns'])
+        return columns[:, :-1], columns[:, -1]
+
+    @cached_property
+    def _latest(self) -> dict[str, object]:
+        return {}
+
+    def _whitened(self, state: Floats) -> Floats:
         factor = np.linalg.cholesky(self.covariance(state))
         columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
         if len(columns):
             columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
         columns = np.vstack([columns, self.prior_rows(state)])
-        return columns[:, :-1], columns[:, -1]
+        columns.flags.writeable = False
+        return columns
 
 
 def _both(rotations: Floats) -> Floats:

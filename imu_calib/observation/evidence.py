@@ -131,6 +131,11 @@ class Evidence:
         return deque(maxlen=_REMEMBERED)
 
     @cached_property
+    def standing(self) -> dict[str, Any]:
+        """What was worked out of it whatever the state (`Equations`)."""
+        return {}
+
+    @cached_property
     def held(self) -> Floats:
         """The attitudes at rest, as `attitudes` returns them."""
         return self.attitudes()
