@@ -302,7 +302,7 @@ class System:
             equations, state = self.equations, np.append(values, nuisances)
             if mount.any():
                 equations = replace(equations, evidence=_mounted(self.evidence, mount))
-            turned = equations.by_mount(state)[:, : len(mount)]
+            turned = equations.by_mount(state) if len(mount) else np.zeros((len(equations.rows), 0))
             left = equations.outputs - equations.predict(state)
             rows = np.column_stack([equations.jacobian(state), turned, left])[self._mine]
             below = np.insert(equations.prior_rows(state), [-1] * len(mount), 0.0, axis=1)
