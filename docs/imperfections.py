@@ -257,7 +257,7 @@ def page(rows: list[dict[str, Any]]) -> str:
     many = f'{most} seeds each' if fewest == most else f'{fewest} to {most} seeds each'
     other = sum(r.get('code') != version() for r in rows)
     code = (
-        f'{other} of the {len(rows)} sessions were run by an earlier state of the package.'
+        f'{other} of the {len(rows)} sessions were run by earlier states of the package.'
         if other
         else f'All {len(rows)} sessions were run by the package as it is beside this page.'
     )

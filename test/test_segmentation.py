@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sessions import calibrate, paper_imu, quick_plan, session, stand, truth
+from sessions import SITE, calibrate, fed, gathered, paper_imu, quick_plan, session, stand, truth
 
-from imu_calib.calibrator import Result
+from imu_calib.calibrator import Result, Setup
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.plan import Plan
@@ -31,7 +31,7 @@ from imu_calib.segmentation.statistics import (
     statistics_between,
 )
 from imu_calib.simulation.options import Vibration
-from imu_calib.stream import Floats, JointBlock, SetpointBlock, Stamps
+from imu_calib.stream import Floats, ImuBlock, JointBlock, SetpointBlock, Stamps
 from imu_calib.turntable import load_table, rotation
 from imu_calib.units import DEG, DEG_H, PPM
 
@@ -205,6 +205,40 @@ def test_turns_are_found_under_jitter_of_the_stamps(jitter: float) -> None:
     deviation = min(jitter, 0.0032) * np.sqrt(12 / 2250) / 22.5
     assert turns.seconds == pytest.approx(12.0, rel=5 * deviation)
     assert turns.rate_error == pytest.approx(deviation, rel=0.3)
+
+
+def test_a_turn_is_not_read_from_samples_that_froze_just_before_it() -> None:
+    # A repeated sample beside the cut is no count: 2 s of it end a tenth of a second before.
+    plan = quick_plan('twelve_position', 20.0)
+    plan = replace(plan, positions=plan.positions[:1])
+    setup = Setup(paper_imu(), plan, load_table('three_axis'), SITE)
+    blocks = list(session(plan))
+    sound = gathered(fed(blocks, setup)).turns[0]
+    end = sound.start - 10**8
+    held: list[ImuBlock] = []
+
+    def frozen(block: Any) -> Any:
+        if not isinstance(block, ImuBlock):
+            return block
+        inside = (block.stamp > end - 2 * 10**9) & (block.stamp < end)
+        if not inside.any():
+            return block
+        held.append(block)
+        first = int(np.argmax(held[0].stamp > end - 2 * 10**9))
+        gyro, accel = block.gyro.copy(), block.accel.copy()
+        gyro[inside], accel[inside] = held[0].gyro[first], held[0].accel[first]
+        return replace(block, gyro=gyro, accel=accel)
+
+    found = gathered(fed([(topic, frozen(block)) for topic, block in blocks], setup)).turns[0]
+    assert held
+    assert found.start == sound.start
+    read = found.statistics
+    spread = np.sqrt(read.quantum + read.walk_gain * stated_walk(setup) ** 2)
+    assert (np.abs(read.mean - sound.statistics.mean) < 5 * spread).all()
+
+
+def stated_walk(setup: Setup) -> Floats:
+    return np.repeat([setup.imu.gyro.random_walk, setup.imu.accel.random_walk], 3)
 
 
 def test_straddling_samples_are_shared_in_proportion() -> None:

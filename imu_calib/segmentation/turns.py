@@ -113,7 +113,7 @@ def _read_turn(
     around = _around(seen.samples, start, end, turns.spare)
     wide = seen.samples.at(around)
     # Beyond the cuts it only helps to read the counts there: what is unsound is done without.
-    if _sound(wide) and not seen.sensor.saturated(seen.values[around], wide).any():
+    if not _unreadable(seen, around):
         part = wide
     part = steadily(part, seen.sensor.walk)
     statistics, each = _between(part, start, turns.seconds, count, seen.sensor.walk)
@@ -153,14 +153,22 @@ def _unusable(seen: Around, inside: slice, start: float, end: float) -> str:
     part = seen.samples.at(inside)
     if len(part.stamp) < 2 or part.stamp[0] > start or part.stamp[-1] < end:
         return 'the IMU stream does not span it'
-    if not _sound(part):
-        return 'IMU samples are missing within it'
-    if seen.sensor.saturated(seen.values[inside], part).any():
-        return 'the sensor is saturated during it'
-    if repeated(seen.values[inside], counted=seen.sensor.counted).any():
-        return 'the samples are frozen within it, repeating one'
+    if reason := _unreadable(seen, inside):
+        return reason
     if not _steady(part):
         return 'the gyros do not turn steadily while the joint states do'
+    return ''
+
+
+def _unreadable(seen: Around, where: slice) -> str:
+    """Say why samples tell nothing of what the sensors counted; empty where they do."""
+    part = seen.samples.at(where)
+    if not _sound(part):
+        return 'IMU samples are missing within it'
+    if seen.sensor.saturated(seen.values[where], part).any():
+        return 'the sensor is saturated during it'
+    if repeated(seen.values[where], counted=seen.sensor.counted).any():
+        return 'the samples are frozen within it, repeating one'
     return ''
 
 
