@@ -67,7 +67,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the long files first; the order within a file, and of the others, is as collected."""
+    """Leave out what only repeats, where a part is asked for; put the long files first.
+
+    The order within a file, and of the others, is as collected.
+    """
+    if os.environ.get('IMU_CALIB_MATRIX') == 'covering':
+        left_out = pytest.mark.skip(reason='repeats sessions; IMU_CALIB_MATRIX=covering')
+        for item in items:
+            if item.get_closest_marker('repeats') is not None:
+                item.add_marker(left_out)
     place = {name: k for k, name in enumerate(_LONG)}
     items.sort(key=lambda item: place.get(item.path.name, len(place)))
 

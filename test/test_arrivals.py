@@ -124,6 +124,7 @@ def off(found: Estimate) -> Floats:
 
 
 @pytest.mark.parametrize('kind', ['joints', 'stops'])
+@pytest.mark.repeats
 def test_errors_are_those_that_the_covariance_states(kind: str) -> None:
     square = sum(off(estimated(kind, seed)) for seed in SEEDS)
     assert chi2.ppf(1e-4, 24 * len(SEEDS)) < square < chi2.isf(1e-4, 24 * len(SEEDS))

@@ -73,6 +73,7 @@ def test_thirty_holds_give_scales_to_300_ppm_and_angles_to_an_arcminute() -> Non
         assert np.abs(wrong[ANGLES]).max() < 1 * ARCMIN
 
 
+@pytest.mark.repeats
 def test_the_covariance_is_that_of_the_errors() -> None:
     square = np.zeros(24)
     runs = 12
@@ -87,6 +88,7 @@ def test_the_covariance_is_that_of_the_errors() -> None:
     assert low < square.sum() / 2 < high
 
 
+@pytest.mark.repeats
 def test_the_covariance_is_that_of_the_errors_to_a_sixth() -> None:
     # Holds and turns made from the model itself, with the noise that they state: what many
     # sessions need no stream for. e' C^-1 e is chi-square with 21 degrees of freedom.

@@ -197,6 +197,7 @@ def test_no_dwell_makes_up_for_a_gravity_that_nobody_knows() -> None:
     assert reach(setup(SITE), truth().model, wanted, 0.3).forecast.std[12] < 20 * PPM
 
 
+@pytest.mark.repeats
 def test_repeated_sessions_err_by_what_is_not_known_of_gravity() -> None:
     study = Study(
         setup(Site.at(LATITUDE)), truth().model, economical(StandOptions(bias_instability=False))

@@ -113,6 +113,7 @@ def test_eight_positions_of_7_5_minutes_know_g_sensitivity_to_two_hundredths() -
     assert largest == pytest.approx(0.1, rel=1e-4)
 
 
+@pytest.mark.repeats
 def test_errors_of_eight_positions_are_what_their_deviations_say() -> None:
     plan = quick('eight_position', 30.0)
     ratios = []

@@ -96,6 +96,7 @@ def test_moves_that_a_session_cannot_follow_are_not_promised(sample_rate, limit,
     assert len(ahead.led) == len(found.led) == led
 
 
+@pytest.mark.repeats
 def test_predicted_is_what_many_sessions_achieve() -> None:
     runs = 40
     case = Study(setup(brisk(15.0)), truth().model, economical(stand()), 0.5)
@@ -198,6 +199,7 @@ def test_weights_that_are_estimates_widen_the_prediction_for_a_skewed_gyro(monke
     assert added[np.isfinite(added)] == pytest.approx(np.full(16, 4e-9), rel=1e-6)
 
 
+@pytest.mark.repeats
 def test_weights_that_are_estimates_cost_what_is_predicted() -> None:
     spec, unit = load_imu('fog_skewed'), Calibration.load(named_file('truths', 'fog_skewed')).model
     case = replace(setup('skewed'), imu=spec)

@@ -145,7 +145,11 @@ def test_terms_that_nobody_asked_for_are_named_and_estimated(name: str) -> None:
         assert any(f'{rival} would explain it as well' in text for text in told)
 
 
-@pytest.mark.parametrize('world', [UPRIGHT, LEANING], ids=['upright', 'leaning'])
+@pytest.mark.parametrize(
+    'world',
+    [pytest.param(UPRIGHT, marks=pytest.mark.repeats), LEANING],
+    ids=['upright', 'leaning'],
+)
 def test_a_sound_session_has_no_terms(world: World) -> None:
     for unit in (NAVIGATION, MEDIUM):
         found = looked(world, unit)
