@@ -72,7 +72,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     The order within a file, and of the others, is as collected.
     """
     if os.environ.get('IMU_CALIB_MATRIX') == 'covering':
-        left_out = pytest.mark.skip(reason='repeats sessions; IMU_CALIB_MATRIX=covering')
+        left_out = pytest.mark.skip(reason='repeats what another holds; IMU_CALIB_MATRIX=covering')
         for item in items:
             if item.get_closest_marker('repeats') is not None:
                 item.add_marker(left_out)

@@ -141,7 +141,7 @@ def test_after_ctrl_c_the_last_line_is_what_goes_on(tmp_path):
     assert 'The IMU stream was interrupted' in output
 
 
-@pytest.mark.parametrize('torn', [False, True])
+@pytest.mark.parametrize('torn', [pytest.param(False, marks=pytest.mark.repeats), True])
 def test_after_a_power_cut_it_goes_on_with_what_reached_the_disk(tmp_path, torn):
     process, folder = begin(tmp_path)
     comes_to(process, folder, f'step {STEP} of')

@@ -327,6 +327,7 @@ def test_a_recording_of_nothing_known_is_no_judge() -> None:
         verify(calibration(), replace(observed(), evidence=exchanged))
 
 
+@pytest.mark.repeats
 def test_an_axis_off_by_what_the_table_states_is_no_fault_of_the_calibration() -> None:
     # The inner axis leans by 60 arcsec, ten times what a rest of 20 s leaves open of up.
     table, lean = load_table('three_axis'), 60 * ARCSEC
