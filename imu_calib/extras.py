@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from .errors import InputError
 
 
-def wanted(library: str, what: str, extra: str) -> None:
+def require(library: str, what: str, extra: str) -> None:
     """Refuse what needs a library that is not installed.
 
     Args:

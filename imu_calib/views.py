@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .extras import wanted
+from .extras import require
 from .model import Parameter
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def data_frame(calibration: Calibration) -> pandas.DataFrame:
         InputError: pandas is not installed.
 
     """
-    wanted('pandas', 'A data frame', 'dataframe')
+    require('pandas', 'A data frame', 'dataframe')
     import pandas as pd
 
     parameters = calibration.parameters
@@ -50,7 +50,7 @@ def draw(calibration: Calibration) -> Figure:
         InputError: matplotlib is not installed.
 
     """
-    wanted('matplotlib', 'A plot', 'plot')
+    require('matplotlib', 'A plot', 'plot')
     from matplotlib.figure import Figure
 
     groups = _groups(calibration.parameters)

@@ -236,3 +236,50 @@ def test_a_bag_of_ros_1_asks_for_the_library(
     monkeypatch.setattr('imu_calib.extras.find_spec', lambda _: None)
     with pytest.raises(InputError, match=r"needs rosbags.*'imu_calib\[ros1\]'"):
         imu_calib.convert(write(tmp_path / 'old.bag', 'x'), tmp_path / 'new')
+
+
+@pytest.mark.parametrize(
+    ('stated', 'sentence'),
+    [
+        ({'joints': 'outer,inner:deg'}, "--joints: .* no column 'outer'"),
+        ({'temperature': 'celsius:degC'}, "--temperature: .* no column 'celsius'"),
+        ({'imu': 'fog_medium'}, '--imu fog_medium: units: found pulses, but the numbers are rates'),
+    ],
+)
+def test_a_wrong_option_leaves_nothing_behind(
+    stated: dict[str, str], sentence: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path / 'log.csv', ROW + '1,2,3,4,5,6,7\n')
+    with pytest.raises(InputError, match=sentence):
+        converted(path, **stated)
+    assert [p.name for p in tmp_path.iterdir()] == ['log.csv']
+
+
+def test_names_of_joints_may_stand_apart(tmp_path: Path) -> None:
+    text = ROW.replace('az', 'az,outer,inner') + '1,2,3,4,5,6,7,90,180\n2,2,3,4,5,6,7,90,180\n'
+    converted(write(tmp_path / 'log.csv', text), joints='outer, inner : deg')
+    joints = imu_calib.read(tmp_path / 'log.out', '/turntable/joint_states')
+    assert joints['position.inner'] == pytest.approx([np.pi] * 2)
+
+
+def test_pulses_on_two_topics_lie_on_no_line(tmp_path: Path) -> None:
+    path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,9\n1.01,4,0,-1,0,0,8\n')
+    words = {'stamp': 't:s', 'gyro': 'wx,wy,wz:pulse', 'accel': 'ax,ay,az:pulse'}
+    imu_calib.convert(path, tmp_path / 'bag', imu='fog_medium', **words)  # type: ignore[arg-type]
+    topics = {'gyro_topic': '/imu/pulses', 'accel_topic': '/imu/pulses'}
+    with pytest.raises(InputError, match='/imu/pulses holds pulses, which lie on no line'):
+        imu_calib.convert(tmp_path / 'bag', tmp_path / 'out', **topics)  # type: ignore[arg-type]
+    assert not (tmp_path / 'out').exists()
+
+
+def test_a_bag_of_ros_1_without_an_imu_leaves_nothing_behind(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(tmp_path / 'talk.bag') as writer:
+        at = writer.add_connection('/chatter', 'std_msgs/msg/String', typestore=store)
+        text = store.types['std_msgs/msg/String']('x')
+        writer.write(at, T0, store.serialize_ros1(text, 'std_msgs/msg/String'))
+    whole = (tmp_path / 'talk.bag').read_bytes()
+    (tmp_path / 'torn.bag').write_bytes(whole[: len(whole) // 2])
+    for name in ('talk.bag', 'torn.bag'):
+        assert main(['convert', str(tmp_path / name), '-o', str(tmp_path / 'out')]) == 2
+        assert not (tmp_path / 'out').exists()

@@ -13,7 +13,7 @@ from ..bags import Recording, Topic, open_recording
 from ..cdr import Kind
 from ..config import Section
 from ..errors import InputError
-from ..extras import wanted
+from ..extras import require
 from ..imu import read_imu
 from ..session import described_imu
 from ..stream import (
@@ -83,7 +83,7 @@ class Columns:
             InputError: pandas is not installed.
 
         """
-        wanted('pandas', 'A data frame', 'dataframe')
+        require('pandas', 'A data frame', 'dataframe')
         import pandas as pd
 
         index = pd.DatetimeIndex(self.stamp.astype('datetime64[ns]'), name='stamp')

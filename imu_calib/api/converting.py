@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..bags import Recording, RecordingWriter, open_recording
+from ..bags import Recording, RecordingError, RecordingWriter, open_recording
 from ..cdr import (
     Kind,
     Messages,
@@ -18,9 +19,10 @@ from ..cdr import (
     encode_temperatures,
 )
 from ..errors import InputError
-from ..extras import wanted
+from ..extras import require
+from ..imu import load_imu
 from ..share import named_file
-from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
+from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock, Units
 from ..units import Dimension, parse
 from .columns import read
 from .stated import Named
@@ -150,30 +152,34 @@ def _from_text(
             'or both in pulses, or both in counts.'
         )
     data = _described(imu, raw)
-    sound = np.isfinite(stamps) & np.isfinite(rates).all(axis=1) & np.isfinite(forces).all(axis=1)
-    findings = _left_out(text, int(np.count_nonzero(~sound)))
-    times = stamps[sound].astype(np.int64)
-    block = ImuBlock(times, rates[sound], forces[sound], 'imu_link')
+    times, (rates, forces) = _sound(stamps, rates, forces)
+    block = ImuBlock(times, rates, forces, 'imu_link')
     counts = {(_RAW if raw else _SI): len(block)}
+    # All columns are read before anything is written: a wrong name leaves no half of a recording.
+    others: list[tuple[str, Kind, Messages, Stamps]] = []
+    if joints is not None:
+        names = tuple(_parted(joints)[0])
+        angles, _ = _columns(text, joints, '--joints', _ANGLE, len(names))
+        at, (angles,) = _sound(stamps, angles)
+        encoded = encode_joints(JointBlock(at, names, angles, np.full_like(angles, np.nan)))
+        others.append((_JOINTS, Kind.JOINTS, encoded, at))
+    if temperature is not None:
+        celsius, _ = _columns(text, temperature, '--temperature', _CELSIUS, 1)
+        at, (celsius,) = _sound(stamps, celsius)
+        encoded = encode_temperatures(TemperatureBlock(at, celsius[:, 0]))
+        others.append((_TEMPERATURE, Kind.TEMPERATURES, encoded, at))
     with RecordingWriter(target, data) as writer:
         _write_imu(writer, block, raw=bool(raw))
-        if joints is not None:
-            names = tuple(joints.rpartition(':')[0].split(','))
-            angles, _ = _columns(text, joints, '--joints', _ANGLE, len(names))
-            known = np.isfinite(stamps) & np.isfinite(angles).all(axis=1)
-            made = stamps[known].astype(np.int64)
-            unknown = np.full((len(made), len(names)), np.nan)
-            encoded = encode_joints(JointBlock(made, names, angles[known], unknown))
-            writer.write(_JOINTS, Kind.JOINTS.type_name, encoded, made)
-            counts[_JOINTS] = len(made)
-        if temperature is not None:
-            celsius, _ = _columns(text, temperature, '--temperature', _CELSIUS, 1)
-            known = np.isfinite(stamps) & np.isfinite(celsius[:, 0])
-            made = stamps[known].astype(np.int64)
-            warm = encode_temperatures(TemperatureBlock(made, celsius[known, 0]))
-            writer.write(_TEMPERATURE, Kind.TEMPERATURES.type_name, warm, made)
-            counts[_TEMPERATURE] = len(made)
-    return Converted(target, counts, findings)
+        for topic, kind, messages, at in others:
+            writer.write(topic, kind.type_name, messages, at)
+            counts[topic] = len(at)
+    return Converted(target, counts, _left_out(text, len(stamps) - len(block)))
+
+
+def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
+    """Return the rows in which the stamp and all columns (n, k) are numbers."""
+    known = np.isfinite(np.column_stack([stamps, *columns])).all(axis=1)
+    return stamps[known].astype(np.int64), [values[known] for values in columns]
 
 
 def _left_out(text: Text, rows: int) -> tuple[str, ...]:
@@ -189,7 +195,7 @@ def _described(imu: Named | None, raw: set[str]) -> dict[str, str]:
     """Return what the recording is to say of the IMU.
 
     Raises:
-        InputError: Nobody says what pulses or counts mean.
+        InputError: Nobody says what pulses or counts mean, or says other units.
 
     """
     if imu is None and raw:
@@ -198,6 +204,10 @@ def _described(imu: Named | None, raw: set[str]) -> dict[str, str]:
             '(config/imus has examples).'
         )
     file = named_file('imus', 'si' if imu is None else imu)
+    units = load_imu(file).units
+    if (units is Units.SI) == bool(raw):
+        found = f'{raw.pop()}s' if raw else 'rates and accelerations'
+        raise InputError(f'--imu {imu}: units: found {units.value}, but the numbers are {found}.')
     return {'imu_calib.imu': file.read_text(encoding='utf-8')}
 
 
@@ -227,16 +237,21 @@ def _columns(
         InputError: Not so many names with a unit, or no such column.
 
     """
-    names, _, unit = stated.rpartition(':')
-    parts = [name.strip() for name in names.split(',')]
-    if unit.strip() not in units or len(parts) != count or not all(parts):
+    parts, unit = _parted(stated)
+    if unit not in units or len(parts) != count or not all(parts):
         form = ','.join(['NAME'] * count)
         raise InputError(
             f'{option}: found {stated!r}, expected {form}:UNIT, with the unit one of '
             f'{", ".join(units)}.'
         )
     values = np.column_stack([text.column(name, option) for name in parts])
-    return values * units[unit.strip()], unit.strip()
+    return values * units[unit], unit
+
+
+def _parted(stated: str) -> tuple[list[str], str]:
+    """Part 'NAME,NAME:UNIT' into names and unit."""
+    names, _, unit = stated.rpartition(':')
+    return [name.strip() for name in names.split(',')], unit.strip()
 
 
 def _write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:
@@ -260,7 +275,14 @@ def _joined(
     progress: Progress,
 ) -> Converted:
     """Join two topics to one; the other topics are copied as they are."""
+    described = _described(imu, set())
     rates, forces = read(path, gyro_topic), read(path, accel_topic)
+    for columns in (rates, forces):
+        if (unit := next(iter(columns.units.values()))) in _RAW_UNITS:
+            raise InputError(
+                f'{path}: {columns.topic} holds {unit}s, which lie on no line between two samples: '
+                'expected rad/s and m/s^2.'
+            )
     if len(rates) < 2 or len(forces) < 2:
         raise InputError(
             f'{path}: {gyro_topic} and {accel_topic} hold {len(rates)} and '
@@ -275,7 +297,7 @@ def _joined(
     counts = {_SI: len(block)}
     with open_recording(path) as recording:
         _refuse_taken(recording, taken)
-        data = {**recording.custom_data, **_described(imu, set())}
+        data = {**recording.custom_data, **described}
         with RecordingWriter(target, data) as writer, progress('converting') as show:
             _write_imu(writer, block, raw=False)
             for one, messages, times in recording.messages(show):
@@ -283,7 +305,7 @@ def _joined(
                     writer.write(one.name, one.type, messages, times.log, times.publish)
                     counts[one.name] = counts.get(one.name, 0) + len(messages)
         losses = recording.losses
-    return Converted(target, counts, (_said(rates.stamp, forces.stamp, within), *losses))
+    return Converted(target, counts, (_resampling(rates.stamp, forces.stamp, within), *losses))
 
 
 def _refuse_taken(recording: Recording, taken: set[str]) -> None:
@@ -312,7 +334,8 @@ def _read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, 
     return at, read_at, within
 
 
-def _said(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
+def _resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
+    """Say from which rate to which the accelerometers were read."""
     rates = [1e9 / float(np.median(np.diff(np.sort(s)))) for s in (gyro, accel)]
     lost = len(gyro) - len(within)
     left = f'; {lost} samples of the gyros have no such line and are left out' if lost else ''
@@ -325,29 +348,21 @@ def _said(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
 
 def _from_ros1(path: Path, target: Path) -> Converted:
     """Write a bag of ROS 1 anew, with the messages that a calibration can use."""
-    wanted('rosbags', f'{path}: a bag of ROS 1', 'ros1')
+    require('rosbags', f'{path}: a bag of ROS 1', 'ros1')
     from rosbags.convert import ConverterError
     from rosbags.convert import convert as rewritten
     from rosbags.typesys import Stores, get_typestore
 
+    stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
     types = [k.type_name for k in (Kind.IMU, Kind.JOINTS, Kind.TEMPERATURES)]
     try:
-        rewritten(
-            [path],
-            target,
-            'mcap',
-            9,
-            None,
-            'none',
-            get_typestore(Stores.ROS1_NOETIC),
-            get_typestore(Stores.ROS2_JAZZY),
-            [],
-            [],
-            [],
-            types,
-        )
-    except ConverterError as error:
-        raise InputError(f'{path}: cannot be converted: {error}.') from None
-    with open_recording(target) as recording:
-        counts = {topic.name: topic.count or 0 for topic in recording.topics}
+        rewritten([path], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
+        with open_recording(target) as recording:
+            counts = {topic.name: topic.count or 0 for topic in recording.topics}
+    except (ConverterError, RecordingError) as error:
+        shutil.rmtree(target, ignore_errors=True)
+        raise InputError(
+            f'{path}: cannot be converted: {error} Expected a bag of ROS 1 with one of '
+            f'{", ".join(types)}.'
+        ) from None
     return Converted(target, counts, ())

@@ -34,7 +34,6 @@ def report(
     bag: Named | None = None,
     imu: ImuSpec | Named | None = None,
     compare: Sequence[Calibration | Named] = (),
-    stated: Stated | None = None,
     progress: Progress = silent,
 ) -> Path:
     """Write a report.
@@ -44,9 +43,9 @@ def report(
             calibration, or its file.
         output: HTML file to write.
         bag: The recording that a calibration was made from: it is calibrated anew for the course.
+            One that does not say what it was calibrated with: pass what `calibrate` returned.
         imu: The unit's file, for verdicts against its specification; a recording's own else.
         compare: Further calibrations of the unit: adds repeatability and drift.
-        stated: What is stated of the recording beside that, as for `calibrate`.
         progress: Shows how far it is; nothing by default.
 
     Returns:
@@ -57,7 +56,7 @@ def report(
             numbers of the calibration.
 
     """
-    return written(calibration, output, bag, imu, compare, stated or Stated(), progress)[0]
+    return written(calibration, output, bag, imu, compare, Stated(), progress)[0]
 
 
 def written(
