@@ -128,6 +128,8 @@ def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
         (ROW + '1,2,3,4,5,6,7\n', {'accel': 'a,b,c:g'}, "no column 'a'; it has: t, wx, wy"),
         (ROW + '1,2,3,4,5,6,7\n', {'rate': '9 Hz'}, 'Say which are which'),
         (ROW + '1,2,3,4,5,6,7\n', {'accel': 'ax,ay,az:pulse'}, 'found deg/s and pulse, expected'),
+        (ROW + '1,2,3,4,5,6,7\n', {'delimiter': '::'}, "--delimiter: found '::', expected one"),
+        (ROW + '1.7e18,2,3,4,5,6,7\n', {}, r'a row is 1.7e\+18 s from 1970.*another unit of s, ms'),
         ('a,a,b\n1,2,3\n', {}, 'its heading has a more than once'),
     ],
 )

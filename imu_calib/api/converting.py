@@ -42,6 +42,9 @@ _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
 _CELSIUS = {'degC': 1.0}
 _BLOCK = 1 << 16
+_LAST_SECOND = 2**31 - 1
+"""That builtin_interfaces/Time counts to."""
+
 _SILENT = 2.5
 """Sample intervals between two samples of the accelerometers over which none is read from a line: a
 lost sample makes two, and jitter of the stamps less than a half."""
@@ -225,6 +228,12 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
         return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / hertz)))
     assert stamp is not None
     times, _ = _columns(text, stamp, '--stamp', _STAMP, 1)
+    latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
+    if latest > _LAST_SECOND:
+        raise InputError(
+            f'--stamp {stamp}: a row is {latest:.3g} s from 1970, more than a message can say: '
+            f'another unit of {", ".join(_STAMP)}?'
+        )
     return np.asarray(np.rint(times[:, 0]))
 
 
