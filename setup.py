@@ -80,6 +80,7 @@ setup(
             PLOT,
             DATA_FRAME,
             'pandas-stubs',
+            'import-linter>=2.1',
             'mypy>=1.11',
             'ruff>=0.9',
             'types-PyYAML',

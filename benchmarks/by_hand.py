@@ -21,11 +21,10 @@ import numpy as np
 from prediction import SITE, judge
 
 from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Setup
+from imu_calib.calibrator import Setup, calibrator_of
 from imu_calib.imu import load_imu
-from imu_calib.methods.free import NAME as FREE_POSITIONS
-from imu_calib.methods.free import in_frame_of_accelerometers
-from imu_calib.methods.free.session import calibrator_of
+from imu_calib.methods.free_positions import NAME as FREE_POSITIONS
+from imu_calib.methods.free_positions import in_frame_of_accelerometers
 from imu_calib.model import PARAMETERS, SensorModel
 from imu_calib.montecarlo import single_threaded
 from imu_calib.plan import load_plan

@@ -33,7 +33,7 @@ from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.model import AXES, PARAMETERS, SensorModel, Triad
 from imu_calib.plan import load_plan
-from imu_calib.reports.parameters import engineering
+from imu_calib.reports.parameter_table import engineering
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedStand, StandOptions
 from imu_calib.stream import Floats, ImuBlock, Mode, Units

@@ -20,8 +20,8 @@ from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main as imu_calib
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
+from imu_calib.metadata import describe
 from imu_calib.plan import load_plan
-from imu_calib.session import describe
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate
 from imu_calib.stream import Block, ImuBlock

@@ -18,7 +18,7 @@ from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.plan import Plan, load_plan
-from imu_calib.reports.parameters import comparison_table
+from imu_calib.reports.parameter_table import comparison_table
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate
 from imu_calib.turntable import load_table

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from .errors import ImuCalibError, InputError, NotObservable
     from .verification import Verdict, Verification
 
-__version__ = '0.1.0'
-
 _WHERE = {
     'Calibration': 'calibration',
     'Columns': 'api.columns',
@@ -78,6 +76,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == '__version__':
+        return import_module('.version', __name__).version()
     if name not in _WHERE:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(f'.{_WHERE[name]}', __name__), name)

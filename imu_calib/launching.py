@@ -15,9 +15,9 @@ import yaml
 from .devices import check_port, load_format
 from .errors import ImuCalibError, InputError
 from .imu import load_imu
+from .lifetime import ENDS_WITH
 from .methods import METHODS
 from .model import chosen
-from .parent import ENDS_WITH
 from .plan import load_plan
 from .share import named_file
 from .turntable import load_table

@@ -17,7 +17,7 @@ from imu_calib.imu import load_imu
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions, SimulatedImu
 from imu_calib.simulation.motion import Motion
-from imu_calib.simulation.profile import Track, side_by_side, trapezoid
+from imu_calib.simulation.tracks import Track, side_by_side, trapezoid
 from imu_calib.units import DEG
 
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))

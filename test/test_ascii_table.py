@@ -16,7 +16,7 @@ from test_turntable_node import TABLE as NIMBLE
 from imu_calib.cdr import Messages, decode_joints, encode_setpoints
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.nodes import qos
-from imu_calib.simulation.profile import Track, trapezoid
+from imu_calib.simulation.tracks import Track, trapezoid
 from imu_calib.stream import Mode, Setpoint, SetpointBlock
 from imu_calib.tables import Follower, Move, Reading, Stop
 from imu_calib.turntable import load_table

@@ -8,7 +8,7 @@ from sessions import truth
 from imu_calib.calibration import Calibration, ResidualRow
 from imu_calib.errors import InputError
 from imu_calib.model import SensorModel
-from imu_calib.reports.parameters import angle_table, comparison_table, parameter_table
+from imu_calib.reports.parameter_table import angle_table, comparison_table, parameter_table
 from imu_calib.units import ARCMIN
 
 

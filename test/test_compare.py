@@ -13,7 +13,7 @@ from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, parameters_of
-from imu_calib.reports.parameters import comparison_table, in_scale_of, unmatched
+from imu_calib.reports.parameter_table import comparison_table, in_scale_of, unmatched
 from imu_calib.stream import Units
 from imu_calib.units import DEG_H, STANDARD_GRAVITY
 

@@ -17,7 +17,7 @@ from imu_calib.cdr import Kind, Messages, encode_imu, encode_rates
 from imu_calib.cli.main import main
 from imu_calib.compensation.compensator import Compensator
 from imu_calib.compensation.thermal import combine
-from imu_calib.session import SERIAL_NUMBER
+from imu_calib.metadata import SERIAL_NUMBER
 from imu_calib.share import named_file
 from imu_calib.stream import ImuBlock, Units
 

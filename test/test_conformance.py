@@ -46,7 +46,7 @@ from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import load_plan
 from imu_calib.plausibility import check_plausible
 from imu_calib.reports.assessment import assess, tables
-from imu_calib.reports.parameters import comparison_table, in_scale_of, parameter_table
+from imu_calib.reports.parameter_table import comparison_table, in_scale_of, parameter_table
 from imu_calib.segmentation.segment import Segment, Turn
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.options import ImuOptions

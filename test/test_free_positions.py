@@ -13,14 +13,14 @@ from sessions import SITE
 from imu_calib.bags import RecordingWriter
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Result, Setup
+from imu_calib.calibrator.by_hand import HandCalibrator
+from imu_calib.calibrator.guidance import Stage, guide
 from imu_calib.cdr import RATES, encode_imu
 from imu_calib.cli.main import main
 from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.imu import load_imu
-from imu_calib.methods.free import ESTIMATES, FREE, in_frame_of_accelerometers, solve
-from imu_calib.methods.free.guidance import Stage, guide
-from imu_calib.methods.free.session import FreeCalibrator
+from imu_calib.methods.free_positions import ESTIMATES, FREE, in_frame_of_accelerometers, solve
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.free import FreeEquations, led_on
@@ -31,7 +31,7 @@ from imu_calib.segmentation.clock import NO_CLOCK
 from imu_calib.segmentation.motion import Motion, Rest
 from imu_calib.segmentation.moves import joined
 from imu_calib.segmentation.segment import Segment, Statistics
-from imu_calib.segmentation.session import Move
+from imu_calib.segmentation.segmented import Move
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
@@ -54,7 +54,7 @@ def unit(seed: int) -> SensorModel:
 
 
 def calibrator(session: HandSession, model: SensorModel, seed: int, **options: object):
-    free = FreeCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
+    free = HandCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
     for block in session.blocks(SPEC, model, SITE, ImuOptions(**options), seed):
         free.feed(block)
     return free
@@ -157,7 +157,7 @@ def test_the_level_earth_rate_is_one_vector_and_no_noise_of_each_hold() -> None:
     spec, gyros, runs = replace(SPEC, gyro=gyro), FREE.nonzero()[0][:12], 8
     square, biases = 0.0, []
     for seed in range(runs):
-        free = FreeCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
+        free = HandCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
         options = ImuOptions(bias_instability=False)
         for block in anyhow(18, seed).blocks(spec, unit(seed), SITE, options, seed):
             free.feed(block)
@@ -236,7 +236,7 @@ def test_north_goes_round_with_the_earth_from_hold_to_hold() -> None:
     """Turns lead what stands still among the stars: by 29 of them north is 0.2 deg off."""
     si, truth = load_imu('si'), in_frame_of_accelerometers(unit(0))
     plan = load_plan('free_positions')
-    free = FreeCalibrator(Setup(si, plan, None, SITE))
+    free = HandCalibrator(Setup(si, plan, None, SITE))
     ups = np.array([p.up for p in plan.positions])
     session = the_short_way(ups, np.array([p.dwell for p in plan.positions]))
     for block in session.blocks(si, unit(0), SITE, ImuOptions(), 0):
@@ -259,7 +259,8 @@ def test_three_angles_are_a_choice_of_frame() -> None:
 
 def test_gravity_has_one_length_in_fresh_attitudes() -> None:
     fresh = calibrator(anyhow(20, 71), unit(0), 71)
-    outputs, variances = fresh.so_far().outputs(), fresh.so_far().variances()
+    seen = fresh.evidence(fresh.finish().session)
+    outputs, variances = seen.outputs(), seen.variances()
     _, force = result().calibration.model.compensate(outputs[:, :3], outputs[:, 3:])
     off = np.linalg.norm(force, axis=1) - SITE.gravity
     noise = np.sqrt(np.mean(variances[:, 3:]))
@@ -312,7 +313,7 @@ def test_holds_that_are_too_few_or_alike_are_refused_by_name() -> None:
 
 
 def test_numbers_in_si_without_any_noise_are_solved() -> None:
-    free = FreeCalibrator(Setup(load_imu('si'), load_plan('free_positions'), None, SITE))
+    free = HandCalibrator(Setup(load_imu('si'), load_plan('free_positions'), None, SITE))
     for block in anyhow(30).blocks(load_imu('si'), unit(0), SITE, ImuOptions(), 0):
         free.feed(block)
     found = free.finish().calibration
@@ -324,7 +325,7 @@ def test_numbers_in_si_without_any_noise_are_solved() -> None:
 
 
 def test_a_lost_turn_costs_little_and_is_said() -> None:
-    free = FreeCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
+    free = HandCalibrator(Setup(SPEC, load_plan('free_positions'), None, SITE))
     session = anyhow(30)
     # The line is dead for a tenth of a second in the middle of the fourth turn.
     middle = 1_700_000_000_000_000_000 + int((session.holds[3, 1] + session.holds[4, 0]) / 2 * 1e9)
@@ -346,21 +347,21 @@ def test_guidance_asks_for_what_is_missing() -> None:
     free = calibrator(by_hand(angles, np.full(5, 3.0)), unit(0), 0)
     with pytest.raises(NotObservable):
         free.finish()
-    told = guide(free.so_far())
+    found = free.evidence(free.review().session)
+    told = guide(found)
     assert told.stage is Stage.TURN
-    assert told.holds == 5
+    assert told.holds == 6
     assert 'Z down' in told.candidates[0].words
     assert told.candidates[0].words in told.text
     gains = [c.gain for c in told.candidates]
     assert gains == sorted(gains, reverse=True)
     assert min(gains) > 0
-    assert guide(free.so_far(), holding=1.0).text == 'Hold still: 2 s more.'
+    assert guide(found, holding=1.0).text == 'Hold still: 2 s more.'
 
 
 def test_guidance_says_enough_when_it_is_and_gains_shrink() -> None:
     free = calibrator(anyhow(30), unit(0), 0)
-    free.finish()
-    found = free.so_far()
+    found = free.evidence(free.finish().session)
     early, late = guide(replace(found, segments=found.segments[:12])), guide(found)
     assert late.stage is Stage.ENOUGH
     assert late.candidates[0].gain < early.candidates[0].gain

@@ -27,11 +27,11 @@ from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import combine
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import InputError, NotObservable
+from imu_calib.metadata import describe, described_site
 from imu_calib.model import PARAMETERS, ParameterKind
 from imu_calib.montecarlo import Study, economical, run_once
 from imu_calib.prediction import forecast, reach
 from imu_calib.reports.repeatability import repeated
-from imu_calib.session import describe, described_site
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions
 from imu_calib.stream import Floats

@@ -13,6 +13,7 @@ from imu_calib.cli import main, stand_session
 from imu_calib.cli.processes import free_port
 from imu_calib.errors import ImuCalibError
 from imu_calib.turntable import load_table, rotation
+from imu_calib.version import version
 
 try:
     from imu_calib import middleware as ros
@@ -141,3 +142,10 @@ def test_every_installed_node_is_one_of_the_package():
     text = (CHECKOUT / 'setup.py').read_text()
     listed = re.search(r'NODES = \(([^)]*)\)', text)[1]
     assert set(re.findall(r"'(\w+)'", listed)) == set(NODES)
+
+
+def test_every_package_states_the_version_that_is_installed():
+    stated = re.search(r"\n    version='([^']+)'", (CHECKOUT / 'setup.py').read_text())[1]
+    packages = [CHECKOUT / 'package.xml', CHECKOUT / 'msg_defs' / 'package.xml']
+    assert [ET.parse(p).findtext('version') for p in packages] == [stated, stated]
+    assert stated == version()

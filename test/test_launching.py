@@ -109,7 +109,9 @@ def _declared(text):
     return {k: v if isinstance(v, ast.Constant) else None for k, v in found.items()}
 
 
-CHILD = 'from imu_calib.parent import end_with_parent as e; import time; e(); print(1, flush=True);'
+CHILD = (
+    'from imu_calib.lifetime import end_with_parent as e; import time; e(); print(1, flush=True);'
+)
 LAUNCHER = """
 import os, subprocess, sys
 os.environ['IMU_CALIB_ENDS_WITH'] = str(os.getpid())
@@ -132,7 +134,7 @@ PROGRAM = 'import time; print(1, flush=True); time.sleep(1000)'
         ['sh', '-c', '"$0" "$@"; :', *NODE],
         ['sh', '-c', '"$0" "$@"; :', sys.executable, '-c', f'{OLD_KERNEL} {NODE[2]}'],
         # A program that is not ours becomes it.
-        [sys.executable, '-m', 'imu_calib.parent', sys.executable, '-c', PROGRAM],
+        [sys.executable, '-m', 'imu_calib.lifetime', sys.executable, '-c', PROGRAM],
     ],
 )
 @pytest.mark.skipif(not sys.platform.startswith('linux'), reason='the kernel is to tell')

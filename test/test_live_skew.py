@@ -13,10 +13,10 @@ from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
 from imu_calib.imu import load_imu
+from imu_calib.metadata import describe
 from imu_calib.nodes import live
 from imu_calib.nodes.live import LiveSession, Phase
 from imu_calib.plan import RateTest, load_plan
-from imu_calib.session import describe
 from imu_calib.share import named_file
 from imu_calib.simulation import simulate
 from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock, SkewBlock

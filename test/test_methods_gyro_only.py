@@ -17,7 +17,7 @@ from imu_calib.methods import check_plan, method
 from imu_calib.methods.solution import Solution
 from imu_calib.model import PARAMETER_NAMES, SensorModel, Triad
 from imu_calib.plan import Plan, load_plan
-from imu_calib.reports.parameters import comparison_table, parameter_table
+from imu_calib.reports.parameter_table import comparison_table, parameter_table
 from imu_calib.simulation import simulate
 from imu_calib.stream import Floats
 from imu_calib.turntable import load_table, rotation

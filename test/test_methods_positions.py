@@ -18,7 +18,7 @@ from imu_calib.imu import load_imu
 from imu_calib.methods import METHODS, check_plan
 from imu_calib.model import G_SENSITIVITY, SensorModel, parameters_of
 from imu_calib.plan import Plan, load_plan, read_plan
-from imu_calib.reports.parameters import parameter_table
+from imu_calib.reports.parameter_table import parameter_table
 from imu_calib.share import named_file, share_folder
 from imu_calib.simulation import StandOptions, simulate
 from imu_calib.stream import Floats

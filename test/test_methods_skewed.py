@@ -19,7 +19,7 @@ from imu_calib.methods.skewed import RatePoints, parity
 from imu_calib.model import SensorModel, Triad
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import Plan, load_plan
-from imu_calib.reports.parameters import parameter_table
+from imu_calib.reports.parameter_table import parameter_table
 from imu_calib.segmentation.segment import Turn
 from imu_calib.share import named_file
 from imu_calib.simulation import simulate

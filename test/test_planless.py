@@ -24,7 +24,7 @@ from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.labelling import label
 from imu_calib.segmentation.naming import attitude_words, heading, unique, up_words
 from imu_calib.segmentation.segment import Segment, Turn
-from imu_calib.segmentation.session import Segmented
+from imu_calib.segmentation.segmented import Segmented
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, ImuBlock, SetpointBlock
 from imu_calib.turntable import TURN, load_table, rotation

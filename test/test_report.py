@@ -27,7 +27,7 @@ from imu_calib.reports.page import Contents, page
 from imu_calib.reports.repeatability import Repeated, repeated
 from imu_calib.reports.svg import Axis
 from imu_calib.reports.terms import terms_section
-from imu_calib.segmentation.session import Rejected
+from imu_calib.segmentation.segmented import Rejected
 from imu_calib.specification import Specification, Verdict, judge
 from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
 

@@ -30,7 +30,7 @@ from imu_calib.simulation import (
     simulate,
 )
 from imu_calib.simulation.frames import FRAME, crc16, pack, unpack
-from imu_calib.simulation.profile import trapezoid
+from imu_calib.simulation.tracks import trapezoid
 from imu_calib.stream import Floats, ImuBlock, Mode, Setpoint, Units
 from imu_calib.turntable import Joint, Table, load_table
 from imu_calib.units import ARCSEC, DEG, DEG_H

@@ -21,8 +21,8 @@ from imu_calib.segmentation.motion import Motion
 from imu_calib.segmentation.plateau import find_turns, why_none
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate
-from imu_calib.simulation.profile import Track, trapezoid
 from imu_calib.simulation.table import SimulatedTable
+from imu_calib.simulation.tracks import Track, trapezoid
 from imu_calib.stream import Floats, JointBlock, Setpoint
 from imu_calib.turntable import TURN, load_table
 from imu_calib.units import ARCSEC, DEG

@@ -8,11 +8,11 @@ from scipy.stats import chi2
 from shaky import GRAVITY, LATITUDE, Shaky, shaky
 
 from imu_calib.calibrator import Result, Setup
+from imu_calib.calibrator.by_hand import HandCalibrator
 from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.methods.free import FREE, in_frame_of_accelerometers
-from imu_calib.methods.free.session import FreeCalibrator
+from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
 from imu_calib.model import SensorModel, Triad
 from imu_calib.plan import load_plan
 from imu_calib.segmentation.cleaning import find_step
@@ -37,7 +37,7 @@ def unit(bias: float, seed: int = 0) -> SensorModel:
 
 
 def calibrated(session: Shaky) -> Result:
-    calibrator = FreeCalibrator(Setup(COUNTS, load_plan('free_positions'), None, SITE))
+    calibrator = HandCalibrator(Setup(COUNTS, load_plan('free_positions'), None, SITE))
     calibrator.feed(session.block)
     return calibrator.finish()
 
@@ -130,7 +130,7 @@ def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     clipped = [np.abs(read[(times > a) & (times < b)]).max() > 0.999 * limit for a, b in ends]
     assert 0 < sum(clipped) < 15
     spec = replace(COUNTS, gyro=replace(COUNTS.gyro, range=limit))
-    calibrator = FreeCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
+    calibrator = HandCalibrator(Setup(spec, load_plan('free_positions'), None, SITE))
     calibrator.feed(held.block)
     found = calibrator.finish().calibration
     assert any(f'{sum(clipped)} turns are lost' in finding for finding in found.findings)
@@ -176,7 +176,7 @@ def test_a_session_without_holds_says_how_still_it_was_and_what_to_do() -> None:
     force = GRAVITY * (swing / np.linalg.norm(swing, axis=1)[:, None])
     stamp = 1_650_000_000_000_000_000 + np.arange(1, rows + 1) * 10_000_000
     block = ImuBlock(stamp, np.rint(gyro / SCALES[0]), np.rint(force / SCALES[1]))
-    calibrator = FreeCalibrator(Setup(COUNTS, load_plan('free_positions'), None, SITE))
+    calibrator = HandCalibrator(Setup(COUNTS, load_plan('free_positions'), None, SITE))
     calibrator.feed(block)
     with pytest.raises(NotObservable, match=r'quietest two seconds.*deg/s and .* g.*Hold the unit'):
         calibrator.finish()
@@ -186,7 +186,7 @@ def test_a_session_is_solved_alike_however_it_is_cut_and_whenever_it_is_looked_a
     _, held = HANDS[2].session(1)
     whole = calibrated(held)
     setup = Setup(COUNTS, load_plan('free_positions'), None, SITE)
-    pieces, rng = FreeCalibrator(setup), np.random.default_rng(4)
+    pieces, rng = HandCalibrator(setup), np.random.default_rng(4)
     block, first = held.block, 0
     halfway = None
     while first < len(block.stamp):
@@ -198,7 +198,7 @@ def test_a_session_is_solved_alike_however_it_is_cut_and_whenever_it_is_looked_a
     assert np.array_equal(pieces.finish().calibration.values, whole.calibration.values)
     assert halfway is not None
     seen, review = halfway
-    ended = FreeCalibrator(setup)
+    ended = HandCalibrator(setup)
     ended.feed(_part(block, 0, seen))
     assert review.result is not None
     assert np.array_equal(review.result.calibration.values, ended.finish().calibration.values)

@@ -9,7 +9,7 @@ from sessions import calibrate, session, stand, truth
 
 from imu_calib.calibration import Calibration
 from imu_calib.plan import Plan, load_plan
-from imu_calib.reports.parameters import comparison_table
+from imu_calib.reports.parameter_table import comparison_table
 from imu_calib.turntable import load_table
 from imu_calib.units import ARCMIN, DEG, DEG_H, MICRO_G
 

@@ -16,7 +16,8 @@ from test_information import evidence_of
 from imu_calib.alignment import free_of_frame
 from imu_calib.budget import Source
 from imu_calib.calibration import Calibration
-from imu_calib.calibrator import Calibrator, Result, Setup, _assumed
+from imu_calib.calibrator import Calibrator, Result, Setup
+from imu_calib.calibrator.losses import assumed
 from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
 from imu_calib.config import Section
@@ -251,9 +252,9 @@ def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
 def test_a_method_that_counts_no_errors_of_a_table_assumes_none(unstated: Result) -> None:
     setup = Setup(paper_imu(), PLAN, described(), SITE)
     counted = unstated.solution
-    assert _assumed(setup, counted) == [described().assumption]
+    assert assumed(setup, counted) == [described().assumption]
     # The skewed gyros' method tells no sources: what is not counted is not said to be.
-    assert _assumed(setup, replace(counted, shares=None)) == []
+    assert assumed(setup, replace(counted, shares=None)) == []
 
 
 def test_a_session_on_such_a_table_is_reviewed_from_its_first_block_on() -> None:

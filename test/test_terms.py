@@ -16,7 +16,7 @@ from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.methods import JOINT, METHODS, estimates, method
-from imu_calib.methods.free import in_frame_of_accelerometers
+from imu_calib.methods.free_positions import in_frame_of_accelerometers
 from imu_calib.model import TERMS, chosen, looked_for, parameters_of, terms_of
 from imu_calib.prediction import forecast
 from imu_calib.share import named_file, share_folder

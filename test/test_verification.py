@@ -18,11 +18,11 @@ from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
+from imu_calib.metadata import describe
 from imu_calib.model import Triad
 from imu_calib.plan import UNPLANNED
+from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segmenter import Segmenter
-from imu_calib.segmentation.session import Segmented
-from imu_calib.session import describe
 from imu_calib.stream import Floats, ImuBlock, Units
 from imu_calib.table_errors import TableErrors
 from imu_calib.turntable import Table, load_table, rotation

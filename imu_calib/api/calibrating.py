@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..bags import Recording, open_recording
-from ..calibrator import Result, Setup
+from ..calibrator import Result, Setup, calibrator_of
 from ..errors import NotObservable
 from ..imu import ImuSpec
-from ..methods.free.session import calibrator_of
 from ..plan import Plan
 from ..stream import Block
 from ..turntable import Table

@@ -15,7 +15,7 @@ from ..config import Section
 from ..errors import InputError
 from ..extras import require
 from ..imu import read_imu
-from ..session import described_imu
+from ..metadata import described_imu
 from ..stream import (
     Block,
     ImuBlock,

@@ -22,7 +22,7 @@ from ..compensation.thermal import (
 )
 from ..errors import InputError
 from ..imu import ImuSpec, compensated_imu
-from ..session import COMPENSATED, described_anew
+from ..metadata import COMPENSATED, described_anew
 from ..stream import ImuBlock, Stamps
 from .stated import Named, Stated, imu_topic, serial_of, skew_topic, stated_imu, temperature_topic
 from .watching import Progress, silent

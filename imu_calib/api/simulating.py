@@ -14,9 +14,9 @@ from ..calibration import Calibration
 from ..cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints, encode_temperatures
 from ..earth import LUOYANG
 from ..errors import InputError
+from ..metadata import describe
 from ..methods import check_plan
 from ..plan import Plan, load_plan
-from ..session import describe
 from ..simulation import SimulatedStand, StandOptions, load_imperfections
 from ..simulation.hand import as_planned
 from ..simulation.stand import IMU_TOPIC

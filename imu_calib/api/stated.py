@@ -13,10 +13,10 @@ from ..config import Section
 from ..earth import MEASURED, Site
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu, read_imu
+from ..metadata import SERIAL_NUMBER, described_imu, described_site, imu_key
 from ..model import AUTO_TERMS, Term, chosen, looked_for
 from ..model.session_terms import Change, parted
 from ..plan import UNPLANNED, Plan, load_plan, read_plan
-from ..session import SERIAL_NUMBER, described_imu, described_site, imu_key
 from ..share import named_file, shipped
 from ..turntable import Table, load_table, read_table
 from ..units import DEG

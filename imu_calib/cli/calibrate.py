@@ -14,7 +14,7 @@ from ..estimation.tested import summary
 from ..methods import METHODS
 from ..reports.budget import budget_tables
 from ..reports.noise import noise_lines
-from ..reports.parameters import change_note, change_table, parameter_tables
+from ..reports.parameter_table import change_note, change_table, parameter_tables
 from ..units import DEG, DEG_H, MICRO_G, PPM
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..calibration import Calibration
 from ..compensation.thermal import ThermalCalibration, first_of, load_calibration
 from ..errors import InputError
-from ..reports.parameters import comparison_table, unmatched
+from ..reports.parameter_table import comparison_table, unmatched
 from .terminal import OUTPUT
 
 

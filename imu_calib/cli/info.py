@@ -12,14 +12,14 @@ from ..bags import Recording, open_recording
 from ..calibrator import Calibrator, Setup
 from ..errors import ImuCalibError, NotObservable
 from ..estimation.fit import check_observable
+from ..metadata import COMPENSATED
 from ..observation.equations import Equations
 from ..plan import Plan
 from ..segmentation.alone import up_seen
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.naming import heading, up_words
+from ..segmentation.segmented import Segmented
 from ..segmentation.segmenter import Segmenter
-from ..segmentation.session import Segmented
-from ..session import COMPENSATED
 from ..turntable import TURN
 from ..units import DEG, DEG_H, STANDARD_GRAVITY
 from . import options

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from .. import __version__
 from ..errors import ImuCalibError, InputError
+from ..version import version
 from .terminal import ERRORS
 
 _INTERRUPTED = 130
@@ -32,6 +32,13 @@ COMMANDS = {
 """What each does; the module of its name does it."""
 
 
+class _Version(argparse.Action):
+    """Looks the version up when it is asked for: what reads it takes longer to load than all else."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        parser.exit(message=f'imu-calib {version()}\n')
+
+
 def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
     """Return the parser of all subcommands, with the options of those that are needed.
 
@@ -44,7 +51,7 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.'
     )
-    parser.add_argument('--version', action='version', version=f'imu-calib {__version__}')
+    parser.add_argument('--version', action=_Version, nargs=0, help='print the version, and end')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, words in COMMANDS.items():
         command = commands.add_parser(name, help=words)

@@ -17,7 +17,7 @@ from ..imu import load_imu
 from ..methods import METHODS, method
 from ..montecarlo import Outcome, Study, economical, repeat
 from ..plan import load_plan
-from ..reports.parameters import decimals, engineering
+from ..reports.parameter_table import decimals, engineering
 from ..share import named_file
 from ..simulation import StandOptions
 from . import options

@@ -13,11 +13,11 @@ from ..api.predicting import predicted, setup_of, shortest
 from ..api.stated import as_truth
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
-from ..methods import METHODS, free
+from ..methods import METHODS, free_positions
 from ..model import Parameter, SensorModel, parameters_of, terms_of
 from ..plan import Plan, Position, Step, load_plan
 from ..prediction import Forecast, OfTerm, duration
-from ..reports.parameters import decimals, engineering
+from ..reports.parameter_table import decimals, engineering
 from ..share import share_folder
 from ..stream import Mode
 from ..turntable import Table, load_table
@@ -201,7 +201,7 @@ def _show_forecast(
         rows.add_row(parameter.name, *cells, shown.unit)
     OUTPUT.print(rows)
     OUTPUT.print(f'\n{_ON_A_TABLE if on_a_table else _IN_THE_HAND}')
-    if not on_a_table and found.method != free.NAME:
+    if not on_a_table and found.method != free_positions.NAME:
         OUTPUT.print(_LEANING)
     doubt = found.evidence.site.gravity_doubt
     if doubt:

@@ -17,7 +17,7 @@ from typing import IO, Any
 import yaml
 
 from ..errors import InputError
-from ..parent import ENDS_WITH
+from ..lifetime import ENDS_WITH
 
 _LOOPBACK = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'

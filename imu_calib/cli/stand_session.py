@@ -18,11 +18,11 @@ from ..calibrator import Setup
 from ..earth import LUOYANG, Site
 from ..errors import InputError, NotObservable
 from ..imu import ImuSpec, load_imu
-from ..methods import free
+from ..methods import free_positions
 from ..model import AUTO_TERMS
 from ..plan import Plan, load_plan
 from ..prediction import check_session
-from ..reports.parameters import parameter_tables
+from ..reports.parameter_table import parameter_tables
 from ..simulation import StandOptions, load_imperfections
 from ..turntable import Table, load_table
 from . import by_hand, options, resume
@@ -54,10 +54,10 @@ def check(
     terms, changes, look = stated.sensor_terms, stated.changes, stated.look
     setup = Setup(imu, plan, table, site, arguments.method, terms=terms, changes=changes, look=look)
     _check_session(setup)
-    if plan.by_hand and not arguments.port and setup.method_name != free.NAME:
+    if plan.by_hand and not arguments.port and setup.method_name != free_positions.NAME:
         raise InputError(
             f'Plan {plan.name} is for a hand: give --port, where the IMU is. Simulated hands hold '
-            f'free positions alone (plan {free.NAME}).'
+            f'free positions alone (plan {free_positions.NAME}).'
         )
     if arguments.imperfections:
         load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)

@@ -34,7 +34,7 @@ from ..observation.arrivals import NO_ARRIVALS, Arrivals
 from ..observation.components import Component, Dense
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
-from ..segmentation.session import Move
+from ..segmentation.segmented import Move
 from ..stream import Floats
 from .likelihood import along_columns, beside, fixed
 from .wandering import Wandering

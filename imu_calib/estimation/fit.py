@@ -27,7 +27,7 @@ from ..observation.equations import Equations, Nuisance
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import Information, before, told, undetermined, unobserved
 from ..observation.lacking import advice, lost
-from ..segmentation.session import Move
+from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..units import DEG
 from .changing import doubt_of_time_constant, timed, with_changes

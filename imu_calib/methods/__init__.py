@@ -13,7 +13,7 @@ from ..observation.evidence import Evidence
 from ..observation.timebase import in_table_time
 from ..plan import Plan
 from . import (
-    free,
+    free_positions,
     joint,
     n_positions,
     off_axis_four,
@@ -26,7 +26,7 @@ from . import (
 from .solution import Solution
 
 METHODS: dict[str, Callable[[Evidence], Solution]] = {
-    free.NAME: free.refuse,
+    free_positions.NAME: free_positions.refuse,
     'joint': joint.solve,
     'joint_33': partial(joint.solve, terms=(G_SENSITIVITY,)),
     'n_positions': n_positions.solve,
@@ -42,7 +42,7 @@ JOINT: dict[str, tuple[Term, ...]] = {'joint': (), 'joint_33': (G_SENSITIVITY,)}
 """The estimates from all of a session at once, and the terms that they begin with."""
 
 _ESTIMATES: dict[str, tuple[Parameter, ...]] = {
-    free.NAME: free.ESTIMATES,
+    free_positions.NAME: free_positions.ESTIMATES,
     'n_positions': n_positions.ESTIMATES,
     'off_axis_four': static_six.ESTIMATES,
     'rate_24': PARAMETERS,

@@ -10,9 +10,9 @@ from ..middleware import Clock, ClockType, Node, messages, publish_all
 from ..tables import Control, Follower, Line, tcp_address
 from ..turntable import load_table
 from . import qos
+from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .parameters import declare
 
 _PUBLISH_PERIOD = 0.005
 _REPORT_PERIOD = 0.25

@@ -16,21 +16,21 @@ from ..cdr import Kind
 from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
+from ..metadata import describe
 from ..middleware import messages
 from ..model import AUTO_TERMS, Parameter, chosen, looked_for
 from ..model.session_terms import parted
 from ..plan import load_plan
-from ..reports.parameters import engineering
-from ..session import describe
+from ..reports.parameter_table import engineering
 from ..turntable import load_table
 from ..units import DEG
 from . import qos
 from .convert import calibration_message, final_status, refusal_message
+from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .done import DoneWord
 from .entry import entry_point
 from .live import LiveSession, Phase
-from .parameters import declare
 from .publishers import OnePublisher
 
 _TICK = 0.005

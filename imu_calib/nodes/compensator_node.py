@@ -25,9 +25,9 @@ from ..middleware import messages
 from ..stream import ImuBlock
 from . import qos
 from .convert import calibration_of
+from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .parameters import declare
 
 _SECOND = 1.0
 _GHOST = 15.0

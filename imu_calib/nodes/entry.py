@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import ImuCalibError
+from ..lifetime import end_with_parent
 from ..middleware import run
-from ..parent import end_with_parent
 
 
 def entry_point(node: Callable[[], Any]) -> int:

@@ -13,20 +13,20 @@ from typing import Any
 
 from .. import middleware as ros
 from ..calibration import Calibration
+from ..calibrator.guidance import direction
 from ..earth import LUOYANG, Site
 from ..errors import ImuCalibError
 from ..imu import load_imu
-from ..methods.free.guidance import direction
 from ..middleware import messages
 from ..share import named_file
 from ..simulation import StandOptions, load_imperfections, switched_on
 from ..simulation.held import HeldHardware
 from ..units import DEG
 from . import qos
+from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 from .line import Line
-from .parameters import declare
 
 _STEP = 0.1
 _REST = 0.0005

@@ -23,9 +23,9 @@ from ..imu import load_imu
 from ..middleware import Clock, ClockType, Node, messages, publish_all
 from ..stream import ImuBlock, Stamps, TemperatureBlock, Units
 from . import qos
+from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .parameters import declare
 
 _DRAIN_PERIOD = 0.004
 _MOST_BYTES = 1 << 16

@@ -14,11 +14,11 @@ import scipy.special  # noqa: F401
 
 from ..bags import Journal
 from ..calibration import Calibration
-from ..calibrator import Calibrator, Review, Setup
+from ..calibrator import Calibrator, HandCalibrator, Review, Setup, calibrator_of
+from ..calibrator.by_hand import HandReview
+from ..calibrator.guidance import Guidance, Stage
 from ..cdr import Kind, Malformed, Messages
 from ..errors import ImuCalibError, InputError
-from ..methods.free.guidance import Guidance, Stage
-from ..methods.free.session import FreeCalibrator, FreeReview, calibrator_of
 from ..model import Parameter, skewed_parameters
 from ..segmentation.segmenter import INTERRUPTION, interruption
 from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
@@ -115,7 +115,7 @@ class LiveSession:
         self.without_skew = False
         self._began = now
         self._held: list[Block] = []
-        self._calibrator: Calibrator | FreeCalibrator | None = None
+        self._calibrator: Calibrator | HandCalibrator | None = None
         # A plan that its method cannot solve is refused now, whenever it is begun with.
         calibrator_of(setup)
         if setup.imu.skewed is None or Kind.SKEW not in topics:
@@ -148,7 +148,7 @@ class LiveSession:
     @property
     def guidance(self) -> Guidance | None:
         """What a person with the unit in hand should do next; None where a table turns it."""
-        return self.review.guidance if isinstance(self.review, FreeReview) else None
+        return self.review.guidance if isinstance(self.review, HandReview) else None
 
     @property
     def _leader(self) -> Intake:

@@ -27,10 +27,10 @@ from ..stream import Mode, Setpoint
 from ..turntable import load_table
 from ..units import DEG
 from . import qos
+from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 from .line import Line
-from .parameters import declare
 
 _STEP = 0.1
 _AHEAD = 0.25

@@ -27,9 +27,9 @@ from ..stream import Mode, Setpoint, SetpointBlock
 from ..turntable import load_table
 from . import qos
 from .convert import state_message, trajectory_message
+from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .parameters import declare
 from .publishers import OnePublisher
 from .rules import declare_rules
 from .stop import EmergencyStop, state_folder

@@ -17,7 +17,7 @@ from ..plan import Plan
 from ..segmentation.clock import ClockFit
 from ..segmentation.labelling import Labelled
 from ..segmentation.segment import Segment, Turn
-from ..segmentation.session import Move, Segmented
+from ..segmentation.segmented import Move, Segmented
 from ..segmentation.statistics import pooled_walk
 from ..segmentation.thermometer import Temperature
 from ..stream import Floats, Units

@@ -17,7 +17,7 @@ from ..errors import NotObservable
 from ..model import Parameter, ParameterKind
 from ..model.session_terms import Change, Course
 from ..segmentation.segment import Segment, Turn
-from ..segmentation.session import Move
+from ..segmentation.segmented import Move
 from ..stream import Floats, Stamps
 from .evidence import Evidence
 

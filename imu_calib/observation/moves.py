@@ -17,7 +17,7 @@ import numpy as np
 
 from ..model import Parameter, SensorModel
 from ..segmentation.segment import Segment, Turn
-from ..segmentation.session import Move
+from ..segmentation.segmented import Move
 from ..stream import Floats
 from .path import Path, rotation_vector, rotations
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..segmentation.segment import Segment, Statistics, Turn
-from ..segmentation.session import Move
+from ..segmentation.segmented import Move
 from ..stream import Units
 from .evidence import Evidence
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from ..courses import Course, moving
 from ..directions import across
 from ..earth import Site
 from ..model import SensorModel
-from ..profile import Course, moving
 from ..segmentation.segment import Segment
-from ..segmentation.session import Move
+from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..turntable import Table, rotation
 from .evidence import UP

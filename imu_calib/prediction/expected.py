@@ -13,10 +13,11 @@ from itertools import pairwise
 import numpy as np
 
 from ..calibrator import Setup
+from ..courses import Course
 from ..errors import InputError
 from ..estimation.wandering import STATED_TIME, Wandering
 from ..imu import ImuSpec, TriadSpec
-from ..methods.free import NAME as FREE_POSITIONS
+from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
 from ..observation.evidence import UP, Evidence
 from ..observation.headings import headings, whole
@@ -28,12 +29,11 @@ from ..observation.ways import (
     short_move,
     way,
 )
-from ..profile import Course
 from ..segmentation.clock import ClockFit
 from ..segmentation.moves import COARSEST
 from ..segmentation.segment import Segment, Turn
+from ..segmentation.segmented import Move
 from ..segmentation.sensor import NEARLY
-from ..segmentation.session import Move
 from ..stream import Floats, Mode
 from ..turntable import TURN, rotation
 from .readings import SPARE, each_turn, period_of, reading, skewed_alone, triads, walk_of

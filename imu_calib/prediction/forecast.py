@@ -16,7 +16,7 @@ from ..calibrator import Setup
 from ..errors import NotObservable
 from ..estimation.fit import check_observable
 from ..gravity import gravity_covariance
-from ..methods import JOINT, check_plan, free, method, skewed
+from ..methods import JOINT, check_plan, free_positions, method, skewed
 from ..methods.skewed import RatePoints
 from ..methods.solution import Solution
 from ..model import AXES, PARAMETERS, Parameter, SensorModel
@@ -75,7 +75,7 @@ def forecast(
 
     """
     evidence = expected(setup, truth, azimuth)
-    if setup.method_name == free.NAME:
+    if setup.method_name == free_positions.NAME:
         return _with_common(_in_the_hand(truth, evidence), setup, truth)
     # A closed form knows no moves.
     resting = replace(evidence, moves=())
@@ -150,7 +150,7 @@ def check_session(setup: Setup) -> None:
     if setup.table is not None and not setup.plan.by_hand:
         setup.plan.steps(setup.table)
     noisy = min(setup.imu.gyro.random_walk, setup.imu.accel.random_walk) > 0
-    if noisy and setup.method_name != free.NAME:
+    if noisy and setup.method_name != free_positions.NAME:
         method(setup.method_name)(expected(setup, SensorModel()))
 
 
@@ -176,9 +176,11 @@ def _best(
 def _in_the_hand(truth: SensorModel, evidence: Evidence) -> Forecast:
     """Ask what holds would tell: the method is the least squares that is the best."""
     std = np.zeros(len(PARAMETERS))
-    found = information(evidence, free.in_frame_of_accelerometers(truth), free.ESTIMATES)
-    std[free.FREE] = np.sqrt(np.diag(found.covariance)[: len(free.ESTIMATES)])
-    return Forecast(evidence, free.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
+    found = information(
+        evidence, free_positions.in_frame_of_accelerometers(truth), free_positions.ESTIMATES
+    )
+    std[free_positions.FREE] = np.sqrt(np.diag(found.covariance)[: len(free_positions.ESTIMATES)])
+    return Forecast(evidence, free_positions.NAME, PARAMETERS, std, _nothing(PARAMETERS), '')
 
 
 def listed(setup: Setup) -> tuple[Parameter, ...]:

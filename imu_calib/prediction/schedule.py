@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..courses import travel_time
 from ..errors import InputError
 from ..plan import Step
-from ..profile import travel_time
 from ..stream import Floats, Mode
 from ..turntable import TURN, Table
 

@@ -14,7 +14,7 @@ from ..calibration import Calibration
 from ..model import TERMS, Parameter, ParameterKind
 from ..specification import COVERAGE, Specification, Verdict, judge
 from .html import table
-from .parameters import decimals, engineering
+from .parameter_table import decimals, engineering
 from .svg import drawing, number, tag
 
 _WIDTH, _HEIGHT = 150.0, 16.0

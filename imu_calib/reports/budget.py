@@ -15,7 +15,7 @@ from ..calibration import Calibration
 from ..model import Parameter
 from ..stream import Floats
 from .html import paragraph, table
-from .parameters import decimals, engineering
+from .parameter_table import decimals, engineering
 from .svg import drawing, label, tag
 
 _LEAST = 0.005

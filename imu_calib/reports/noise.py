@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..imu import TriadSpec
 from ..noise import ChannelNoise, Coefficient
 from ..units import DEG, DEG_H, HOUR, MICRO_G
-from .parameters import decimals, three_digits
+from .parameter_table import decimals, three_digits
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from .assessment import angles_table, assess, badge, summary, tables, worst
 from .budget import budget_section
 from .html import bullets, facts, paragraph, section, table
 from .noise import noise_of
-from .parameters import FREE_OF_FRAME, change_note, decimals
+from .parameter_table import FREE_OF_FRAME, change_note, decimals
 from .style import STYLE
 from .svg import tag
 from .terms import terms_section

@@ -16,7 +16,7 @@ from ..gravity import same_place, without_gravity
 from ..model import Parameter
 from ..stream import Floats
 from .html import paragraph, table
-from .parameters import decimals, engineering
+from .parameter_table import decimals, engineering
 from .svg import COLOURS, Axis, Panel, drawing, label, tag
 
 _SURPRISING = 0.001

@@ -12,7 +12,7 @@ from ..calibrator import Result
 from ..stream import Floats
 from ..units import DEG_H, MICRO_G
 from .html import paragraph, table
-from .parameters import three_digits
+from .parameter_table import three_digits
 from .svg import Axis, Panel, drawing, label, legend
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
 from ..verification import Compared, Moved, Quantity, Verdict, Verification
-from .parameters import Shown, decimals, engineering
+from .parameter_table import Shown, decimals, engineering
 
 _SHOWN = {
     Quantity.GRAVITY: Shown('ug', MICRO_G),

@@ -12,7 +12,7 @@ from ..stream import Floats
 from ..turntable import TURN
 from ..units import DEG
 from .segment import Segment, Turn
-from .session import FreeMotion, Rejected
+from .segmented import FreeMotion, Rejected
 
 SHORT_DWELL = 0.25
 """Share of a dwell below which a rest is none of the plan's."""

@@ -19,7 +19,7 @@ from ..units import DEG
 from .alone import SHORT_DWELL, UP_TOLERANCE, by_order, join, turn_without_encoder, up_seen
 from .naming import attitude_words, unique, up_words
 from .segment import Segment, Turn
-from .session import Rejected, Segmented, Slip
+from .segmented import Rejected, Segmented, Slip
 from .statistics import BLOCK_SECONDS
 
 _ARRIVAL_TOLERANCE = 0.2 * DEG

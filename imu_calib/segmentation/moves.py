@@ -17,8 +17,8 @@ import numpy as np
 from ..stream import Floats
 from ..units import DEG
 from .segment import Segment
+from .segmented import Move, Rejected, Slip
 from .sensor import Sensor
-from .session import Move, Rejected, Slip
 from .statistics import Samples, gap_free
 
 STEP_ANGLE = 1 * DEG

@@ -11,8 +11,8 @@ from ..stream import Floats, Stamps
 from .cleaning import Sound, find_step, sound_part
 from .frozen import repeated
 from .segment import Segment, Statistics
+from .segmented import Rejected, Slip
 from .sensor import Sensor
-from .session import Rejected, Slip
 from .statistics import Samples, gap_free, statistics_at_rest
 
 _SHORTEST_REST = 1.0

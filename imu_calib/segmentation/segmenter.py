@@ -28,8 +28,8 @@ from .order import Ordered
 from .pace import Pace
 from .rests import read_rest
 from .segment import Segment, Turn
+from .segmented import FreeMotion, Move, Rejected, Segmented, Slip
 from .sensor import Sensor
-from .session import FreeMotion, Move, Rejected, Segmented, Slip
 from .statistics import Samples, sample_period, to_samples
 from .stillness import WINDOW_SECONDS, Quietest, StillnessTracker
 from .thermometer import Thermometer

@@ -15,8 +15,8 @@ from .frozen import repeated
 from .motion import Motion, averaged
 from .plateau import WholeTurns, find_turns, why_none
 from .segment import Statistics, Turn
+from .segmented import FreeMotion, Rejected
 from .sensor import Sensor
-from .session import FreeMotion, Rejected
 from .statistics import Samples, gap_free, statistics_between
 
 MARGIN_NS = 1_000_000_000

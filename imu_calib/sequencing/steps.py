@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..courses import travel_time
 from ..errors import InputError
 from ..plan import Plan, Step
-from ..profile import travel_time
 from ..stream import Floats, Mode, Setpoint
 from ..turntable import TURN, Table
 from ..units import DEG

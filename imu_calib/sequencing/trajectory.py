@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..courses import Course, moving
 from ..errors import ImuCalibError
-from ..profile import Course, moving
 from ..stream import Mode, Setpoint
 from ..turntable import TURN, Table
 from .encoders import Feedback

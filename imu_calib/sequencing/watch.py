@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ..courses import distance_from_rest, travel_time
 from ..plan import Step
-from ..profile import distance_from_rest, travel_time
 from ..stream import Mode
 from ..turntable import TURN, Joint, Table
 from ..units import DEG

@@ -19,7 +19,7 @@ from ..units import DEG
 from .imu import SimulatedImu
 from .motion import Motion
 from .options import ImuOptions
-from .profile import Track, side_by_side, trapezoid
+from .tracks import Track, side_by_side, trapezoid
 
 PAUSE = 0.2
 """From the end of a turn to a hand that is quiet, s."""
@@ -156,7 +156,7 @@ def the_short_way(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> Hand
     for up, target in pairwise(ups):
         axis = np.cross(target, up)
         if np.linalg.norm(axis) < _SAME:
-            # Half a turn, in the sense of `methods.free.guidance`.
+            # Half a turn, in the sense of `calibrator.guidance`.
             axis = -upright(up)[0]
         angle = float(np.arccos(np.clip(up @ target, -1.0, 1.0)))
         attitudes.append(attitudes[-1] @ rotation(axis / np.linalg.norm(axis), angle))

@@ -14,7 +14,7 @@ from .hand import AXES, PAUSE, directions
 from .imu import SimulatedImu
 from .motion import Motion
 from .options import ImuOptions
-from .profile import Track, side_by_side, trapezoid
+from .tracks import Track, side_by_side, trapezoid
 
 _SHORTEST, _LONGEST = 3.3, 4.0
 _RATE = 180 * DEG

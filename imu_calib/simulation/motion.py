@@ -11,7 +11,7 @@ import numpy as np
 from ..earth import Site
 from ..stream import Floats
 from ..turntable import rotation
-from .profile import Track
+from .tracks import Track
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _LARGEST_TURN = 0.5

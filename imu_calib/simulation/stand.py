@@ -28,8 +28,8 @@ from ..turntable import Table
 from .imu import SimulatedImu
 from .motion import Motion, Ringing, Shaking
 from .options import Knock, Shake, StandOptions
-from .profile import Track, side_by_side, trapezoid
 from .table import SimulatedTable
+from .tracks import Track, side_by_side, trapezoid
 
 SETPOINT_TOPIC = 'turntable/setpoint'
 JOINT_TOPIC = 'turntable/joint_states'

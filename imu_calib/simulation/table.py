@@ -14,7 +14,7 @@ from ..turntable import TURN, Joint, Table, rotation
 from ..units import DEG
 from .motion import Link, Motion
 from .options import TableOptions
-from .profile import Track, braking, side_by_side, trapezoid
+from .tracks import Track, braking, side_by_side, trapezoid
 from .true_table import TableSizes, TrueTable
 
 _STANDS = 1e-7

@@ -13,7 +13,7 @@ from ..observation.evidence import Evidence
 from ..observation.timebase import in_table_time
 from ..plan import Plan
 from ..segmentation.labelling import label
-from ..segmentation.session import Segmented
+from ..segmentation.segmented import Segmented
 from ..stamping import StampingClock
 from ..stream import Units
 from ..turntable import Table

@@ -15,7 +15,7 @@ from .executor import (
 from .future import Future
 from .logging import Logger, LoggingSeverity, get_logger
 from .node import Node, create_node
-from .parameters import (
+from .node_parameters import (
     FloatingPointRange,
     IntegerRange,
     InvalidParameterTypeException,

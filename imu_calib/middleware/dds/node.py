@@ -13,7 +13,7 @@ from .context import Context, get_default_context
 from .endpoints import Publisher, Subscription
 from .logging import Logger, get_logger
 from .messages import Message, message_class
-from .parameters import Parameter, ParameterDescriptor, Parameters, SetParametersResult
+from .node_parameters import Parameter, ParameterDescriptor, Parameters, SetParametersResult
 from .qos import QoSProfile, ReliabilityPolicy, overridden, profile
 from .services import Client, Service
 from .timer import Timer

@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ...budget import Share, Shares
-from ...errors import NotObservable
-from ...estimation.converge import least_squares
-from ...estimation.fit import shares
-from ...model import (
+from ..budget import Share, Shares
+from ..errors import NotObservable
+from ..estimation.converge import least_squares
+from ..estimation.fit import shares
+from ..model import (
     G_SENSITIVITY,
     PARAMETERS,
     Parameter,
@@ -32,13 +32,16 @@ from ...model import (
     Term,
     Triad,
 )
-from ...observation.evidence import Evidence
-from ...observation.free import FreeEquations, led_on
-from ...observation.information import Information
-from ...observation.rows import Indices
-from ...stream import Floats
-from ...units import DEG, STANDARD_GRAVITY
-from ..solution import Solution
+from ..observation.evidence import Evidence
+from ..observation.free import FreeEquations, led_on
+from ..observation.information import Information
+from ..observation.rows import Indices
+from ..stream import Floats
+from ..units import DEG, STANDARD_GRAVITY
+from .solution import Solution
+
+NAME = 'free_positions'
+"""The method's name in plans."""
 
 _KEPT = {('a', 0, 1), ('a', 0, 2), ('a', 1, 2)}
 

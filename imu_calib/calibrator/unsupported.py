@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from .plan import Plan, Step
-from .segmentation.labelling import Labelled
-from .segmentation.segment import Turn
-from .segmentation.session import Segmented
-from .stream import Mode
-from .turntable import Table
+from ..plan import Plan, Step
+from ..segmentation.labelling import Labelled
+from ..segmentation.segment import Turn
+from ..segmentation.segmented import Segmented
+from ..stream import Mode
+from ..turntable import Table
 
 _ENOUGH = 0.5
 """Share of a dwell that must be sound: less costs more than a factor 1.4 in its noise."""

@@ -13,14 +13,14 @@ from itertools import product
 
 import numpy as np
 
-from ...model import AXES, PARAMETERS, ParameterKind
-from ...observation.evidence import Evidence
-from ...observation.free import FreeEquations
-from ...observation.information import Information, log_determinant
-from ...observation.ways import next_hold, short_move
-from ...stream import Floats
-from ...units import ARCMIN, DEG, PPM
-from .fit import ESTIMATES, FEWEST, FREE, started
+from ..methods.free_positions import ESTIMATES, FEWEST, FREE, started
+from ..model import AXES, PARAMETERS, ParameterKind
+from ..observation.evidence import Evidence
+from ..observation.free import FreeEquations
+from ..observation.information import Information, log_determinant
+from ..observation.ways import next_hold, short_move
+from ..stream import Floats
+from ..units import ARCMIN, DEG, PPM
 
 _SCALE_WIDTH = 0.1
 _GYRO_BIAS_WIDTH = 1.0 * DEG

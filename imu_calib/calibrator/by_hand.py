@@ -8,26 +8,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ... import calibrator as table_session
-from ...budget import Budget
-from ...calibration import Calibration, ResidualRow
-from ...calibrator import Calibrator, Result, Review, Setup
-from ...errors import NotObservable
-from ...gravity import gravity_covariance, with_gravity
-from ...model import PARAMETERS, SensorModel
-from ...observation.evidence import Evidence, known_noise
-from ...segmentation.clock import NO_CLOCK
-from ...segmentation.labelling import Labelled
-from ...segmentation.segment import Segment
-from ...segmentation.segmenter import Segmenter
-from ...segmentation.session import Move, Segmented
-from ...stream import Block, Floats, ImuBlock, TemperatureBlock
-from ...units import DEG, STANDARD_GRAVITY
-from .. import estimates
-from ..solution import Residual, Solution
-from . import NAME
-from .fit import FEWEST, FREE, FreeFit, scatter_words, solve, term_words
+from ..budget import Budget
+from ..calibration import Calibration, ResidualRow
+from ..errors import NotObservable
+from ..gravity import gravity_covariance, with_gravity
+from ..methods import estimates
+from ..methods.free_positions import (
+    FEWEST,
+    FREE,
+    NAME,
+    FreeFit,
+    scatter_words,
+    solve,
+    term_words,
+)
+from ..methods.solution import Residual, Solution
+from ..model import PARAMETERS, SensorModel
+from ..observation.evidence import Evidence, known_noise
+from ..segmentation.clock import NO_CLOCK
+from ..segmentation.labelling import Labelled
+from ..segmentation.segment import Segment
+from ..segmentation.segmented import Move, Segmented
+from ..segmentation.segmenter import Segmenter
+from ..stream import Block, Floats, ImuBlock, TemperatureBlock
+from ..units import DEG, STANDARD_GRAVITY
 from .guidance import HOLD_SECONDS, Guidance, Stage, guide
+from .provenance import provenance
+from .results import Result, Review
+from .setup import Setup
 
 _LEAST_STD = np.repeat([1e-9, 1e-7], 3)
 """What numbers without noise are taken to be known to: rad/s and m/s^2. The best units of the
@@ -47,7 +55,7 @@ _FRAME = (
 
 
 @dataclass(frozen=True, eq=False)
-class FreeReview(Review):
+class HandReview(Review):
     """How far a session in the hand has come, and what to do next.
 
     Attributes:
@@ -58,7 +66,7 @@ class FreeReview(Review):
     guidance: Guidance
 
 
-class FreeCalibrator:
+class HandCalibrator:
     """Takes blocks in as they come, like `Calibrator`, and solves when asked.
 
     Setpoints and joint states say nothing of a unit that is held by hand: they are passed over.
@@ -73,10 +81,6 @@ class FreeCalibrator:
         if isinstance(block, ImuBlock | TemperatureBlock):
             self._segmenter.feed(block)
 
-    def so_far(self) -> Evidence:
-        """Return the holds that have come to their end, and the turns between them."""
-        return self._evidence(self._segmenter.segments, self._segmenter.moves)
-
     def finish(self) -> Result:
         """End of the session: solve.
 
@@ -86,12 +90,21 @@ class FreeCalibrator:
         """
         return self._solve(self._segmenter.finish())
 
+    def evidence(self, session: Segmented) -> Evidence:
+        """Return the holds of a session, and the turns between them, as what `solve` works on.
+
+        Raises:
+            NotObservable: Neither they nor the IMU's description tell the noise.
+
+        """
+        return self._evidence(session.segments, session.moves)
+
     def _solve(self, session: Segmented) -> Result:
         lost = [f'{loss}.' for loss in session.losses]
         if not session.segments:
             text = f'The unit never stood still in {session.duration:.0f} s: there is no hold.'
             raise NotObservable(' '.join([text, *self._unrest(), *lost]))
-        evidence = self._evidence(session.segments, session.moves)
+        evidence = self.evidence(session)
         try:
             fit = solve(evidence)
         except NotObservable as error:
@@ -114,13 +127,13 @@ class FreeCalibrator:
             'between.'
         ]
 
-    def snapshot(self) -> FreeCalibrator:
+    def snapshot(self) -> HandCalibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself."""
         other = copy.copy(self)
         other._segmenter = copy.deepcopy(self._segmenter)
         return other
 
-    def review(self) -> FreeReview:
+    def review(self) -> HandReview:
         """Say of a snapshot how far the session has come: solve, and say what to do next."""
         session = self._segmenter.finish()
         still = self._segmenter.still
@@ -137,9 +150,9 @@ class FreeCalibrator:
         std = np.sqrt(guidance.std**2 + share)[FREE]
         if result is not None:
             std = result.calibration.std[: len(PARAMETERS)][FREE]
-        return FreeReview(session, estimates(NAME), std, (), result, refusal, guidance)
+        return HandReview(session, estimates(NAME), std, (), result, refusal, guidance)
 
-    def conclude(self) -> FreeReview:
+    def conclude(self) -> HandReview:
         """End of the session: `review` solves it as `finish` does."""
         return self.review()
 
@@ -232,32 +245,21 @@ class FreeCalibrator:
         rows = tuple(
             ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:]) for r in residuals
         )
-        provenance = table_session._provenance(setup, evidence, session, solution)
-        provenance['turns'] = turns
-        provenance['frame'] = 'accelerometers'
+        origin = provenance(setup, evidence, session, solution)
+        origin['turns'] = turns
+        origin['frame'] = 'accelerometers'
         # The attitudes of a plan of free positions are proposals: none is missing.
-        provenance.pop('missing_positions', None)
+        origin.pop('missing_positions', None)
         calibration = Calibration(
             setup.imu,
             fit.model,
             fit.covariance,
             rows,
             tuple(findings),
-            provenance,
+            origin,
             setup.serial_number,
             fit.parameters,
             budget=Budget.of(fit.shares),
         )
         calibration = with_gravity(calibration, setup.site)
         return Result(calibration, solution, session, Labelled(segments, (), session.rejected))
-
-
-def calibrator_of(setup: Setup) -> Calibrator | FreeCalibrator:
-    """Return the calibrator that a set-up asks for: with a table, or in free positions.
-
-    Raises:
-        InputError: The method does not exist.
-        NotObservable: The plan cannot give the method its parameters, however it is run.
-
-    """
-    return FreeCalibrator(setup) if setup.method_name == NAME else Calibrator(setup)

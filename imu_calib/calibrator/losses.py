@@ -1,0 +1,80 @@
+"""What of a session was not used, and what of its plan is missing, in sentences."""
+
+from __future__ import annotations
+
+from ..methods.solution import Solution
+from ..observation.evidence import Evidence
+from ..segmentation.labelling import Labelled
+from ..segmentation.segmented import Segmented
+from .setup import Setup
+
+
+def nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
+    """Say that there is neither a rest nor a whole turn, and why."""
+    if not session.samples:
+        return 'The IMU stream is empty: nothing can be determined.'
+    if not session.duration:
+        told = ' '.join(f'{loss}.' for loss in session.losses)
+        return f'None of {session.samples} IMU samples can be used. {told}'
+    looked_for = 'Neither a rest nor a whole turn'
+    if setup.plan.is_stated:
+        looked_for = f'None of the positions of plan {setup.plan.name}'
+    text = (
+        f'{looked_for} was found in {session.samples} IMU samples ({session.duration:.0f} s): '
+        'nothing can be determined.'
+    )
+    reasons = sorted({r.reason for r in labelled.rejected})
+    loose = len(session.segments)
+    if loose and setup.plan.is_stated:
+        text += f' {loose} stretches at rest fit no position of the plan.'
+    sentences = [*(f'Left out: {reason}' for reason in reasons[:3]), *session.losses]
+    return ' '.join([text, *(f'{sentence}.' for sentence in sentences)])
+
+
+def what_was_lost(
+    setup: Setup, evidence: Evidence, labelled: Labelled, session: Segmented
+) -> list[str]:
+    """Say what of the session was not used or fits no plan, and what of the plan is missing."""
+    sentences = []
+    missing = evidence.missing()
+    if missing:
+        sentences.append(f'Missing from the recording: position {", ".join(missing)}.')
+    if setup.plan.is_stated:
+        sentences += _beside_plan(setup, labelled)
+    found = {segment.position for segment in labelled.segments}
+    alike: dict[tuple[bool, bool, str], list[str]] = {}
+    for rejected in labelled.rejected:
+        again = '; it was measured again' if rejected.position in found else ''
+        reason = rejected.reason + ('' if rejected.turn else again)
+        at = f'{(rejected.start - (session.start or 0)) * 1e-9:.0f} s'
+        known = rejected.position is not None
+        alike.setdefault((known, rejected.turn, reason), []).append(rejected.position or at)
+    for (known, turn, reason), names in alike.items():
+        what = 'a turn is left out' if turn else 'left out'
+        place = 'Position' if known else 'At'
+        sentences.append(f'{place} {", ".join(dict.fromkeys(names))}: {what}, {reason}.')
+    sentences += [
+        f'Position {segment.position}: {note}.'
+        for segment in labelled.segments
+        for note in segment.notes
+    ]
+    sentences += [f'{loss}.' for loss in (*labelled.notes, *session.losses)]
+    return list(dict.fromkeys(sentences))
+
+
+def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
+    """Say which rests fit no position of the plan, and what becomes of them."""
+    of_plan = labelled.of_plan(setup.plan).segments
+    names = [str(s.position) for s in labelled.segments if s not in of_plan]
+    if not names:
+        return []
+    becomes = f'{setup.method_name} uses them all the same'
+    if setup.plan_alone:
+        becomes = f"{setup.method_name}, which knows the plan's positions alone, leaves them out"
+    return [f'Rests that fit no position of plan {setup.plan.name}: {"; ".join(names)}: {becomes}.']
+
+
+def assumed(setup: Setup, solution: Solution) -> list[str]:
+    """Say what is assumed of the table, which its file does not state, where a method counts it."""
+    table = None if setup.plan.by_hand or solution.shares is None else setup.table
+    return [table.assumption] if table is not None and table.assumption else []

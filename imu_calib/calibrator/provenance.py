@@ -1,0 +1,123 @@
+"""Where a calibration comes from: what a session was, by what and how it was solved."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+
+import numpy as np
+import scipy
+
+from ..methods.cross_check import Comparison
+from ..methods.solution import Solution
+from ..model import terms_of
+from ..model.session_terms import Change, spelled
+from ..noise import session_noise
+from ..observation.evidence import Evidence
+from ..segmentation.segmented import Segmented
+from ..stamping import StampingClock
+from ..units import DEG
+from ..version import version
+from .setup import Setup
+
+_YEAR_2000, _YEAR_2200 = 946_684_800 * 10**9, 7_258_118_400 * 10**9
+
+
+def provenance(
+    setup: Setup,
+    evidence: Evidence,
+    session: Segmented,
+    solution: Solution,
+    comparison: Comparison | None = None,
+) -> dict[str, object]:
+    """Return what the file of a calibration says of its session, by key (docs/parameters.md)."""
+    clock = session.clock
+    residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
+    rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
+    special: dict[str, object] = {}
+    missing = evidence.missing()
+    if missing:
+        special['missing_positions'] = missing
+    if solution.wandering is not None:
+        special['bias_wander'] = [float(v) for v in solution.wandering]
+    if comparison is not None:
+        special['closed_form'] = comparison.document()
+    if solution.tests:
+        special['tests_of_terms'] = {test.name: test.document() for test in solution.tests}
+    return {
+        'recorded': _date(session.start),
+        'method': setup.method_name,
+        'terms': [*(t.name for t in terms_of(solution.parameters)), *spelled(_changing(solution))],
+        'terms_looked_for': setup.look and bool(solution.tests),
+        'plan': setup.plan.name or None,
+        'table': setup.table.name if setup.table is not None else None,
+        'table_clock_std': setup.table.clock if setup.table is not None else None,
+        'latitude_deg': setup.site.latitude / DEG,
+        'latitude_std_deg': setup.site.latitude_std / DEG,
+        'gravity': setup.site.gravity,
+        'gravity_source': setup.site.gravity_source,
+        'gravity_std': setup.site.gravity_std,
+        'height': setup.site.height,
+        'height_assumed': setup.site.height_assumed,
+        'azimuth_seen_deg': _or_none(solution.azimuth / DEG),
+        'azimuth_seen_std_deg': _or_none(solution.azimuth_std / DEG),
+        'segments': len(evidence.segments),
+        'turns': len(evidence.turns),
+        'samples': sum(s.statistics.samples for s in evidence.segments)
+        + sum(t.statistics.samples for t in evidence.turns),
+        'random_walk': [float(v) for v in evidence.walk],
+        'residual_rms': [_or_none(v) for v in rms],
+        'condition_number': solution.condition,
+        'highest_rate': max((abs(float(t.rate())) for t in evidence.turns), default=None),
+        'temperature': _temperature(session),
+        **special,
+        'clock': {
+            'offset_s': clock.offset,
+            'offset_std_s': clock.offset_std,
+            'rate_ppm': clock.rate * 1e6,
+            'rate_std_ppm': clock.rate_std * 1e6,
+            'motions': clock.motions,
+        },
+        'versions': {
+            'imu_calib': version(),
+            'numpy': np.__version__,
+            'scipy': scipy.__version__,
+        },
+    }
+
+
+def noise(evidence: Evidence) -> dict[str, object]:
+    """Return the noise that the session showed, for a session that is over: it takes its time."""
+    seen = session_noise([s.statistics for s in evidence.segments], evidence.walk)
+    return {'noise': {name: channel.document() for name, channel in seen.items()}}
+
+
+def stamping(setup: Setup, evidence: Evidence) -> StampingClock | None:
+    """Return the clock that stamps the samples, where motions compare it with the table's."""
+    if setup.table is None or not evidence.clocks_compared:
+        return None
+    unit = ' '.join([setup.imu.id, setup.serial_number]).strip()
+    faster, std = evidence.clock_rate()
+    return StampingClock(f'stamps of {unit}', f'clock of table {setup.table.name}', faster, std)
+
+
+def _changing(solution: Solution) -> tuple[Change, ...]:
+    return () if solution.changes is None else solution.changes.changes
+
+
+def _date(stamp: int | None) -> str | None:
+    """Return when a recording began, UTC; None where its stamps count from something else."""
+    if stamp is None or not _YEAR_2000 < stamp < _YEAR_2200:
+        return None
+    return datetime.fromtimestamp(stamp // 10**9, timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
+
+
+def _temperature(session: Segmented) -> dict[str, float] | None:
+    seen = session.temperature
+    if seen is None:
+        return None
+    return {'mean': seen.mean, 'lowest': seen.lowest, 'highest': seen.highest}
+
+
+def _or_none(value: float) -> float | None:
+    """Return a number, or None for one that is not known."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,55 @@
+"""What a calibrator returns: of a session that is over, and of one that goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..calibration import Calibration
+from ..methods.cross_check import Comparison
+from ..methods.solution import Solution
+from ..model import Parameter
+from ..segmentation.labelling import Labelled
+from ..segmentation.segmented import Segmented
+from ..stream import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A calibration with all that led to it.
+
+    Attributes:
+        calibration: The result as a value.
+        solution: What the method returned; gravity is taken as exact in it.
+        session: What the streams contain.
+        labelled: Its segments by name.
+        comparison: How the closed form of the plan compares; None where there is none beside.
+
+    """
+
+    calibration: Calibration
+    solution: Solution
+    session: Segmented
+    labelled: Labelled
+    comparison: Comparison | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Review:
+    """How far a session has come.
+
+    Attributes:
+        session: What the streams contain.
+        parameters: What the method estimates.
+        std: (n,) their standard deviations reached, SI units; NaN for what is not determined.
+        unsupported: Steps of the plan seen so far that left too little.
+        result: The calibration, where the data determines all of it.
+        refusal: Why there is none, else empty.
+
+    """
+
+    session: Segmented
+    parameters: tuple[Parameter, ...]
+    std: Floats
+    unsupported: tuple[int, ...]
+    result: Result | None
+    refusal: str

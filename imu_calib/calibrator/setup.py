@@ -1,0 +1,62 @@
+"""What a calibrator must know before a session begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..earth import Site
+from ..imu import ImuSpec
+from ..methods import JOINT, default_method, estimates
+from ..model import Parameter, Term
+from ..model.session_terms import Change
+from ..plan import Plan
+from ..turntable import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What a calibrator must know beforehand.
+
+    Attributes:
+        imu: What the numbers of the Imu stream mean.
+        plan: What is run; `plan.UNPLANNED` where nobody knows, and joint states tell the attitudes.
+        table: The table whose joint states come in; None when the IMU stands alone.
+        site: Gravity and Earth rate.
+        method: Name of the solver; None takes the joint estimate where it applies, else the plan's
+            own method.
+        serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
+        terms: To be estimated besides what the method estimates.
+        changes: Coefficients of the session's terms, likewise.
+        look: Whether terms that the session shows are estimated too.
+
+    """
+
+    imu: ImuSpec
+    plan: Plan
+    table: Table | None
+    site: Site
+    method: str | None = None
+    serial_number: str = ''
+    terms: tuple[Term, ...] = ()
+    changes: tuple[Change, ...] = ()
+    look: bool = False
+
+    @property
+    def method_name(self) -> str:
+        """Name of the solver."""
+        return self.method or default_method(self.plan)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is estimated whatever the session shows.
+
+        Raises:
+            InputError: There is no such method, or it knows no terms.
+
+        """
+        return estimates(self.method_name, self.terms)
+
+    @property
+    def plan_alone(self) -> bool:
+        """Whether the method is a closed form, which knows the plan's positions alone."""
+        return self.method_name not in JOINT

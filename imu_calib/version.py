@@ -1,0 +1,13 @@
+"""The version of the package: that of its installation, which setup.py and package.xml state."""
+
+from __future__ import annotations
+
+
+def version() -> str:
+    """Return the version that is installed; '0+unknown' for a checkout that nobody installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version('imu_calib')
+    except PackageNotFoundError:
+        return '0+unknown'
