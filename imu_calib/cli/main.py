@@ -33,7 +33,7 @@ COMMANDS = {
 
 
 class _Version(argparse.Action):
-    """Looks the version up when it is asked for: what reads it takes longer to load than all else."""
+    """Looks the version up when it is asked for: what reads it is slow to load."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         parser.exit(message=f'imu-calib {version()}\n')
