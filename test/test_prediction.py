@@ -340,6 +340,30 @@ def test_no_exchange_of_one_attitude_gains() -> None:
         assert value < best + 0.01, letters
 
 
+def test_a_plan_is_optimised_for_a_time_and_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in {'sizes': (6,), 'turns': (4,)}.items():
+        monkeypatch.setitem(optimise.__kwdefaults__, name, value)
+    written = tmp_path / 'short.yaml'
+    ask = ['plans', '--imu', 'fog_medium', '-o', str(written)]
+    assert main([*ask, '--optimise', '20', '--rate', '30']) == 0
+    found, table = load_plan(written), load_table('three_axis')
+    assert found.name == 'short'
+    assert 19 * 60 < duration(found.steps(table), table) <= 20 * 60
+    rates = [r for p in found.positions if p.rate_test for r in p.rate_test.rates]
+    assert rates == pytest.approx([30 * DEG, -30 * DEG] * 3)
+    assert 'K_gx' in capsys.readouterr().out
+    for wrong, words in (
+        (['--optimise', '2'], 'too short'),
+        (['--optimise', '20', '--rate', '900'], 'slowest joint'),
+        (['--rate', '30'], 'for --optimise'),
+        (['--optimise', '20', '--table', 'two_axis'], 'nineteen_position'),
+    ):
+        assert main([*ask, *wrong]) == 2
+        assert words in capsys.readouterr().err
+
+
 def test_a_table_of_two_axes_gives_fewer_candidates() -> None:
     three, two = (candidates(load_table(f'{n}_axis')) for n in ('three', 'two'))
     assert len(three) > len(two) > 0

@@ -14,9 +14,14 @@ from ..methods import check_plan, closed_form_beside
 from ..model import Parameter, SensorModel
 from ..plan import Plan
 from ..prediction import Forecast, OfTerm, Reached, forecast, listed, of_each_term, reach
+from ..prediction.optimise import Optimum, optimise
 from ..turntable import Table
-from ..units import parse
+from ..units import DEG, parse
 from .stated import Named, Stated, as_imu, as_plan, as_truth
+from .watching import Progress, silent
+
+_USUAL_RATE = 60.0
+"""deg/s: a turn takes as long as a run-up from rest of the shipped tables; a choice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,34 @@ def predict(
         gravity_std=gravity_std,
     )
     return predicted(setup_of(stated), as_truth(truth).model, wander=bias_instability)
+
+
+def optimised(
+    setup: Setup,
+    truth: SensorModel,
+    minutes: float,
+    rate: float | None,
+    progress: Progress = silent,
+) -> Optimum:
+    """Find the plan that tells most in a time on a table.
+
+    Args:
+        setup: As `setup_of` returns it; its plan does not count.
+        truth: What the unit is thought to be.
+        minutes: Time on the table.
+        rate: Of turns, deg/s; None for 60, or what the slowest joint of the table can.
+        progress: Told how far it is.
+
+    Raises:
+        InputError: The time is too short for any plan, the table reaches too few attitudes, or
+            cannot turn that fast.
+
+    """
+    if rate is None:
+        slowest = () if setup.table is None else (j.max_rate / DEG for j in setup.table.joints)
+        rate = min((_USUAL_RATE, *slowest))
+    with progress('Exchanging attitudes') as show:
+        return optimise(setup, truth, minutes * 60, rate * DEG, show=show)
 
 
 def setup_of(stated: Stated) -> Setup:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from rich.table import Table as Rows
 
-from ..api.predicting import predicted, setup_of, shortest
+from ..api.predicting import optimised, predicted, setup_of, shortest
 from ..api.stated import as_truth
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
@@ -23,7 +23,7 @@ from ..stream import Mode
 from ..turntable import Table, load_table
 from ..units import DEG, PPM
 from . import options
-from .terminal import OUTPUT
+from .terminal import OUTPUT, progress_bar
 
 _OF_A_PREDICTION = (
     'method',
@@ -43,6 +43,9 @@ _ON_A_TABLE = (
 _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds about one axis each.'
 )
+_ANY_PLAN = 'twelve_position'
+"""What a search for a plan begins from: nothing of it counts."""
+
 _LEANING = 'What a hold leans comes on top: E_a errs by half of it, D_a by g times a sixth.'
 
 
@@ -66,6 +69,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'may be given several times',
     )
     parser.add_argument(
+        '--optimise',
+        type=float,
+        metavar='MINUTES',
+        help='find the plan that tells most in this time on the table, and write it to -o',
+    )
+    parser.add_argument(
+        '--rate',
+        type=float,
+        metavar='DEG/S',
+        help='of the turns of --optimise (default: 60, or what the slowest joint can)',
+    )
+    parser.add_argument('-o', '--output', metavar='FILE', help='the plan that --optimise found')
+    parser.add_argument(
         '--truth',
         default='cao2022_table1',
         metavar='NAME|FILE',
@@ -88,7 +104,10 @@ def run(arguments: argparse.Namespace) -> None:
     table = load_table(arguments.table)
     if arguments.reach and (arguments.imu is None or arguments.plan is None):
         raise InputError('--reach needs a plan and --imu: noise says how long a dwell must be.')
-    if arguments.plan is None:
+    _check_optimise(arguments)
+    if arguments.optimise is not None:
+        _optimise(arguments)
+    elif arguments.plan is None:
         if arguments.imu is not None:
             raise InputError('--imu predicts what one plan gives: name the plan.')
         _refuse_without_imu(arguments)
@@ -98,6 +117,27 @@ def run(arguments: argparse.Namespace) -> None:
         _lay_out(load_plan(arguments.plan), table)
     else:
         _predict(arguments)
+
+
+def _check_optimise(arguments: argparse.Namespace) -> None:
+    if arguments.optimise is None:
+        if arguments.output is not None or arguments.rate is not None:
+            raise InputError('--output and --rate are for --optimise MINUTES.')
+        return
+    if arguments.plan is not None or arguments.imu is None or arguments.output is None:
+        raise InputError('--optimise finds a plan: give --imu and -o FILE, and no PLAN.')
+
+
+def _optimise(arguments: argparse.Namespace) -> None:
+    """Find a plan, write it, and show what it gives."""
+    target = options.output_path(arguments.output)
+    arguments.plan = _ANY_PLAN
+    setup, truth = setup_of(options.stated(arguments)), as_truth(arguments.truth).model
+    found = optimised(setup, truth, arguments.optimise, arguments.rate, progress_bar)
+    target.write_text(found.text(target.stem), encoding='utf-8')
+    arguments.plan = str(target)
+    _predict(arguments)
+    OUTPUT.print(f'written to {target}', markup=False, highlight=False)
 
 
 def _refuse_without_imu(arguments: argparse.Namespace) -> None:

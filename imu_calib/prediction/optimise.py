@@ -8,7 +8,7 @@ turns is tried out, and what of the time is left goes to the dwells.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
@@ -79,6 +79,27 @@ class Optimum:
     information: float
     seconds: float
 
+    def text(self, name: str) -> str:
+        """Return the plan as its file, under a name."""
+        test = next(p.rate_test for p in self.plan.positions if p.rate_test is not None)
+        rates = ', '.join(f'{rate / DEG:g} deg/s' for rate in test.rates)
+        count, minutes = len(self.plan.positions), self.seconds / 60
+        lines = [
+            f'name: {name}',
+            f'title: {count} attitudes chosen to tell most in {minutes:.1f} min, any azimuth',
+            'source: D-optimal exchange, Fedorov 1972; docs/optimised_plan.md',
+            'method: joint',
+            f'dwell: {self.plan.positions[0].dwell:g} s',
+            'rate_test:',
+            f'  rates: [{rates}]',
+            f'  turns: {test.turns}',
+            'positions:',
+        ]
+        for position, attitude in zip(self.plan.positions, self.attitudes, strict=True):
+            turning = ', rate_test: true' if position.rate_test is not None else ''
+            lines.append(f'  - {{id: {position.id}, {attitude.text()}{turning}}}')
+        return '\n'.join([*lines, ''])
+
 
 def candidates(table: Table) -> list[Attitude]:
     """List attitudes that a table reaches: cube-aligned ones, and those slanted by 45 deg."""
@@ -109,6 +130,7 @@ def optimise(
     *,
     sizes: Sequence[int] = (6, 8, 10, 12, 16),
     turns: Sequence[int] = (1, 2, 4, 6, 8, 12, 16, 20),
+    show: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Optimum:
     """Find the plan that tells most in a time.
 
@@ -119,6 +141,7 @@ def optimise(
         rate: Fastest rate of turning, rad/s.
         sizes: Numbers of positions to try.
         turns: Whole turns in each sense to try.
+        show: Told how many of how many trials are done.
 
     Raises:
         InputError: The table reaches too few attitudes, or the time is too short for any.
@@ -127,16 +150,28 @@ def optimise(
     table = setup.table
     if table is None:
         raise InputError('A plan is optimised for a table: there is none.')
+    if not 0 < rate <= (highest := min(joint.max_rate for joint in table.joints)):
+        raise InputError(
+            f'Turns at {rate / DEG:g} deg/s: expected more than 0 and no more than the '
+            f'{highest / DEG:g} deg/s of the slowest joint of table {table.name}.'
+        )
     choices = candidates(table)
+    missing = [name for axis, name in enumerate(_AXES) if not any(_is_up(c, axis) for c in choices)]
+    if missing:
+        raise InputError(
+            f'Table {table.name} brings {" and ".join(missing)} of the unit never up: an optimised '
+            'plan turns each of X, Y and Z about the vertical. Plan nineteen_position turns each '
+            'axis while level.'
+        )
     blocks, prior = _blocks(setup, truth, choices)
     best: Optimum | None = None
-    for size in sizes:
-        for count in turns:
-            test = RateTest((rate, -rate), count)
-            chosen = _exchange(blocks, prior, choices, size)
-            found = _timed(setup, truth, [choices[k] for k in chosen], test, seconds)
+    for k, size in enumerate(sizes):
+        chosen = [choices[c] for c in _exchange(blocks, prior, choices, size)]
+        for m, count in enumerate(turns):
+            found = _timed(setup, truth, chosen, RateTest((rate, -rate), count), seconds)
             if found is not None and (best is None or found.information > best.information):
                 best = found
+            show(k * len(turns) + m + 1, len(sizes) * len(turns))
     if best is None:
         raise InputError(f'{seconds:g} s on table {table.name} are too short for a calibration.')
     return best
@@ -150,7 +185,7 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
     positions = [Position(str(k), choice.matrix, _TRIAL_DWELL) for k, choice in enumerate(choices)]
     test = RateTest((30 * DEG, -30 * DEG), 1)
     for axis in range(3):
-        k = next(k for k, c in enumerate(choices) if c.matrix[2, axis] > 1 - 1e-9)
+        k = next(k for k, c in enumerate(choices) if _is_up(c, axis))
         positions[k] = replace(positions[k], rate_test=test)
     plan = replace(setup.plan, positions=tuple(positions), by_hand=False)
     # In what order the table will go to them nobody knows yet.
@@ -165,11 +200,13 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
     return np.einsum('cri,crj->cij', each, each), rest
 
 
+def _is_up(attitude: Attitude, axis: int) -> bool:
+    return bool(attitude.matrix[2, axis] > 1 - 1e-9)
+
+
 def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int) -> list[int]:
     """Exchange attitudes until none gains; X, Y and Z up are among them, for the turns."""
-    upright = [
-        next(k for k, c in enumerate(choices) if c.matrix[2, axis] > 1 - 1e-9) for axis in range(3)
-    ]
+    upright = [next(k for k, c in enumerate(choices) if _is_up(c, axis)) for axis in range(3)]
     # Any start does: the candidates in order, spread over the list.
     spread = np.linspace(0, len(choices) - 1, size - len(upright)).astype(int)
     chosen = [*upright, *spread.tolist()]
@@ -180,7 +217,7 @@ def _exchange(blocks: Floats, prior: Floats, choices: list[Attitude], size: int)
             axis = place if place < len(upright) else None
             value = [
                 log_determinant(others + blocks[k], _SENSORS)
-                if axis is None or choices[k].matrix[2, axis] > 1 - 1e-9
+                if axis is None or _is_up(choices[k], axis)
                 else -np.inf
                 for k in range(len(choices))
             ]
