@@ -34,7 +34,8 @@ def first_texts(path, name, at=0):
 
 def spoken():
     """Return node and part of everything that the sources report."""
-    parts = set()
+    words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_words.py'
+    parts = {('calibrator_node', part) for part in first_texts(words, 'report')}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in first_texts(path, 'report')}
     return parts | {('imu_node', part) for part in first_texts(HEALTH, 'Word')}

@@ -17,6 +17,8 @@ from imu_calib.version import version
 
 try:
     from imu_calib import middleware as ros
+    from imu_calib.nodes import session_parameters
+    from imu_calib.nodes.declared import declare
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -42,13 +44,13 @@ def declared(monkeypatch, tmp_path):
     for name, kind in NODES.items():
         module = import_module(f'imu_calib.nodes.{name}')
         own = seen[name] = {}
-        declare = module.declare
 
-        def note(node, name, default, text, *, own=own, declare=declare, **more):
+        def note(node, name, default, text, *, own=own, **more):
             own[name] = default, more.get('read_only', True)
             return declare(node, name, default, text, **more)
 
         monkeypatch.setattr(module, 'declare', note)
+        monkeypatch.setattr(session_parameters, 'declare', note)
         port = free_port()
         given = {
             'imu_node': {'port': f'socket://127.0.0.1:{port}'},

@@ -88,10 +88,10 @@ def test_a_name_comes_later_than_its_publisher_but_not_much():
 def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, tmp_path, topic):
     try:
         from imu_calib import middleware as ros
-        from imu_calib.nodes import calibrator_node, qos
+        from imu_calib.nodes import calibrator_node, hearing, qos
     except ImuCalibError as error:
         pytest.skip(str(error))
-    monkeypatch.setattr(calibrator_node, '_GHOST', 0.2)
+    monkeypatch.setattr(hearing, '_GHOST', 0.2)
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
     given = {

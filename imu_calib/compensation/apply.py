@@ -154,11 +154,6 @@ class Compensation:
         highest = calibration.provenance.get('highest_rate')
         self._highest = np.inf if highest is None else _BEYOND * float(highest)
 
-    @property
-    def takes_skewed(self) -> bool:
-        """Whether skewed gyros' values are expected."""
-        return self._gyros > _AXES
-
     def apply(
         self, gyro: Floats, accel: Floats, interval: Floats, skewed: Floats | None = None
     ) -> Compensated:
@@ -168,7 +163,7 @@ class Compensation:
             gyro: (n, 3) as the sensor delivers them: pulses, counts or SI.
             accel: (n, 3) likewise.
             interval: (n,) sample intervals, s by the clock that stamps the samples.
-            skewed: (n, k) skewed gyros likewise, where `takes_skewed`.
+            skewed: (n, k) skewed gyros likewise, where the model has any.
 
         """
         triads = [gyro, accel] if skewed is None else [gyro, skewed, accel]

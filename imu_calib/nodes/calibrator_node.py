@@ -4,50 +4,31 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from .. import middleware as ros
 from ..bags import Journal
 from ..calibration import Calibration
-from ..calibrator import Review, Setup
 from ..cdr import Kind
-from ..earth import Site
 from ..errors import InputError
-from ..imu import load_imu
-from ..metadata import describe
 from ..middleware import messages
-from ..model import AUTO_TERMS, Parameter, chosen, looked_for
-from ..model.session_terms import parted
-from ..plan import load_plan
-from ..reports.parameter_table import engineering
-from ..turntable import load_table
-from ..units import DEG
 from . import qos
 from .convert import calibration_message, final_status, refusal_message
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .done import DoneWord
 from .entry import entry_point
+from .hearing import Hearing
 from .live import LiveSession, Phase
 from .publishers import OnePublisher
+from .session_parameters import declared_setup
+from .session_words import journal_words, progress_message, report, sentence
 
 _TICK = 0.005
 _SECOND = 1.0
 _GLANCE = 0.25
-_MOST = 4096
-_GHOST = 15.0
 _STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
-_TOPICS = {
-    Kind.SETPOINTS: ('turntable/setpoint', messages.TurntableSetpoint),
-    Kind.JOINTS: ('turntable/joint_states', messages.JointState),
-    Kind.TEMPERATURES: ('imu/temperature', messages.Temperature),
-    Kind.IMU: ('imu/pulses', messages.Imu),
-    Kind.SKEW: ('imu/skew', messages.Imu),
-}
-_OF_THE_TABLE = (Kind.SETPOINTS, Kind.JOINTS)
-_SILENCE_BY_HAND = 2.0
 
 
 class CalibratorNode(ros.Node):
@@ -55,7 +36,7 @@ class CalibratorNode(ros.Node):
 
     def __init__(self) -> None:
         super().__init__('calibrator_node')
-        self._setup = self._read_setup()
+        self._setup, self._description = declared_setup(self)
         table, plan = self._setup.table, self._setup.plan
         self._steps = len(plan.positions if table is None else plan.steps(table))
         self._output = Path(
@@ -75,8 +56,7 @@ class CalibratorNode(ros.Node):
         self._progress_publisher = self.create_publisher(
             messages.CalibrationProgress, 'calibration/progress', qos.latched()
         )
-        self._drains = {kind: self._open_drain(kind, reliable=True) for kind in self._kinds()}
-        self._unreliable: set[Kind] = set()
+        self._hearing = Hearing(self, self._setup)
         self._state_topic = self.resolve_topic_name('turntable/state')
         self._early_states: list[bytes] = []
         self._latest = 0
@@ -105,91 +85,17 @@ class CalibratorNode(ros.Node):
         self._publish_progress()
         return [self._progress_publisher, self._result_publisher]
 
-    def _read_setup(self) -> Setup:
-        plan = declare(self, 'plan', 'twelve_position', 'name or file of the plan that is run')
-        imu = declare(self, 'imu', 'fog_medium', "name or file: what the IMU's numbers mean")
-        table = declare(self, 'table', 'three_axis', 'name or file of the turntable')
-        latitude = declare(self, 'latitude', math.nan, 'deg, negative in the south; required')
-        latitude_std = declare(self, 'latitude_std', math.nan, 'deg; nan: 0.01')
-        height = declare(self, 'height', math.nan, 'm above the ellipsoid; nan: not known')
-        height_std = declare(self, 'height_std', math.nan, 'm; nan: 0 where a height is stated')
-        gravity = declare(
-            self, 'gravity', math.nan, 'local gravity as measured, m/s^2; nan: normal gravity'
-        )
-        gravity_std = declare(
-            self, 'gravity_std', math.nan, 'm/s^2; nan: 0 if measured, 30e-5 if normal'
-        )
-        azimuth = declare(
-            self, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
-        )
-        method = declare(self, 'method', '', 'the estimator; empty: joint where it applies')
-        wanted = declare(
-            self, 'terms', AUTO_TERMS, 'that the joint estimate adds; auto: those that show'
-        )
-        named, changes = parted(wanted)
-        terms, look = chosen(named), looked_for(wanted)
-        serial = declare(self, 'serial_number', '', 'of the unit; empty: not stated')
-        if math.isnan(latitude):
-            raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
-        site = Site.at(
-            latitude * DEG,
-            _stated(height),
-            _stated(gravity),
-            height_std=_stated(height_std),
-            gravity_std=_stated(gravity_std),
-            latitude_std=None if math.isnan(latitude_std) else latitude_std * DEG,
-        )
-        laid_out = load_plan(plan)
-        if laid_out.by_hand:
-            self._description = describe(plan, imu, None, site, serial)
-            return Setup(
-                load_imu(imu), laid_out, None, site, method or None, serial, terms, changes, look
-            )
-        described = load_table(table)
-        if not math.isnan(azimuth):
-            described = replace(described, azimuth=azimuth * DEG)
-        self._description = describe(plan, imu, table, site, serial)
-        return Setup(
-            load_imu(imu), laid_out, described, site, method or None, serial, terms, changes, look
-        )
-
-    def _kinds(self) -> list[Kind]:
-        """List what there is to listen to: no table, no joint states; no skewed gyro, no topic."""
-        setup = self._setup
-        left_out: set[Kind] = set()
-        if setup.table is None:
-            left_out |= set(_OF_THE_TABLE)
-        if setup.imu.skewed is None:
-            left_out.add(Kind.SKEW)
-        return [kind for kind in _TOPICS if kind not in left_out]
-
-    def _open_drain(self, kind: Kind, *, reliable: bool) -> Any:
-        topic, message = _TOPICS[kind]
-
-        def incompatible(_: Any) -> None:
-            self._unreliable.add(kind)
-
-        return ros.open_drain(
-            self,
-            message,
-            topic,
-            qos.stream(reliable=reliable),
-            event_callbacks=ros.SubscriptionEventCallbacks(incompatible_qos=incompatible),
-            # The second subscription of a topic is not to be made reliable by what the first took.
-            qos_overriding_options=qos.overridable() if reliable else None,
-        )
-
     def _new_session(self) -> LiveSession:
         """Begin a session, or go on with the one that the journal holds."""
         path = self._journal_path
         if self._sessions:
             path = path.with_name(f'{path.name}_{self._sessions + 1}')
         self._sessions += 1
-        topics = {kind: self.resolve_topic_name(_TOPICS[kind][0]) for kind in self._drains}
+        topics = self._hearing.topics
         journal = Journal(path, self._description, {t: kind for kind, t in topics.items()})
         if self._setup.table is not None:
             journal.add_latched_topic(self._state_topic, _STATE_TYPE)
-        self._two_since: float | None = None
+        self._hearing.begin()
         self._shown: Calibration | None = None
         session = LiveSession(self._setup, journal, topics)
         held = sum(intake.count for intake in session.intakes.values())
@@ -197,7 +103,7 @@ class CalibratorNode(ros.Node):
         if held:
             self._diagnostics.report('journal', Level.WARN, resumed)
         else:
-            self._diagnostics.report('journal', Level.OK, _written(path))
+            self._diagnostics.report('journal', Level.OK, journal_words(path))
         return session
 
     def _on_tick(self) -> None:
@@ -232,21 +138,27 @@ class CalibratorNode(ros.Node):
         for payload in self._early_states:
             self._session.record(self._state_topic, _STATE_TYPE, payload, now)
         self._early_states.clear()
-        for kind, subscription in self._drains.items():
-            payloads = ros.drain(subscription, _MOST)
-            if not payloads or self._session.over:
-                continue
-            if kind is Kind.IMU and self._mixed(payloads):
+        for kind, payloads in self._hearing.take():
+            session = self._session
+            # Samples of a second device cannot be told from those of the first.
+            two = kind is Kind.IMU and not session.over and self._hearing.two_devices
+            if two and session.backwards(kind, payloads):
                 self._two_publishers()
-            else:
-                self._session.take(kind, payloads, now)
+            elif not session.over:
+                session.take(kind, payloads, now)
 
     def _on_glance(self) -> None:
         self._session.solve()
 
     def _on_second(self) -> None:
-        self._subscribe_anew()
-        self._count_publishers()
+        for topic in self._hearing.subscribe_anew():
+            self._diagnostics.report(
+                'quality of service',
+                Level.WARN,
+                f'{topic} is published best effort: messages can be lost on the way.',
+            )
+        if self._hearing.two_devices_stay() and not self._session.over:
+            self._two_publishers()
         self._states.look(time.monotonic())
         self._session.flush()
         if self._session.rested:
@@ -254,38 +166,10 @@ class CalibratorNode(ros.Node):
         self._report()
         self._publish_progress()
 
-    def _mixed(self, payloads: list[bytes]) -> bool:
-        """Say whether a second device publishes: its samples cannot be told from the first's."""
-        if self.count_publishers(self._session.intakes[Kind.IMU].topic) < 2:
-            return False
-        return self._session.backwards(Kind.IMU, payloads)
-
-    def _count_publishers(self) -> None:
-        """Refuse two publishers that stay; one that was killed is seen for ten seconds more."""
-        if self.count_publishers(self._session.intakes[Kind.IMU].topic) < 2:
-            self._two_since = None
-        elif self._two_since is None:
-            self._two_since = time.monotonic()
-        elif time.monotonic() - self._two_since > _GHOST and not self._session.over:
-            self._two_publishers()
-
     def _two_publishers(self) -> None:
         topic = self._session.intakes[Kind.IMU].topic
         self._session.fail(f'Two publishers on {topic}: stop one of them, then call ~/reset.')
         self._publish()
-
-    def _subscribe_anew(self) -> None:
-        """Take what a publisher offers that does not send again what is lost, and say so."""
-        for kind in self._unreliable:
-            self.destroy_subscription(self._drains[kind])
-            self._drains[kind] = self._open_drain(kind, reliable=False)
-            topic = self._session.intakes[kind].topic
-            self._diagnostics.report(
-                'quality of service',
-                Level.WARN,
-                f'{topic} is published best effort: messages can be lost on the way.',
-            )
-        self._unreliable.clear()
 
     def _on_state(self, payload: bytes) -> None:
         state = ros.deserialize_message(payload, messages.TurntableState)
@@ -355,134 +239,17 @@ class CalibratorNode(ros.Node):
         )
 
     def _publish_progress(self) -> None:
-        session = self._session
-        review = session.review
-        stamp = messages.TimeMsg(
-            sec=session.worked_until // 1_000_000_000, nanosec=session.worked_until % 1_000_000_000
-        )
-        names = [parameter.name for parameter in session.parameters]
-        guidance = session.guidance
-        message = messages.CalibrationProgress(
-            plan=self._setup.plan.name,
-            step=session.steps_seen if guidance is None else guidance.holds,
-            steps=self._steps,
-            # A full disk stops the table: what it would do now could not be kept.
-            state=int(Phase.FAILED if session.trouble else session.phase),
-            text=self._sentence(),
-            parameter_names=names,
-            standard_deviations=(
-                [math.nan] * len(names) if review is None else review.std.tolist()
-            ),
-            seconds_left=self._seconds_left,
-            repeat_steps=[] if review is None else list(review.unsupported),
-            next_attitudes=[] if guidance is None else [c.words for c in guidance.candidates],
-            next_gains=[] if guidance is None else [float(c.gain) for c in guidance.candidates],
-        )
-        message.header.stamp = stamp
+        message = progress_message(self._session, self._steps, self._seconds_left)
         self._progress_publisher.publish(message)
 
-    def _sentence(self) -> str:
-        session = self._session
-        if session.failure or session.trouble:
-            return session.failure or session.trouble
-        known = 0 if session.review is None else int((session.review.std > 0).sum())
-        imu = session.intakes[Kind.IMU]
-        if session.guidance is not None and not session.over:
-            return session.guidance.text
-        words = {
-            Phase.WAITING: f'Waiting for {imu.topic}.',
-            Phase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined.',
-            Phase.DETERMINED: f'{known} parameters are determined, and still improve.',
-            Phase.FINISHED: f'{known} parameters are determined.',
-            Phase.FAILED: session.failure,
-        }
-        return words[session.phase]
-
     def _report(self) -> None:
-        """Say on /diagnostics how the streams and the calibration are."""
-        session = self._session
-        self._report_imu()
-        level = Level.OK
-        if session.phase is Phase.FAILED:
-            level = Level.ERROR
-        elif session.phase is Phase.FINISHED and session.calibration is not None:
-            level = Level.WARN if session.calibration.findings else Level.OK
-        figures = {} if session.review is None else _worst(session.review)
-        text = self._sentence()
-        if session.guidance is not None and not session.over:
-            known = int((session.review.std > 0).sum()) if session.review is not None else 0
-            total = len(session.parameters)
-            text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined.'
-        self._diagnostics.report('calibration', level, text, **figures)
-        if session.trouble:
-            self._diagnostics.report('journal', Level.ERROR, session.trouble)
-        elif not session.over:
-            self._diagnostics.report('journal', Level.OK, _written(session.journal.path))
-
-    def _report_imu(self) -> None:
-        imu, joints = self._session.intakes[Kind.IMU], self._session.intakes.get(Kind.JOINTS)
-        figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
-        level, text = Level.OK, f'{imu.topic} comes in.'
-        if imu.newest is None:
-            level, text = Level.WARN, f'Nothing has come in on {imu.topic} yet.'
-        elif joints is None and not self._session.over:
-            if time.monotonic() - imu.heard > max(_SILENCE_BY_HAND, self._imu_timeout):
-                level, text = Level.ERROR, f'{imu.topic} is silent.'
-        elif joints is not None and joints.newest is not None and not self._session.over:
-            behind = (joints.newest - imu.newest) * 1e-9
-            figures['behind the table'] = f'{behind:.3f} s'
-            silent = time.monotonic() - imu.heard
-            if behind > self._imu_timeout and silent > self._imu_timeout:
-                level, text = Level.ERROR, f'{imu.topic} is silent while the table is not.'
-        if imu.malformed.count:
-            level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
-        self._diagnostics.report('stream', level, text, **figures)
-        self._report_joint_states()
-        self._report_skew()
-
-    def _report_joint_states(self) -> None:
-        """Say whether the table, where there is one, is heard."""
-        joints = self._session.intakes.get(Kind.JOINTS)
-        if joints is None:
-            return
-        level, text = Level.OK, f'{joints.topic} comes in.'
-        if not joints.count:
-            level, text = Level.WARN, f'Nothing has come in on {joints.topic} yet.'
-        if joints.malformed.count:
-            level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
-        figures = {
-            'samples': str(joints.count),
-            'of other joints': str(joints.ignored),
-            'malformed': str(joints.malformed.count),
-        }
-        if joints.ignored and not joints.count and self._setup.table is not None:
-            names = ', '.join(self._setup.table.names)
-            text = f'{joints.topic} names no message with all joints of the table ({names}) yet.'
-        self._diagnostics.report('joint states', level, text, **figures)
-
-    def _report_skew(self) -> None:
-        """Say whether a skewed gyro, where the IMU's file names one, is heard."""
-        skew = self._session.intakes.get(Kind.SKEW)
-        if skew is None:
-            return
-        level, text = Level.OK, f'{skew.topic} comes in.'
-        if self._session.without_skew:
-            level = Level.WARN
-            text = (
-                f"Nothing has come on {skew.topic}, though the IMU's file has a skewed_gyro: the "
-                'session goes on without it.'
-            )
-        elif not skew.count:
-            level, text = Level.WARN, f'Nothing has come in on {skew.topic} yet.'
-        if skew.malformed.count:
-            level, text = Level.ERROR, f'{skew.topic}: {skew.malformed.reason}'
-        self._diagnostics.report('skewed gyro', level, text, samples=str(skew.count))
+        report(self._session, self._diagnostics, self._imu_timeout)
 
     def _save(self) -> str:
         """Write the result; return why not, or nothing."""
         calibration = self._session.calibration
         if calibration is None:
-            return self._sentence()
+            return sentence(self._session)
         try:
             calibration.save(self._output)
         except InputError as error:
@@ -495,7 +262,7 @@ class CalibratorNode(ros.Node):
         """End the session with what is here."""
         session = self._session
         response.success = not session.over
-        response.message = self._sentence()
+        response.message = sentence(self._session)
         review = session.review
         if self._setup.table is None and review is not None and review.result is None:
             # In the hand there is always another hold to be made.
@@ -524,29 +291,6 @@ class CalibratorNode(ros.Node):
         problem = self._save()
         response.success, response.message = not problem, problem or f'{self._output} is written.'
         return response
-
-
-def _stated(value: float) -> float | None:
-    """Return a parameter, or None where nobody has stated it."""
-    return None if math.isnan(value) else value
-
-
-def _written(path: Path) -> str:
-    return f'The journal is written to {path}.'
-
-
-def _worst(review: Review) -> dict[str, str]:
-    return {
-        f'std of {parameter.name}': _deviation(parameter, value)
-        for parameter, value in zip(review.parameters, review.std.tolist(), strict=True)
-    }
-
-
-def _deviation(parameter: Parameter, value: float) -> str:
-    if math.isnan(value):
-        return 'not determined'
-    shown = engineering(parameter)
-    return f'{value / shown.scale:.3g} {shown.unit}'.strip()
 
 
 def main() -> int:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
 
 # The core loads these when it first solves something, and then a table would wait.
@@ -22,6 +21,8 @@ from ..errors import ImuCalibError, InputError
 from ..model import Parameter, skewed_parameters
 from ..segmentation.segmenter import INTERRUPTION, interruption
 from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
+from .intake import Intake
+from .solving import Solver
 
 _LATE = 500_000_000
 _PATIENCE = 2.0
@@ -37,32 +38,6 @@ class Phase(IntEnum):
     DETERMINED = 2
     FINISHED = 3
     FAILED = 4
-
-
-@dataclass(eq=False)
-class Intake:
-    """One topic of the session.
-
-    Attributes:
-        kind: What it carries.
-        topic: Full name.
-        malformed: Messages that were left out.
-        count: Samples taken in, those of the journal included.
-        ignored: Joint states that lack a joint of the table, setpoints of another plan.
-        oldest: Stamp of the first, ns; None before it.
-        newest: Stamp of the newest, ns; None before the first.
-        heard: When it came, s of the steady clock.
-
-    """
-
-    kind: Kind
-    topic: str
-    malformed: Malformed
-    heard: float
-    count: int = 0
-    ignored: int = 0
-    oldest: int | None = None
-    newest: int | None = None
 
 
 class LiveSession:
@@ -120,12 +95,7 @@ class LiveSession:
         calibrator_of(setup)
         if setup.imu.skewed is None or Kind.SKEW not in topics:
             self._begin(with_skew=False)
-        self._solver = ThreadPoolExecutor(1, 'solver')
-        self._pending: Future[Review] | None = None
-        self._pending_is_final = False
-        self._pending_until = 0
-        self._solving_since = 0.0
-        self._rested_at = 0.0
+        self._solver = Solver()
         self._ending = False
         self._done_at: int | None = None
         self._done_heard = 0.0
@@ -158,7 +128,7 @@ class LiveSession:
     @property
     def _closed(self) -> bool:
         """Whether nothing more is taken in: the recording is to hold what the result rests on."""
-        return self.over or (self._pending is not None and self._pending_is_final)
+        return self.over or self._solver.concludes
 
     def take(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
         """Take serialised messages of a topic in.
@@ -240,41 +210,29 @@ class LiveSession:
 
     @property
     def rested(self) -> bool:
-        """Whether as much time has gone by since the last solving as that took.
-
-        Long sessions take longer to solve, and what comes in must be journaled meanwhile.
-        """
-        return time.monotonic() >= self._rested_at
+        """Whether as much time has gone by since the last solving as that took."""
+        return self._solver.rested
 
     def solve(self) -> None:
         """Begin to solve with what is here, unless it is being done already."""
-        if self._pending is not None or self.over or self._calibrator is None:
-            return
-        self._pending_is_final = self._ending
-        self._pending_until = self._leader.newest or 0
-        self._solving_since = time.monotonic()
-        snapshot = self._calibrator.snapshot()
-        work = snapshot.conclude if self._pending_is_final else snapshot.review
-        self._pending = self._solver.submit(work)
+        if not (self._solver.busy or self.over or self._calibrator is None):
+            until = self._leader.newest or 0
+            self._solver.begin(self._calibrator, until, final=self._ending)
 
     def poll(self) -> bool:
         """Look for what the solver found, and for the end; return whether there is news."""
         if self._done_at is not None and not self._ending and self._all_here(self._done_at):
             self.end()
-        if self._pending is None or not self._pending.done():
-            return False
-        pending, self._pending = self._pending, None
-        now = time.monotonic()
-        self._rested_at = now + (now - self._solving_since)
-        if self.over:
+        solved = self._solver.poll()
+        if solved is None or self.over:
             return False
         try:
-            self.review = pending.result()
+            self.review = solved.future.result()
         except ImuCalibError as error:
             self.fail(str(error))
             return True
-        self.worked_until = self._pending_until
-        self._conclude(self.review)
+        self.worked_until = solved.until
+        self._conclude(self.review, final=solved.final)
         return True
 
     def fail(self, reason: str) -> None:
@@ -287,7 +245,7 @@ class LiveSession:
 
     def close(self) -> None:
         """Leave the journal such that it can be gone on with."""
-        self._solver.shutdown(wait=False, cancel_futures=True)
+        self._solver.close()
         if not self.over:
             self._close_journal(finished=False)
 
@@ -301,9 +259,9 @@ class LiveSession:
             return True
         return time.monotonic() - self._done_heard > _PATIENCE
 
-    def _conclude(self, review: Review) -> None:
+    def _conclude(self, review: Review, *, final: bool) -> None:
         result = review.result
-        if self._pending_is_final:
+        if final:
             self._finish(review)
         elif self._ending:
             # It was begun before the last data came in.
@@ -347,25 +305,18 @@ class LiveSession:
             self.trouble = str(error)
 
     def _feed(self, kind: Kind, block: Block) -> None:
-        intake = self.intakes[kind]
-        intake.count += len(block)
         if isinstance(block, SetpointBlock):
             # A table that is held is on its way to no step.
             name = self.setup.plan.name
             steps = [s.step for s in block.setpoints if s.plan == name and s.mode is not Mode.HOLD]
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
-            intake.newest = block.setpoints[-1].stamp if block.setpoints else intake.newest
-        elif isinstance(block, JointBlock) and not self._of_the_table(block):
-            intake.ignored += len(block)
-            intake.count -= len(block)
-        elif len(block):
-            intake.oldest = int(block.stamp[0]) if intake.oldest is None else intake.oldest
-            intake.newest = int(block.stamp[-1])
+        strange = isinstance(block, JointBlock) and not self._of_the_table(block)
+        self.intakes[kind].note(block, strange=strange)
         if self._calibrator is None:
             self._held.append(block)
             self._await_skew()
         else:
-            self._pass_on(block)
+            self._calibrator.feed(block)
 
     def _of_the_plan(self, payload: bytes) -> bool:
         """Say whether a setpoint may be the leader's: those of another plan are a stranger's."""
@@ -377,10 +328,6 @@ class LiveSession:
         """Say whether joint states are the table's: other joints may share its topic."""
         table = self.setup.table
         return table is None or block.of(table.names) is not None
-
-    def _pass_on(self, block: Block) -> None:
-        assert self._calibrator is not None
-        self._calibrator.feed(block)
 
     def _await_skew(self) -> None:
         """Decide whether there is a skewed gyro, as reprocessing will: by what has come of it."""
@@ -399,7 +346,7 @@ class LiveSession:
         self._calibrator = calibrator_of(replace(self.setup, imu=imu))
         held, self._held = self._held, []
         for block in held:
-            self._pass_on(block)
+            self._calibrator.feed(block)
         if held and self.without_skew and self.setup.method_name == 'skewed':
             lost = ', '.join(p.name for p in skewed_parameters(1))
             self.fail(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..calibration import Calibration
@@ -96,9 +96,3 @@ def written(coefficient: Coefficient, scale: float) -> str:
 
 def _stated(value: float, scale: float) -> str:
     return f' (data sheet {value / scale:.3g})' if value > 0 else ''
-
-
-def by_triad(seen: Mapping[str, ChannelNoise]) -> list[tuple[TriadUnits, list[ChannelNoise]]]:
-    """Return the channels of each triad, where there are any."""
-    rows = [(units, [seen[c] for c in units.channels if c in seen]) for units in TRIADS]
-    return [(units, found) for units, found in rows if found]

@@ -1,0 +1,46 @@
+"""One topic of a live session: what has come in on it, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..cdr import Kind, Malformed
+from ..stream import Block, SetpointBlock
+
+
+@dataclass(eq=False)
+class Intake:
+    """One topic of the session.
+
+    Attributes:
+        kind: What it carries.
+        topic: Full name.
+        malformed: Messages that were left out.
+        count: Samples taken in, those of the journal included.
+        ignored: Joint states that lack a joint of the table, setpoints of another plan.
+        oldest: Stamp of the first, ns; None before it.
+        newest: Stamp of the newest, ns; None before the first.
+        heard: When it came, s of the steady clock.
+
+    """
+
+    kind: Kind
+    topic: str
+    malformed: Malformed
+    heard: float
+    count: int = 0
+    ignored: int = 0
+    oldest: int | None = None
+    newest: int | None = None
+
+    def note(self, block: Block, *, strange: bool) -> None:
+        """Count a block; one of strangers, joints of no table for instance, is ignored."""
+        if strange:
+            self.ignored += len(block)
+            return
+        self.count += len(block)
+        if isinstance(block, SetpointBlock):
+            self.newest = block.setpoints[-1].stamp if block.setpoints else self.newest
+        elif len(block):
+            self.oldest = int(block.stamp[0]) if self.oldest is None else self.oldest
+            self.newest = int(block.stamp[-1])

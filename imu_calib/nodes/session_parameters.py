@@ -1,0 +1,78 @@
+"""What a session is made of, as the parameters of a node state it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from ..calibrator import Setup
+from ..earth import Site
+from ..errors import InputError
+from ..imu import load_imu
+from ..metadata import describe
+from ..middleware import Node
+from ..model import AUTO_TERMS, chosen, looked_for
+from ..model.session_terms import parted
+from ..plan import load_plan
+from ..turntable import load_table
+from ..units import DEG
+from .declared import declare
+
+
+def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
+    """Declare what a session is made of, and read it.
+
+    Returns:
+        The set-up, and a recording's own entries that describe it.
+
+    Raises:
+        InputError: A file is missing or broken, or the latitude is not stated.
+
+    """
+    plan = declare(node, 'plan', 'twelve_position', 'name or file of the plan that is run')
+    imu = declare(node, 'imu', 'fog_medium', "name or file: what the IMU's numbers mean")
+    table = declare(node, 'table', 'three_axis', 'name or file of the turntable')
+    latitude = declare(node, 'latitude', math.nan, 'deg, negative in the south; required')
+    latitude_std = declare(node, 'latitude_std', math.nan, 'deg; nan: 0.01')
+    height = declare(node, 'height', math.nan, 'm above the ellipsoid; nan: not known')
+    height_std = declare(node, 'height_std', math.nan, 'm; nan: 0 where a height is stated')
+    gravity = declare(
+        node, 'gravity', math.nan, 'local gravity as measured, m/s^2; nan: normal gravity'
+    )
+    gravity_std = declare(
+        node, 'gravity_std', math.nan, 'm/s^2; nan: 0 if measured, 30e-5 if normal'
+    )
+    azimuth = declare(
+        node, 'azimuth', math.nan, "heading of the table's zero, deg; nan: as the table says"
+    )
+    method = declare(node, 'method', '', 'the estimator; empty: joint where it applies')
+    wanted = declare(
+        node, 'terms', AUTO_TERMS, 'that the joint estimate adds; auto: those that show'
+    )
+    named, changes = parted(wanted)
+    terms, look = chosen(named), looked_for(wanted)
+    serial = declare(node, 'serial_number', '', 'of the unit; empty: not stated')
+    if math.isnan(latitude):
+        raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')
+    site = Site.at(
+        latitude * DEG,
+        _stated(height),
+        _stated(gravity),
+        height_std=_stated(height_std),
+        gravity_std=_stated(gravity_std),
+        latitude_std=None if math.isnan(latitude_std) else latitude_std * DEG,
+    )
+    laid_out, described = load_plan(plan), None
+    if not laid_out.by_hand:
+        described = load_table(table)
+        if not math.isnan(azimuth):
+            described = replace(described, azimuth=azimuth * DEG)
+    setup = Setup(
+        load_imu(imu), laid_out, described, site, method or None, serial, terms, changes, look
+    )
+    return setup, describe(plan, imu, None if laid_out.by_hand else table, site, serial)
+
+
+def _stated(value: float) -> float | None:
+    """Return a parameter, or None where nobody has stated it."""
+    return None if math.isnan(value) else value

@@ -1,0 +1,180 @@
+"""What a calibrator says of its session: in a sentence, as progress, and on /diagnostics."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+from ..calibrator import Review
+from ..cdr import Kind
+from ..middleware import messages
+from ..model import Parameter
+from ..reports.parameter_table import engineering
+from .diagnostics import Diagnostics, Level
+from .live import LiveSession, Phase
+
+_SILENCE_BY_HAND = 2.0
+"""s: a driver that pauses so long is gone, where no table says that time goes on; a choice."""
+
+
+def sentence(session: LiveSession) -> str:
+    """Say how far a session has come, or what is wrong with it."""
+    if session.failure or session.trouble:
+        return session.failure or session.trouble
+    known = 0 if session.review is None else int((session.review.std > 0).sum())
+    imu = session.intakes[Kind.IMU]
+    if session.guidance is not None and not session.over:
+        return session.guidance.text
+    words = {
+        Phase.WAITING: f'Waiting for {imu.topic}.',
+        Phase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined.',
+        Phase.DETERMINED: f'{known} parameters are determined, and still improve.',
+        Phase.FINISHED: f'{known} parameters are determined.',
+        Phase.FAILED: session.failure,
+    }
+    return words[session.phase]
+
+
+def progress_message(
+    session: LiveSession, steps: int, seconds_left: float
+) -> messages.CalibrationProgress:
+    """Return how far a session has come.
+
+    Args:
+        session: Which one.
+        steps: Of its plan, or holds.
+        seconds_left: As the table's leader says, s; NaN where nobody does.
+
+    """
+    review = session.review
+    stamp = messages.TimeMsg(
+        sec=session.worked_until // 1_000_000_000, nanosec=session.worked_until % 1_000_000_000
+    )
+    names = [parameter.name for parameter in session.parameters]
+    guidance = session.guidance
+    message = messages.CalibrationProgress(
+        plan=session.setup.plan.name,
+        step=session.steps_seen if guidance is None else guidance.holds,
+        steps=steps,
+        # A full disk stops the table: what it would do now could not be kept.
+        state=int(Phase.FAILED if session.trouble else session.phase),
+        text=sentence(session),
+        parameter_names=names,
+        standard_deviations=([math.nan] * len(names) if review is None else review.std.tolist()),
+        seconds_left=seconds_left,
+        repeat_steps=[] if review is None else list(review.unsupported),
+        next_attitudes=[] if guidance is None else [c.words for c in guidance.candidates],
+        next_gains=[] if guidance is None else [float(c.gain) for c in guidance.candidates],
+    )
+    message.header.stamp = stamp
+    return message
+
+
+def report(session: LiveSession, diagnostics: Diagnostics, imu_timeout: float) -> None:
+    """Say on /diagnostics how the streams and the calibration are.
+
+    Args:
+        session: Of which one.
+        diagnostics: Where.
+        imu_timeout: Longest silence of the IMU against the table, s.
+
+    """
+    _report_imu(session, diagnostics, imu_timeout)
+    level = Level.OK
+    if session.phase is Phase.FAILED:
+        level = Level.ERROR
+    elif session.phase is Phase.FINISHED and session.calibration is not None:
+        level = Level.WARN if session.calibration.findings else Level.OK
+    figures = {} if session.review is None else _worst(session.review)
+    text = sentence(session)
+    if session.guidance is not None and not session.over:
+        known = int((session.review.std > 0).sum()) if session.review is not None else 0
+        total = len(session.parameters)
+        text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined.'
+    diagnostics.report('calibration', level, text, **figures)
+    if session.trouble:
+        diagnostics.report('journal', Level.ERROR, session.trouble)
+    elif not session.over:
+        diagnostics.report('journal', Level.OK, journal_words(session.journal.path))
+
+
+def _report_imu(session: LiveSession, diagnostics: Diagnostics, imu_timeout: float) -> None:
+    imu, joints = session.intakes[Kind.IMU], session.intakes.get(Kind.JOINTS)
+    figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
+    level, text = Level.OK, f'{imu.topic} comes in.'
+    if imu.newest is None:
+        level, text = Level.WARN, f'Nothing has come in on {imu.topic} yet.'
+    elif joints is None and not session.over:
+        if time.monotonic() - imu.heard > max(_SILENCE_BY_HAND, imu_timeout):
+            level, text = Level.ERROR, f'{imu.topic} is silent.'
+    elif joints is not None and joints.newest is not None and not session.over:
+        behind = (joints.newest - imu.newest) * 1e-9
+        figures['behind the table'] = f'{behind:.3f} s'
+        silent = time.monotonic() - imu.heard
+        if behind > imu_timeout and silent > imu_timeout:
+            level, text = Level.ERROR, f'{imu.topic} is silent while the table is not.'
+    if imu.malformed.count:
+        level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
+    diagnostics.report('stream', level, text, **figures)
+    _report_joint_states(session, diagnostics)
+    _report_skew(session, diagnostics)
+
+
+def _report_joint_states(session: LiveSession, diagnostics: Diagnostics) -> None:
+    """Say whether the table, where there is one, is heard."""
+    joints = session.intakes.get(Kind.JOINTS)
+    if joints is None:
+        return
+    level, text = Level.OK, f'{joints.topic} comes in.'
+    if not joints.count:
+        level, text = Level.WARN, f'Nothing has come in on {joints.topic} yet.'
+    if joints.malformed.count:
+        level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
+    figures = {
+        'samples': str(joints.count),
+        'of other joints': str(joints.ignored),
+        'malformed': str(joints.malformed.count),
+    }
+    if joints.ignored and not joints.count and session.setup.table is not None:
+        names = ', '.join(session.setup.table.names)
+        text = f'{joints.topic} names no message with all joints of the table ({names}) yet.'
+    diagnostics.report('joint states', level, text, **figures)
+
+
+def _report_skew(session: LiveSession, diagnostics: Diagnostics) -> None:
+    """Say whether a skewed gyro, where the IMU's file names one, is heard."""
+    skew = session.intakes.get(Kind.SKEW)
+    if skew is None:
+        return
+    level, text = Level.OK, f'{skew.topic} comes in.'
+    if session.without_skew:
+        level = Level.WARN
+        text = (
+            f"Nothing has come on {skew.topic}, though the IMU's file has a skewed_gyro: the "
+            'session goes on without it.'
+        )
+    elif not skew.count:
+        level, text = Level.WARN, f'Nothing has come in on {skew.topic} yet.'
+    if skew.malformed.count:
+        level, text = Level.ERROR, f'{skew.topic}: {skew.malformed.reason}'
+    diagnostics.report('skewed gyro', level, text, samples=str(skew.count))
+
+
+def journal_words(path: Path) -> str:
+    """Say where a session is recorded."""
+    return f'The journal is written to {path}.'
+
+
+def _worst(review: Review) -> dict[str, str]:
+    return {
+        f'std of {parameter.name}': _deviation(parameter, value)
+        for parameter, value in zip(review.parameters, review.std.tolist(), strict=True)
+    }
+
+
+def _deviation(parameter: Parameter, value: float) -> str:
+    if math.isnan(value):
+        return 'not determined'
+    shown = engineering(parameter)
+    return f'{value / shown.scale:.3g} {shown.unit}'.strip()
