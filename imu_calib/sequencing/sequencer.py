@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum, auto
@@ -15,13 +14,14 @@ from ..plan import Plan, Step
 from ..stream import JointBlock, Mode, Setpoint
 from ..turntable import Table
 from .encoders import Encoders, Feedback, FeedbackError
+from .itinerary import Itinerary
+from .obstacles import Obstacles, Reasons
 from .rules import Phase, Rules, State
-from .steps import check, end_of, laid_out, motion_time, setpoint_of, way_to
+from .steps import check, end_of, held, setpoint_of, way_to
 from .unled import Unled
 from .watch import Standing, Watch
 
 _CALIBRATOR = 'the calibrator (calibration/progress)'
-_NO_FEEDBACK = 'There are no joint states from the table.'
 
 
 class _Stage(Enum):
@@ -90,20 +90,13 @@ class Sequencer:
         self.revision = 0
         self._encoders = Encoders(table, self.rules.arrival, self.rules.feedback_timeout)
         self._feedback: Feedback | None = None
-        self._feedback_fault = _NO_FEEDBACK
-        self._calibrator_fault = ''
+        self._obstacles = Obstacles()
         self._stage = self._waits_from = _Stage.IDLE
-        self._reason, self._fault = '', False
-        self._remarks: dict[str, str] = {}
-        self._forbidden: dict[str, str] = {}
-        self._emergency = ''
+        self._why = Reasons()
         self._heard = not self.rules.supervised
         self._resumes = False
         self._done: frozenset[int] | None = None
-        self._steps: tuple[Step, ...] = ()
-        self._home: Step | None = None
-        self._queue: deque[Step] = deque()
-        self._current: Step | None = None
+        self._itinerary = Itinerary(plan, table, self.rules)
         self._command: Setpoint | None = None
         self._motion: Step | None = None
         self._sent = False
@@ -112,9 +105,7 @@ class Sequencer:
         self._since = 0
         self._ended = 0
         self._place_is_known = False
-        self._repeated: Counter[int] = Counter()
         self._turns_done = 0.0
-        self._times: dict[str | int, float] = {}
 
     @property
     def running(self) -> bool:
@@ -134,15 +125,13 @@ class Sequencer:
     @property
     def obstacle(self) -> str:
         """Why a start would be refused now; empty if it would not."""
-        if self._emergency:
-            return self._emergency
+        found = self._obstacles
+        if found.emergency:
+            return found.emergency
         if self.running:
-            return f'The plan is running, at step {self._index()}.'
-        if self._forbidden:
-            return ' '.join(self._forbidden.values())
-        if self._unled.moves:
-            return self._unled.text
-        return self._feedback_fault or self._calibrator_fault
+            return f'The plan is running, at step {self._itinerary.index}.'
+        unled = self._unled.text if self._unled.moves else ''
+        return found.forbidden or unled or found.feedback or found.calibrator
 
     @property
     def unled(self) -> Unled:
@@ -152,7 +141,7 @@ class Sequencer:
     @property
     def fault(self) -> bool:
         """Whether something went wrong since the last start, and nobody asked for the stop."""
-        return self._fault
+        return self._why.fault
 
     def start(self) -> str:
         """Start, resume after a pause, or start anew; return what is done, in words.
@@ -166,15 +155,17 @@ class Sequencer:
         stage = self._waits_from if self._stage is _Stage.WAITING else self._stage
         resumes = stage is _Stage.PAUSED
         if not resumes:
-            self._lay_out()
-        self._reason, self._fault = '', False
-        self._remarks.clear()
+            assert self._feedback is not None  # a start without joint states is refused
+            self._itinerary.lay_out(self._feedback.angles)
+        self._why.begin()
         if not self._heard:
             self._waits_from = _Stage.PAUSED if resumes else _Stage.IDLE
             self._enter(_Stage.WAITING)
             return f'Waits for {_CALIBRATOR}.'
         self._go()
-        return f'Resumes with step {self._index()}.' if resumes else f'Runs {self.plan.name}.'
+        return (
+            f'Resumes with step {self._itinerary.index}.' if resumes else f'Runs {self.plan.name}.'
+        )
 
     def resume(self) -> None:
         """Have the first start run what the calibrator lacks alone: its session is gone on with.
@@ -228,12 +219,12 @@ class Sequencer:
             obstacle: What a start is answered while it is on.
 
         """
-        if on and not self._emergency:
+        if on and not self._obstacles.emergency:
             if self._stage is _Stage.DONE:
                 self._remark('emergency', 'Emergency stop.')
             else:
                 self._halt(_Stage.ABORTED, 'Emergency stop.', fault=True)
-        self._emergency = obstacle if on else ''
+        self._obstacles.emergency = obstacle if on else ''
 
     def forbid(self, what: str, why: str) -> None:
         """Take whether something forbids to lead the table.
@@ -243,12 +234,8 @@ class Sequencer:
             why: A sentence; empty where it forbids no longer, which alone moves nothing.
 
         """
-        if why == self._forbidden.get(what, ''):
+        if not self._obstacles.forbid(what, why):
             return
-        if not why:
-            del self._forbidden[what]
-            return
-        self._forbidden[what] = why
         if self.running:
             self.fail(why)
         else:
@@ -261,7 +248,7 @@ class Sequencer:
 
     def lose_feedback(self, reason: str) -> None:
         """Take it that joint states do not come any more, or say nothing of the table."""
-        self._feedback_fault = reason
+        self._obstacles.feedback = reason
         self.fail(reason)
 
     def hear(self, fault: str) -> None:
@@ -270,7 +257,7 @@ class Sequencer:
         No plan is started while there is a fault; one that runs goes on.
         """
         if self.rules.supervised:
-            self._calibrator_fault = fault
+            self._obstacles.calibrator = fault
 
     @property
     def ignored(self) -> tuple[int, tuple[str, ...]]:
@@ -285,11 +272,11 @@ class Sequencer:
         self._heard = heard
         if not heard:
             self.fail(reason or 'The calibrator is silent.')
-        elif self._stage is _Stage.WAITING and not self._calibrator_fault:
-            if not self._feedback_fault:
+        elif self._stage is _Stage.WAITING and not self._obstacles.calibrator:
+            if not self._obstacles.feedback:
                 self._go()
             elif self._waits_from is _Stage.PAUSED:
-                self._halt(_Stage.PAUSED, self._feedback_fault, fault=True)
+                self._halt(_Stage.PAUSED, self._obstacles.feedback, fault=True)
 
     def review(self, stamp: int, repeat_steps: Sequence[int]) -> None:
         """Take the calibrator's word.
@@ -305,25 +292,19 @@ class Sequencer:
         if stamp > at.stamp + self.rules.feedback_timeout * 1e9:
             # Nobody has worked through joint states that are yet to come.
             return
-        again = [
-            step
-            for step in self._steps
-            if step.index in set(repeat_steps) and self._repeated[step.index] < self.rules.repeats
-        ]
-        self._repeated.update(step.index for step in again)
-        self._queue.extend(again)
+        again = self._itinerary.repeat(repeat_steps)
         self._place_is_known = False
         if again:
             self._next()
         else:
-            self._go_home()
+            self._begin(self._itinerary.home)
 
     def take(self, block: JointBlock) -> bool:
         """Take joint states; return whether their stamps advance."""
         advanced = False
         try:
             for now in self._encoders.take(block):
-                self._feedback, self._feedback_fault, advanced = now, '', True
+                self._feedback, self._obstacles.feedback, advanced = now, '', True
                 self._follow(now)
         except FeedbackError as error:
             self.lose_feedback(str(error))
@@ -359,17 +340,17 @@ class Sequencer:
             stage = self._waits_from if self._stage is _Stage.WAITING else self._stage
             phase = _PHASES[stage]
         waits = _CALIBRATOR if self._stage is _Stage.WAITING else ''
-        reason = self._words()
+        reason, current = self._why.words, self._itinerary.current
         if waits and phase is Phase.PAUSED:
             reason = f'Waits for {waits}.'
         return State(
             plan=self.plan.name,
-            step=self._index(),
-            steps=len(self._steps),
-            position='' if self._current is None else self._current.position,
+            step=self._itinerary.index,
+            steps=len(self._itinerary),
+            position='' if current is None else current.position,
             phase=phase,
             reason=reason,
-            fault=self._fault,
+            fault=self._why.fault,
             waits_for=waits,
             angles=() if at is None else at.angles,
             rates=() if at is None else at.rates,
@@ -380,36 +361,14 @@ class Sequencer:
     @property
     def feedback_fault(self) -> str:
         """What is wrong with the joint states; empty while they are sound."""
-        return self._feedback_fault
+        return self._obstacles.feedback
 
     @property
     def summary(self) -> tuple[object, ...]:
         """What makes a state worth telling: it changes with everything but the measurements."""
         motion = None if self._motion is None else self._motion.mode
-        return self._stage, self._waits_from, motion, self._current, self._words()
-
-    def _lay_out(self) -> None:
-        """Make the steps from where the table stands; refuse what it cannot do."""
-        at = self._feedback
-        assert at is not None  # a start without joint states is refused
-        before = np.array(at.angles)
-        self._steps, self._home = laid_out(self.plan, self.table, before)
-        self._queue = deque(self._steps)
-        self._current = self._steps[0]
-        self._repeated.clear()
-        for step in (*self._steps, self._home):
-            time = motion_time(step, before, self.table) + self.rules.settle + step.dwell
-            self._times['home' if step is self._home else step.index] = time
-            before = end_of(step)
-
-    def _leave_out(self, done: frozenset[int]) -> None:
-        """Leave out steps that were run in a session that is gone on with, once."""
-        self._resumes = False
-        self._queue = deque(step for step in self._queue if step.index not in done)
-        self._current = self._queue[0] if self._queue else self._steps[-1]
-
-    def _index(self) -> int:
-        return 0 if self._current is None else self._current.index
+        current = self._itinerary.current
+        return self._stage, self._waits_from, motion, current, self._why.words
 
     def _enter(self, stage: _Stage) -> None:
         self._stage = stage
@@ -422,46 +381,22 @@ class Sequencer:
         self.revision += 1
 
     def _holding(self) -> Setpoint:
-        """Return HOLD where the table is; the angles are for the record."""
-        joints = self.table.joints
-        at = self._feedback.angles if self._feedback is not None else (0.0,) * len(joints)
-        angles = tuple(
-            min(max(a, joint.lower), joint.upper) for a, joint in zip(at, joints, strict=True)
-        )
-        position = '' if self._current is None else self._current.position
-        return Setpoint(
-            stamp=0,
-            plan=self.plan.name,
-            step=self._index(),
-            position=position,
-            mode=Mode.HOLD,
-            joints=self.table.names,
-            angles=angles,
-            rates=(0.0,) * len(joints),
-            turns=0.0,
-            dwell=0.0,
-        )
-
-    def _words(self) -> str:
-        """Return why it stands, and what happened to it since."""
-        remarks = [text for text in self._remarks.values() if text != self._reason]
-        return ' '.join([*filter(None, [self._reason]), *remarks])
+        at = None if self._feedback is None else self._feedback.angles
+        return held(self._itinerary.current, at, self.plan.name, self.table)
 
     def _remark(self, what: str, text: str) -> None:
         """Hold a table that is not led, and say why; a start that waits is called off."""
         if self._stage is _Stage.WAITING:
             self._enter(self._waits_from)
-        self._fault = True
-        self._remarks[what] = text
+        self._why.remark(what, text)
         if self._command is None or self._command.mode is not Mode.HOLD:
             self._send(self._holding(), None)
 
     def _halt(self, stage: _Stage, reason: str, *, fault: bool = False) -> None:
         """Hold, and do not go on by itself."""
-        if self._stage in _WITHIN_A_STEP and self._current is not None:
-            self._queue.appendleft(self._current)
-        self._reason, self._fault = reason, fault
-        self._remarks.clear()
+        if self._stage in _WITHIN_A_STEP:
+            self._itinerary.put_back()
+        self._why.begin(reason, fault=fault)
         self._enter(stage)
         self._hold_table()
 
@@ -473,28 +408,24 @@ class Sequencer:
     def _go(self) -> None:
         """Go on once the table stands."""
         if self._resumes and self._done is not None:
-            self._leave_out(self._done)
+            self._resumes = False
+            self._itinerary.leave_out(self._done)
         self._place_is_known = False
         self._enter(_Stage.STOPPING)
         self._hold_table()
 
     def _next(self) -> None:
         """Begin the next step; after the last one ask the calibrator, then go home."""
-        if self._queue:
-            self._begin(self._queue.popleft())
-        elif self.rules.supervised and self._current is not self._home:
+        step = self._itinerary.take()
+        if step is None and self.rules.supervised and not self._itinerary.goes_home:
             self._enter(_Stage.REVIEWING)
             self._hold_table()
         else:
-            self._go_home()
-
-    def _go_home(self) -> None:
-        assert self._home is not None
-        self._begin(self._home)
+            self._begin(step or self._itinerary.home)
 
     def _begin(self, step: Step) -> None:
         """Command a step; a turn whose place is not certain is preceded by the way there."""
-        self._current = step
+        self._itinerary.current = step
         at = self._feedback
         assert at is not None
         off = np.abs(step.angles - np.array(at.angles)).max()
@@ -547,11 +478,11 @@ class Sequencer:
         elif self._stage is _Stage.DWELLING and elapsed >= self._dwell():
             self._finish(now)
         elif self._stage is _Stage.REVIEWING and elapsed > self.rules.repeat_wait:
-            self._reason = (
+            self._why.reason = (
                 f'The calibrator did not say within {self.rules.repeat_wait:g} s '
                 'whether steps are to be repeated.'
             )
-            self._go_home()
+            self._begin(self._itinerary.home)
 
     def _see_it_stand(self, now: Feedback) -> None:
         """Hold a table that moves though nobody leads it, and say how far and how fast."""
@@ -559,7 +490,7 @@ class Sequencer:
             self._remark('unled', self._unled.text)
 
     def _arrive(self) -> None:
-        motion, current = self._motion, self._current
+        motion, current = self._motion, self._itinerary.current
         assert motion is not None
         assert current is not None
         if motion.mode is not current.mode:
@@ -570,10 +501,11 @@ class Sequencer:
         self._watch.keep(tuple(end_of(current).tolist()))
 
     def _dwell(self) -> float:
-        return 0.0 if self._current is None else self._current.dwell
+        current = self._itinerary.current
+        return 0.0 if current is None else current.dwell
 
     def _finish(self, now: Feedback) -> None:
-        if self._current is self._home:
+        if self._itinerary.goes_home:
             self._enter(_Stage.DONE)
             self._hold_table()
             return
@@ -584,19 +516,13 @@ class Sequencer:
         """Return the expected time to the end of the plan, s; 0 while nothing is started."""
         if self._stage in {_Stage.DONE, _Stage.ABORTED, _Stage.IDLE}:
             return 0.0
-        left = sum(self._time_of(step) for step in self._queue)
-        if self._current is not self._home and self._home not in self._queue:
-            left += self._times['home']
-        at = self._feedback
-        if self._stage not in _WITHIN_A_STEP or at is None or self._current is None:
+        left, at = self._itinerary.seconds_left(), self._feedback
+        if self._stage not in _WITHIN_A_STEP or at is None:
             return left
         elapsed = (at.stamp - self._since) * 1e-9
         now = {
-            _Stage.MOVING: self._time_of(self._current),
-            _Stage.SETTLING: self.rules.settle + self._current.dwell,
-            _Stage.DWELLING: self._current.dwell,
+            _Stage.MOVING: self._itinerary.seconds_of_current(),
+            _Stage.SETTLING: self.rules.settle + self._dwell(),
+            _Stage.DWELLING: self._dwell(),
         }
         return left + max(now[self._stage] - elapsed, 0.0)
-
-    def _time_of(self, step: Step) -> float:
-        return self._times['home' if step is self._home else step.index]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -93,4 +94,30 @@ def setpoint_of(step: Step, plan: str, joints: tuple[str, ...]) -> Setpoint:
         rates=tuple(step.rates.tolist()),
         turns=float(step.turns),
         dwell=float(step.dwell),
+    )
+
+
+def held(current: Step | None, angles: Sequence[float] | None, plan: str, table: Table) -> Setpoint:
+    """Return the setpoint that stops a table where it is; its stamp is for the sender to set.
+
+    Args:
+        current: The step that is interrupted, where there is one.
+        angles: Where the table is, rad, for the record; None where nobody knows.
+        plan: Name of the plan.
+        table: Which table.
+
+    """
+    joints = table.joints
+    known = (0.0,) * len(joints) if angles is None else angles
+    return Setpoint(
+        stamp=0,
+        plan=plan,
+        step=0 if current is None else current.index,
+        position='' if current is None else current.position,
+        mode=Mode.HOLD,
+        joints=table.names,
+        angles=tuple(min(max(a, j.lower), j.upper) for a, j in zip(known, joints, strict=True)),
+        rates=(0.0,) * len(joints),
+        turns=0.0,
+        dwell=0.0,
     )

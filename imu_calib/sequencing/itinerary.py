@@ -1,0 +1,111 @@
+"""What of a plan is to be run yet, in which order, and how long it takes."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..plan import Plan, Step
+from ..turntable import Table
+from .rules import Rules
+from .steps import end_of, laid_out, motion_time
+
+
+class Itinerary:
+    """The steps of a plan from where the table stands, and the way back there.
+
+    Attributes:
+        current: The step that is run, or to be run next; None before the plan is laid out.
+
+    """
+
+    def __init__(self, plan: Plan, table: Table, rules: Rules) -> None:
+        self._plan = plan
+        self._table = table
+        self._rules = rules
+        self._steps: tuple[Step, ...] = ()
+        self._home: Step | None = None
+        self._queue: deque[Step] = deque()
+        self._repeated: Counter[int] = Counter()
+        self._times: dict[str | int, float] = {}
+        self.current: Step | None = None
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    @property
+    def index(self) -> int:
+        """Of the current step; 0 before the plan is laid out."""
+        return 0 if self.current is None else self.current.index
+
+    @property
+    def goes_home(self) -> bool:
+        """Whether the current step is the way back."""
+        return self.current is self._home
+
+    @property
+    def home(self) -> Step:
+        """The way back to where the table stood."""
+        assert self._home is not None
+        return self._home
+
+    def lay_out(self, angles: Sequence[float]) -> None:
+        """Make the steps anew.
+
+        Args:
+            angles: Where the table stands, rad.
+
+        Raises:
+            InputError: The table cannot do them.
+
+        """
+        before = np.array(angles)
+        self._steps, self._home = laid_out(self._plan, self._table, before)
+        self._queue = deque(self._steps)
+        self.current = self._steps[0]
+        self._repeated.clear()
+        for step in (*self._steps, self._home):
+            time = motion_time(step, before, self._table) + self._rules.settle + step.dwell
+            self._times['home' if step is self._home else step.index] = time
+            before = end_of(step)
+
+    def leave_out(self, done: frozenset[int]) -> None:
+        """Leave out steps that were run in a session that is gone on with."""
+        self._queue = deque(step for step in self._queue if step.index not in done)
+        self.current = self._queue[0] if self._queue else self._steps[-1]
+
+    def put_back(self) -> None:
+        """Have the current step, which was interrupted, run first."""
+        if self.current is not None:
+            self._queue.appendleft(self.current)
+
+    def take(self) -> Step | None:
+        """Return the next step; None after the last one."""
+        return self._queue.popleft() if self._queue else None
+
+    def repeat(self, indices: Sequence[int]) -> bool:
+        """Append steps that left too little, as often as the rules allow; return whether any."""
+        again = [
+            step
+            for step in self._steps
+            if step.index in set(indices) and self._repeated[step.index] < self._rules.repeats
+        ]
+        self._repeated.update(step.index for step in again)
+        self._queue.extend(again)
+        return bool(again)
+
+    def seconds_left(self) -> float:
+        """Return how long what comes after the current step will take, s."""
+        left = sum(self._time_of(step) for step in self._queue)
+        if not self.goes_home and self._home not in self._queue:
+            left += self._times['home']
+        return left
+
+    def seconds_of_current(self) -> float:
+        """Return how long the current step takes: motion, settling and dwell, s."""
+        return 0.0 if self.current is None else self._time_of(self.current)
+
+    def _time_of(self, step: Step) -> float:
+        return self._times['home' if step is self._home else step.index]
