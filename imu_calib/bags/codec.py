@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _ZSTD_MODULES = ('compression.zstd', 'backports.zstd', 'zstandard')
 _BLOCK = 1 << 20
+"""Bytes decompressed at once."""
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 

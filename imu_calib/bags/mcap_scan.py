@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from ..cdr.messages import Bytes, Indices
 
 _WINDOW = 1 << 22
+"""Bytes read at once of messages that lie in no chunk."""
 _CHUNK_FIELDS = 40
+"""Bytes of a chunk's fields before its records: start, end, size, CRC, compression, length
+(mcap.dev/spec)."""
 _SMALL = frozenset({Op.SCHEMA, Op.CHANNEL, Op.METADATA})
 
 

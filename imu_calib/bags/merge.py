@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..stream import Block, Stamps
 
 STRETCH_NS = 5_000_000_000
+"""ns of one topic that may come before another's: what is out of order by less is put in order."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from ..stream import Block
 
 CACHE_BYTES = 48 << 20
+"""Bytes of chunks kept decompressed while topics are read side by side."""
 _HASH_BLOCK = 1 << 20
+"""Bytes hashed at once."""
 
 
 def open_recording(path: str | Path) -> Recording:

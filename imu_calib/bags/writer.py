@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from ..stream import Stamps
 
 CHUNK_BYTES = 1 << 20
+"""Bytes in a chunk: what compresses well, and what a crash may cost."""
 CHUNK_NS = 5_000_000_000
+"""ns in a chunk at most: slow topics are on the disk within that."""
 _RECORD = 'imu_calib'
 _SHORTEST = len(MAGIC)
 

@@ -20,8 +20,11 @@ from .terminal import ERRORS, OUTPUT
 from .words import Words
 
 _START = 30.0
+"""s for the nodes to come up."""
 _SHOWN = 6
+"""Attitudes shown at once: what fits above the bars of a small terminal."""
 _BAR = 24
+"""Letters of the longest bar."""
 _EVERYTHING = 'Enter ends the session with what is here, Ctrl-C without a result.'
 
 

@@ -13,6 +13,7 @@ from ..version import version
 from .terminal import ERRORS
 
 _INTERRUPTED = 130
+"""Exit code of a shell for SIGINT: 128 + 2."""
 
 COMMANDS = {
     'stand': 'run a stand live',

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _QUARTILES_TO_95 = (2.5, 97.5)
+"""Percentiles of an interval of 95 percent."""
 
 
 def plot_path(option: str, text: str) -> Path:

@@ -27,6 +27,7 @@ _DOMAINS = range(1, 102)
 """Those whose ports lie below what Linux gives to other programs."""
 
 _PATIENCE = 6.0
+"""s for a process to end after SIGINT, before SIGTERM: a node stops its table within three."""
 
 
 @dataclass

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from ..api.watching import Show
 
 _WIDTH_OF_A_FILE = 160
+"""Letters of a line where the output is a file: no table breaks."""
 OUTPUT = Console(soft_wrap=True, highlight=False)
 if not OUTPUT.is_terminal:
     OUTPUT.width = _WIDTH_OF_A_FILE

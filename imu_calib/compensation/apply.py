@@ -28,9 +28,13 @@ _LINEAR = tuple(Product(factors) for factors in ((0,), (1,), (2,), (), (3,), (4,
 _ELEMENTS = tuple((i, j) for i in range(_AXES) for j in range(_AXES))
 
 _NEARLY = 0.999
+"""Share of the range from which on a value counts as saturated: converters clip a little early."""
 _BEYOND = 1.05
+"""Times the highest rate of the calibration up to which it is held to be valid; a choice."""
 _PARITY = 6.0
+"""Standard deviations of the parity of four gyros: false in 2e-9 of Gaussian samples."""
 _AT_ONCE = 512
+"""Samples at once: their intermediate arrays fit into a processor's cache."""
 _FULL_SCALES = np.array([32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0])
 
 

@@ -16,9 +16,13 @@ from .sample_clock import SampleClock
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
 _LAG = 500_000_000
+"""ns after its stamp from which on a temperature is used: then it has come in, live as in bulk."""
 _PATIENCE = 50_000_000
+"""ns that a sample waits for the skewed gyro's: fifty samples at 1 kHz."""
 _MOST_WAITING = 1 << 16
+"""Samples held while no temperature, or no skewed gyro, has come: a minute at 1 kHz."""
 _STEP = 0.01
+"""K: a temperature that moved less is the one that was prepared for."""
 _NO_NUMBER = np.uint8(Mark.NO_NUMBER)
 
 

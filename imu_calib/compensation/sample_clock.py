@@ -8,10 +8,15 @@ from numpy.typing import NDArray
 from ..stream import Floats, Stamps
 
 _LEARNT = 32
+"""Intervals that tell the pace: their median stands with ten of them late."""
 _WINDOW = 1024
+"""Intervals over which the pace is averaged: the jitter of one stamp counts a thousandth."""
 _FEW = 4
+"""Samples up to which one at a time is faster than arrays."""
 _TYPICAL = 0.5
+"""Of the usual interval: a step that is longer by more has lost samples."""
 _JITTER = 6 * 1.4826
+"""Times the median absolute deviation: six standard deviations of a Gaussian one (1.4826)."""
 
 
 class SampleClock:

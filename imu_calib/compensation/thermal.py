@@ -21,9 +21,13 @@ from ..yaml_text import dump, load
 
 _FORMAT = 1
 _APART = 0.5
+"""K: closer ones are one temperature, whose slope would be noise."""
 _MARGIN = 5.0
+"""K beyond what a calibration of one temperature has seen; a choice."""
 _MOST = 4
+"""Order of the polynomials: more swing between the points (Runge)."""
 _WRITTEN = 1e-9
+"""Relative: what a number may lose on its way through a text."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -114,11 +114,13 @@ __all__ = [
 ]
 
 _AT_ONCE = 4096
+"""Messages taken at once, so that other callbacks get their turn."""
 
 RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 
 _LONGEST_LEASE = 30.0
+"""s after which a reader that takes nothing is given up: longer than any middleware's lease."""
 
 
 def init(**options: Any) -> None:

@@ -35,8 +35,11 @@ class _Flag:
 
 
 _TICK = 0.05
+"""s that a node waits for events before it looks whether it is to end."""
 _LAST_WORD = 2.0
+"""s for readers to acknowledge the last messages as a node ends; a choice."""
 _LOOK_AROUND = 2.0
+"""s between two looks at whether the network is still there."""
 
 
 def run(

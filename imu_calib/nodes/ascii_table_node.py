@@ -15,8 +15,12 @@ from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 
 _PUBLISH_PERIOD = 0.005
+"""s: half the period of a table that answers at 100 Hz, so that no answer waits for another."""
 _REPORT_PERIOD = 0.25
+"""s: diagnostics change four times a second at most; faster is not read."""
 _PATIENCE = 3.0
+"""s to wait for the answer to STOP when the node ends: several times that of a slow line; a
+choice."""
 
 
 class AsciiTableNode(Node):

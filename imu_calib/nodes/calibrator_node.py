@@ -26,8 +26,11 @@ from .session_parameters import declared_setup
 from .session_words import journal_words, progress_message, report, sentence
 
 _TICK = 0.005
+"""s: five samples at 1 kHz; a queue of the middleware holds many times that."""
 _SECOND = 1.0
+"""s between two looks at what changes slowly: publishers, the disk, the words said."""
 _GLANCE = 0.25
+"""s between two reviews of a session in the hand: a person who holds still waits for the answer."""
 _STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
 

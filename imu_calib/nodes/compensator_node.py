@@ -30,8 +30,11 @@ from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 
 _SECOND = 1.0
+"""s between two looks at what changes slowly."""
 _GHOST = 15.0
+"""s: a publisher that was killed is seen until its lease ends, ten seconds with Cyclone DDS."""
 _STALE = 10.0
+"""s without a temperature: ten times the period of the slowest thermometers in use, 1 Hz."""
 _WORDS = {
     Mark.GYRO_RANGE: 'a gyro at the end of its range',
     Mark.ACCEL_RANGE: 'an accelerometer at the end of its range',

@@ -8,6 +8,7 @@ from enum import IntEnum
 from ..middleware import Clock, ClockType, Node, messages
 
 _PERIOD = 1.0
+"""s: what REP 107 asks of diagnostics."""
 
 
 class Level(IntEnum):

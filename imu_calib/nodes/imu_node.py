@@ -28,9 +28,13 @@ from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 
 _DRAIN_PERIOD = 0.004
+"""s: four samples at 1 kHz; the line's own buffer holds a hundred times that."""
 _MOST_BYTES = 1 << 16
+"""Bytes read at once: more than a second of a line at half a megabaud."""
 _MOST_WAITING = 64
+"""Chunks held while the time of the first is open; then the line's buffer holds the rest."""
 _REPORT_PERIOD = 0.25
+"""s: diagnostics change four times a second at most; faster is not read."""
 _NS = 1_000_000_000
 
 

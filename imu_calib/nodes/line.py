@@ -9,7 +9,9 @@ import time
 from ..errors import InputError
 
 _STUCK = 20.0
+"""s in which a reader took nothing: it is gone, and its bytes with it; a choice."""
 _BUFFER = 1 << 16
+"""Bytes held for a reader that is slow for a moment."""
 
 
 class Line:

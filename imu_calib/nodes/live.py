@@ -25,7 +25,9 @@ from .intake import Intake
 from .solving import Solver
 
 _LATE = 500_000_000
+"""ns by which the last samples may be older than the table's last word: half a second of delay."""
 _PATIENCE = 2.0
+"""s that are waited for data older than the table's last word; what comes later is lost."""
 _SKEW_AWAITED = 10.0
 """How much the IMU may say while a skewed gyro says nothing: s by its stamps and by the clock."""
 

@@ -33,10 +33,15 @@ from .entry import entry_point
 from .line import Line
 
 _STEP = 0.1
+"""s of simulated time at once."""
 _AHEAD = 0.25
+"""s that the simulation may be ahead of its leader's last setpoint."""
 _ALIVE = 2.0
+"""s without a setpoint after which nobody leads, and time goes on by itself."""
 _REST = 0.0005
+"""s of sleep while nobody reads: short beside what a step takes to compute."""
 _PATIENCE = 5.0
+"""s for the thread to end: a step takes milliseconds; one that hangs is left to the process."""
 
 
 class StandNode(ros.Node):

@@ -25,8 +25,11 @@ _LEAD = 0.1
 """A motion starts so long after its first piece is sent, s."""
 
 _PIECE = 3.0
+"""s that a trajectory reaches ahead: so long a controller moves if its leader dies."""
 _RENEWAL = 1.0
+"""s between two trajectories: two may be lost before the last one ends."""
 _SOONEST_STOP = 0.1
+"""s more than the limits need to stop: the joint state that this begins from is old by then."""
 _OLD = 0.2
 """A joint state of this age does not say any more where the table is, s."""
 

@@ -26,6 +26,7 @@ _RATE_SPAN = 0.3
 """Over which the rate of a turn is taken, s: jitter of two stamps must not count."""
 
 _RATE_TOLERANCE = 0.1
+"""Of the rate commanded: tables hold 1e-3, one that slips or is blocked is far beyond."""
 
 _STRAY = 5.0
 """How many times the arrival tolerance a joint may stray that is to stand."""

@@ -28,8 +28,11 @@ _STILL = 2.0
 """Before and after a whole turn, s."""
 
 _BLOCK_SECONDS = 10.0
+"""s of samples computed at once."""
 _SAME = 1e-6
+"""rad: attitudes closer than that are one, and have no axis between them."""
 _EPOCH = 1_700_000_000_000_000_000
+"""ns: a date of the recording that is the same in every run."""
 AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
 
 

@@ -21,6 +21,7 @@ from .stand import instants
 from .table import SimulatedTable, TableState
 
 _MEMORY = 5.0
+"""s of motion kept behind what is being sent."""
 _NUMBERS = {
     'overshoot': 'DEG',
     'delay': 'S',

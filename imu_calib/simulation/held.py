@@ -18,10 +18,15 @@ from .tracks import Track, side_by_side, trapezoid
 
 _SHORTEST, _LONGEST = 3.3, 4.0
 _RATE = 180 * DEG
+"""rad/s: a wrist turns a unit by half a turn in a second."""
 _ACCELERATION = 720 * DEG
+"""rad/s^2: the rate is there after a quarter of a second."""
 _AIM = 4 * DEG
+"""rad: standard deviation by which a hand misses the attitude that was asked for."""
 _ROUND = 30
+"""Attitudes of a round over the sphere."""
 _MEMORY = 5.0
+"""s of motion kept behind what is being sent."""
 
 
 class HeldHardware:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 
 _AT_ONCE = 4096
+"""Messages taken at once, so that other callbacks get their turn."""
 
 
 class _TopicEnd:

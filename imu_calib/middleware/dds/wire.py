@@ -18,6 +18,7 @@ _ANY = 3 | 12 | 112
 # Numbers of DDS policies that profiles have, and rclpy's numbers for them.
 _POLICIES = {2: 2, 11: 16, 13: 32}
 _BULK = 4096
+"""Messages taken at once."""
 
 
 @cache
