@@ -26,10 +26,15 @@ FLICKER_FLOOR = math.sqrt(2 * math.log(2) / math.pi)
 """Allan deviation of bias instability over its coefficient B: 0.664 (IEEE Std 952, eq. C.10)."""
 
 _OVERLAP = 16
+"""Clusters overlap by 15 of 16 parts."""
 _LEAST_CLUSTERS = 3
+"""A second difference takes three."""
 _FAR = 4
+"""Octaves: variances further apart have next to nothing in common; it is neglected."""
 _REACH = 4
+"""Cluster lengths: beyond, second differences have nothing in common."""
 _HARMONICS = 64
+"""Of the saw of a counter: those left out hold one percent of its variance."""
 
 
 class Term(IntEnum):

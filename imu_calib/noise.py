@@ -24,11 +24,17 @@ from .segmentation.segment import CHANNELS, Statistics
 from .stream import Floats
 
 _STEPS = 12
+"""Of the reweighting; a cap."""
 _MOSTLY = 0.5
+"""Of a variance: more of it is known of the counter, and tells nothing of the sensor."""
 _FEWEST_POINTS = 2
+"""A slope takes two."""
 _SIGNIFICANT = 2.0
+"""Standard deviations from which on a coefficient is stated; below it is a limit."""
 _NINETY_FIVE = 1.645
+"""One-sided standard deviations of 95 percent."""
 _ALIKE = 0.2
+"""Share: blocks whose lengths differ by more are not compared."""
 _SMALLEST_EIGENVALUE = 1e-10
 """Of the largest: below, an eigenvalue of a correlation is rounding. A judgement: rounding leaves
 some 1e-16 times the number of points, and estimated variances a good deal more."""

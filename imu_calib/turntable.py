@@ -18,6 +18,7 @@ from .units import DEG, PPM, Dimension
 TURN = 2 * math.pi
 _UP = np.array([0.0, 0.0, 1.0])
 _REACH_TOLERANCE = 1e-6
+"""rad: rounding of rotation matrices as plans write them."""
 _WORST_CLOCK = 1e-3
 """Ten times what a plain quartz may be off: beyond, the number is of another unit."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}

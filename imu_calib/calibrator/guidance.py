@@ -23,8 +23,11 @@ from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
 
 _SCALE_WIDTH = 0.1
+"""Of ratios, before anything is known of a unit."""
 _GYRO_BIAS_WIDTH = 1.0 * DEG
+"""rad/s, likewise."""
 _ACCEL_BIAS_WIDTH = 0.5
+"""m/s^2, likewise."""
 _TOLD = 0.5
 """Share of what was known beforehand below which a session has told something."""
 

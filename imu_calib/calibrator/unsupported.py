@@ -13,6 +13,7 @@ _ENOUGH = 0.5
 """Share of a dwell that must be sound: less costs more than a factor 1.4 in its noise."""
 
 _SAME_RATE = 0.2
+"""Of the rate that was commanded."""
 
 
 def unsupported_steps(

@@ -22,11 +22,13 @@ _TYPES = {
 }
 _TICKS_NS = {'ns': 1.0, 'us': 1e3, 'ms': 1e6, 's': 1e9}
 _LONGEST = 4096
+"""Bytes of a frame: more is a slip of the pen."""
 _BITS_OF_A_BYTE = 10
 """On a serial line as pyserial opens it, 8N1: a start bit, eight of data, no parity, a stop bit."""
 _BAUD = (50, 100_000_000)
 """The slowest rate that POSIX names, and more than any UART runs at."""
 _MOST_FAULTS = 62
+"""Bits of a signed number of 64 bits, less two that mean something else."""
 _COUNTLESS = 2**62
 """No frame counter comes that far; differences modulo this fit 64 bits."""
 

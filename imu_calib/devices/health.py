@@ -18,9 +18,13 @@ from .gravity import Gravity
 from .source import State
 
 _REMEMBERED = 10.0
+"""s that an event is still said."""
 _RATE_SPAN = 2.0
+"""s: a rate counted over it is known to one sample in it."""
 _RATE_TOLERANCE = 0.02
+"""Share: quartz keeps 1e-4, RC oscillators 1e-2."""
 _DRIFT_TOLERANCE = 500.0
+"""ppm: five times a poor quartz."""
 _STRANGE = 20
 """Frames' worth of bytes in which there is a frame, if it is the device that was described."""
 
@@ -29,6 +33,7 @@ _GREETING = 0.5
 ten times what a boot loader prints."""
 
 _PATIENCE = 0.25
+"""s: a gap this long is no delay of the host any more."""
 _NS = 1_000_000_000
 
 

@@ -22,11 +22,17 @@ from ..errors import InputError
 from .baud import DEFAULT
 
 _CHUNK = 16384
+"""Bytes read at once."""
 _POLL = 0.1
+"""s between two looks at whether it is to end."""
 _CONNECT = 2.0
+"""s for a connection."""
 _RETRY = 0.5
+"""s before a lost line is opened again."""
 _CAPACITY = 1 << 18
+"""Bytes held for a node that is slow: more than 2 s at 921600 baud."""
 _TRIES = 5
+"""Readings of two clocks, of which one at least is not interrupted."""
 _AT_ONCE = 1_000_000
 """ns; a thread that is interrupted between two clocks reads them again."""
 _KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}

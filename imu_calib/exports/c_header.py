@@ -17,7 +17,9 @@ from ..units import DEG, PPM, STANDARD_GRAVITY
 from .exported import Exported, Source, always_left_out
 
 _EXACT = 1e-17
+"""Relative error that is left: that of a double."""
 _CONTRACTION = 0.5
+"""Factor by which each round of an inversion has to shrink the error."""
 _WIDEST_RATE, _WIDEST_FORCE = 2000 * DEG, 16 * STANDARD_GRAVITY
 """Range of a unit that states none or a wider one: that of common MEMS units."""
 

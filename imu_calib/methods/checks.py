@@ -21,17 +21,29 @@ from .rate_test import RateTest
 from .solution import Residual, Solution
 
 _SIGNIFICANT = 1e-6
+"""Probability of chance below which scatter counts: no false one in a laboratory's lifetime."""
 _CONTRADICTION = 5.0
+"""Standard deviations: false in 6e-7 of Gaussian cases."""
 _SCALE_LIMIT = 2.0
+"""Times: what differs by more is stated in other units; sensors differ by percents."""
 _AXIS_LIMIT = 0.5
+"""Of an axis's largest response: beyond, the axes are exchanged, not misaligned."""
 _ALTERNATIONS = 8
+"""Rounds of the alternation; a cap."""
 _FAR_SCALE = 0.1
+"""Share: data sheets allow percents."""
 _WELL_KNOWN_CLOCKS = 5e-6
+"""Of the rate: below it, K_g is known to 5 ppm all the same."""
 _OFF_POSITION = 0.02 * DEG
+"""rad: tables position to arcseconds; a plan rounds to hundredths of a degree."""
 _OUTSTANDING = 5.0
+"""Times the usual residual: false in 6e-7 of Gaussian ones."""
 _LEAST_EARTH_RATE = 0.01 * DEG_H
+"""rad/s: what a latitude that is wrong by some hundredths of a degree changes."""
 _LEAST_AZIMUTH = 0.05 * DEG
+"""rad: nobody sets a table's zero to north better in passing; a judgement."""
 _SAME_UP = 0.99
+"""Cosine: 8 degrees, far less than positions of a plan differ by."""
 _ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
 
 

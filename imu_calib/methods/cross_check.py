@@ -12,6 +12,7 @@ from ..stream import Floats
 from .solution import Solution
 
 _ONE_IN = 1e-3
+"""Share of sessions in which chance alone makes the two contradict each other."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,12 +56,16 @@ FEWEST = 9
 _ITERATIONS = 100
 _ROUNDS = 4
 _SIGNIFICANT = 1e-3
+"""Probability of chance below which a group scatters."""
 _OUTLYING = 6.0
+"""Times the usual size of what is left of a turn: false in 2e-8 (Rayleigh)."""
 _SHOWN = 1e-3
 """Probability of chance below which a term is in the model (docs/mathematics.md, 'Free
 positions')."""
 
 _USELESS = 0.05
+"""Standard deviation of a ratio from which on it says nothing of the unit: data sheets are
+better."""
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 

@@ -35,7 +35,9 @@ ILL_CONDITIONED = 100.0
 """Where two digits are lost, only errors of the attitudes tell the parameters apart."""
 
 _SAME_UP = 0.99
+"""Cosine: 8 degrees, far less than positions of a plan differ by."""
 _INVOLVED = 0.1
+"""Of a unit vector: parameters that have this share in what is not determined are named."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,9 @@ from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatte
 from .solution import Residual, Solution
 
 _TELLING = 0.1
+"""Of what is stated anyway: scatter below it changes no deviation by more than half a percent."""
 _NAMED = 3
+"""Moves that a sentence names; a person looks into the first."""
 
 
 def solve(

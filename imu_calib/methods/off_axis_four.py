@@ -19,7 +19,9 @@ from .solution import Solution
 from .static_six import gyros_only, require_north
 
 _ALONG = 0.99
+"""Cosine: 8 degrees; an axis that is off by more is at no position of this method."""
 _LEAST_RATE = 0.5 * DEG_H
+"""rad/s: that of two degrees from a pole or the equator."""
 _WORDS = ('X north', 'X south', 'Y north', 'Y south')
 
 

@@ -23,6 +23,7 @@ from .solution import Solution
 ESTIMATES = tuple(p for p in PARAMETERS if p.triad == 'g')
 
 _MEANINGLESS = 0.1
+"""Standard deviation of a ratio from which on it is not worth stating."""
 
 
 def solve(evidence: Evidence) -> Solution:

@@ -16,6 +16,7 @@ from .positions import BiasEquation, finish, solve_gyros
 from .solution import Solution
 
 _LEFT_OVER = 3e-3
+"""Of the mean input: a complete set cancels to how well it is positioned."""
 
 
 def solve(evidence: Evidence) -> Solution:

@@ -80,7 +80,9 @@ _NONLINEAR = 0.05
 of the accelerometers, 0.2 % of the gyros)."""
 
 _BY_FORCE = 10 * DEG / STANDARD_GRAVITY
+"""s/m: 10 deg/s per g, far beyond any data sheet."""
 _GYRO_BIAS = 100 * DEG
+"""rad/s: far beyond any data sheet."""
 _ACCEL_BIAS = STANDARD_GRAVITY
 """Five times and more what data sheets of the cheapest units state (MPU-9150: zero-rate output
 20 deg/s, zero-g output 0.15 g; gyros react to acceleration by some 0.1 deg/s per g)."""

@@ -43,6 +43,7 @@ _UNSEEN = 0.5
 """What the segmentation leaves at the two ends of a rest: a window of the joint states each, s."""
 
 _BY_HAND_TURN = 2.0
+"""s for a whole turn by hand."""
 _BY_HAND_STILL = 2.0
 """Before and after a turn by hand, s: what divides it from the moves around it."""
 

@@ -32,9 +32,13 @@ _SLANTS = (0.0, 45.0)
 _COMPASS = dict(zip('ENUWSD', [*np.eye(3), *-np.eye(3)], strict=True))
 _AXES = dict(zip('XYZ', np.eye(3), strict=True))
 _TRIAL_DWELL = 60.0
+"""s, while attitudes are compared; the dwells follow."""
 _SHORTEST_DWELL = 20.0
+"""s: shorter ones are mostly settling."""
 _SWEEPS = 20
+"""Rounds of exchanges; a cap."""
 _GAINED = 1e-9
+"""Of a logarithm: less is rounding."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,8 +41,11 @@ LONGEST = 24 * 3600.0
 """Longest dwell proposed, s."""
 
 _LOOKS = 15
+"""Rounds of the iteration; a cap."""
 _CLOSE = 2e-3
+"""Share of a dwell: a second in ten minutes."""
 _SLACK = 1.001
+"""Of what is wanted: dwells are rounded to seconds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,9 @@ SPARE = 1.0
 """How long a table surely keeps its rate before and after the turns that are measured, s."""
 
 _SAMPLE_RATE = 100.0
+"""Hz, where the IMU's file states none."""
 _PHASE = 0.5
+"""Pulses: a counter begins anywhere, in the mean in the middle of one."""
 
 
 def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = None) -> Statistics:

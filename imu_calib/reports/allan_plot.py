@@ -15,7 +15,9 @@ from .svg import COLOURS, Axis, Panel, drawing, label, legend
 
 _WIDTH, _HEIGHT, _LEFT, _TOP = 760.0, 250.0, 56.0, 42.0
 _FRAME = 300.0
+"""px wide."""
 _LEAST = 0.02
+"""Of a value: the bar of one that is not known at all ends there."""
 _CHANNELS = 'xyz'
 
 

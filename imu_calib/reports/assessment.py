@@ -19,7 +19,9 @@ from .svg import drawing, number, tag
 
 _WIDTH, _HEIGHT = 150.0, 16.0
 _SHOWN = 1.4
+"""Limits that a bar reaches to either side."""
 _PLAIN = 5
+"""Columns of a table without limits."""
 _OF_TERMS = {term.kind for term in TERMS}
 _LINEAR = frozenset(ParameterKind) - _OF_TERMS
 _GROUPS: tuple[tuple[str, str, Collection[ParameterKind]], ...] = (

@@ -22,12 +22,18 @@ _LEAST = 0.005
 """A source below half a percent of every variance has no column: it would show as zero."""
 
 _COLUMNS = 80
+"""Letters of a line on a terminal."""
 _NAME = 9
+"""Letters of the longest name of a parameter."""
 _WIDTH, _LEFT, _ROW, _BAR = 760.0, 58.0, 19.0, 15.0
 _MARGIN = 24.0
+"""px."""
 _LETTER = 6.6
+"""px: mean width of a letter."""
 _LEGEND_ROW = 18.0
+"""px."""
 _MANY = 1000.0
+"""Degrees of freedom beyond which the coverage factor is that of a Gaussian."""
 
 _COLOURS = {
     Source.NOISE: '#0072b2',

@@ -20,11 +20,15 @@ from .parameter_table import decimals, engineering
 from .svg import COLOURS, Axis, Panel, drawing, label, tag
 
 _SURPRISING = 0.001
+"""Probability of chance below which sessions scatter."""
 _SIGNIFICANT = 3.0
+"""Standard deviations: a drift by chance in one of 370 parameters."""
 _DAY = 86400.0
 _FEWEST_FOR_A_DRIFT = 3
+"""Dates: two always lie on a line."""
 _WIDTH, _CELL, _HEIGHT, _COLUMNS = 760.0, 182.0, 74.0, 4
 _ALIKE = 1e-6
+"""Relative: scale factors that differ by more make other parameters."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,13 @@ from .svg import Axis, Panel, drawing, label, legend
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
 _LABELS = 24
+"""That stand side by side."""
 _LETTER = 6.4
+"""px: mean width of a letter."""
 _EXPECTED = 3.0
+"""Standard deviations, drawn as lines: one residual of 370 lies beyond."""
 _LEAST_RANGE = 3.5
+"""Standard deviations that a plot shows at least, so that its limits are seen."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,9 @@ COLOURS = ('#0072b2', '#d55e00', '#00805c')
 """Of X, Y, Z: Okabe and Ito's, which colour-blind readers tell apart; the green is darkened."""
 
 _FEWEST_TICKS = 4
+"""On an axis."""
 _MOST_LABELS = 7
+"""On a logarithmic axis."""
 _NARROW, _WIDE = 1e-3, 1e5
 
 

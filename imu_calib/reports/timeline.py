@@ -14,9 +14,13 @@ from .svg import Axis, Panel, drawing, label, tag
 
 _WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
 _LETTER = 6.4
+"""px: mean width of a letter."""
 _MINUTES = 300.0
+"""s: a longer session has minutes below its axis."""
 _MOST_ROWS = 40
+"""Of a table; the rest is counted."""
 _MOST_BLOCKS = 500
+"""On a lane: a screen has no more columns for them."""
 
 
 class Lane(Enum):

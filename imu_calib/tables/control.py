@@ -28,8 +28,11 @@ from .follower import Follower
 from .line import Line
 
 _RETRY = 0.5
+"""s before a lost controller is called again."""
 _BAD_IN_A_ROW = 3
+"""Answers: one may be broken by noise on the line, three are another device."""
 _WAITING = 2000
+"""Answers held for the node: 20 s at 100 Hz."""
 _WATCHDOG = 1.0
 """The controller stops by itself when no line has come for so long, s: a driver may be killed."""
 

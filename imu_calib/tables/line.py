@@ -12,6 +12,7 @@ from ..errors import InputError
 from .ascii import BadReply
 
 _LONGEST = 1024
+"""Bytes of an answer; what is longer is no line of text."""
 
 
 class Port(Protocol):

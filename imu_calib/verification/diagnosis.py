@@ -16,19 +16,32 @@ from .hypotheses import Hypothesis, mistakes, share_in_words
 from .system import Fit, System
 
 _EXPLAINED = 1e-5
+"""Probability of a chi-square from which on a change explains what is left; small, since the
+changes are looked at only after the session failed."""
 _AS_GOOD = 6.0
+"""Of Schwarz's criterion: strong evidence (Kass and Raftery 1995); what is nearer is named too."""
 _ODDS = 12.0
+"""Of Schwarz's criterion: odds of 400 to 1 for a plain mistake beforehand; a judgement."""
 _EXCESS = 1e-3
+"""Probability of chance below which residuals scatter."""
 _ENOUGH = 8.0
+"""Degrees of freedom that new parameters must leave: fewer fit whatever is wrong."""
 _MOVED = 5.0
+"""Standard deviations: false in 1e-5 of 24 parameters."""
 _HALF = 0.5
+"""Of the parameters that the session determines: so many have moved in another unit."""
 _FAR = 0.05
+"""Share by which a scale is another unit of measurement; sensors drift by far less."""
 _DETERMINED = 0.3
+"""Of what was known beforehand: the session has told something, ten times in variance."""
 _LARGEST_ROTATION = 3 * DEG
 _NO_SENSE = 1.0 * DEG
+"""Noise over signal from which on accelerometers tell no direction."""
 _WIDE = 0.2
+"""Ratios before anything is known of a unit."""
 _WIDE_BIAS = {'g': 0.05, 'a': 0.5}
 _WIDE_G = 1e-3
+"""s/m: g-sensitivity before anything is known of a unit."""
 _ALL_BUT_ZERO = 1e-9
 _FREED = {
     ParameterKind.BIAS: (

@@ -31,6 +31,7 @@ DOUBT, REJECTION = 1e-2, 1e-6
 
 
 _TOO_WIDE = 5.0
+"""Times the stated scatter: such limits would pass a wrong latitude."""
 
 
 class Verdict(IntEnum):
