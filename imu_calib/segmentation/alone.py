@@ -22,8 +22,11 @@ UP_TOLERANCE = 20 * DEG
 worst units are some degrees."""
 
 _WHOLE_TURN = 0.15
+"""Of a turn: gyros' scale factors are known to far better; what is off by more is no whole turn."""
 _BY_HAND_TURN = 0.3
+"""Of a turn: a hand ends a turn 100 degrees off at the worst."""
 _ALONG_UP = 0.8
+"""Cosine: 37 degrees; parts of one motion turn about one axis."""
 
 
 def by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segment], list[Rejected]]:

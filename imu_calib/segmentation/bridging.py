@@ -33,6 +33,7 @@ _PLAIN = 8
 what a lost sample costs anyhow."""
 
 _READING_VARIANCE = 1 / 12
+"""Pulses squared: what a reading of whole pulses leaves, uniform over one."""
 _UNKNOWN = 0.25
 """Variance of a count between two readings of a counter whose phase is not known, at most."""
 
@@ -50,6 +51,7 @@ _SETTLED = 0.05
 """Change of a gap's count, pulses, below which reading it again is of no use."""
 
 _LEAST_VARIANCE = 1e-4
+"""Pulses squared: less is rounding."""
 _SURE = 0.01
 """Variance of a gap's count, pulses squared, from which on its whole number is sure: half a pulse
 is five standard deviations."""

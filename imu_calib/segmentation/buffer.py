@@ -7,6 +7,7 @@ import numpy as np
 from ..stream import Floats, Stamps
 
 _FIRST_CAPACITY = 1024
+"""Rows."""
 
 
 class RowBuffer:

@@ -13,19 +13,34 @@ from .segment import CHANNELS, Statistics
 from .statistics import Samples
 
 _WINDOW_SECONDS = 0.5
+"""s: long enough to average noise, short beside a dwell."""
 _OUTLIER = 7.0
+"""Times the scatter of the windows' means: false in 3e-12 of Gaussian ones."""
 _KNOCK = 5.0
+"""Standard deviations of the angle through which a mount must have turned: false in 6e-7."""
 _LEAST_KNOCK = 0.005 * DEG
+"""rad: 18 arcsec; smaller shifts are within what tables position to."""
 _PULSES = 2.5
+"""Pulses that a window's sum may be off by for their edges alone."""
 _SPREAD_RATIO = 3.0
+"""Times the usual spread within a window."""
 _FLIPPING = 0.5
+"""Pulses: spread of a counter that flips at every sample."""
 _STEP_SIGNIFICANCE = 8.0
+"""Standard deviations: false in 1e-15 at each of hundreds of cuts; drifts look like steps, so that
+it has to be more than chance asks."""
 _FEWEST_WINDOWS = 4
+"""Fewer have no median to speak of."""
 _QUIET_WINDOWS = 3
+"""In a row: between two swings of a ringing table one may be quiet."""
 _FEWEST_BLOCKS = 5
+"""Fewer have no scatter to hold a step against."""
 _WITHOUT_LARGEST = 0.7
+"""Mean of squares of a Gaussian without the largest of the few that there are, about."""
 _TINY = 1e-15
+"""Keeps a noise-free row from dividing by zero."""
 _FAR_BETTER = 0.25
+"""Of what a drift leaves: a step has to explain four times as much as one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,22 +13,39 @@ from ..units import DEG
 from .statistics import Samples, gap_free
 
 _ITERATIONS = 12
+"""A cap: each step gains a decimal place or more."""
 _LEAST_TRAVEL = 0.1
+"""rad: shorter motions tell nothing of milliseconds."""
 _LARGEST_OFFSET = 1.0
+"""s: clocks further apart are not those of one session."""
 _LONGEST_STEP = 0.25
+"""s of one step of the iteration, so that it stays near."""
 _CONVERGED = 1e-9
+"""s."""
 _MISFIT = 0.02
+"""Of the motion: what is left where gyros and joints do not tell of the same motion."""
 _FEWEST_STATES = 4
+"""For a motion: begin, end and two between."""
 _END_SECONDS = 2.0
+"""s of each end of a long motion: acceleration is what tells the offset."""
 _MARGIN_SECONDS = 0.8
+"""s at rest beside it."""
 _MOTIONS_FOR_RATE = 3
+"""A line and one to check it."""
 _SAMPLES_NEEDED = 20
+"""Fewer do not tell the shape of a motion."""
 _CELLS = 4000
+"""Samples of a motion that are used: more tell milliseconds no better."""
 _OUTLIER = 12.0
+"""Standard deviations of the usual step, by its median: a jump, not noise."""
 _LEAST_JUMP = 5e-3
+"""s: half a sample of 100 Hz; smaller ones are no jumps of a clock."""
 _CELL_SECONDS = 0.1
+"""s: a joint moves by what gyros see in it."""
 _MOVING = 0.25
+"""Of the largest way in a cell."""
 _SURELY_MOVING = 1.0 * DEG
+"""rad/s: no table at rest shows it."""
 
 
 @dataclass(frozen=True)

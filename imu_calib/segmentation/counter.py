@@ -22,14 +22,23 @@ END_POINT_VARIANCE = 1 / 6
 """Variance of the difference of two readings of a counter, pulses squared, mean over phases."""
 
 _READING_VARIANCE = 1 / 12
+"""Pulses squared: what a reading of whole pulses leaves, uniform over one."""
 _PASSAGES_NEEDED = 3
+"""Of levels: two ends and one that checks them."""
 _LEVELS_NEEDED = 4.0
+"""Levels between the ends: fewer are within the noise of a counter at rest."""
 _FAR = 5.0
+"""Standard deviations of the walk before the first and after the last passage."""
 _DRIFT_SIGNIFICANCE = 6.0
+"""Standard deviations: slower drifts turn back, and have no passages."""
 _HARMONICS = 64
+"""Of the saw of a counter: those left out hold one percent of its variance."""
 _FADED_OUT = 37.0
+"""Exponent: e^-37 is the resolution of a double."""
 _FADED_AWAY = 12.0
+"""Exponent: e^-12 is 6e-6 of a weight."""
 _WIDEST_WINDOW = 256.0
+"""Samples at each end: wider ones gain nothing on the walk between."""
 
 
 @dataclass(frozen=True)

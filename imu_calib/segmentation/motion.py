@@ -10,7 +10,9 @@ from ..stream import Floats, Stamps
 from ..units import DEG
 
 _WINDOW_NS = 250_000_000
+"""ns over which a rate is looked at: encoders' noise counts little in it."""
 _STILL_RATE = 0.05 * DEG
+"""rad/s: 0.0125 degrees in the window, more than encoders scatter and less than any motion."""
 _LONGEST_LOOK = 1.0
 """Time over which a table at rest may drift at `_STILL_RATE`, s. A judgement: what is 0.05 deg off
 after a silence of the joint states has moved, however long that was."""

@@ -29,6 +29,7 @@ STEP_SECONDS = 0.1
 """Length of a step where little turns, s: the Earth turns by 1.5 arcsec in it."""
 
 _SHORTEST = 4
+"""Steps: a shorter motion is a jerk."""
 _BESIDE = 5
 """Samples beside a gap whose second differences tell how the rate bends: three of them."""
 

@@ -16,7 +16,9 @@ from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_at_rest
 
 _SHORTEST_REST = 1.0
+"""s: a shorter one tells less than its settling costs."""
 _MOSTLY = 0.5
+"""Share of saturated samples."""
 
 
 def read_rest(

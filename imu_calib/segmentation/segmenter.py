@@ -36,9 +36,13 @@ from .thermometer import Thermometer
 from .turns import MARGIN_NS, Around, read_free_motion, read_turns
 
 _LONGEST_REST = 1 << 20
+"""Samples that are held: a longer rest is cut, so that memory stays bounded."""
 _SAMPLES_FOR_PERIOD = 256
+"""Samples whose median tells the interval."""
 _SEEN = 0.75
+"""Of a motion: less of it was lost or beyond the range."""
 _ALIKE = 1.5
+"""Times: where motions look alike in size it is the scale factor that is wrong."""
 INTERRUPTION = 1_000_000_000
 """A stream that is silent for so long, ns, may come from a program that was started again. A
 judgement: no node starts in less, and a line rarely fails for longer."""

@@ -14,6 +14,7 @@ from .statistics import Samples, to_samples
 
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
 _WALK_GUESS = 0.05
+"""Pulses per root of a sample: weights of the first look; the walk follows from the session."""
 NEARLY = 0.999
 
 

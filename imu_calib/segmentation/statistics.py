@@ -22,9 +22,13 @@ BLOCK_SECONDS = 10.0
 """Shortest block whose mean shows the random walk of a quantised counter (methods.md, 11)."""
 
 _MINIMUM_BLOCKS = 4
+"""For a variance between blocks."""
 _SCORING_STEPS = 20
+"""A cap."""
 _SMALLEST_VARIANCE = 1e-100
+"""Keeps noise-free blocks from dividing by zero."""
 _SAMPLES_FOR_GRID = 4096
+"""Samples among whose values the smallest difference is looked for."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,9 @@ from .offset import GyroOffset
 from .unrest import Tolerance
 
 WINDOW_SECONDS = 0.1
+"""s: shorter than any hold, longer than the period of a tremor."""
 _WINDOWS_TO_SETTLE = 3
+"""In a row."""
 _WINDOWS_AHEAD = 300
 """Half a minute: holds of some seconds with turns between show offset and noise in several
 attitudes, and the samples of so long are kept."""

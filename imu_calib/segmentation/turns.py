@@ -26,9 +26,13 @@ _VERTICAL = 1e-4
 """An axis leans when its cosine is smaller than one by more: 0.8 deg."""
 
 _TURN_AND_RUN_UP = 1.25 * TURN
+"""rad: a whole turn with its run-ups."""
 _STEADY = 0.05
+"""Of the rate: the ends of a steady turn are as fast as its middle."""
 _ENDS = 20
+"""Of the samples: a twentieth is an end."""
 _LEAST_TURNED = TURN / 72
+"""rad: 5 degrees; less tells nothing of a scale factor."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,7 @@ _TURN_RATE = 5.0 * DEG
 however it trembles. Published sessions by hand pass it within 0.2 s of their turns' beginning."""
 
 _MOST_RATE = 20.0 * DEG
+"""rad/s: what trembles more is not held still."""
 _MOST_FORCE = 0.3 * STANDARD_GRAVITY
 """What swings by more is not held: two degrees in a tenth of a second, of which its mean does not
 tell a tenth any more."""
