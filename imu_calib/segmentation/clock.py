@@ -13,7 +13,7 @@ from ..units import DEG
 from .statistics import Samples, gap_free
 
 _ITERATIONS = 12
-"""A cap: each step gains a decimal place or more."""
+"""A cap."""
 _LEAST_TRAVEL = 0.1
 """rad: shorter motions tell nothing of milliseconds."""
 _LARGEST_OFFSET = 1.0

@@ -66,7 +66,7 @@ _OUTLYING = 4.0
 """Robust standard deviations off the line beyond which a stamp has no say in it."""
 
 _ROUNDS = 5
-"""A cap: the samples kept are the same after two or three."""
+"""A cap."""
 _BLOCKS = 16
 """Of a stretch of stamps, whose means show what they have in common: a queue, a coarse clock."""
 
