@@ -30,7 +30,8 @@ DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
 
 PLOT = 'matplotlib>=3.6'
 DATA_FRAME = 'pandas>=2'
-ROSBAGS = 'rosbags>=0.10.7'
+# The first that refuses bytes which end within a string or a sequence.
+ROSBAGS = 'rosbags>=0.11.6'
 
 setup(
     name=NAME,
@@ -62,7 +63,7 @@ setup(
         "backports.zstd>=1; python_version < '3.14'",
     ],
     extras_require={
-        'dds': [DDS],
+        'dds': [DDS, ROSBAGS],
         'plot': [PLOT],
         'dataframe': [DATA_FRAME],
         'ros1': [ROSBAGS],

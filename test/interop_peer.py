@@ -1,11 +1,13 @@
 """One end of an exchange, run by either runtime.
 
 `talk` sends every message, `hear` prints them, `stream` sends a session's streams in a burst.
+`record`, with rclpy, prints what test/data/messages_of_ros.json holds: bytes and hashes of ROS.
 """
 
 import json
 import sys
 import time
+from pathlib import Path
 
 from imu_calib import middleware as ros
 
@@ -26,7 +28,9 @@ QOS = ros.QoSProfile(depth=1, durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
 def filled(kind, seed=1):
     """Return a message whose fields differ from each other and from zero."""
     message = kind()
-    for number, (name, spelled) in enumerate(kind.get_fields_and_field_types().items(), seed):
+    fields = kind.get_fields_and_field_types()
+    fields.pop('structure_needs_at_least_one_member', None)  # of an empty one; ROS hides it
+    for number, (name, spelled) in enumerate(fields.items(), seed):
         setattr(message, name, value(getattr(message, name), name, spelled, number))
     return message
 
@@ -122,7 +126,31 @@ def stream(node):
     sys.stdin.read()
 
 
+def record():
+    """Print the hash of every type, and the bytes of its filled message, as ROS has them."""
+    from ament_index_python import get_package_share_directory
+
+    answers = [ros.Trigger.Request, ros.Trigger.Response]
+    known = {}
+    for kind in [*KINDS.values(), *INNER.values(), M.TimeMsg, M.DurationMsg, *answers]:
+        package, folder = kind.__module__.split('.')[:2]
+        name = f'{package}/{folder}/{kind.__name__}'
+        known[name] = {'bytes': ros.serialize_message(filled(kind)).hex()}
+    for name in ('Gid', 'NodeEntitiesInfo', 'ParticipantEntitiesInfo'):
+        known[f'rmw_dds_common/msg/{name}'] = {}
+    for name, described in known.items():
+        package, folder, short = name.split('/')
+        share = Path(get_package_share_directory(package)) / folder
+        file = share / f'{short.partition("_")[0]}.json'
+        hashes = json.loads(file.read_text())['type_hashes']
+        described['hash'] = {h['type_name']: h['hash_string'] for h in hashes}[name]
+    print(json.dumps(known, indent=1, sort_keys=True))
+
+
 if __name__ == '__main__':
+    if sys.argv[1] == 'record':
+        record()
+        raise SystemExit
     role = {'talk': talk, 'hear': hear, 'stream': stream}[sys.argv[1]]
     # The streams have the names that config/record_qos.yaml knows.
     namespace = '/' if role is stream else '/stand'

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..definitions import definition
 from . import metadata
 from .codec import compressor
-from .definitions import definition
 from .files import Scratch, find_files, open_storage
 from .mcap_records import MAGIC
 from .mcap_writer import McapWriter

@@ -52,11 +52,12 @@ def require(chosen: str) -> None:
             'install/setup.bash.',
         )
     else:
-        _import(
-            'cyclonedds._clayer',
-            'Without ROS 2 the nodes need Cyclone DDS, which does not '
-            "load: {}. Install it with `pip install '.[dds]'`, or source ROS 2.",
-        )
+        for module, name in (('cyclonedds._clayer', 'Cyclone DDS'), ('rosbags.serde', 'rosbags')):
+            _import(
+                module,
+                f'Without ROS 2 the nodes need {name}, which does not load: {{}}. '
+                "Install it with `pip install '.[dds]'`, or source ROS 2.",
+            )
 
 
 def _import(module: str, sentence: str) -> None:

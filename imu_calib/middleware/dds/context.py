@@ -6,11 +6,11 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from ...errors import ImuCalibError
-from ..domain import LAST_DOMAIN, configuration, domain_id
+from ..domain import LAST_DOMAIN, domain_id
 from . import logging
 from .arguments import Arguments, parse
 from .graph import Graph
-from .wire import delete
+from .participant import Participant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,9 +21,7 @@ class Context:
 
     def __init__(self) -> None:
         self.arguments = Arguments()
-        self._topics: dict[str, Any] = {}
-        self._domain: Any = None
-        self.participant: Any = None
+        self.participant: Participant | None = None
         self.graph: Graph
         self.nodes: list[Any] = []
 
@@ -47,61 +45,34 @@ class Context:
         number = domain_id() if domain is None else domain
         if not 0 <= number <= LAST_DOMAIN:
             raise ImuCalibError(f'The domain is {number}, expected 0 to {LAST_DOMAIN}.')
-        self._join(number)
-        self.graph = Graph(self)
+        self.participant = Participant(number)
+        self.graph = Graph(self.participant)
 
-    def _join(self, number: int) -> None:
-        from cyclonedds.core import DDSException
-        from cyclonedds.domain import Domain, DomainParticipant
-        from cyclonedds.qos import Policy, Qos
+    def joined(self) -> Participant:
+        """Return the participant.
 
-        try:
-            self._domain = Domain(number, configuration())
-            self.participant = DomainParticipant(number, Qos(Policy.Userdata(b'enclave=/;')))
-        except DDSException as error:
-            self._leave()
-            raise ImuCalibError(
-                f'Cyclone DDS cannot join domain {number}: {error}. ROS_AUTOMATIC_DISCOVERY_RANGE '
-                'and CYCLONEDDS_URI say which network interfaces it may use.'
-            ) from error
+        Raises:
+            ImuCalibError: It is not yet, or no longer, in the domain.
 
-    def topic(self, name: str, idl: Any) -> Any:
-        """Return the DDS topic of a name, made once."""
-        from cyclonedds.core import DDSException
-        from cyclonedds.topic import Topic
+        """
+        if self.participant is None:
+            raise ImuCalibError('The context is shut down, or init() was not called.')
+        return self.participant
 
-        if not self.ok():
-            raise ImuCalibError(f'{name}: init() has to be called first.')
-        if name not in self._topics:
-            try:
-                self._topics[name] = Topic(self.participant, name, idl)
-            except DDSException as error:
-                raise ImuCalibError(f'The topic {name} cannot be made: {error}') from error
-        known = self._topics[name].data_type
-        if known is not idl:
-            raise ImuCalibError(
-                f'The topic {name} has the type {known.__idl_typename__}, '
-                f'not {idl.__idl_typename__}.'
-            )
-        return self._topics[name]
+    def announce(self) -> None:
+        """Tell the other participants which nodes and endpoints are in this one."""
+        self.graph.announce(self.nodes)
 
     def shutdown(self) -> None:
         """Destroy the nodes and leave the domain; nothing where that is done."""
-        if not self.ok():
+        if self.participant is None:
             return
         for node in list(self.nodes):
             node.destroy_node()
         self.graph.close()
-        self._leave()
-
-    def _leave(self) -> None:
-        """Delete all entities; who spins in another thread sees ok() turn false first."""
-        entities = [*self._topics.values(), self.participant, self._domain]
-        self.participant = self._domain = None
-        self._topics = {}
-        for entity in entities:
-            if entity is not None:
-                delete(entity)
+        # Who spins in another thread sees ok() turn false first.
+        left, self.participant = self.participant, None
+        left.leave()
 
 
 def _severity(text: str) -> logging.LoggingSeverity:

@@ -13,7 +13,8 @@ from .wire import Reader, Writer
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .node import Node
+    from .logging import Logger
+    from .participant import Participant
     from .qos import PublisherEventCallbacks, QoSProfile, SubscriptionEventCallbacks
 
 
@@ -28,14 +29,15 @@ class _TopicEnd:
 
     def __init__(
         self,
-        node: Node,
+        logger: Logger,
         msg_type: type[Message],
         topic: str,
         qos: QoSProfile,
         events: PublisherEventCallbacks | SubscriptionEventCallbacks | None,
         end: Reader | Writer,
     ) -> None:
-        self.node = node
+        self._logger = logger
+        self.destroyed = False
         self.msg_type = msg_type
         self.topic_name = topic
         self.qos_profile = qos
@@ -53,10 +55,11 @@ class _TopicEnd:
             kinds = {int(kind): kind.name for kind in QoSPolicyKind}
             policy = kinds.get(info.last_policy_kind, 'another')
             found = self.MISMATCH.format(self.topic_name)
-            self.node.get_logger().warning(f'{found} Last incompatible policy: {policy}')
+            self._logger.warning(f'{found} Last incompatible policy: {policy}')
 
     def destroy(self) -> None:
         """Leave the topic."""
+        self.destroyed = True
         self._end.delete()
 
 
@@ -70,14 +73,15 @@ class Publisher(_TopicEnd):
 
     def __init__(
         self,
-        node: Node,
+        participant: Participant,
+        logger: Logger,
         msg_type: type[Message],
         topic: str,
         qos: QoSProfile,
         events: PublisherEventCallbacks | None,
     ) -> None:
-        self.writer = Writer(node.context, f'rt{topic}', msg_type.TYPE_NAME, qos)
-        super().__init__(node, msg_type, topic, qos, events, self.writer)
+        self.writer = Writer(participant, f'rt{topic}', msg_type.TYPE_NAME, qos)
+        super().__init__(logger, msg_type, topic, qos, events, self.writer)
 
     def publish(self, msg: Message | bytes) -> None:
         """Send a message, or the bytes of a serialised one.
@@ -125,7 +129,8 @@ class Subscription(_TopicEnd):
 
     def __init__(
         self,
-        node: Node,
+        participant: Participant,
+        logger: Logger,
         msg_type: type[Message],
         topic: str,
         callback: Callable[[Any], Any] | None,
@@ -136,8 +141,8 @@ class Subscription(_TopicEnd):
         self.raw = raw
         self.callback = callback
         self.in_bulk = False
-        self.reader = Reader(node.context, f'rt{topic}', msg_type.TYPE_NAME, qos)
-        super().__init__(node, msg_type, topic, qos, events, self.reader)
+        self.reader = Reader(participant, f'rt{topic}', msg_type.TYPE_NAME, qos)
+        super().__init__(logger, msg_type, topic, qos, events, self.reader)
 
     def get_publisher_count(self) -> int:
         """Return how many publishers match."""
@@ -154,12 +159,7 @@ class Subscription(_TopicEnd):
             return bool(payloads)
         payloads = self.reader.drain(most)
         for payload in payloads:
-            if self.destroyed:
+            if self.destroyed:  # by the callback
                 break
             self.callback(payload if self.raw else deserialize_message(payload, self.msg_type))
         return bool(payloads)
-
-    @property
-    def destroyed(self) -> bool:
-        """Whether a callback has destroyed it in the meantime."""
-        return self not in self.node.subscriptions_

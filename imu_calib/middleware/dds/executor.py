@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from .context import Context, get_default_context
-from .wire import delete
+from .participant import delete
 
 if TYPE_CHECKING:
     from .future import Future
@@ -126,7 +126,9 @@ class SingleThreadedExecutor:
         """Make the wait set anew where the readers have changed."""
         from cyclonedds.core import GuardCondition, WaitSet
 
-        participant = self._context.participant
+        if self._context.participant is None:
+            raise ExternalShutdownException
+        participant = self._context.participant.entity
         conditions = tuple(c for node in self._nodes for c in node.conditions())
         if self._waitset is not None and (participant, *conditions) == self._waits_for:
             return

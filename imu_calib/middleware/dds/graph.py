@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from .codec import deserialize_message, serialize_message
 from .messages import message_class
+from .participant import Participant, delete
 from .qos import DurabilityPolicy, HistoryPolicy, QoSProfile, from_dds
-from .wire import Reader, Writer, delete
+from .wire import Reader, Writer
 
 if TYPE_CHECKING:
-    from .context import Context
+    from collections.abc import Iterable
 
 _TOPIC = 'ros_discovery_info'
 _TYPE = 'rmw_dds_common/msg/ParticipantEntitiesInfo'
@@ -47,29 +48,27 @@ class TopicEndpointInfo:
 class Graph:
     """The ROS graph as one participant sees it."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, participant: Participant) -> None:
         from cyclonedds.builtin import (
             BuiltinDataReader,
             BuiltinTopicDcpsPublication,
             BuiltinTopicDcpsSubscription,
         )
 
-        self._context = context
+        self._participant = participant
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         everything = QoSProfile(
             history=HistoryPolicy.KEEP_ALL, durability=DurabilityPolicy.TRANSIENT_LOCAL
         )
-        self._writer = Writer(context, _TOPIC, _TYPE, latched)
-        self._reader = Reader(context, _TOPIC, _TYPE, everything)
-        participant = context.participant
-        self._publications = _Endpoints(BuiltinDataReader(participant, BuiltinTopicDcpsPublication))
-        self._subscriptions = _Endpoints(
-            BuiltinDataReader(participant, BuiltinTopicDcpsSubscription)
-        )
+        self._writer = Writer(participant, _TOPIC, _TYPE, latched)
+        self._reader = Reader(participant, _TOPIC, _TYPE, everything)
+        entity = participant.entity
+        self._publications = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsPublication))
+        self._subscriptions = _Endpoints(BuiltinDataReader(entity, BuiltinTopicDcpsSubscription))
         self._participants: dict[bytes, list[Any]] = {}
 
-    def announce(self) -> None:
-        """Tell the other participants which nodes and endpoints are in this one."""
+    def announce(self, own: Iterable[Any]) -> None:
+        """Tell the other participants which nodes, with their endpoints, are in this one."""
         gid = message_class('rmw_dds_common/msg/Gid')
         node_info = message_class('rmw_dds_common/msg/NodeEntitiesInfo')
         nodes = [
@@ -79,10 +78,10 @@ class Graph:
                 reader_gid_seq=[gid(data=list(r.gid)) for r in node.readers()],
                 writer_gid_seq=[gid(data=list(w.gid)) for w in node.writers()],
             )
-            for node in self._context.nodes
+            for node in own
         ]
-        own = gid(data=list(self._context.participant.get_guid().bytes))
-        info = message_class(_TYPE)(gid=own, node_entities_info_seq=nodes)
+        here = gid(data=list(self._participant.entity.get_guid().bytes))
+        info = message_class(_TYPE)(gid=here, node_entities_info_seq=nodes)
         self._writer.write(serialize_message(info))
 
     def nodes(self) -> list[tuple[str, str]]:

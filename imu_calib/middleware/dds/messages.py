@@ -3,80 +3,128 @@
 from __future__ import annotations
 
 import array
-import ast
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 
-from .codec import CODES
-from .interfaces import Field, interface
+from .interfaces import interface
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_LIMITS = {
-    f'{sign}int{bits}': (0, 2**bits - 1) if sign else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
-    for sign in ('', 'u')
-    for bits in (8, 16, 32, 64)
-}
-
 # get_fields_and_field_types speaks IDL.
 _IDL = {'float64': 'double', 'float32': 'float', 'bool': 'boolean', 'byte': 'octet'}
+_KINDS = {'float64': float, 'float32': float, 'bool': bool, 'string': str}
+"""What the scalars are in Python; others are int."""
+
+
+class _Octet(bytes):
+    """One byte, which is written as the number that it is."""
+
+    __slots__ = ()
+
+    def __index__(self) -> int:
+        # The sign of struct's code for it.
+        return int.from_bytes(self, 'little', signed=True)
+
+
+class _Numbers(array.array):  # type: ignore[type-arg]
+    """A sequence of numbers as rclpy has it, which is written like an array of numpy."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return repr(array.array(self.typecode, self))
+
+    def view(self, _: Any) -> bytes:
+        """Return the bytes."""
+        return self.tobytes()
+
+
+@dataclass(frozen=True)
+class Field:
+    """How one field is kept.
+
+    Attributes:
+        spelled: Its type in IDL.
+        default: Makes the value of a new message.
+        check: Returns what is kept of a value; AssertionError where that is of another type.
+        read: Returns what is kept of what was read from bytes; None for the same.
+
+    """
+
+    spelled: str
+    default: Callable[[], Any]
+    check: Callable[[str, Any], Any]
+    read: Callable[[Any], Any] | None = None
 
 
 class Message:
     """A message as rclpy has it: keywords make it, defaults are zeros, wrong types are refused.
 
     As in ROS with ROS_PYTHON_CHECK_FIELDS=1, a wrong type raises AssertionError with the field's
-    name. Fixed arrays of numbers are numpy arrays, sequences of numbers are `array.array`.
+    name. Fixed arrays of numbers are numpy arrays, sequences of numbers are `array.array`. Arrays
+    of bool and of byte, which no message here has, are not offered.
     """
 
     TYPE_NAME: ClassVar[str]
-    NESTED: ClassVar[dict[str, type[Message]]]
-    CHECKS: ClassVar[dict[str, Callable[[Any], Any]]]
-    DEFAULTS: ClassVar[dict[str, Callable[[], Any]]]
+    FIELDS: ClassVar[dict[str, Field]]
     __slots__ = ()
 
-    def __init__(self, **fields: Any) -> None:
-        unknown = fields.keys() - self.CHECKS.keys()
+    def __init__(self, **values: Any) -> None:
+        unknown = values.keys() - self.FIELDS.keys()
         if unknown:
             raise AssertionError(
                 f'{type(self).__name__} has no field {", ".join(sorted(unknown))}; '
-                f'it has {", ".join(self.CHECKS)}'
+                f'it has {", ".join(self.FIELDS)}'
             )
-        for name, default in self.DEFAULTS.items():
-            if name in fields:
-                setattr(self, name, fields[name])
+        for name, field in self.FIELDS.items():
+            if name in values:
+                setattr(self, name, values[name])
             else:
-                object.__setattr__(self, name, default())
+                object.__setattr__(self, name, field.default())
 
     def __setattr__(self, name: str, value: Any) -> None:
-        check = self.CHECKS.get(name)
-        if check is None:
+        field = self.FIELDS.get(name)
+        if field is None:
             raise AttributeError(f'{type(self).__name__} has no field {name!r}')
-        object.__setattr__(self, name, check(value))
+        object.__setattr__(self, name, field.check(name, value))
 
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented
-        pairs = ((getattr(self, n), getattr(other, n)) for n in self.CHECKS)
-        return all(bool(np.all(a == b)) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
+        return all(np.all(getattr(self, n) == getattr(other, n)) for n in self.FIELDS)
 
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        fields = ', '.join(f'{n}={getattr(self, n)!r}' for n in self.CHECKS)
+        fields = ', '.join(f'{n}={getattr(self, n)!r}' for n in self.FIELDS)
         return f'{self.TYPE_NAME.replace("/", ".")}({fields})'
 
     @classmethod
     def get_fields_and_field_types(cls) -> dict[str, str]:
         """Return the names of the fields and their types."""
-        return {f.name: _spelled(f) for f in interface(cls.TYPE_NAME).fields}
+        return {name: field.spelled for name, field in cls.FIELDS.items()}
+
+    def wrong(self) -> str:
+        """Return which field holds what no assignment has checked, empty where all are right."""
+        for name, field in self.FIELDS.items():
+            value = getattr(self, name)
+            try:
+                field.check(name, value)
+            except AssertionError as error:
+                return f'{self.TYPE_NAME}: {name} is {value!r}: {error}.'
+            for inner in value if isinstance(value, list) else [value]:
+                if isinstance(inner, Message) and (reason := inner.wrong()):
+                    return reason
+        return ''
 
 
 @cache
-def message_class(name: str) -> type[Message]:
+def message_class(name: str) -> Any:
     """Return the class of a message.
 
     Args:
@@ -87,152 +135,107 @@ def message_class(name: str) -> type[Message]:
 
     """
     described = interface(name)
-    nested = {f.name: message_class(f.base) for f in described.fields if f.nested}
+    fields = {n: _field(desc, described.defaults.get(n, '')) for n, desc in described.fields}
     content: dict[str, Any] = {
-        '__slots__': tuple(f.name for f in described.fields),
+        **{n: _octet(v) if kind == 'byte' else v for n, kind, v in described.constants},
+        '__slots__': tuple(fields),
         '__doc__': f'{name}, made from its definition.',
         'TYPE_NAME': name,
-        'NESTED': nested,
-        'CHECKS': {f.name: _check(f, nested.get(f.name)) for f in described.fields},
-        'DEFAULTS': {f.name: _default(f, nested.get(f.name)) for f in described.fields},
+        'FIELDS': fields,
     }
-    content.update((n, _constant(kind, text)) for n, kind, text in described.constants)
-    return type(name.rpartition('/')[2], (Message,), content)
+    made = type(name.rpartition('/')[2], (Message,), content)
+    described.cls = _reader(made)
+    return made
 
 
-def _spelled(field: Field) -> str:
-    base = _IDL.get(field.base, field.base.replace('/msg/', '/'))
-    if field.sequence:
-        return f'sequence<{base}{f", {field.size}" if field.size else ""}>'
-    return f'{base}[{field.size}]' if field.size else base
+def _reader(made: Any) -> Callable[..., Any]:
+    """Return what makes a message of values that were read: they are of the right types."""
+    keep = [(getattr(made, n).__set__, field.read) for n, field in made.FIELDS.items()]
+
+    def read(*values: Any) -> Any:
+        message = made.__new__(made)
+        for (set_to, convert), value in zip(keep, values, strict=True):
+            set_to(message, value if convert is None else convert(value))
+        return message
+
+    return read
 
 
-def _constant(kind: str, text: str) -> Any:
-    if kind == 'byte':
-        return bytes([int(text)])
-    if kind == 'bool':
-        return text.lower() in {'true', '1'}
-    return text.strip('"\'') if kind == 'string' else ast.literal_eval(text)
+def _octet(number: Any = 0) -> _Octet:
+    return _Octet([number & 0xFF])
 
 
-def _default(field: Field, inner: type[Message] | None) -> Callable[[], Any]:
-    code = CODES.get(field.base)
-    if field.many and code is not None and field.base not in {'byte', 'bool'}:
-        if field.sequence:
-            return lambda: array.array(code)
-        return lambda: np.zeros(field.size, code)
-    one = inner if inner is not None else _default_scalar(field)
-    if field.many:
-        return lambda: [] if field.sequence else [one() for _ in range(field.size)]
-    return one
+def _field(description: Any, default: str = '') -> Field:
+    kind, details = description
+    if kind == Nodetype.NAME:
+        inner = message_class(details)
+        return Field(details.replace('/msg/', '/'), inner, _check(inner))
+    if kind == Nodetype.BASE:
+        base, bound = details
+        return _scalar(base, bound, default)
+    return _many(*details, fixed=kind == Nodetype.ARRAY)
 
 
-def _default_scalar(field: Field) -> Callable[[], Any]:
-    zero: Any = {'string': '', 'byte': b'\x00', 'bool': False, 'float64': 0.0, 'float32': 0.0}.get(
-        field.base, 0
-    )
-    if field.default:
-        zero = type(zero)(ast.literal_eval(field.default))
-    return lambda: zero
+def _scalar(base: str, bound: int, default: str) -> Field:
+    spelled = _IDL.get(base, base)
+    if base == 'byte':
+        one = _check(bytes, 'one byte', lambda v: len(v) == 1)
+        return Field(spelled, _octet, lambda name, value: _octet(*one(name, value)), _octet)
+    kind = _KINDS.get(base, int)
+    zero = kind(default) if default else kind()
+    if kind is int:
+        low, high = np.iinfo(base).min, np.iinfo(base).max
+        check = _check(int, f'an integer in [{low}, {high}]', lambda v: low <= v <= high)
+    elif bound:
+        check = _check(str, f'a string of at most {bound}', lambda v: len(v) <= bound)
+    else:
+        check = _check(kind)
+    return Field(spelled, lambda: zero, check)
 
 
-def _check(field: Field, inner: type[Message] | None) -> Callable[[Any], Any]:
-    one = _check_one(field, inner)
-    if not field.many:
-        return one
-    code = CODES.get(field.base)
-    if code is None or field.base in {'byte', 'bool'}:
-        return _check_list(field, one)
-    return _check_numbers(field, one, code)
+def _many(inner: Any, size: int, *, fixed: bool) -> Field:
+    """Return how an array of so many elements is kept, or a sequence of at most so many."""
+    one = _field(inner)
+    bound = f', {size}' if size else ''
+    spelled = f'{one.spelled}[{size}]' if fixed else f'sequence<{one.spelled}{bound}>'
+    check = partial(_check_many, one, size, fixed)
+    if inner[0] == Nodetype.NAME or inner[1][0] == 'string':
+        first = size if fixed else 0
+        return Field(spelled, lambda: [one.default() for _ in range(first)], partial(check, list))
+    code = np.dtype(inner[1][0]).char
+    if fixed:
+        make = partial(np.array, dtype=code)
+        return Field(spelled, partial(np.zeros, size, code), partial(check, make), np.array)
+    numbers = partial(_Numbers, code)
+    return Field(spelled, numbers, partial(check, numbers), lambda v: numbers(v.tobytes()))
 
 
-def _check_one(field: Field, inner: type[Message] | None) -> Callable[[Any], Any]:
-    name = field.name
-    if field.base in _LIMITS:
-        return _check_integer(field)
-    expected: dict[str, tuple[Any, str]] = {
-        'string': (str, "'str'"),
-        'byte': (bytes, "'bytes' of length 1"),
-        'bool': (bool, "'bool'"),
-        'float64': (float, "'float'"),
-        'float32': (float, "'float'"),
-    }
-    kind, article = expected.get(field.base, (inner, f'{inner.__name__!r}' if inner else ''))
+def _check_many(
+    one: Field, size: int, fixed: bool, make: Callable[[Any], Any], name: str, values: Any
+) -> Any:
+    if isinstance(values, (str, bytes)) or not hasattr(values, '__len__'):
+        raise AssertionError(
+            f"The '{name}' field must be a sequence of {one.spelled}, not {values!r}"
+        )
+    if size and (len(values) > size or (fixed and len(values) < size)):
+        most = '' if fixed else 'at most '
+        raise AssertionError(
+            f"The '{name}' field must have {most}{size} elements, not {len(values)}"
+        )
+    # Elements are looked at one by one, numpy's too, as in ROS.
+    for value in values:
+        one.check(name, value)
+    return values if isinstance(values, list) and make is list else make(values)
 
-    def check(value: Any) -> Any:
+
+def _check(
+    kind: type, expected: str = '', fits: Callable[[Any], bool] | None = None
+) -> Callable[[str, Any], Any]:
+    def check(name: str, value: Any) -> Any:
         # A numpy float64 is a float too; plain floats are stored as rclpy stores them.
-        if not isinstance(value, kind) or (kind is bytes and len(value) != 1):
-            raise AssertionError(
-                f"The '{name}' field must be of type {article}, not {type(value).__name__!r}"
-            )
-        if field.string_bound and len(value) > field.string_bound:
-            raise AssertionError(f"The '{name}' field is longer than {field.string_bound}")
+        if not isinstance(value, kind) or (fits is not None and not fits(value)):
+            article = expected or f'of type {kind.__name__!r}'
+            raise AssertionError(f"The '{name}' field must be {article}, not {value!r}")
         return value
-
-    return check
-
-
-def _check_integer(field: Field) -> Callable[[Any], Any]:
-    low, high = _LIMITS[field.base]
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, int):
-            raise AssertionError(
-                f"The '{field.name}' field must be of type 'int', not {type(value).__name__!r}"
-            )
-        if not low <= value <= high:
-            raise AssertionError(
-                f"The '{field.name}' field must be an integer in [{low}, {high}], not {value}"
-            )
-        return value
-
-    return check
-
-
-def _check_size(field: Field, value: Any) -> None:
-    if field.size and (len(value) > field.size or (not field.sequence and len(value) < field.size)):
-        at_most = 'at most ' if field.sequence else ''
-        raise AssertionError(
-            f"The '{field.name}' field must have {at_most}{field.size} elements, not {len(value)}"
-        )
-
-
-def _refuse_scalar(field: Field, value: Any) -> None:
-    if isinstance(value, (str, bytes)) or not hasattr(value, '__len__'):
-        raise AssertionError(
-            f"The '{field.name}' field must be a sequence of {field.base!r}, "
-            f'not {type(value).__name__!r}'
-        )
-
-
-def _check_list(field: Field, one: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    def check(value: Any) -> Any:
-        _refuse_scalar(field, value)
-        _check_size(field, value)
-        for element in value:
-            one(element)
-        return list(value) if not isinstance(value, list) else value
-
-    return check
-
-
-def _check_numbers(field: Field, one: Callable[[Any], Any], code: str) -> Callable[[Any], Any]:
-    kind = np.dtype(code)
-
-    def check(value: Any) -> Any:
-        _refuse_scalar(field, value)
-        _check_size(field, value)
-        if isinstance(value, array.array) and value.typecode == code:
-            return value if field.sequence else np.array(value, kind)
-        if isinstance(value, np.ndarray) and not field.sequence:
-            if value.dtype != kind or value.ndim != 1:
-                raise AssertionError(
-                    f"The '{field.name}' field must be a row of {field.base}, not {value.dtype}"
-                )
-            return value
-        # A sequence of one's own is checked element by element, numpy elements too, as in ROS.
-        for element in value:
-            one(element)
-        return array.array(code, value) if field.sequence else np.array(value, kind)
 
     return check

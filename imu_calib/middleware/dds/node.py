@@ -75,7 +75,7 @@ class Node:
         self._tended = 0.0
         self.context.nodes.append(self)
         self._follow_clock()
-        self.context.graph.announce()
+        self.context.announce()
 
     def get_name(self) -> str:
         """Return the name."""
@@ -117,9 +117,11 @@ class Node:
         name = self.resolve_topic_name(topic)
         prefix = f'qos_overrides.{name}.publisher'
         qos = self._overridden(qos_profile, qos_overriding_options, prefix)
-        publisher = Publisher(self, msg_type, name, qos, event_callbacks)
+        publisher = Publisher(
+            self.context.joined(), self._logger, msg_type, name, qos, event_callbacks
+        )
         self.publishers_.append(publisher)
-        self.context.graph.announce()
+        self.context.announce()
         return publisher
 
     def create_subscription(
@@ -137,9 +139,11 @@ class Node:
         name = self.resolve_topic_name(topic)
         prefix = f'qos_overrides.{name}.subscription'
         qos = self._overridden(qos_profile, qos_overriding_options, prefix)
-        subscription = Subscription(self, msg_type, name, callback, qos, event_callbacks, raw)
+        subscription = Subscription(
+            self.context.joined(), self._logger, msg_type, name, callback, qos, event_callbacks, raw
+        )
         self.subscriptions_.append(subscription)
-        self.context.graph.announce()
+        self.context.announce()
         return subscription
 
     def _overridden(
@@ -167,16 +171,18 @@ class Node:
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any]
     ) -> Service:
         """Serve; peers on rmw_fastrtps cannot call it."""
-        service = Service(self, srv_type, self.resolve_service_name(srv_name), callback)
+        service = Service(
+            self.context.joined(), srv_type, self.resolve_service_name(srv_name), callback
+        )
         self.services_.append(service)
-        self.context.graph.announce()
+        self.context.announce()
         return service
 
     def create_client(self, srv_type: Any, srv_name: str) -> Client:
         """Ask a service; one on rmw_fastrtps never answers."""
-        client = Client(self, srv_type, self.resolve_service_name(srv_name))
+        client = Client(self.context.joined(), srv_type, self.resolve_service_name(srv_name))
         self.services_.append(client)
-        self.context.graph.announce()
+        self.context.announce()
         return client
 
     def declare_parameter(
@@ -280,7 +286,7 @@ class Node:
             return False
         among.remove(entity)
         entity.destroy()
-        self.context.graph.announce()
+        self.context.announce()
         return True
 
     def destroy_node(self) -> None:
@@ -294,7 +300,7 @@ class Node:
             entity.destroy()
         for kind in (self.publishers_, self.subscriptions_, self.services_, self.timers_):
             kind.clear()
-        self.context.graph.announce()
+        self.context.announce()
 
     def readers(self) -> Iterator[Any]:
         """Yield all DDS readers of the node."""

@@ -16,7 +16,7 @@ from .wire import Reader, Writer
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .node import Node
+    from .participant import Participant
 
 _REQUEST_ID = struct.Struct('<Qq')
 
@@ -34,29 +34,37 @@ def _identity(gid: bytes, role: str) -> str:
     return f'{role}id= {numbers};'
 
 
-def _ends(node: Node, srv_type: Any, name: str, serves: bool, gid: bytes) -> tuple[Reader, Writer]:
+def _ends(
+    participant: Participant, srv_type: Any, name: str, serves: bool, gid: bytes
+) -> tuple[Reader, Writer]:
     """Make the two DDS endpoints of one side of a service."""
     identity = _identity(gid, 'service' if serves else 'client')
     request, reply = f'rq{name}Request', f'rr{name}Reply'
     qos = QoSProfile(depth=10)
     asked, answered = srv_type.Request.TYPE_NAME, srv_type.Response.TYPE_NAME
     if serves:
-        reader = Reader(node.context, request, asked, qos, identity, 'service')
-        return reader, Writer(node.context, reply, answered, qos, identity, 'service')
-    reader = Reader(node.context, reply, answered, qos, identity, 'service')
-    return reader, Writer(node.context, request, asked, qos, identity, 'service')
+        reader = Reader(participant, request, asked, qos, identity, 'service')
+        return reader, Writer(participant, reply, answered, qos, identity, 'service')
+    reader = Reader(participant, reply, answered, qos, identity, 'service')
+    return reader, Writer(participant, request, asked, qos, identity, 'service')
 
 
 class Service:
     """Answers requests; the callback takes request and response and returns the response."""
 
     def __init__(
-        self, node: Node, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any]
+        self,
+        participant: Participant,
+        srv_type: Any,
+        srv_name: str,
+        callback: Callable[[Any, Any], Any],
     ) -> None:
         self.srv_type = srv_type
         self.srv_name = srv_name
         self.callback = callback
-        self.reader, self.writer = _ends(node, srv_type, srv_name, True, secrets.token_bytes(16))
+        self.reader, self.writer = _ends(
+            participant, srv_type, srv_name, True, secrets.token_bytes(16)
+        )
 
     def execute(self) -> bool:
         """Answer what has been asked; return whether there was anything."""
@@ -86,14 +94,14 @@ def _request_id(payload: bytes) -> bytes:
 class Client:
     """Asks a service; the answer is a future."""
 
-    def __init__(self, node: Node, srv_type: Any, srv_name: str) -> None:
+    def __init__(self, participant: Participant, srv_type: Any, srv_name: str) -> None:
         self.srv_type = srv_type
         self.srv_name = srv_name
         gid = secrets.token_bytes(16)
         self._guid = int.from_bytes(gid[:8], 'little')
         self._sequence = 0
         self._pending: dict[int, Future] = {}
-        self.reader, self.writer = _ends(node, srv_type, srv_name, False, gid)
+        self.reader, self.writer = _ends(participant, srv_type, srv_name, False, gid)
 
     def service_is_ready(self) -> bool:
         """Tell whether somebody serves."""

@@ -1,4 +1,4 @@
-"""The message classes of the suite by their short names."""
+"""The message classes of the suite by their short names, each made when it is first asked for."""
 
 from __future__ import annotations
 
@@ -6,24 +6,33 @@ from typing import Any
 
 from .messages import message_class
 
-# Any: what fields a class has is known only when its definition is read.
-Bool: Any = message_class('std_msgs/msg/Bool')
-CalibrationProgress: Any = message_class('imu_calib_msgs/msg/CalibrationProgress')
-Clock: Any = message_class('rosgraph_msgs/msg/Clock')
-DiagnosticArray: Any = message_class('diagnostic_msgs/msg/DiagnosticArray')
-DiagnosticStatus: Any = message_class('diagnostic_msgs/msg/DiagnosticStatus')
-DurationMsg: Any = message_class('builtin_interfaces/msg/Duration')
-Header: Any = message_class('std_msgs/msg/Header')
-Imu: Any = message_class('sensor_msgs/msg/Imu')
-ImuCalibration: Any = message_class('imu_calib_msgs/msg/ImuCalibration')
-JointState: Any = message_class('sensor_msgs/msg/JointState')
-JointTrajectory: Any = message_class('trajectory_msgs/msg/JointTrajectory')
-JointTrajectoryPoint: Any = message_class('trajectory_msgs/msg/JointTrajectoryPoint')
-KeyValue: Any = message_class('diagnostic_msgs/msg/KeyValue')
-Quaternion: Any = message_class('geometry_msgs/msg/Quaternion')
-String: Any = message_class('std_msgs/msg/String')
-Temperature: Any = message_class('sensor_msgs/msg/Temperature')
-TimeMsg: Any = message_class('builtin_interfaces/msg/Time')
-TurntableSetpoint: Any = message_class('imu_calib_msgs/msg/TurntableSetpoint')
-TurntableState: Any = message_class('imu_calib_msgs/msg/TurntableState')
-Vector3: Any = message_class('geometry_msgs/msg/Vector3')
+NAMES = {
+    name.rpartition('/')[2]: name
+    for name in (
+        'diagnostic_msgs/msg/DiagnosticArray',
+        'diagnostic_msgs/msg/DiagnosticStatus',
+        'diagnostic_msgs/msg/KeyValue',
+        'geometry_msgs/msg/Quaternion',
+        'geometry_msgs/msg/Vector3',
+        'imu_calib_msgs/msg/CalibrationProgress',
+        'imu_calib_msgs/msg/ImuCalibration',
+        'imu_calib_msgs/msg/TurntableSetpoint',
+        'imu_calib_msgs/msg/TurntableState',
+        'rosgraph_msgs/msg/Clock',
+        'sensor_msgs/msg/Imu',
+        'sensor_msgs/msg/JointState',
+        'sensor_msgs/msg/Temperature',
+        'std_msgs/msg/Bool',
+        'std_msgs/msg/Header',
+        'std_msgs/msg/String',
+        'trajectory_msgs/msg/JointTrajectory',
+        'trajectory_msgs/msg/JointTrajectoryPoint',
+    )
+} | {'DurationMsg': 'builtin_interfaces/msg/Duration', 'TimeMsg': 'builtin_interfaces/msg/Time'}
+"""Full names by short names."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in NAMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return message_class(NAMES[name])

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rosbags.interfaces import Nodetype
 
 from ...errors import ImuCalibError
-from .interfaces import Field, interface, type_hash
+from .interfaces import interface, type_hash
+from .participant import Participant, delete
 from .qos import QoSIncompatibleInfo, QoSProfile, to_dds
-
-if TYPE_CHECKING:
-    from .context import Context
 
 _ANY = 3 | 12 | 112
 """Samples read or not, of new or known writers, alive or not."""
@@ -36,31 +36,26 @@ def idl_type(name: str, prefix: str = '') -> Any:
     fields: dict[str, Any] = {}
     if prefix:
         fields = {'client_guid': types.uint64, 'sequence_number': types.int64}
-    fields.update((f'{f.name}_', _idl_field(f)) for f in interface(name).fields)
+    fields.update((f'{n}_', _idl_field(*desc)) for n, desc in interface(name).fields)
     struct = make_idl_struct(f'{short}_', f'{package}.{kind}.dds_.{short}_', fields)
     return annotations.final(struct)
 
 
-def _idl_field(field: Field) -> Any:
+def _idl_field(kind: int, details: Any) -> Any:
+    """Return the wheel's type of a field, as rosbags describes it."""
     from cyclonedds.idl import types
 
-    one: Any
-    if field.nested:
-        one = idl_type(field.base)
-    elif field.base == 'string':
-        one = types.bounded_str[field.string_bound] if field.string_bound else str
-    elif field.base == 'bool':
-        one = bool
-    else:
-        one = getattr(types, field.base)
-    if field.sequence:
-        return types.sequence[one, field.size] if field.size else types.sequence[one]
-    return types.array[one, field.size] if field.size else one
-
-
-def delete(entity: Any) -> None:
-    """Delete an entity of the wheel now rather than with its last reference."""
-    entity.__del__()
+    if kind == Nodetype.NAME:
+        return idl_type(details)
+    inner, size = details
+    if kind == Nodetype.BASE:
+        if inner == 'string':
+            return types.bounded_str[size] if size else str
+        return bool if inner == 'bool' else getattr(types, inner)
+    one = _idl_field(*inner)
+    if kind == Nodetype.ARRAY:
+        return types.array[one, size]
+    return types.sequence[one, size] if size else types.sequence[one]
 
 
 class Endpoint:
@@ -68,16 +63,16 @@ class Endpoint:
 
     def __init__(
         self,
-        context: Context,
+        participant: Participant,
         topic: str,
         type_name: str,
         qos: QoSProfile,
         user_data: str = '',
         prefix: str = '',
     ) -> None:
-        self.context = context
+        self.participant = participant
         self.name = topic
-        self.topic = context.topic(topic, idl_type(type_name, prefix))
+        self.topic = participant.topic(topic, idl_type(type_name, prefix))
         self._qos = to_dds(qos, f'{user_data}typehash={type_hash(type_name)};')
         self.entity: Any = None
 
@@ -99,7 +94,7 @@ class Writer(Endpoint):
         from cyclonedds.pub import DataWriter
 
         super().__init__(*args, **options)
-        self.entity = DataWriter(self.context.participant, self.topic, qos=self._qos)
+        self.entity = DataWriter(self.participant.entity, self.topic, qos=self._qos)
         self._write = ddspy_write
 
     def write(self, payload: bytes) -> None:
@@ -111,7 +106,7 @@ class Writer(Endpoint):
         """
         code = self._write(self.entity._ref, payload + bytes(-len(payload) % 4))
         if code < 0:
-            gone = '' if self.context.ok() else ': the context is shut down'
+            gone = '' if self.participant.ok() else ': the context is shut down'
             raise ImuCalibError(f'{self.name}: Cyclone DDS refuses to send ({code}){gone}.')
 
     def acknowledged(self, timeout_ns: int) -> bool:
@@ -138,7 +133,7 @@ class Reader(Endpoint):
         from cyclonedds.sub import DataReader
 
         super().__init__(*args, **options)
-        self.entity = DataReader(self.context.participant, self.topic, qos=self._qos)
+        self.entity = DataReader(self.participant.entity, self.topic, qos=self._qos)
         self.condition = ReadCondition(self.entity, _ANY)
         self._take = ddspy_take
 

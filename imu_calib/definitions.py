@@ -1,4 +1,4 @@
-"""Texts of message definitions, as a recording carries them along."""
+"""Texts of message definitions, as a recording carries them along and as nodes exchange them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import os
 import re
 from pathlib import Path
 
-from ..errors import InputError
-from ..share import message_folder
+from .errors import InputError
+from .share import message_folder
 
 _OWN = 'imu_calib_msgs'
 _RULE = '=' * 80
@@ -18,7 +18,7 @@ _PRIMITIVES = frozenset(
 # A field, not a constant: a type, perhaps an array, a name, perhaps a default value.
 _FIELD = re.compile(r'^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-z]\w*\s*(?:$|[^=\s])')
 
-# What the suite records has to be describable where no ROS is installed.
+# What the suite records and what its nodes exchange, for where no ROS is installed.
 _BUILT_IN = {
     'builtin_interfaces/msg/Time': 'int32 sec\nuint32 nanosec\n',
     'std_msgs/msg/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
@@ -42,6 +42,35 @@ _BUILT_IN = {
     ),
     'sensor_msgs/msg/Temperature': (
         'std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n'
+    ),
+    'builtin_interfaces/msg/Duration': 'int32 sec\nuint32 nanosec\n',
+    'std_msgs/msg/Bool': 'bool data\n',
+    'std_msgs/msg/String': 'string data\n',
+    'diagnostic_msgs/msg/KeyValue': 'string key\nstring value\n',
+    'diagnostic_msgs/msg/DiagnosticStatus': (
+        'byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\n'
+        'byte level\nstring name\nstring message\nstring hardware_id\nKeyValue[] values\n'
+    ),
+    'diagnostic_msgs/msg/DiagnosticArray': 'std_msgs/Header header\nDiagnosticStatus[] status\n',
+    'rosgraph_msgs/msg/Clock': 'builtin_interfaces/Time clock\n',
+    'trajectory_msgs/msg/JointTrajectoryPoint': (
+        'float64[] positions\nfloat64[] velocities\nfloat64[] accelerations\nfloat64[] effort\n'
+        'builtin_interfaces/Duration time_from_start\n'
+    ),
+    'trajectory_msgs/msg/JointTrajectory': (
+        'std_msgs/Header header\nstring[] joint_names\nJointTrajectoryPoint[] points\n'
+    ),
+    # The empty request of a service is one byte on the wire.
+    'std_srvs/srv/Trigger_Request': 'uint8 structure_needs_at_least_one_member\n',
+    'std_srvs/srv/Trigger_Response': 'bool success\nstring message\n',
+    # char[16] in ROS, which means uint8 there.
+    'rmw_dds_common/msg/Gid': 'uint8[16] data\n',
+    'rmw_dds_common/msg/NodeEntitiesInfo': (
+        'string<=256 node_namespace\nstring<=256 node_name\n'
+        'Gid[] reader_gid_seq\nGid[] writer_gid_seq\n'
+    ),
+    'rmw_dds_common/msg/ParticipantEntitiesInfo': (
+        'Gid gid\nNodeEntitiesInfo[] node_entities_info_seq\n'
     ),
 }
 
