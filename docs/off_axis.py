@@ -15,9 +15,9 @@ from imu_calib.methods import method
 from imu_calib.model import SensorModel, Triad
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import Plan, load_plan
+from imu_calib.rotations import rotation
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.segment import Segment, Statistics
-from imu_calib.turntable import rotation
 from imu_calib.units import ARCSEC, DEG, DEG_H
 
 RUNS, LARGEST = 100, 3 * ARCSEC

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .model import PARAMETERS, Parameter, ParameterKind, SensorModel, Triad, positions
+from .rotations import rotation_vector
 from .stream import Floats
 from .units import ARCMIN
 
@@ -105,7 +106,7 @@ def _angles(responses: Floats) -> Floats:
     axes = [_input_axes(part) for part in responses.reshape(2, _OF_A_TRIAD)]
     between = [np.arcsin(own[i] @ own[j]) for own in axes for i, j in _PAIRS]
     gyros, accels = (_orthogonal(own) for own in axes)
-    return np.concatenate([between, _rotation_vector(accels @ gyros.T)])
+    return np.concatenate([between, rotation_vector(accels @ gyros.T)])
 
 
 def _input_axes(part: Floats) -> Floats:
@@ -118,13 +119,3 @@ def _orthogonal(axes: Floats) -> Floats:
     """Return the orthogonal triad nearest to three axes (rows): their polar factor."""
     left, _, right = np.linalg.svd(axes)
     return np.asarray(left @ right)
-
-
-def _rotation_vector(turned: Floats) -> Floats:
-    """Return the rotation vector (3,) of a matrix, rad; less than half a turn."""
-    twice = np.array(
-        [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
-    )
-    sine, cosine = np.linalg.norm(twice) / 2, (np.trace(turned) - 1) / 2
-    angle = np.arctan2(sine, cosine)
-    return np.asarray(twice / 2 * (angle / sine if sine else 1.0))

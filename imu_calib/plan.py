@@ -10,9 +10,10 @@ import numpy as np
 
 from .config import Section
 from .errors import InputError
+from .rotations import rotation
 from .share import named_file
 from .stream import Floats, Mode
-from .turntable import TURN, Table, rotation
+from .turntable import TURN, Table
 from .units import DEG, Dimension, parse
 
 _COMPASS = {

@@ -10,6 +10,7 @@ import numpy as np
 
 from .config import Section
 from .errors import InputError
+from .rotations import angle_about, rotation
 from .share import named_file
 from .stream import Floats
 from .table_errors import LEVELLED, JointPoses, TableErrors, assumption, leaning, read_doubts
@@ -22,24 +23,6 @@ _REACH_TOLERANCE = 1e-6
 _WORST_CLOCK = 1e-3
 """Ten times what a plain quartz may be off: beyond, the number is of another unit."""
 _LETTERS = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
-
-
-def rotation(axis: Floats, angle: Floats | float) -> Floats:
-    """Return the rotation matrices about a unit axis (Rodrigues).
-
-    Args:
-        axis: (3,) unit vector.
-        angle: (...) angles, rad.
-
-    Returns:
-        (..., 3, 3) matrices.
-
-    """
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine = np.sin(angle)[..., None, None]
-    versine = (1 - np.cos(angle))[..., None, None]
-    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
 
 
 @dataclass(frozen=True)
@@ -270,11 +253,11 @@ def _inverse(axes: list[Floats], target: Floats) -> list[Floats]:
     a1.(R2 a3) = a1.(G a3), with two solutions; then each neighbour from what is left.
     """
     if len(axes) == 1:
-        return [np.array([_angle_about(axes[0], target)])]
+        return [np.array([angle_about(axes[0], target)])]
     if len(axes) == 2:
         first = _angle_between(axes[0], axes[1], target @ axes[1])
         rest = rotation(axes[0], first).T @ target
-        return [np.array([first, _angle_about(axes[1], rest)])]
+        return [np.array([first, angle_about(axes[1], rest)])]
     first_axis, middle, last = axes
     cosine = first_axis @ last - (first_axis @ middle) * (middle @ last)
     sine = first_axis @ np.cross(middle, last)
@@ -287,21 +270,13 @@ def _inverse(axes: list[Floats], target: Floats) -> list[Floats]:
         turned = rotation(middle, second) @ last
         if np.linalg.norm(np.cross(first_axis, turned)) < 1e-7:
             # Outer and inner axis coincide: the inner stays at zero, the outer does the turning.
-            first = _angle_about(first_axis, target @ rotation(middle, second).T)
+            first = angle_about(first_axis, target @ rotation(middle, second).T)
             solutions.append(np.array([first, second, 0.0]))
             continue
         first = _angle_between(first_axis, turned, target @ last)
         rest = (rotation(first_axis, first) @ rotation(middle, second)).T @ target
-        solutions.append(np.array([first, second, _angle_about(last, rest)]))
+        solutions.append(np.array([first, second, angle_about(last, rest)]))
     return solutions
-
-
-def _angle_about(axis: Floats, matrix: Floats) -> float:
-    """Return the angle of the rotation about an axis that comes closest to a matrix."""
-    skew = np.array(
-        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
-    )
-    return math.atan2(float(axis @ skew), float(np.trace(matrix) - axis @ matrix @ axis))
 
 
 def _angle_between(axis: Floats, start: Floats, end: Floats) -> float:

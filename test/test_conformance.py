@@ -47,11 +47,11 @@ from imu_calib.plan import load_plan
 from imu_calib.plausibility import check_plausible
 from imu_calib.reports.assessment import assess, tables
 from imu_calib.reports.parameter_table import comparison_table, in_scale_of, parameter_table
+from imu_calib.rotations import rotation
 from imu_calib.segmentation.segment import Segment, Turn
 from imu_calib.simulation.imu import SimulatedImu
 from imu_calib.simulation.options import ImuOptions
 from imu_calib.stream import Floats
-from imu_calib.turntable import rotation
 from imu_calib.units import DEG
 from imu_calib.verification import Observed, Verdict, verify
 from imu_calib.verification.lengths import Sensors

@@ -27,6 +27,7 @@ from imu_calib.observation.free import FreeEquations, led_on
 from imu_calib.observation.path import chained
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
+from imu_calib.rotations import rotation
 from imu_calib.segmentation.clock import NO_CLOCK
 from imu_calib.segmentation.motion import Motion, Rest
 from imu_calib.segmentation.moves import joined
@@ -37,7 +38,6 @@ from imu_calib.segmentation.stillness import StillnessTracker
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import HandSession, anyhow, by_hand, the_short_way
 from imu_calib.stream import Floats
-from imu_calib.turntable import rotation
 from imu_calib.units import ARCMIN, DEG, PPM
 
 SPEC = load_imu('mems_counts')

@@ -12,7 +12,8 @@ from loopback import CHECKOUT, environment
 from imu_calib.cli import main, stand_session
 from imu_calib.cli.processes import free_port
 from imu_calib.errors import ImuCalibError
-from imu_calib.turntable import load_table, rotation
+from imu_calib.rotations import rotation
+from imu_calib.turntable import load_table
 from imu_calib.version import version
 
 try:

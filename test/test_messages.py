@@ -14,8 +14,10 @@ from imu_calib.definitions import message_text
 from imu_calib.errors import ImuCalibError, InputError
 
 try:
-    from interop_peer import filled
+    from interop_peer import filled, ros
 
+    if ros.RUNTIME != 'dds':
+        pytest.skip('of the dds runtime', allow_module_level=True)
     from imu_calib.middleware.dds import deserialize_message, messages, serialize_message
     from imu_calib.middleware.dds.interfaces import interface, type_hash
     from imu_calib.middleware.dds.messages import message_class

@@ -18,9 +18,10 @@ from imu_calib.methods.solution import Solution
 from imu_calib.model import PARAMETER_NAMES, SensorModel, Triad
 from imu_calib.plan import Plan, load_plan
 from imu_calib.reports.parameter_table import comparison_table, parameter_table
+from imu_calib.rotations import rotation
 from imu_calib.simulation import simulate
 from imu_calib.stream import Floats
-from imu_calib.turntable import load_table, rotation
+from imu_calib.turntable import load_table
 from imu_calib.units import ARCSEC, DEG, DEG_H
 
 SITE = Site.at(34 * DEG, gravity=normal_gravity(34 * DEG))

@@ -20,6 +20,7 @@ from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.plan import UNPLANNED, Plan, Position, RateTest, load_plan
+from imu_calib.rotations import rotation
 from imu_calib.segmentation.clock import fit_clock
 from imu_calib.segmentation.labelling import label
 from imu_calib.segmentation.naming import attitude_words, heading, unique, up_words
@@ -27,7 +28,7 @@ from imu_calib.segmentation.segment import Segment, Turn
 from imu_calib.segmentation.segmented import Segmented
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, ImuBlock, SetpointBlock
-from imu_calib.turntable import TURN, load_table, rotation
+from imu_calib.turntable import TURN, load_table
 from imu_calib.units import DEG
 
 TABLE = load_table('three_axis')

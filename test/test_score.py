@@ -30,9 +30,10 @@ from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import UNPLANNED, load_plan
 from imu_calib.prediction.expected import expected
+from imu_calib.rotations import rotation
 from imu_calib.segmentation.segment import Segment, Turn
 from imu_calib.stream import Floats
-from imu_calib.turntable import load_table, rotation
+from imu_calib.turntable import load_table
 
 Stretch = TypeVar('Stretch', Segment, Turn)
 

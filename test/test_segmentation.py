@@ -16,6 +16,7 @@ from imu_calib.calibrator import Result, Setup
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.plan import Plan
+from imu_calib.rotations import rotation
 from imu_calib.segmentation.cleaning import find_step, sound_part
 from imu_calib.segmentation.clock import ClockSample, fit_clock, seen_by_gyros
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
@@ -32,7 +33,7 @@ from imu_calib.segmentation.statistics import (
 )
 from imu_calib.simulation.options import Vibration
 from imu_calib.stream import Floats, ImuBlock, JointBlock, SetpointBlock, Stamps
-from imu_calib.turntable import load_table, rotation
+from imu_calib.turntable import load_table
 from imu_calib.units import DEG, DEG_H, PPM
 
 NS = 1_000_000_000

@@ -21,11 +21,12 @@ from imu_calib.errors import NotObservable
 from imu_calib.metadata import describe
 from imu_calib.model import Triad
 from imu_calib.plan import UNPLANNED
+from imu_calib.rotations import rotation
 from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segmenter import Segmenter
 from imu_calib.stream import Floats, ImuBlock, Units
 from imu_calib.table_errors import TableErrors
-from imu_calib.turntable import Table, load_table, rotation
+from imu_calib.turntable import Table, load_table
 from imu_calib.units import ARCMIN, ARCSEC, DEG, DEG_H, PPM, STANDARD_GRAVITY
 from imu_calib.verification import Observed, Quantity, Verdict, Verification, observe, verify
 

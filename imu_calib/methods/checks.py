@@ -15,6 +15,7 @@ from ..errors import Contradiction, InputError
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.level import Accelerometers, Tilt, widened_for_tilt
+from ..rotations import angle_between
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM
 from .rate_test import RateTest
@@ -398,8 +399,7 @@ def _off_positions(evidence: Evidence) -> list[str]:
         position = known.get(str(segment.position))
         if position is None:
             continue
-        cosine = (np.trace(segment.attitude.T @ position.attitude) - 1) / 2
-        angle = float(np.arccos(np.clip(cosine, -1, 1)))
+        angle = float(angle_between(segment.attitude, position.attitude))
         if angle > _OFF_POSITION:
             words.append(f'{position.id} ({angle / DEG:.2f} deg)')
     if not words:

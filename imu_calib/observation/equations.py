@@ -25,6 +25,7 @@ from ..budget import Share, Source
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..model.session_terms import Change
+from ..rotations import GENERATORS, rotation
 from ..stream import Floats, Units
 from ..units import ARCMIN, DEG
 from .arrivals import NO_ARRIVALS, Arrivals
@@ -51,19 +52,8 @@ ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
 GIVEN_AZIMUTH = 1 * ARCMIN
 """How well a table's azimuth is known where its configuration states it."""
 
-_GENERATORS = np.array(
-    [
-        [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
-        [[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]],
-        [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
-    ]
-)
 
-
-def _turn(axis: int, angle: float) -> Floats:
-    """Return the rotation by `angle` about a coordinate axis."""
-    g = _GENERATORS[axis]
-    return np.asarray(np.eye(3) + np.sin(angle) * g + (1 - np.cos(angle)) * (g @ g))
+_X, _Y, _Z = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,18 +80,18 @@ class Surroundings:
     @classmethod
     def at(cls, site: Site, azimuth: float, tilt_x: float, tilt_y: float) -> Surroundings:
         """Turn a site's vectors into the frame of a table that is turned and tilted, rad."""
-        gx, gy, gz = _GENERATORS
-        about_x, about_y = _turn(0, -tilt_x), _turn(1, -tilt_y)
+        gx, gy, gz = GENERATORS
+        about_x, about_y = rotation(_X, -tilt_x), rotation(_Y, -tilt_y)
         both = about_y @ about_x
         vectors, slopes = [], []
         for world in (site.earth_rate, site.specific_force):
-            headed = _turn(2, -azimuth) @ world
+            headed = rotation(_Z, -azimuth) @ world
             level = both @ headed
             vectors.append(level)
             by_azimuth = both @ (-gz @ headed)
             by_x = about_y @ (-gx @ (about_x @ headed))
             slopes.append(np.column_stack([by_azimuth, by_x, -gy @ level]))
-        by_latitude = both @ _turn(2, -azimuth) @ site.earth_rate_by_latitude
+        by_latitude = both @ rotation(_Z, -azimuth) @ site.earth_rate_by_latitude
         return cls(vectors[0], vectors[1], by_latitude, slopes[0], slopes[1], both.T)
 
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from ..budget import Source
 from ..directions import across
 from ..model import SensorModel
+from ..rotations import rotations
 from ..stream import Floats
 from .equations import Equations, Surroundings
 from .evidence import UP, Evidence
-from .path import rotations
 from .rows import Indices
 
 

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model import PARAMETERS
+from ..rotations import rotation
 from ..segmentation.naming import attitude_words, up_words
 from ..segmentation.segment import Segment, Turn
 from ..stream import Floats
-from ..turntable import TURN, rotation
+from ..turntable import TURN
 from .equations import Equations
 from .evidence import UP, Evidence
 from .information import ALONG, before, told

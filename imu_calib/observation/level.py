@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..model import PARAMETERS, Triad
+from ..rotations import shortest
 from ..stream import Floats
 from ..units import ARCSEC
 from .evidence import UP, Evidence
@@ -60,9 +61,7 @@ class Tilt:
             covariance: (3, 3) its covariance; that of the tilt comes on top.
 
         """
-        axis = np.cross(self.up, UP)
-        cross = np.cross(np.eye(3), axis)
-        turned = np.eye(3) + cross + cross @ cross / (1 + float(self.up[2]))
+        turned = shortest(self.up, UP)
         leaning = np.cross(np.eye(3)[:2], vector) * self.std
         return turned @ vector, turned @ covariance @ turned.T + leaning.T @ leaning
 

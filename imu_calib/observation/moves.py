@@ -16,10 +16,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..model import Parameter, SensorModel
+from ..rotations import rotation_vector, rotations
 from ..segmentation.segment import Segment, Turn
 from ..segmentation.segmented import Move
 from ..stream import Floats
-from .path import Path, rotation_vector, rotations
+from .path import Path
 
 _EDGES = 1 / 6
 """Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..model import SensorModel
+from ..rotations import product, rotations_last
 from ..stream import Floats
 
 
@@ -113,43 +114,9 @@ def _led(
     counts = [len(each) for each in seconds]
     steps = rates * np.concatenate(seconds)[:, None]
     wholes, after = _chained(steps, counts)
-    middles = np.moveaxis(_times(after, _rotations(-steps / 2)), -1, 0)
+    middles = np.moveaxis(product(after, rotations_last(-steps / 2)), -1, 0)
     ends = np.cumsum(counts)[:-1]
     return list(zip(np.split(rates, ends), np.split(middles, ends), wholes, strict=True))
-
-
-def rotations(vectors: Floats) -> Floats:
-    """Return the rotation matrices (n, 3, 3) of (n, 3) rotation vectors (Rodrigues)."""
-    return np.ascontiguousarray(np.moveaxis(_rotations(vectors), -1, 0))
-
-
-def _rotations(vectors: Floats) -> Floats:
-    """Return `rotations` with the index of the vector last, (3, 3, n)."""
-    x, y, z = vectors.T
-    angle = np.linalg.norm(vectors, axis=-1)
-    sine = np.sinc(angle / np.pi)
-    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-    # The square of a cross product's matrix is v v' - v'v.
-    outer = vectors.T[:, None] * vectors.T
-    result = sine * cross + versine * outer
-    result[range(3), range(3)] += 1 - versine * angle**2
-    return np.asarray(result)
-
-
-def rotation_vector(rotation: Floats) -> Floats:
-    """Return the rotation vector (3,) of a rotation below half a turn, (3, 3)."""
-    axis = np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    sine, cosine = np.linalg.norm(axis) / 2, (np.trace(rotation) - 1) / 2
-    angle = np.arctan2(sine, cosine)
-    return np.asarray(axis * (angle / (2 * sine) if sine > 0 else 0.5))
 
 
 def chained(vectors: Floats) -> tuple[Floats, Floats]:
@@ -174,23 +141,12 @@ def _chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
     ends = np.cumsum(counts)
     follow = np.repeat(ends, counts) - np.arange(len(vectors)) - 1
     # Products of all that follow, by doubling: after pass k each holds 2^k steps.
-    product = _rotations(-vectors)
+    passed = rotations_last(-vectors)
     reach = 1
     while reach < max(counts):
         here = np.flatnonzero(follow >= reach)
-        product[..., here] = _times(product[..., here + reach], product[..., here])
+        passed[..., here] = product(passed[..., here + reach], passed[..., here])
         reach *= 2
-    after = np.concatenate([product[..., 1:], np.eye(3)[..., None]], axis=-1)
+    after = np.concatenate([passed[..., 1:], np.eye(3)[..., None]], axis=-1)
     after[..., ends - 1] = np.eye(3)[..., None]
-    return np.moveaxis(product[..., ends - counts], -1, 0), after
-
-
-def _times(first: Floats, second: Floats) -> Floats:
-    """Return the products of n matrices with n others, (3, 3, n) each.
-
-    NumPy multiplies small matrices one by one, and takes ten times as long.
-    """
-    result = first[:, 0, None] * second[0]
-    result += first[:, 1, None] * second[1]
-    result += first[:, 2, None] * second[2]
-    return np.asarray(result)
+    return np.moveaxis(passed[..., ends - counts], -1, 0), after

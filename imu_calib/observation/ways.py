@@ -6,16 +6,16 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from ..courses import Course, moving
 from ..directions import across
 from ..earth import Site
 from ..model import SensorModel
+from ..rotations import rotation, rotation_vectors, rotations
 from ..segmentation.segment import Segment
 from ..segmentation.segmented import Move
 from ..stream import Floats
-from ..turntable import Table, rotation
+from ..turntable import Table
 from .evidence import UP
 
 BY_HAND_MOVE = 2.0
@@ -75,9 +75,7 @@ def _along(
 ) -> Move:
     """Return what the gyros would give through (n + 1, 3, 3) attitudes, (n,) seconds apart."""
     earth, force = world
-    steps = scipy.spatial.transform.Rotation.from_matrix(
-        np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
-    ).as_rotvec()
+    steps = rotation_vectors(np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:])
     middles = (attitudes[:-1] + attitudes[1:]) / 2
     rates = steps / spans[:, None] + np.einsum('i,nij->nj', earth, middles)
     gyro, _ = truth.predict(rates, np.einsum('i,nij->nj', force, middles))
@@ -133,9 +131,9 @@ def short_move(before: Segment, after: Segment, truth: SensorModel, site: Site) 
     assert before.attitude is not None
     assert after.attitude is not None
     ends = np.array([before.attitude, after.attitude])
-    turn = scipy.spatial.transform.Rotation.from_matrix(ends[0].T @ ends[1]).as_rotvec()
+    turn = rotation_vectors(ends[0].T @ ends[1])
     parts = np.linspace(0.0, 1.0, _SHORT_STEPS + 1)[:, None] * turn
-    attitudes = ends[0] @ scipy.spatial.transform.Rotation.from_rotvec(parts).as_matrix()
+    attitudes = ends[0] @ rotations(parts)
     spans = np.full(_SHORT_STEPS, (after.start - before.end) * 1e-9 / _SHORT_STEPS)
     world = site.up_rate * UP, site.specific_force
     return _along(before, after, attitudes, spans, truth, world)

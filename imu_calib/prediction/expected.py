@@ -29,13 +29,14 @@ from ..observation.ways import (
     short_move,
     way,
 )
+from ..rotations import rotation
 from ..segmentation.clock import ClockFit
 from ..segmentation.moves import COARSEST
 from ..segmentation.segment import Segment, Turn
 from ..segmentation.segmented import Move
 from ..segmentation.sensor import NEARLY
 from ..stream import Floats, Mode
-from ..turntable import TURN, rotation
+from ..turntable import TURN
 from .readings import SPARE, each_turn, period_of, reading, skewed_alone, triads, walk_of
 from .schedule import SETTLE, schedule
 

@@ -20,8 +20,9 @@ from ..model import PARAMETERS, SensorModel
 from ..observation.equations import Equations
 from ..observation.information import log_determinant
 from ..plan import Plan, Position, RateTest
+from ..rotations import rotation
 from ..stream import Floats
-from ..turntable import Table, rotation
+from ..turntable import Table
 from ..units import DEG
 from .expected import expected
 from .forecast import state_at

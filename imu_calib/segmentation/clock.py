@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..rotations import angle_between
 from ..stream import Floats, Stamps
 from ..units import DEG
 from .statistics import Samples, gap_free
@@ -184,8 +185,7 @@ def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> S
     table = (joint_stamp - origin) * 1e-9
     _, index = np.unique(np.floor(table / _CELL_SECONDS), return_index=True)
     index = np.unique(np.append(index, len(table) - 1))
-    steps = np.einsum('nij,nij->n', attitudes[index[1:]], attitudes[index[:-1]])
-    ways = np.arccos(np.clip((steps - 1) / 2, -1.0, 1.0))
+    ways = angle_between(attitudes[index[1:]], attitudes[index[:-1]])
     if ways.sum() < _LEAST_TRAVEL:
         return None
     time = (samples.stamp - origin) * 1e-9

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..plan import Plan
+from ..rotations import angle_between
 from ..stream import Floats, Mode, Setpoint
 from ..turntable import TURN, Table
 from ..units import DEG
@@ -326,7 +327,7 @@ def _apart(a: Floats | None, b: Floats) -> float:
     """Return the angle of the rotation between two attitudes."""
     if a is None:
         return float('inf')
-    return float(np.arccos(np.clip((np.trace(a.T @ b) - 1) / 2, -1, 1)))
+    return float(angle_between(a, b))
 
 
 def _named_turn(turn: Turn, setpoints: _Setpoints, plan: Plan) -> Turn:

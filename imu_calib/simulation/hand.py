@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy
 
 from ..earth import Site
 from ..imu import ImuSpec
 from ..model import SensorModel
 from ..plan import Plan
+from ..rotations import rotation, rotation_vectors
 from ..stream import Floats, ImuBlock
-from ..turntable import TURN, rotation
+from ..turntable import TURN
 from ..units import DEG
 from .imu import SimulatedImu
 from .motion import Motion
@@ -122,9 +122,7 @@ def one_turn_each(
         acceleration: rad/s^2.
 
     """
-    turns = scipy.spatial.transform.Rotation.from_matrix(
-        attitudes[:-1].transpose(0, 2, 1) @ attitudes[1:]
-    ).as_rotvec()
+    turns = rotation_vectors(attitudes[:-1].transpose(0, 2, 1) @ attitudes[1:])
     axes, tracks, holds, now = [], [], [], 0.0
     for k, hold in enumerate(seconds):
         holds.append((now, now + float(hold)))

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from ..earth import Site
+from ..rotations import seen_turned
 from ..stream import Floats
-from ..turntable import rotation
 from .tracks import Track
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -141,7 +141,7 @@ class Motion:
         angles = self._angles(self.track.at(times)[0].T)
         rows = self.base[None]
         for k, axis in enumerate(self.axes):
-            rows = _turn(rows, axis, (angles[k] + self.zeros[k])[:, None])
+            rows = seen_turned(rows, axis, (angles[k] + self.zeros[k])[:, None])
         return np.broadcast_to(rows @ self.mount, (len(times), 3, 3))
 
     def increments(self, edges: Floats, site: Site, lever: Floats) -> tuple[Floats, Floats]:
@@ -230,7 +230,9 @@ class Motion:
         for k, axis in enumerate(self.axes):
             moves = rates is not None and bool(rates[k].any())
             angle = (angles[k] if moves else angles[k, :1]) + self.zeros[k]
-            earth, up, spin, spin_up = (_turn(v, axis, angle) for v in (earth, up, spin, spin_up))
+            earth, up, spin, spin_up = (
+                seen_turned(v, axis, angle) for v in (earth, up, spin, spin_up)
+            )
             if rates is not None and accelerations is not None and moves:
                 own = rates[k][:, None] * axis
                 spin_up = spin_up + np.cross(spin, own) + accelerations[k][:, None] * axis
@@ -274,14 +276,3 @@ class Motion:
             turned, moved = self.shaking.change(edges)
             angle += turned
             velocity += moved
-
-
-def _turn(rows: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Return rows @ R(axis, angle) by Rodrigues' formula: vectors seen from the turned frame."""
-    if angle.size == 1:
-        return np.asarray(rows @ rotation(axis, float(angle.flat[0])))
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    along = rows @ np.outer(axis, axis)
-    turned = np.cos(angle)[..., None] * (rows - along) + np.sin(angle)[..., None] * (rows @ cross)
-    return np.asarray(along + turned)

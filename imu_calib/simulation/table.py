@@ -9,8 +9,9 @@ from operator import attrgetter
 import numpy as np
 
 from ..errors import InputError
+from ..rotations import rotation
 from ..stream import Floats, Mode, Setpoint
-from ..turntable import TURN, Joint, Table, rotation
+from ..turntable import TURN, Joint, Table
 from ..units import DEG
 from .motion import Link, Motion
 from .options import TableOptions

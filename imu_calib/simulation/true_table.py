@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from ..rotations import rotation
 from ..stream import Floats
-from ..turntable import Table, rotation
+from ..turntable import Table
 from ..units import ARCSEC, DEG
 from .motion import Link
 

@@ -27,8 +27,8 @@ from ..observation.components import Component, Diagonal
 from ..observation.equations import Equations, Nuisance
 from ..observation.evidence import Evidence
 from ..observation.information import Information
-from ..observation.path import rotations
 from ..observation.rows import Indices
+from ..rotations import rotations
 from ..stream import Floats
 from .lengths import Sensors, Up, compare_lengths, noise_at_rest
 from .observed import Observed

@@ -1,0 +1,137 @@
+"""Rotations: matrices of axes, angles and rotation vectors, and what takes them back.
+
+Closed forms where one rotation, or the samples of one motion, are turned: scipy.spatial.transform
+takes 0.3 s to import, which reading a plan or a table would pay, and for one rotation twice
+(matrix) to fifteen times (vector) as long. It is used where many are taken back, by up to half a
+turn. Source of the closed forms: Rodrigues; docs/mathematics.md, "Moves", has those of paths.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .stream import Floats
+
+GENERATORS = np.array(
+    [
+        [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
+        [[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]],
+        [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
+    ]
+)
+"""Derivatives of rotations about x, y and z at none."""
+
+
+def crossing(vector: Floats) -> Floats:
+    """Return the (3, 3) matrix whose product with another is the cross product with (3,)."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def rotation(axis: Floats, angle: Floats | float) -> Floats:
+    """Return the rotation matrices about a unit axis (Rodrigues).
+
+    Args:
+        axis: (3,) unit vector.
+        angle: (...) angles, rad.
+
+    Returns:
+        (..., 3, 3) matrices.
+
+    """
+    cross = crossing(axis)
+    sine = np.sin(angle)[..., None, None]
+    versine = (1 - np.cos(angle))[..., None, None]
+    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+
+
+def seen_turned(rows: Floats, axis: Floats, angle: Floats) -> Floats:
+    """Return rows @ rotation(axis, angle): vectors seen from the turned frame.
+
+    Args:
+        rows: (..., 3) vectors.
+        axis: (3,) unit vector.
+        angle: (...) rad, or one for all.
+
+    """
+    if angle.size == 1:
+        return np.asarray(rows @ rotation(axis, float(angle.flat[0])))
+    along = rows @ np.outer(axis, axis)
+    turned = np.cos(angle)[..., None] * (rows - along)
+    return np.asarray(along + turned + np.sin(angle)[..., None] * (rows @ crossing(axis)))
+
+
+def rotations(vectors: Floats) -> Floats:
+    """Return the rotation matrices (n, 3, 3) of (n, 3) rotation vectors (Rodrigues)."""
+    return np.ascontiguousarray(np.moveaxis(rotations_last(vectors), -1, 0))
+
+
+def rotations_last(vectors: Floats) -> Floats:
+    """Return `rotations` with the index of the vector last, (3, 3, n), as `product` takes them."""
+    x, y, z = vectors.T
+    angle = np.linalg.norm(vectors, axis=-1)
+    sine = np.sinc(angle / np.pi)
+    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    # The square of a cross product's matrix is v v' - v'v.
+    outer = vectors.T[:, None] * vectors.T
+    result = sine * cross + versine * outer
+    result[range(3), range(3)] += 1 - versine * angle**2
+    return np.asarray(result)
+
+
+def product(first: Floats, second: Floats) -> Floats:
+    """Return the products of n matrices with n others, (3, 3, n) each.
+
+    NumPy multiplies small matrices one by one, and takes ten times as long.
+    """
+    result = first[:, 0, None] * second[0]
+    result += first[:, 1, None] * second[1]
+    result += first[:, 2, None] * second[2]
+    return np.asarray(result)
+
+
+def _twice_sine(matrix: Floats) -> Floats:
+    """Return the axis of a rotation (3, 3) times twice the sine of its angle, (3,)."""
+    return np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )
+
+
+def rotation_vector(matrix: Floats) -> Floats:
+    """Return the rotation vector (3,) of a rotation below half a turn, (3, 3)."""
+    axis = _twice_sine(matrix)
+    sine, cosine = np.linalg.norm(axis) / 2, (np.trace(matrix) - 1) / 2
+    angle = np.arctan2(sine, cosine)
+    return np.asarray(axis * (angle / (2 * sine) if sine > 0 else 0.5))
+
+
+def rotation_vectors(matrices: Floats) -> Floats:
+    """Return the rotation vectors (..., 3) of rotations (..., 3, 3) by up to half a turn."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
+
+
+def angle_between(first: Floats, second: Floats) -> Floats:
+    """Return the angles (...) of the rotations between attitudes (..., 3, 3), rad."""
+    cosine = (np.einsum('...ij,...ij->...', first, second) - 1) / 2
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def angle_about(axis: Floats, matrix: Floats) -> float:
+    """Return the angle of the rotation about an axis that comes closest to a matrix."""
+    sine = float(axis @ _twice_sine(matrix))
+    return math.atan2(sine, float(np.trace(matrix) - axis @ matrix @ axis))
+
+
+def shortest(start: Floats, end: Floats) -> Floats:
+    """Return the rotation (3, 3) that takes a unit vector to another the short way.
+
+    Not to the opposite one, to which any way is as short.
+    """
+    cross = crossing(np.cross(start, end))
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + float(start @ end)))
