@@ -72,6 +72,9 @@ setup(
             'pytest-timeout>=2.2',
             'pytest-xdist>=3',
             'hypothesis>=6',
+            # Oracles.
+            'allantools>=2024.6',
+            'fastcrc>=0.5',
             ROSBAGS,
             DDS,
             PLOT,
