@@ -43,6 +43,19 @@ def data_frame(calibration: Calibration) -> pandas.DataFrame:
     )
 
 
+def empty_figure(width: float, height: float, what: str = 'A plot') -> Figure:
+    """Return a figure of a size in inches that belongs to no window.
+
+    Raises:
+        InputError: matplotlib is not installed; begins with what needs it.
+
+    """
+    require('matplotlib', what, 'plot')
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout='constrained')
+
+
 def draw(calibration: Calibration) -> Figure:
     """Draw the parameters with bars of two standard deviations, those of a unit beside each other.
 
@@ -50,12 +63,9 @@ def draw(calibration: Calibration) -> Figure:
         InputError: matplotlib is not installed.
 
     """
-    require('matplotlib', 'A plot', 'plot')
-    from matplotlib.figure import Figure
-
     groups = _groups(calibration.parameters)
     columns = max(sum(triad == letter for triad, _ in groups) for letter in _TRIADS)
-    figure = Figure(figsize=(3.2 * columns, 6.0), layout='constrained')
+    figure = empty_figure(3.2 * columns, 6.0)
     values, std = calibration.values, calibration.std
     places = dict.fromkeys(_TRIADS, 0)
     for (letter, unit), members in groups.items():

@@ -68,7 +68,7 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ('installed', 'name', 'words'),
     [
-        (False, 'study.png', [f"{sys.executable} -m pip install 'matplotlib>=3.6'", '--output']),
+        (False, 'study.png', [f"{sys.executable} -m pip install 'imu_calib[plot]'", '--output']),
         (True, 'study.xyz', ["found the ending '.xyz'", 'png', 'svg']),
     ],
 )

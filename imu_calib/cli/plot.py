@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..stream import Floats
+from ..views import empty_figure
 from .options import output_path
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _QUARTILES_TO_95 = (2.5, 97.5)
 """Percentiles of an interval of 95 percent."""
@@ -28,12 +23,8 @@ def plot_path(option: str, text: str) -> Path:
 
     """
     target = output_path(text)
-    if find_spec('matplotlib') is None:
-        raise InputError(
-            f'{option} {text}: a plot needs matplotlib, which is not installed. Run '
-            f"{sys.executable} -m pip install 'matplotlib>=3.6', or leave {option} out."
-        )
-    known = sorted(_empty(1.0).canvas.get_supported_filetypes())
+    figure = empty_figure(1.0, 1.0, f'{option} {text}: a plot')
+    known = sorted(figure.canvas.get_supported_filetypes())
     if target.suffix.removeprefix('.').lower() not in known:
         raise InputError(
             f'{option} {text}: found the ending {target.suffix!r}, expected one of '
@@ -55,7 +46,7 @@ def draw_normalised(target: Path, title: str, names: Sequence[str], normalised: 
         InputError: The file cannot be written.
 
     """
-    figure = _empty(0.4 * len(names) + 2)
+    figure = empty_figure(0.4 * len(names) + 2, 4.5)
     axes = figure.subplots()
     axes.axhspan(-1, 1, color='0.85', label='one standard deviation')
     # A box from quartile to quartile of a normal law reaches to 0.67, its whiskers to 1.96.
@@ -69,12 +60,3 @@ def draw_normalised(target: Path, title: str, names: Sequence[str], normalised: 
         figure.savefig(target)
     except OSError as error:
         raise InputError(f'{target}: cannot be written ({error.strerror}).') from None
-
-
-def _empty(width: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, 4.5), layout='constrained')
-    FigureCanvasAgg(figure)
-    return figure
