@@ -16,20 +16,8 @@ offers and the subset does not is said in `dds.node.Node`; services over DDS do 
 rmw_fastrtps.
 """
 
-from typing import TYPE_CHECKING
+from .chosen import *  # noqa: F403
+from .chosen import NAMES, RUNTIME
+from .running import Stoppable, run
 
-from .selection import require, runtime
-
-RUNTIME = runtime()
-require(RUNTIME)
-
-if TYPE_CHECKING or RUNTIME == 'dds':
-    from .dds import *  # noqa: F403
-    from .dds import __all__ as _names
-else:
-    from .ros import *  # noqa: F403
-    from .ros import __all__ as _names
-
-from .running import Stoppable, run  # noqa: E402
-
-__all__ = [*_names, 'RUNTIME', 'Stoppable', 'run']  # noqa: PLE0604
+__all__ = [*NAMES, 'RUNTIME', 'Stoppable', 'run']  # noqa: PLE0604

@@ -8,6 +8,15 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Protocol
 
+from .chosen import (
+    ExternalShutdownException,
+    acknowledged,
+    init,
+    ok,
+    spin_once,
+    try_shutdown,
+)
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -63,8 +72,6 @@ def run(
         Whether every last message was acknowledged.
 
     """
-    from . import ExternalShutdownException, init, ok, spin_once, try_shutdown
-
     stop = _Flag()
     former = _handle(stop.set)
     init(args=args)
@@ -109,8 +116,6 @@ def _warn_of_namesakes(node: Any) -> None:
 
 
 def _last_word(node: Any) -> bool:
-    from . import acknowledged
-
     stop = getattr(node, 'stop', None)
     publishers = stop() if stop is not None else None
     heard = [acknowledged(p, _LAST_WORD) for p in publishers or ()]
