@@ -9,10 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .budget import PROBABILITY, Budget, Line, Source
-from .config import Section
+from .config import Section, numbers_of
 from .errors import InputError
 from .model import Parameter
 from .stream import Floats
+
+_FOLLOWS = (
+    'units',
+    'standard_uncertainty',
+    'effective_degrees_of_freedom',
+    'coverage_probability',
+    'coverage_factor',
+    'expanded_uncertainty',
+)
+"""What the file holds for people: it follows from the sources."""
 
 
 def budget_document(
@@ -74,27 +84,25 @@ def read_budget(
         )
     lines = []
     for entry in section.sections('sources'):
-        try:
-            source = Source(entry.text('source'))
-        except ValueError:
-            known_sources = ', '.join(s.value for s in Source)
-            raise InputError(
-                f'{entry.key("source")}: found {entry.text("source")!r}, expected one of '
-                f'{known_sources}.'
-            ) from None
+        source = entry.choice('source', {s.value: s for s in Source})
         rows = [_row(entry, key, known) for key in ('standard_uncertainty', 'degrees_of_freedom')]
         if not np.isfinite(rows[0][known]).all():
             raise InputError(f'{entry.key("standard_uncertainty")}: expected finite numbers.')
+        for key in ('evaluation', 'description'):
+            entry.text(key, '')
+        entry.finish()
         lines.append(Line(source, rows[0], rows[1]))
+    for key in _FOLLOWS:
+        section.has(key)
+    section.finish()
     return Budget(tuple(lines))
 
 
 def _row(entry: Section, key: str, known: NDArray[np.bool_]) -> Floats:
     """Return a row of numbers that are not negative, NaN for what was not estimated."""
-    try:
-        values = np.array(entry.items(key), dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f'{entry.key(key)}: found no numbers.') from None
+    values = numbers_of(entry.items(key))
+    if values is None:
+        raise InputError(f'{entry.key(key)}: found no numbers.')
     count = int(known.sum())
     if values.shape != (count,) or not (values >= 0).all():
         raise InputError(f'{entry.key(key)}: expected {count} numbers, none of them negative.')

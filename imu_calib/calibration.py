@@ -297,10 +297,7 @@ class Calibration:
         version = section.number('format')
         if version != _FORMAT:
             raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
-        try:
-            units = Units(section.text('units'))
-        except ValueError:
-            raise InputError(f'{section.key("units")}: found {section.text("units")!r}.') from None
+        units = section.choice('units', {u.value: u for u in Units})
         gyros, accels = section.section('gyro'), section.section('accelerometer')
         terms = {**_read_terms(gyros, 'g'), **_read_terms(accels, 'a')}
         gyro_spec, gyro = _read_triad(gyros)
@@ -322,10 +319,9 @@ class Calibration:
         for term, values in terms.items():
             model = model.with_values(term.parameters, values)
         residuals = _read_residuals(section)
-        findings = section.raw('findings') if section.has('findings') else []
+        findings = section.texts('findings')
+        section.skip('free_of_frame', 'provenance')
         provenance = section.raw('provenance') if section.has('provenance') else {}
-        if not isinstance(findings, list) or not isinstance(provenance, dict):
-            raise InputError(f'{section.where}: findings must be a list, provenance a mapping.')
         serial_number = section.text('serial_number', '')
         budget = None
         if section.has('uncertainty_budget'):
@@ -336,7 +332,7 @@ class Calibration:
             model,
             covariance,
             residuals,
-            tuple(findings),
+            findings,
             provenance,
             serial_number,
             parameters,
@@ -344,6 +340,7 @@ class Calibration:
             read_changes(section.section(CHANGES), parameters) if section.has(CHANGES) else None,
             read_clock(section.section(CLOCK)) if section.has(CLOCK) else None,
         )
+        section.finish()
         check_plausible(calibration, section.where)
         return calibration
 
@@ -425,7 +422,8 @@ def _read_covariance(
             raise InputError(
                 f'{block.key("parameters")}: not the {count} parameters in their order.'
             )
-        covariance[np.ix_(known, known)] = _matrix(block, 'matrix', (count, count))
+        covariance[np.ix_(known, known)] = block.array('matrix', (count, count))
+        block.finish()
     else:
         covariance[np.ix_(known, known)] = 0.0
     return covariance
@@ -434,7 +432,7 @@ def _read_covariance(
 def _read_terms(section: Section, letter: str) -> dict[Term, Floats]:
     """Read the coefficients of the terms that a triad's section states."""
     mine = [term for term in TERMS if term.triad == letter and section.has(term.name)]
-    return {term: _matrix(section, term.name, _shape(term)).ravel() for term in mine}
+    return {term: section.array(term.name, _shape(term)).ravel() for term in mine}
 
 
 def _read_triad(section: Section) -> tuple[TriadSpec, Triad | None]:
@@ -442,8 +440,8 @@ def _read_triad(section: Section) -> tuple[TriadSpec, Triad | None]:
     scale = section.number('scale_factor')
     triad = None
     if section.has('error_matrix') or section.has('bias'):
-        triad = Triad(_matrix(section, 'error_matrix', (3, 3)), _matrix(section, 'bias', (3,)))
-    section.has('std')
+        triad = Triad(section.array('error_matrix', (3, 3)), section.array('bias', (3,)))
+    section.skip('std')
     return _finish_spec(section, scale), triad
 
 
@@ -463,34 +461,22 @@ def _read_skewed(section: Section) -> tuple[TriadSpec | None, Skewed | None]:
     scale, channels = block.number('scale_factor'), len(block.items('bias'))
     if channels > MOST_SKEWED:
         raise InputError(f'{block.key("bias")}: found {channels}, expected at most {MOST_SKEWED}.')
-    skewed = Skewed(_matrix(block, 'response', (channels, 3)), _matrix(block, 'bias', (channels,)))
-    block.has('std')
+    skewed = Skewed(block.array('response', (channels, 3)), block.array('bias', (channels,)))
+    block.skip('std')
     return _finish_spec(block, scale), skewed
 
 
 def _read_residuals(section: Section) -> tuple[ResidualRow, ...]:
-    if not section.has('residuals') or not section.raw('residuals'):
+    if not section.has('residuals') or section.raw('residuals') == []:
         return ()
-    return tuple(
-        ResidualRow(
-            row.text('position'),
-            row.number('time'),
-            *(
-                _matrix(row, key, (3,)) if row.has(key) else np.full(3, np.nan)
-                for key in ('gyro', 'accelerometer')
-            ),
-        )
-        for row in section.sections('residuals')
+    return tuple(_read_residual(row) for row in section.sections('residuals'))
+
+
+def _read_residual(row: Section) -> ResidualRow:
+    gyro, accel = (
+        row.array(key, (3,)) if row.has(key) else np.full(3, np.nan)
+        for key in ('gyro', 'accelerometer')
     )
-
-
-def _matrix(section: Section, key: str, shape: tuple[int, ...]) -> Floats:
-    try:
-        values = np.array(section.raw(key), dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f'{section.key(key)}: found no numbers.') from None
-    if values.shape != shape or not np.isfinite(values).all():
-        found = 'x'.join(str(n) for n in values.shape)
-        expected = 'x'.join(str(n) for n in shape)
-        raise InputError(f'{section.key(key)}: found {found} numbers, expected {expected}.')
-    return values
+    residual = ResidualRow(row.text('position'), row.number('time'), gyro, accel)
+    row.finish()
+    return residual

@@ -105,11 +105,8 @@ def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
     """
     coefficients, values = [], []
     for row in section.sections('coefficients'):
-        name = row.text('term')
-        if name not in {course.value for course in Course}:
-            known = ', '.join(course.value for course in Course)
-            raise InputError(f'{row.key("term")}: found {name!r}, expected one of {known}.')
-        coefficients.append(change(Course(name), row.text('of')))
+        course = row.choice('term', {course.value: course for course in Course})
+        coefficients.append(change(course, row.text('of')))
         values.append(row.number('value'))
         row.number('std')
         if (unit := row.text('unit')) != coefficients[-1].si:
@@ -118,8 +115,8 @@ def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
             )
         row.finish()
     k = len(coefficients)
-    covariance = _numbers(section, 'covariance', (k, k))
-    cross = _numbers(section, 'cross_covariance', (len(parameters), k))
+    covariance = section.array('covariance', (k, k))
+    cross = section.array('cross_covariance', (len(parameters), k))
     time_constant = section.number('time_constant', float('nan'))
     section.finish()
     return Changes(tuple(coefficients), np.array(values), covariance, cross, time_constant)
@@ -132,13 +129,3 @@ def sentence(changes: Changes) -> str:
     worst = int(np.argmax(far))
     _, name, value, std, unit = changes.shown()[worst]
     return f'{names}: {name} {value:.3g} +- {std:.2g} {unit} is the most, {far[worst]:.1f} sigma'
-
-
-def _numbers(section: Section, key: str, shape: tuple[int, int]) -> Floats:
-    try:
-        values = np.array(section.raw(key), dtype=float).reshape(shape)
-    except (TypeError, ValueError):
-        raise InputError(f'{section.key(key)}: expected {shape[0]}x{shape[1]} numbers.') from None
-    if not np.isfinite(values).all():
-        raise InputError(f'{section.key(key)}: found what is no number.')
-    return values

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
 import yaml
 
 from .errors import InputError
+from .stream import Floats
 from .units import Dimension, parse
 from .yaml_text import load
+
+T = TypeVar('T')
+
+_EXPONENTIAL = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+')
 
 
 class Section:
@@ -78,18 +87,59 @@ class Section:
         if default is not None and not self.has(name):
             return default
         value = self.raw(name)
-        if isinstance(value, (dict, list)):
-            raise InputError(f'{self.key(name)}: found {_kind(value)}, expected a text.')
+        if isinstance(value, (bool, dict, list)):
+            # YAML reads yes, no, on and off as true and false.
+            quoted = ' in quotes' if isinstance(value, bool) else ''
+            raise InputError(f'{self.key(name)}: found {_kind(value)}, expected a text{quoted}.')
         return str(value)
 
+    def choice(self, name: str, choices: Mapping[str, T], default: str | None = None) -> T:
+        """Return what one of some words stands for."""
+        word = self.text(name, default)
+        if word not in choices:
+            raise InputError(
+                f'{self.key(name)}: found {word!r}, expected one of {", ".join(choices)}.'
+            )
+        return choices[word]
+
     def number(self, name: str, default: float | None = None) -> float:
-        """Return a number without a unit."""
+        """Return a finite number without a unit."""
+        if default is not None and not self.has(name):
+            return default
+        value = as_number(self.raw(name))
+        if value is None or not math.isfinite(value):
+            raise InputError(f'{self.key(name)}: found {self.raw(name)!r}, expected a number.')
+        return value
+
+    def whole(
+        self, name: str, least: int, most: int | None = None, default: int | None = None
+    ) -> int:
+        """Return a whole number from `least` to `most`, which may be open."""
         if default is not None and not self.has(name):
             return default
         value = self.raw(name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise InputError(f'{self.key(name)}: found {value!r}, expected a number.')
-        return float(value)
+        if not is_whole(value, least, most):
+            bounds = f', {least} or more' if most is None else f' from {least} to {most}'
+            raise InputError(f'{self.key(name)}: found {value!r}, expected a whole number{bounds}.')
+        return int(value)
+
+    def array(self, name: str, shape: tuple[int, ...]) -> Floats:
+        """Return finite numbers in rows, as an array of a shape."""
+        values = numbers_of(self.raw(name))
+        if values is None:
+            raise InputError(f'{self.key(name)}: found no numbers.')
+        if values.shape != shape or not np.isfinite(values).all():
+            found = 'x'.join(str(n) for n in values.shape)
+            expected = 'x'.join(str(n) for n in shape)
+            raise InputError(f'{self.key(name)}: found {found} numbers, expected {expected}.')
+        return values
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """Return a list of strings, which may be empty or not there."""
+        if not self.has(name) or self.raw(name) == []:
+            return ()
+        items = {str(i): item for i, item in enumerate(self.items(name))}
+        return tuple(Section(items, self.key(name)).text(key) for key in items)
 
     def flag(self, name: str, *, default: bool) -> bool:
         """Return true or false."""
@@ -100,11 +150,23 @@ class Section:
             raise InputError(f'{self.key(name)}: found {value!r}, expected true or false.')
         return value
 
-    def quantity(self, name: str, dimension: Dimension, default: float | None = None) -> float:
-        """Return a number with a unit, in SI."""
+    def quantity(
+        self,
+        name: str,
+        dimension: Dimension,
+        default: float | None = None,
+        *,
+        least: float = -math.inf,
+        above: float = -math.inf,
+    ) -> float:
+        """Return a number with a unit, in SI: not below `least`, more than `above`."""
         if default is not None and not self.has(name):
             return default
-        return parse(self.raw(name), dimension, self.key(name))
+        value = parse(self.raw(name), dimension, self.key(name))
+        if value < least or not value > above:
+            bound = f'{least:g} or more' if value < least else f'above {above:g}'
+            raise InputError(f'{self.key(name)}: found {self.raw(name)}, expected {bound}.')
+        return value
 
     def items(self, name: str) -> list[Any]:
         """Return a list."""
@@ -116,6 +178,12 @@ class Section:
     def section(self, name: str) -> Section:
         """Return a mapping below this one."""
         return Section(self.raw(name), self.key(name))
+
+    def skip(self, *names: str) -> None:
+        """Let mappings stand that are for people and not read."""
+        for name in names:
+            if self.has(name):
+                self.section(name)
 
     def sections(self, name: str) -> list[Section]:
         """Return a list of mappings."""
@@ -136,6 +204,35 @@ class Section:
             raise InputError(
                 f'{self.where}: unknown key {unknown[0]!r}; known are {", ".join(known)}.{meant}'
             )
+
+
+def as_number(value: object) -> float | None:
+    """Return a number, None for anything else.
+
+    YAML 1.1, which PyYAML reads, takes 1e-5 for a text: its exponents need a point before them.
+    """
+    if isinstance(value, str) and _EXPONENTIAL.fullmatch(value):
+        return float(value)
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def is_whole(value: object, least: int, most: int | None) -> bool:
+    """Say whether a value is a whole number from `least` to `most`; 2.0 is one."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return least <= value <= (math.inf if most is None else most) and value % 1 == 0
+
+
+def numbers_of(value: object) -> Floats | None:
+    """Return lists of numbers as an array; None where they are ragged, or no numbers."""
+    if not isinstance(value, list):
+        number = as_number(value)
+        return None if number is None else np.array(number)
+    rows = [numbers_of(row) for row in value]
+    known = [row for row in rows if row is not None]
+    if len(known) < len(rows) or len({row.shape for row in known}) > 1:
+        return None
+    return np.array(known)
 
 
 def _kind(value: object) -> str:

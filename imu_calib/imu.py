@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from .config import Section
-from .errors import InputError
 from .share import named_file
 from .specification import Specification, read_specification
 from .stream import Units
@@ -153,19 +152,10 @@ def read_imu(section: Section) -> ImuSpec:
         InputError: File, key, what was found and what was expected.
 
     """
-    text = section.text('units')
-    try:
-        units = Units(text)
-    except ValueError:
-        known = ', '.join(u.value for u in Units)
-        raise InputError(
-            f'{section.key("units")}: found {text!r}, expected one of {known}.'
-        ) from None
+    units = section.choice('units', {u.value: u for u in Units})
     rate = None
     if section.has('sample_rate'):
-        rate = section.quantity('sample_rate', Dimension.FREQUENCY)
-        if not rate > 0:
-            raise InputError(f'{section.key("sample_rate")}: found {rate:g} Hz, expected above 0.')
+        rate = section.quantity('sample_rate', Dimension.FREQUENCY, above=0)
     gyro_scale, accel_scale = {
         Units.PULSES: (Dimension.ANGLE_PER_PULSE, Dimension.VELOCITY_PER_PULSE),
         Units.COUNTS: (Dimension.RATE_PER_COUNT, Dimension.ACCELERATION_PER_COUNT),
@@ -220,26 +210,14 @@ def _read_triad(
     if scale is None and not parent.has(name):
         return TriadSpec()
     section = parent.section(name)
-    factor = 1.0 if scale is None else section.quantity('scale_factor', scale)
-    if not factor > 0:
-        raise InputError(f'{section.key("scale_factor")}: must be above zero.')
     spec = TriadSpec(
-        factor,
-        section.quantity(walk_key, walk, 0.0),
-        section.quantity('bias_instability', value, 0.0),
-        section.quantity('range', value, math.inf),
-        section.quantity('pulse', pulse, 0.0) if scale is None else 0.0,
-        section.quantity('scale_factor_temperature', Dimension.RATIO_PER_KELVIN, 0.0),
-        section.quantity('bias_temperature', _PER_KELVIN[value], 0.0),
+        1.0 if scale is None else section.quantity('scale_factor', scale, above=0),
+        section.quantity(walk_key, walk, 0.0, least=0),
+        section.quantity('bias_instability', value, 0.0, least=0),
+        section.quantity('range', value, math.inf, above=0),
+        section.quantity('pulse', pulse, 0.0, least=0) if scale is None else 0.0,
+        section.quantity('scale_factor_temperature', Dimension.RATIO_PER_KELVIN, 0.0, least=0),
+        section.quantity('bias_temperature', _PER_KELVIN[value], 0.0, least=0),
     )
-    figures = (
-        spec.random_walk,
-        spec.bias_instability,
-        spec.pulse,
-        spec.scale_factor_temperature,
-        spec.bias_temperature,
-    )
-    if min(figures) < 0 or spec.range <= 0:
-        raise InputError(f'{section.where}: noise figures cannot be negative, the range not zero.')
     section.finish()
     return spec

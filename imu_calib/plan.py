@@ -16,7 +16,7 @@ from .stream import Floats, Mode
 from .turntable import TURN, Table
 from .units import DEG, Dimension, parse
 
-_COMPASS = {
+COMPASS = {
     'E': (1.0, 0.0, 0.0),
     'N': (0.0, 1.0, 0.0),
     'U': (0.0, 0.0, 1.0),
@@ -24,6 +24,20 @@ _COMPASS = {
     'S': (0.0, -1.0, 0.0),
     'D': (0.0, 0.0, -1.0),
 }
+METHOD_NAMES = (
+    'free_positions',
+    'joint',
+    'joint_33',
+    'n_positions',
+    'off_axis_four',
+    'rate_24',
+    'six_position',
+    'skewed',
+    'static_six',
+    'twelve_position',
+)
+"""The names of `methods.METHODS`, which know plans: a test compares."""
+
 _BODY_AXES = {'X': np.array([1.0, 0, 0]), 'Y': np.array([0, 1.0, 0]), 'Z': np.array([0, 0, 1.0])}
 
 
@@ -223,7 +237,7 @@ def read_plan(section: Section) -> Plan:
     """
     by_hand = section.flag('by_hand', default=False)
     rate_test = _read_rate_test(section, by_hand=by_hand)
-    dwell = section.quantity('dwell', Dimension.TIME)
+    dwell = section.quantity('dwell', Dimension.TIME, above=0)
     positions = tuple(_read_position(s, dwell, rate_test) for s in section.sections('positions'))
     names = [p.id for p in positions]
     twice = sorted({n for n in names if names.count(n) > 1})
@@ -233,7 +247,7 @@ def read_plan(section: Section) -> Plan:
         section.text('name'),
         section.text('title'),
         section.text('source'),
-        section.text('method'),
+        section.choice('method', {name: name for name in METHOD_NAMES}),
         positions,
         by_hand,
     )
@@ -245,9 +259,7 @@ def _read_rate_test(section: Section, *, by_hand: bool) -> RateTest | None:
     if not section.has('rate_test'):
         return None
     test = section.section('rate_test')
-    turns = test.number('turns', 1.0)
-    if turns != int(turns) or turns < 1:
-        raise InputError(f'{test.key("turns")}: found {turns:g}, expected a whole number above 0.')
+    turns = test.whole('turns', 1, default=1)
     rates: tuple[float, ...] = ()
     if not by_hand:
         key = test.key('rates')
@@ -255,17 +267,22 @@ def _read_rate_test(section: Section, *, by_hand: bool) -> RateTest | None:
         if any(rate == 0 for rate in rates):
             raise InputError(f'{key}: a rate of zero turns nothing.')
     test.finish()
-    return RateTest(rates, int(turns))
+    return RateTest(rates, turns)
 
 
 def _read_position(section: Section, dwell: float, rate_test: RateTest | None) -> Position:
     name = section.text('id')
-    own_dwell = section.quantity('dwell', Dimension.TIME, dwell)
     turns = section.flag('rate_test', default=False)
-    if own_dwell < 0 or (own_dwell == 0 and not turns):
-        raise InputError(f'{section.where}: the dwell must be above zero.')
+    own_dwell = section.quantity('dwell', Dimension.TIME, dwell, least=0)
+    if own_dwell == 0 and not turns:
+        raise InputError(
+            f'{section.key("dwell")}: found {section.raw("dwell")}, expected above 0, as no turns '
+            'are made here.'
+        )
     if turns and rate_test is None:
-        raise InputError(f'{section.where}: asks for a rate test, but the plan describes none.')
+        raise InputError(
+            f'{section.key("rate_test")}: asks for turns, but the plan has no rate_test.'
+        )
     attitude = _read_attitude(section)
     section.finish()
     return Position(name, attitude, own_dwell, rate_test if turns else None)
@@ -275,16 +292,14 @@ def _read_attitude(section: Section) -> Floats:
     """Read where the body axes X, Y, Z point, and a further turn about one of them."""
     letters = section.items('axes')
     where = section.key('axes')
-    if len(letters) != 3 or any(letter not in _COMPASS for letter in letters):
+    if len(letters) != 3 or not all(isinstance(c, str) and c in COMPASS for c in letters):
         raise InputError(f'{where}: found {letters}, expected three of E, N, U, W, S, D.')
-    attitude = np.array([_COMPASS[letter] for letter in letters]).T
+    attitude = np.array([COMPASS[letter] for letter in letters]).T
     if abs(np.linalg.det(attitude) - 1) > 1e-9:
         raise InputError(f'{where}: X, Y, Z along {letters} are no right-handed frame.')
     if section.has('turned'):
         turned = section.section('turned')
-        axis = turned.text('about')
-        if axis not in _BODY_AXES:
-            raise InputError(f'{turned.key("about")}: found {axis!r}, expected X, Y or Z.')
-        attitude = attitude @ rotation(_BODY_AXES[axis], turned.quantity('by', Dimension.ANGLE))
+        axis = turned.choice('about', _BODY_AXES)
+        attitude = attitude @ rotation(axis, turned.quantity('by', Dimension.ANGLE))
         turned.finish()
     return attitude

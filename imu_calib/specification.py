@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from .config import Section
-from .errors import InputError
 from .model import TRIADS, Parameter, ParameterKind
 
 COVERAGE = 2.0
@@ -76,12 +75,7 @@ def read_specification(section: Section) -> Specification:
             row = kind.value
             if triad not in row.units or kind is ParameterKind.RESPONSE or not mine.has(row.key):
                 continue
-            limit = mine.quantity(row.key, row.units[triad].dimension)
-            if not limit > 0:
-                raise InputError(
-                    f'{mine.key(row.key)}: found {mine.text(row.key)}, expected above 0.'
-                )
-            limits[kind, triad] = limit
+            limits[kind, triad] = mine.quantity(row.key, row.units[triad].dimension, above=0)
         mine.finish()
     section.finish()
     return Specification(limits)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .config import Section
+from .config import Section, numbers_of
 from .errors import InputError
 from .rotations import angle_about, rotation
 from .share import named_file
@@ -313,9 +313,7 @@ def read_table(section: Section) -> Table:
     azimuth = None
     if section.has('azimuth') and section.raw('azimuth') != 'unknown':
         azimuth = section.quantity('azimuth', Dimension.ANGLE)
-    clock = section.quantity('clock', Dimension.RATIO, 0.0)
-    if clock < 0:
-        raise InputError(f'{section.key("clock")}: cannot be negative.')
+    clock = section.quantity('clock', Dimension.RATIO, 0.0, least=0)
     if clock > _WORST_CLOCK:
         raise InputError(
             f'{section.key("clock")}: found {clock / PPM:g} ppm, expected at most '
@@ -345,36 +343,29 @@ def _read_joint(section: Section) -> Joint:
         pair.finish()
         if limits[0] >= limits[1]:
             raise InputError(f'{section.key("limits")}: lower is not below upper.')
-    rate = section.quantity('max_rate', Dimension.RATE)
-    acceleration = section.quantity('max_acceleration', Dimension.ANGULAR_ACCELERATION)
-    if rate <= 0 or acceleration <= 0:
-        raise InputError(f'{section.where}: max_rate and max_acceleration must be above zero.')
     joint = Joint(
         section.text('name'),
         _read_axis(section.raw('axis'), section.key('axis')),
         section.quantity('zero', Dimension.ANGLE, 0.0),
         *limits,
-        rate,
-        acceleration,
+        section.quantity('max_rate', Dimension.RATE, above=0),
+        section.quantity('max_acceleration', Dimension.ANGULAR_ACCELERATION, above=0),
     )
     section.finish()
     return joint
 
 
 def _read_axis(value: object, where: str) -> tuple[float, float, float]:
-    if isinstance(value, str) and value.lstrip('-') in _LETTERS:
+    if isinstance(value, str) and value.removeprefix('-') in _LETTERS:
         sign = -1.0 if value.startswith('-') else 1.0
-        x, y, z = (sign * c if c else 0.0 for c in _LETTERS[value.lstrip('-')])
+        x, y, z = (sign * c if c else 0.0 for c in _LETTERS[value.removeprefix('-')])
         return x, y, z
-    if (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(isinstance(c, (int, float)) and not isinstance(c, bool) for c in value)
-        and math.hypot(*value) > 0
-    ):
-        norm = math.hypot(*value)
-        x, y, z = (c / norm for c in value)
-        return x, y, z
+    components = numbers_of(value)
+    if components is not None and components.shape == (3,):
+        norm = math.hypot(*components)
+        if 0 < norm < math.inf:
+            x, y, z = (float(c) / norm for c in components)
+            return x, y, z
     raise InputError(f'{where}: found {value!r}, expected x, y, z, -x, -y, -z or three numbers.')
 
 

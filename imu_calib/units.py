@@ -101,7 +101,7 @@ class Dimension(Enum):
     }
 
 
-_QUANTITY = re.compile(r'^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*$')
+_QUANTITY = re.compile(r'^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*$', re.ASCII)
 
 
 def parse(text: object, dimension: Dimension, key: str) -> float:

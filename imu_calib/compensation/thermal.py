@@ -24,7 +24,7 @@ _APART = 0.5
 """K: closer ones are one temperature, whose slope would be noise."""
 _MARGIN = 5.0
 """K beyond what a calibration of one temperature has seen; a choice."""
-_MOST = 4
+MOST = 4
 """Order of the polynomials: more swing between the points (Runge)."""
 _WRITTEN = 1e-9
 """Relative: what a number may lose on its way through a text."""
@@ -176,10 +176,10 @@ def combine(
     for calibration, name in zip(calibrations, names, strict=True):
         _check_temperature(calibration, name)
         _check_alike(calibration, name, calibrations[0], names[0])
-    if order is not None and not 1 <= order <= min(_MOST, len(calibrations) - 1):
+    if order is not None and not 1 <= order <= min(MOST, len(calibrations) - 1):
         raise InputError(
             f'A polynomial of order {order}: found {len(calibrations)} temperatures, expected an '
-            f'order from 1 to {min(_MOST, len(calibrations) - 1)}.'
+            f'order from 1 to {min(MOST, len(calibrations) - 1)}.'
         )
     ordered = sorted(calibrations, key=lambda c: float(c.provenance['temperature']['mean']))
     result = ThermalCalibration(tuple(ordered), order)
@@ -216,25 +216,32 @@ def load_calibration(path: str | Path) -> AnyCalibration:
         InputError: Unreadable, or no calibration; names file and key.
 
     """
-    path = Path(path).expanduser()
-    section = Section.load(path)
+    return read_calibration(Section.load(Path(path).expanduser()))
+
+
+def read_calibration(section: Section) -> AnyCalibration:
+    """Read a calibration, single or combined, from its YAML mapping.
+
+    Raises:
+        InputError: No calibration; names file and key.
+
+    """
     if not section.has('calibrations'):
-        calibration = Calibration.load(path)
+        calibration = Calibration.read(section)
         if calibration.changes is not None and calibration.changes.follows_temperature:
-            _check_temperature(calibration, str(path))
+            _check_temperature(calibration, section.where)
         return by_temperature(calibration)
     version = section.number('format')
     if version != _FORMAT:
         raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
     section.text('imu')
     section.text('serial_number', '')
-    text = section.text('order', 'lines')
-    if text != 'lines' and not text.isdigit():
-        raise InputError(f"{section.key('order')}: found {text!r}, expected 'lines' or a number.")
+    order = None
+    if section.has('order') and section.raw('order') != 'lines':
+        order = section.whole('order', 1, MOST)
     parts = section.sections('calibrations')
     section.finish()
     names = [part.where for part in parts]
-    order = None if text == 'lines' else int(text)
     return combine([Calibration.read(part) for part in parts], names, order)
 
 

@@ -8,7 +8,6 @@ from ..config import Section
 from ..errors import InputError
 from .checksum import CATALOGUE, Algorithm, Crc, Sum, Xor
 from .fields import Number
-from .numbers import whole
 
 _ORDERS = {'little': '<', 'big': '>'}
 
@@ -30,7 +29,7 @@ def read_algorithm(check: Section) -> Algorithm:
     if kind in CATALOGUE:
         return CATALOGUE[kind]
     if kind == 'xor':
-        return Xor(whole(check, 'init', 0, 255, 0))
+        return Xor(check.whole('init', 0, 255, 0))
     if kind == 'sum':
         return Sum(_width(check, 8), check.flag('negated', default=False))
     if kind == 'crc':
@@ -38,18 +37,18 @@ def read_algorithm(check: Section) -> Algorithm:
         highest = (1 << width) - 1
         return Crc(
             width,
-            whole(check, 'poly', 1, highest),
-            whole(check, 'init', 0, highest, 0),
+            check.whole('poly', 1, highest),
+            check.whole('init', 0, highest, 0),
             check.flag('refin', default=False),
             check.flag('refout', default=False),
-            whole(check, 'xorout', 0, highest, 0),
+            check.whole('xorout', 0, highest, 0),
         )
     known = ', '.join(['sum', 'xor', 'crc', *CATALOGUE])
     raise InputError(f'{check.key("kind")}: found {kind!r}, expected one of {known}.')
 
 
 def _width(check: Section, default: int | None) -> int:
-    width = whole(check, 'width', 8, 32, default)
+    width = check.whole('width', 8, 32, default)
     if width % 8:
         raise InputError(f'{check.key("width")}: found {width}, expected 8, 16, 24 or 32 bits.')
     return width
@@ -59,9 +58,4 @@ def read_order(section: Section, default: str | None) -> str:
     """Read the order of a number's bytes: '<' lowest first, '>' highest."""
     if default is not None and not section.has('byte_order'):
         return default
-    text = section.text('byte_order')
-    if text not in _ORDERS:
-        raise InputError(
-            f"{section.key('byte_order')}: found {text!r}, expected 'little' or 'big'."
-        )
-    return _ORDERS[text]
+    return section.choice('byte_order', _ORDERS)

@@ -13,23 +13,23 @@ from .checks import FrameCheck, read_algorithm, read_order
 from .checksum import Checksums
 from .fields import Channel, DeviceTime, Fault, FrameCounter, Number
 from .messages import Message, read_message
-from .numbers import numbers, whole, whole_list
+from .numbers import numbers, whole_list
 
-_TYPES = {
+TYPES = {
     **{f'{kind}{8 * size}': (kind, size) for kind in 'ui' for size in (1, 2, 3, 4, 8)},
     'f32': ('f', 4),
     'f64': ('f', 8),
 }
-_TICKS_NS = {'ns': 1.0, 'us': 1e3, 'ms': 1e6, 's': 1e9}
-_LONGEST = 4096
+TICKS_NS = {'ns': 1.0, 'us': 1e3, 'ms': 1e6, 's': 1e9}
+LONGEST = 4096
 """Bytes of a frame: more is a slip of the pen."""
 _BITS_OF_A_BYTE = 10
 """On a serial line as pyserial opens it, 8N1: a start bit, eight of data, no parity, a stop bit."""
-_BAUD = (50, 100_000_000)
+BAUD = (50, 100_000_000)
 """The slowest rate that POSIX names, and more than any UART runs at."""
 _MOST_FAULTS = 62
 """Bits of a signed number of 64 bits, less two that mean something else."""
-_COUNTLESS = 2**62
+COUNTLESS = 2**62
 """No frame counter comes that far; differences modulo this fit 64 bits."""
 
 
@@ -98,7 +98,7 @@ def read_format(section: Section) -> FrameFormat:
         InputError: File, key, what was found and what was expected.
 
     """
-    length = whole(section, 'length', 2, _LONGEST)
+    length = section.whole('length', 2, LONGEST)
     order = read_order(section, None)
     frame = _Frame(length, order)
     constant = _constant(section, length)
@@ -116,7 +116,7 @@ def read_format(section: Section) -> FrameFormat:
         faults=frame.faults(fields),
         check=_check(section, frame, len(constant)),
         others=_others(section, order),
-        baud=whole(section, 'baud', *_BAUD) if section.has('baud') else None,
+        baud=section.whole('baud', *BAUD) if section.has('baud') else None,
     )
     fields.finish()
     section.finish()
@@ -134,14 +134,9 @@ class _Frame:
 
     def number(self, section: Section, offset: int | None = None) -> Number:
         """Read type, offset, byte_order and bits of a field."""
-        name = section.text('type')
-        if name not in _TYPES:
-            raise InputError(
-                f'{section.key("type")}: found {name!r}, expected one of {", ".join(_TYPES)}.'
-            )
-        kind, size = _TYPES[name]
+        kind, size = section.choice('type', TYPES)
         if offset is None:
-            offset = whole(section, 'offset', 0, self.length - 1)
+            offset = section.whole('offset', 0, self.length - 1)
         if offset + size > self.length:
             raise InputError(
                 f'{section.key("offset")}: found {offset}, but {size} bytes from there reach '
@@ -189,9 +184,9 @@ class _Frame:
         number = self.number(section)
         if number.modulus is None:
             raise InputError(f'{section.key("type")}: a counter is a whole number, u8 to i64.')
-        highest = min(number.modulus, _COUNTLESS)
-        modulus = whole(section, 'modulus', 2, highest, highest)
-        step = whole(section, 'step', 1, modulus - 1, 1)
+        highest = min(number.modulus, COUNTLESS)
+        modulus = section.whole('modulus', 2, highest, highest)
+        step = section.whole('step', 1, modulus - 1, 1)
         section.finish()
         return FrameCounter(number, modulus, step)
 
@@ -204,20 +199,12 @@ class _Frame:
         if section.has('unit') == section.has('ticks'):
             raise InputError(
                 f"{section.where}: found {'both' if section.has('unit') else 'neither'} of 'unit' "
-                f"and 'ticks', expected unit: {'|'.join(_TICKS_NS)}, or ticks: 10 kHz."
+                f"and 'ticks', expected unit: {'|'.join(TICKS_NS)}, or ticks: 10 kHz."
             )
         if section.has('unit'):
-            unit = section.text('unit')
-            if unit not in _TICKS_NS:
-                raise InputError(
-                    f'{section.key("unit")}: found {unit!r}, expected {"|".join(_TICKS_NS)}.'
-                )
-            tick = _TICKS_NS[unit]
+            tick = section.choice('unit', TICKS_NS)
         else:
-            frequency = section.quantity('ticks', Dimension.FREQUENCY)
-            if not frequency > 0:
-                raise InputError(f'{section.key("ticks")}: must be above 0 Hz.')
-            tick = 1e9 / frequency
+            tick = 1e9 / section.quantity('ticks', Dimension.FREQUENCY, above=0)
         modulus, shorter = number.modulus, []
         if section.has('modulus'):
             highest = modulus or 2**62
@@ -225,7 +212,7 @@ class _Frame:
             found = (
                 whole_list(section, 'modulus', 2, highest)
                 if listed
-                else [whole(section, 'modulus', 2, highest)]
+                else [section.whole('modulus', 2, highest)]
             )
             *shorter, modulus = sorted(found)
         section.finish()
@@ -271,16 +258,12 @@ def _fault(section: Section, number: Number) -> Fault:
         raise InputError(f"{section.where}: expected one of 'bit' and 'mask'.")
     highest = (number.modulus or 1).bit_length() - 2
     if section.has('bit'):
-        mask = 1 << whole(section, 'bit', 0, highest)
+        mask = 1 << section.whole('bit', 0, highest)
     else:
-        mask = whole(section, 'mask', 1, (1 << (highest + 1)) - 1)
-    when = section.text('when', 'set')
-    if when not in {'set', 'clear'}:
-        raise InputError(f"{section.key('when')}: found {when!r}, expected 'set' or 'clear'.")
-    level = section.text('level', 'error')
-    if level not in {'warn', 'error'}:
-        raise InputError(f"{section.key('level')}: found {level!r}, expected 'warn' or 'error'.")
-    return Fault(number, mask, when == 'set', section.text('says'), level == 'error')
+        mask = section.whole('mask', 1, (1 << (highest + 1)) - 1)
+    when_set = section.choice('when', {'set': True, 'clear': False}, 'set')
+    is_error = section.choice('level', {'warn': False, 'error': True}, 'error')
+    return Fault(number, mask, when_set, section.text('says'), is_error)
 
 
 def _constant(section: Section, length: int) -> tuple[tuple[int, int], ...]:
@@ -288,7 +271,7 @@ def _constant(section: Section, length: int) -> tuple[tuple[int, int], ...]:
     constant = dict(enumerate(sync))
     if section.has('constant'):
         for entry in section.sections('constant'):
-            first = whole(entry, 'offset', len(sync), length - 1)
+            first = entry.whole('offset', len(sync), length - 1)
             constant |= {first + k: b for k, b in enumerate(whole_list(entry, 'bytes', 0, 255))}
             entry.finish()
     if max(constant) >= length:
@@ -306,7 +289,7 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
         return None
     check = section.section('checksum')
     algorithm = read_algorithm(check)
-    offset = whole(check, 'offset', 0, frame.length - algorithm.width // 8)
+    offset = check.whole('offset', 0, frame.length - algorithm.width // 8)
     order = read_order(check, frame.order)
     number = Number('u', algorithm.width // 8, offset, order)
     covered = [0, offset - 1]
@@ -319,7 +302,7 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
         )
     if covered[0] < number.end and covered[1] >= number.offset:
         raise InputError(f'{check.key("covers")}: the checksum cannot cover itself.')
-    padding = whole(check, 'padding', 0, 64, 0)
+    padding = check.whole('padding', 0, 64, 0)
     check.finish()
     return FrameCheck(algorithm, number, covered[0], covered[1] + 1, padding)
 

@@ -12,13 +12,13 @@ from ..errors import InputError
 from .checks import read_algorithm, read_order
 from .checksum import Algorithm, Checksums
 from .fields import Number
-from .numbers import whole, whole_list
+from .numbers import whole_list
 
 _LONGEST = 4096
 """Bytes: more than any IMU sends at once, and a length that is damaged is not waited for longer. A
 judgement."""
 
-_LENGTH_TYPES = {'u8': 1, 'u16': 2}
+LENGTH_TYPES = {'u8': 1, 'u16': 2}
 
 
 @dataclass(frozen=True)
@@ -183,17 +183,13 @@ def read_message(section: Section, order: str) -> Message:
     more = 0
     if isinstance(section.raw('length'), dict):
         entry = section.section('length')
-        name = entry.text('type')
-        if name not in _LENGTH_TYPES:
-            raise InputError(
-                f'{entry.key("type")}: found {name!r}, expected {" or ".join(_LENGTH_TYPES)}.'
-            )
-        offset = whole(entry, 'offset', len(sync), _LONGEST)
-        length = Number('u', _LENGTH_TYPES[name], offset, read_order(entry, order))
-        more = whole(entry, 'zero', -_LONGEST, _LONGEST, 0)
+        size = entry.choice('type', LENGTH_TYPES)
+        offset = entry.whole('offset', len(sync), _LONGEST)
+        length = Number('u', size, offset, read_order(entry, order))
+        more = entry.whole('zero', -_LONGEST, _LONGEST, 0)
         entry.finish()
     else:
-        length = whole(section, 'length', len(sync), _LONGEST)
+        length = section.whole('length', len(sync), _LONGEST)
     check = _message_check(section, order)
     if check is None and len(sync) < 2:
         raise InputError(
@@ -211,7 +207,7 @@ def _message_check(section: Section, order: str) -> MessageCheck | None:
     check = section.section('checksum')
     algorithm = read_algorithm(check)
     size = algorithm.width // 8
-    offset = whole(check, 'offset', -_LONGEST, -size, -size)
+    offset = check.whole('offset', -_LONGEST, -size, -size)
     first, last = 0, offset - 1
     if check.has('covers'):
         covered = whole_list(check, 'covers', -_LONGEST, _LONGEST)

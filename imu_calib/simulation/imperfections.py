@@ -83,12 +83,10 @@ def _table(part: Section, options: StandOptions, table: Table | None, seed: int)
         options,
         servo_error=_size(part, 'servo', options.servo_error),
         rate_error=_size(part, 'rate', options.rate_error, Dimension.RATIO),
-        acceleration=_size(
-            part, 'acceleration', options.acceleration, Dimension.ANGULAR_ACCELERATION
+        acceleration=part.quantity(
+            'acceleration', Dimension.ANGULAR_ACCELERATION, options.acceleration, above=0
         ),
     )
-    if options.acceleration <= 0:
-        raise InputError(f'{part.key("acceleration")}: expected above 0.')
     if part.has('tilt'):
         tilt = part.section('tilt')
         both = (
@@ -119,14 +117,16 @@ def _joint_states(part: Section, options: StandOptions) -> StandOptions:
         encoder_noise=_size(part, 'noise'),
         encoder_resolution=_size(part, 'resolution', options.encoder_resolution),
         joint_stamp_jitter=_size(part, 'jitter', 0.0, Dimension.TIME),
-        joint_state_rate=_size(part, 'rate', options.joint_state_rate, Dimension.FREQUENCY),
+        joint_state_rate=part.quantity(
+            'rate', Dimension.FREQUENCY, options.joint_state_rate, above=0
+        ),
     )
 
 
 def _stamps(part: Section, options: StandOptions) -> StandOptions:
     delivery = replace(
         options.delivery,
-        bunch=_whole(part, 'bunch', 1),
+        bunch=part.whole('bunch', 1, default=1),
         late=_share(part, 'late'),
         delay=_size(part, 'delay', 0.0, Dimension.TIME),
     )
@@ -145,7 +145,7 @@ def _samples(part: Section, options: StandOptions) -> StandOptions:
         frozen = part.section('frozen')
         delivery = replace(
             delivery,
-            frozen_every=_size(frozen, 'every', None, Dimension.TIME),
+            frozen_every=frozen.quantity('every', Dimension.TIME, above=0),
             frozen_for=_size(frozen, 'for', None, Dimension.TIME),
         )
         frozen.finish()
@@ -158,8 +158,8 @@ def _mounting(part: Section, options: StandOptions) -> StandOptions:
         ringing = Vibration(
             _size(s, 'rate', 0.0, Dimension.RATE),
             _size(s, 'force', 0.0, Dimension.ACCELERATION),
-            _size(s, 'frequency', usual.frequency, Dimension.FREQUENCY),
-            _size(s, 'decay', usual.decay, Dimension.TIME),
+            s.quantity('frequency', Dimension.FREQUENCY, usual.frequency, above=0),
+            s.quantity('decay', Dimension.TIME, usual.decay, above=0),
         )
         s.finish()
         options = replace(options, vibration=ringing)
@@ -171,6 +171,10 @@ def _mounting(part: Section, options: StandOptions) -> StandOptions:
             _size(s, 'lowest', still.lowest, Dimension.FREQUENCY),
             _size(s, 'highest', still.highest, Dimension.FREQUENCY),
         )
+        if shake.lowest > shake.highest:
+            raise InputError(
+                f'{s.where}: found lowest {shake.lowest:g} Hz above highest {shake.highest:g} Hz.'
+            )
         s.finish()
         options = replace(options, shake=shake)
     return options
@@ -182,7 +186,7 @@ def _temperature(part: Section, options: StandOptions) -> StandOptions:
         usual.reference,
         part.quantity('offset', Dimension.TEMPERATURE, usual.offset),
         part.quantity('rise', Dimension.TEMPERATURE, usual.rise),
-        _size(part, 'time_constant', usual.time_constant, Dimension.TIME),
+        part.quantity('time_constant', Dimension.TIME, usual.time_constant, above=0),
         part.quantity('ramp', Dimension.TEMPERATURE_RATE, usual.ramp),
     )
     drift, fading = options.thermal_drift, options.warm_up
@@ -204,7 +208,7 @@ def _temperature(part: Section, options: StandOptions) -> StandOptions:
         fading = WarmUp(
             _channels(s, 'gyro', Dimension.RATE),
             _channels(s, 'accelerometer', Dimension.ACCELERATION),
-            _size(s, 'time_constant', fading.time_constant, Dimension.TIME),
+            s.quantity('time_constant', Dimension.TIME, fading.time_constant, above=0),
         )
         s.finish()
     return replace(options, warming=warming, thermal_drift=drift, warm_up=fading)
@@ -217,10 +221,7 @@ def _size(
     dimension: Dimension = Dimension.ANGLE,
 ) -> float:
     """Return a quantity that cannot be negative."""
-    value = part.quantity(key, dimension, default)
-    if value < 0:
-        raise InputError(f'{part.key(key)}: found {part.raw(key)}, expected 0 or more.')
-    return value
+    return part.quantity(key, dimension, default, least=0)
 
 
 def _share(part: Section, key: str) -> float:
@@ -228,13 +229,6 @@ def _share(part: Section, key: str) -> float:
     if share > 1:
         raise InputError(f'{part.key(key)}: found {part.raw(key)}, expected 100 % or less.')
     return share
-
-
-def _whole(part: Section, key: str, default: int) -> int:
-    value = part.number(key, float(default))
-    if value < 1 or not value.is_integer():
-        raise InputError(f'{part.key(key)}: found {value:g}, expected a whole number above 0.')
-    return int(value)
 
 
 def _harmonics(part: Section, key: str) -> tuple[float, float]:

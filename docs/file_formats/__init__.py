@@ -1,0 +1,1 @@
+"""Descriptions of the files that people write: the source of their schemas and tables of keys."""

@@ -1,0 +1,274 @@
+"""The keys of calibration.yaml, of files of several temperatures, and of truths: one format."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from imu_calib.alignment import GROUPS
+from imu_calib.budget import Source
+from imu_calib.compensation.thermal import MOST
+from imu_calib.model import AXES, MOST_SKEWED, TERMS, TRIADS
+from imu_calib.model.session_terms import Course
+from imu_calib.stream import Units
+
+from .keys import (
+    REQUIRED,
+    Key,
+    Schema,
+    Tables,
+    Value,
+    array,
+    choice,
+    either,
+    given,
+    mapping,
+    number,
+    text,
+    when,
+    whole,
+)
+
+_NUMBER = number()
+_BELOW = 'keys, below'
+_READERS = 'not read: for who looks into the file'
+
+
+def _row(count: int) -> Value:
+    return array(_NUMBER, count, count, f'list of {count} numbers')
+
+
+def _matrix(rows: int, columns: int) -> Value:
+    return array(_row(columns), rows, rows, f'{rows} x {columns} numbers')
+
+
+_ROWS = array(array(_NUMBER), words='rows of numbers')
+_FORMAT = Key('format', Value({'const': 1, 'type': 'number'}, '`1`'), 'of the file', REQUIRED)
+_IMU = Key('imu', text(), '`id` of the [IMU](imu.md)', REQUIRED)
+_SERIAL = Key('serial_number', text(), 'of the unit', '')
+
+_SCALE = Key(
+    'scale_factor',
+    number(above=0),
+    'nominal: rad or m/s per pulse, rad/s or m/s^2 per count, 1 for SI',
+    REQUIRED,
+)
+_RANGE = Key('range', number(above=0), 'rad/s or m/s^2: beyond, a bias is refused', None, 'no limit')
+_STD = Key('std', Value({'type': 'object'}, 'keys'), f'standard deviations by key; {_READERS}')
+_MATRIX = Key(
+    'error_matrix',
+    _matrix(3, 3),
+    'scale-factor errors on the diagonal, misalignments (rad) off it: row is the channel, column '
+    'the input axis',
+    None,
+    'must be given; left out with `bias` for accelerometers that were not estimated',
+)
+_BIAS = Key('bias', _row(3), 'rad/s or m/s^2', None, 'must be given with `error_matrix`')
+
+
+def _terms(letter: str) -> list[Key]:
+    """Return a key for each term of a triad."""
+    keys = []
+    for term in TERMS:
+        if term.triad == letter:
+            count = len(term.parameters) // len(AXES)
+            value = _row(3) if count == 1 else _matrix(3, count)
+            unit = term.kind.value.units[letter].si
+            unit = '' if unit == '1' else f', {unit}'
+            meaning = f'{term.kind.value.words}{unit}: to channel i add `{term.formula}`'
+            keys.append(Key(term.name, value, meaning.replace('|', '&#124;')))
+    return keys
+
+
+def _triad(letter: str) -> list[Key]:
+    return [_SCALE, _RANGE, _MATRIX, _BIAS, *_terms(letter), _STD]
+
+
+_BOTH = {'allOf': [given('error_matrix', 'bias')]}
+_ESTIMATED = when({'anyOf': [given(k.name) for k in [_MATRIX, _BIAS, *_terms('a')]]}, _BOTH)
+
+_SKEWED = [
+    _SCALE,
+    _RANGE,
+    Key(
+        'response',
+        array(_row(3), 1, MOST_SKEWED, 'a row of 3 numbers for each gyro'),
+        'to rates about X, Y, Z',
+        REQUIRED,
+    ),
+    Key('bias', array(_NUMBER, 1, MOST_SKEWED, 'a number for each gyro'), 'rad/s', REQUIRED),
+    _STD,
+]
+_COVARIANCE = [
+    Key(
+        'parameters',
+        array(text(), words='list of names'),
+        'the parameters that were estimated, in the order of the suite '
+        '([parameters](../mathematics.md#terms))',
+        REQUIRED,
+    ),
+    Key('matrix', _ROWS, 'their covariance, SI units: symmetric, positive semidefinite', REQUIRED),
+]
+_LINE = [
+    Key('source', choice([s.value for s in Source]), 'of uncertainty', REQUIRED),
+    Key('evaluation', text(), f"'A' by statistics, 'B' by other means; {_READERS}"),
+    Key('description', text(), f'in words; {_READERS}'),
+    Key(
+        'standard_uncertainty',
+        array(number(least=0), words='list of numbers, 0 or more'),
+        'what it contributes to each parameter, SI units',
+        REQUIRED,
+    ),
+    Key(
+        'degrees_of_freedom',
+        array(number(least=0), words='list of numbers, 0 or more, or `.inf`'),
+        'of each',
+        REQUIRED,
+    ),
+]
+_ANYTHING = Value({}, 'list')
+_BUDGET = [
+    Key('parameters', array(text(), words='list of names'), 'as in `covariance`', REQUIRED),
+    Key('units', _ANYTHING, f'of each; {_READERS}'),
+    Key('standard_uncertainty', _ANYTHING, f'of each; {_READERS}'),
+    Key('effective_degrees_of_freedom', _ANYTHING, f'of each; {_READERS}'),
+    Key('coverage_probability', Value({}, 'number'), _READERS),
+    Key('coverage_factor', _ANYTHING, f'of each; {_READERS}'),
+    Key('expanded_uncertainty', _ANYTHING, f'of each; {_READERS}'),
+    Key('sources', array(mapping(_LINE), words='list of sources, below'), 'the lines', REQUIRED),
+]
+_COEFFICIENT = [
+    Key('term', choice([c.value for c in Course]), 'what it follows', REQUIRED),
+    Key('of', text(), 'its parameter, or `K_g`, `K_a` for all of a triad', REQUIRED),
+    Key('value', _NUMBER, 'of the coefficient', REQUIRED),
+    Key('std', _NUMBER, 'its standard deviation', REQUIRED),
+    Key('unit', text(), 'SI unit of both', REQUIRED),
+]
+_CHANGES = [
+    Key(
+        'coefficients',
+        array(mapping(_COEFFICIENT), words='list of coefficients, below'),
+        'what changes',
+        REQUIRED,
+    ),
+    Key('covariance', _ROWS, 'of the coefficients', REQUIRED),
+    Key('cross_covariance', _ROWS, 'of the parameters (rows) and the coefficients', REQUIRED),
+    Key('time_constant', _NUMBER, 'of a warm-up, s'),
+]
+_CLOCK = [
+    Key('name', text(), 'whose stamps the clock makes', REQUIRED),
+    Key('against', text(), 'the clock that it is compared with', REQUIRED),
+    Key(
+        'faster',
+        Value(
+            {'type': 'number', 'exclusiveMinimum': -0.1, 'exclusiveMaximum': 0.1},
+            'number, between -0.1 and 0.1',
+        ),
+        'by how much it is faster, a ratio less one',
+        REQUIRED,
+    ),
+    Key('faster_std', number(least=0), 'standard deviation of that', REQUIRED),
+]
+_RESIDUAL = [
+    Key('position', text(), 'where', REQUIRED),
+    Key('time', _NUMBER, 's since the session began', REQUIRED),
+    Key('gyro', _row(3), 'rad/s', None, 'not estimated'),
+    Key('accelerometer', _row(3), 'm/s^2', None, 'not estimated'),
+]
+
+
+def _needed(key: Key) -> Key:
+    return replace(key, default=REQUIRED) if key in (_MATRIX, _BIAS) else key
+
+
+_TRIADS = {
+    'g': mapping([_needed(key) for key in _triad('g')], words=_BELOW),
+    'a': mapping(_triad('a'), _ESTIMATED, words=_BELOW),
+}
+
+KEYS = [
+    _FORMAT,
+    _IMU,
+    _SERIAL,
+    Key('units', choice([u.value for u in Units]), 'of the IMU', REQUIRED),
+    *(Key(name, _TRIADS[letter], f'the {name}s', REQUIRED) for letter, name in TRIADS.items()),
+    Key('skewed_gyro', mapping(_SKEWED, words=_BELOW), 'further gyros, askew to the three'),
+    Key(
+        'free_of_frame',
+        Value({'type': 'object'}, ', '.join(f'`{g.key}`' for g in GROUPS)),
+        f'angles between input axes, rad, and their `std`; {_READERS}',
+    ),
+    Key(
+        'covariance',
+        mapping(_COVARIANCE, words=_BELOW),
+        'of the parameters',
+        None,
+        'none: exact, as a truth is',
+    ),
+    Key(
+        'uncertainty_budget',
+        mapping(_BUDGET, words=_BELOW),
+        'the variances by source ([budget](../budget.md))',
+    ),
+    Key(
+        'session_terms',
+        mapping(_CHANGES, words=_BELOW),
+        'parameters that changed with time or temperature',
+    ),
+    Key('clock', mapping(_CLOCK, words=_BELOW), "that stamps the samples, against the table's"),
+    Key(
+        'residuals',
+        array(mapping(_RESIDUAL), 0, words='list, below'),
+        'of every static dwell, beyond the model',
+    ),
+    Key(
+        'findings',
+        array(text(), 0, words='list of sentences'),
+        'what a person should know',
+    ),
+    Key(
+        'provenance',
+        Value({'type': 'object'}, 'any keys'),
+        'where it comes from: recording, method, site, temperature',
+    ),
+]
+_SINGLE = mapping(KEYS)
+
+COMBINED = [
+    _FORMAT,
+    _IMU,
+    _SERIAL,
+    Key(
+        'order',
+        either(choice(['lines']), whole(1, MOST), words=f'`lines`, or 1 to {MOST}'),
+        'straight lines between temperatures, or a polynomial of this order',
+        'lines',
+    ),
+    Key(
+        'calibrations',
+        array(Value({'$ref': '#/$defs/single'}, ''), 2, words='list of calibrations'),
+        'each as in its own file, with `provenance: temperature`',
+        REQUIRED,
+    ),
+]
+
+TABLES: Tables = {
+    'calibration': KEYS,
+    'gyro': _triad('g'),
+    'accelerometer terms': _terms('a'),
+    'skewed_gyro': _SKEWED,
+    'covariance': _COVARIANCE,
+    'uncertainty_budget': _BUDGET,
+    'sources': _LINE,
+    'session_terms': _CHANGES,
+    'coefficients': _COEFFICIENT,
+    'clock': _CLOCK,
+    'residuals': _RESIDUAL,
+    'combined': COMBINED,
+}
+_WHOLE: Schema = {
+    '$defs': {'single': _SINGLE.schema},
+    'type': 'object',
+    **when(given('calibrations'), mapping(COMBINED).schema, {'$ref': '#/$defs/single'}),
+}
+VALUE = Value(_WHOLE, '')
+TITLE = 'A calibration, one of several temperatures, or the truth of a simulated unit'

@@ -1,0 +1,336 @@
+"""The keys of a device's file."""
+
+from __future__ import annotations
+
+from imu_calib.devices.checksum import CATALOGUE
+from imu_calib.devices.format import BAUD, COUNTLESS, LONGEST, TICKS_NS, TYPES
+from imu_calib.devices.messages import LENGTH_TYPES
+from imu_calib.units import Dimension
+
+from .keys import (
+    REQUIRED,
+    Key,
+    Schema,
+    Tables,
+    Value,
+    absent,
+    array,
+    choice,
+    either,
+    flag,
+    given,
+    has,
+    mapping,
+    number,
+    one_of,
+    quantity,
+    text,
+    when,
+    whole,
+)
+
+D = Dimension
+_WHOLE = [name for name, (kind, _) in TYPES.items() if kind != 'f']
+_UNSIGNED = [name for name, (kind, _) in TYPES.items() if kind == 'u']
+_NONE = choice(['none'])
+_BYTES = array(whole(0, 255), words='list of bytes')
+_ORDER = choice(['little', 'big'])
+_NOT_0 = Value({'type': 'number', 'not': {'const': 0}}, 'number, not 0')
+
+_SYNC = Key('sync', _BYTES, 'constant bytes at the start of each frame', REQUIRED)
+
+
+def _offset(words: str, default: object = REQUIRED) -> Key:
+    value = whole(0, LONGEST - 1, 'whole number, from 0')
+    return Key('offset', value, words, default)
+
+
+def _number(types: list[str], offset: Key | None = None) -> list[Key]:
+    """Return the keys of a number in a frame."""
+    return [
+        Key('type', choice(types), 'bits, and whether signed; `f` is floating point', REQUIRED),
+        offset or _offset('of its first byte'),
+        Key('byte_order', _ORDER, 'of this number', None, '`byte_order` of the frame'),
+        Key(
+            'bits',
+            array(whole(0, 63), 2, 2, 'list of two whole numbers'),
+            'first and last bit that count, bit 0 the lowest; of an unsigned number only',
+            None,
+            'all',
+        ),
+    ]
+
+
+_BITS: list[Schema] = [
+    when(
+        {'allOf': [given('bits'), has('type', name)]},
+        {'properties': {'bits': {'items': {'maximum': 8 * size - 1} if kind == 'u' else False}}},
+    )
+    for name, (kind, size) in TYPES.items()
+]
+
+_XYZ = Key(
+    'offset',
+    array(whole(0, LONGEST - 1), 3, 3, 'list of three whole numbers'),
+    'of the first bytes of x, y, z',
+    REQUIRED,
+)
+_SCALES = Key(
+    'scale',
+    either(
+        _NOT_0,
+        Value({'type': 'array', 'items': _NOT_0.schema, 'minItems': 1, 'maxItems': 1}, ''),
+        Value({'type': 'array', 'items': _NOT_0.schema, 'minItems': 3, 'maxItems': 3}, ''),
+        words='number or list of three, not 0',
+    ),
+    'value = scale x number; three with signs turn axes around. Not for pulses: their scale factor '
+    "is the IMU's",
+    1,
+)
+_SCALE = Key(
+    'scale',
+    either(
+        _NOT_0,
+        Value({'type': 'array', 'items': _NOT_0.schema, 'minItems': 1, 'maxItems': 1}, ''),
+        words='number, not 0',
+    ),
+    'value = scale x number + `zero`',
+    1,
+)
+_TRIAD = [*_number(list(TYPES), _XYZ), _SCALES]
+_CHANNEL = [
+    *_number(list(TYPES)),
+    _SCALE,
+    Key('zero', number(), 'value at the number 0', 0),
+]
+_COUNTER = [
+    *_number(_WHOLE),
+    Key(
+        'modulus',
+        whole(2, COUNTLESS, 'whole number, from 2'),
+        'it starts anew when it would come to this',
+        None,
+        'by its type',
+    ),
+    Key('step', whole(1), 'by which it grows from frame to frame; below `modulus`', 1),
+]
+_MODULUS = whole(2, 2**64)
+_TIME = [
+    *_number(list(TYPES)),
+    Key('unit', choice(list(TICKS_NS)), 'of the number; this or `ticks`', None, 'one of the two'),
+    Key(
+        'ticks',
+        quantity(D.FREQUENCY, 'above 0'),
+        'how many the number counts; this or `unit`',
+        None,
+        'one of the two',
+    ),
+    Key(
+        'modulus',
+        either(_MODULUS, array(_MODULUS), words='whole number, or list of them, from 2'),
+        'ticks after which it starts anew, as `864000000` after a day; a list where models differ',
+        None,
+        'by its type',
+    ),
+]
+_FAULT = [
+    Key('bit', whole(0, 63), 'the bit that says it, 0 the lowest; this or `mask`', None, 'one'),
+    Key(
+        'mask',
+        whole(1, 2**64 - 1, 'whole number, from 1'),
+        'the bits any of which says it; this or `bit`',
+        None,
+        'of the two',
+    ),
+    Key('when', choice(['set', 'clear']), 'which state of the bit is the fault', 'set'),
+    Key('says', text(), 'what is wrong, for the screen and /diagnostics', REQUIRED),
+    Key('level', choice(['warn', 'error']), 'on /diagnostics', 'error'),
+]
+_FAULT_VALUE = mapping(_FAULT, one_of('bit', 'mask'))
+_STATUS = [
+    *_number(_UNSIGNED),
+    Key('faults', array(_FAULT_VALUE, words='list of faults, below'), 'what it can say', REQUIRED),
+]
+_STATUS_VALUE = mapping(_STATUS, *_BITS)
+
+_BELOW = 'keys, below'
+_FIELDS = [
+    Key('gyro', mapping(_TRIAD, *_BITS, words=_BELOW), 'the three gyros', REQUIRED),
+    Key('accelerometer', mapping(_TRIAD, *_BITS, words=_BELOW), 'as `gyro`', REQUIRED),
+    Key('skew', mapping(_CHANNEL, *_BITS, words=_BELOW), 'a skewed gyro'),
+    Key('temperature', mapping(_CHANNEL, *_BITS, words=_BELOW), 'degrees Celsius; as `skew`'),
+    Key('counter', mapping(_COUNTER, *_BITS, words=_BELOW), 'number of the frame'),
+    Key(
+        'time',
+        mapping(_TIME, *_BITS, one_of('unit', 'ticks'), words=_BELOW),
+        "the device's clock",
+    ),
+    Key(
+        'status',
+        either(_STATUS_VALUE, array(_STATUS_VALUE), words='keys, below, or a list of such'),
+        'what the device says of itself',
+    ),
+]
+
+_CONSTANT = [
+    _offset('of the first of them, behind `sync`'),
+    Key('bytes', _BYTES, 'what they are', REQUIRED),
+]
+
+_KIND = choice(['sum', 'xor', 'crc', *CATALOGUE])
+_ALGORITHM = [
+    Key('kind', _KIND, 'the algorithm; a CRC by its name in the catalogue, or `crc`', REQUIRED),
+    Key(
+        'width',
+        Value({'enum': [8, 16, 24, 32]}, '8, 16, 24 or 32'),
+        'bits, of `sum` and `crc`',
+        None,
+        '8 for `sum`, must be given for `crc`',
+    ),
+    Key('negated', flag(), 'of `sum`: what is sent makes the sum zero', default=False),
+    Key('poly', whole(1), 'of `crc`: generator polynomial', None, 'must be given for `crc`'),
+    Key('init', whole(0), 'of `crc` and `xor`: what it starts with', 0),
+    Key('refin', flag(), 'of `crc`: bytes go in with their lowest bit first', default=False),
+    Key('refout', flag(), 'of `crc`: it comes out reflected', default=False),
+    Key('xorout', whole(0), 'of `crc`: what it is combined with at the end', 0),
+]
+
+
+def _least(names: str, most: int) -> Schema:
+    return {'properties': {name: {'maximum': most} for name in names.split()}}
+
+
+def _algorithm() -> list[Schema]:
+    """Return which parameters each kind of checksum takes."""
+    names = [key.name for key in _ALGORITHM[1:]]
+    known = [
+        when(has('kind', 'sum'), absent(*(n for n in names if n not in {'width', 'negated'}))),
+        when(has('kind', 'xor'), {**absent(*(n for n in names if n != 'init'))}),
+        when(has('kind', 'xor'), _least('init', 255)),
+        when(has('kind', 'crc'), {'allOf': [absent('negated'), given('width', 'poly')]}),
+        when(has('kind', *CATALOGUE), absent(*names)),
+    ]
+    return known + [
+        when(
+            {'allOf': [has('kind', 'crc'), has('width', bits)]},
+            _least('poly init xorout', (1 << bits) - 1),
+        )
+        for bits in (8, 16, 24, 32)
+    ]
+
+
+_PLACE = [
+    _offset('of its first byte'),
+    Key('byte_order', _ORDER, 'of the checksum', None, '`byte_order` of the frame'),
+]
+_CHECK = [
+    *_ALGORITHM,
+    *_PLACE,
+    Key(
+        'covers',
+        array(whole(0, LONGEST - 1), 2, 2, 'list of two whole numbers'),
+        'first and last byte that it is of',
+        None,
+        'all before it',
+    ),
+    Key('padding', whole(0, 64), 'zero bytes that count after them though they are not sent', 0),
+]
+
+_LENGTH = [
+    Key('type', choice(list(LENGTH_TYPES)), 'of the number', REQUIRED),
+    _offset('of the number, behind `sync`'),
+    Key('byte_order', _ORDER, 'of the number', None, '`byte_order` of the frame'),
+    Key('zero', whole(-LONGEST, LONGEST), 'added to the number', 0),
+]
+_LENGTH[1] = Key('offset', whole(1, LONGEST), 'of the number, behind `sync`', REQUIRED)
+_OTHER_CHECK = [
+    *_ALGORITHM,
+    Key(
+        'offset',
+        whole(-LONGEST, -1),
+        'of its first byte, counted back from the end of the message',
+        None,
+        'its own length: it comes last',
+    ),
+    _PLACE[1],
+    Key(
+        'covers',
+        array(whole(-LONGEST, LONGEST), 2, 2, 'list of two whole numbers'),
+        'first byte, and the last counted back from the end',
+        None,
+        'all before it',
+    ),
+]
+_NO_CHECK = has('checksum', 'none')
+_OTHER = [
+    Key('sync', _BYTES, 'its first bytes; where several entries fit, the first counts', REQUIRED),
+    Key(
+        'length',
+        either(
+            whole(1, LONGEST),
+            mapping(_LENGTH),
+            words='whole number to 4096, or keys, below',
+        ),
+        'bytes of it, checksum included, or the number in it that tells them',
+        REQUIRED,
+    ),
+    Key(
+        'checksum',
+        either(_NONE, mapping(_OTHER_CHECK, *_algorithm()), words='`none`, or keys, below'),
+        'what protects it; with `none` `sync` has two bytes at least',
+        REQUIRED,
+    ),
+    Key('counted', flag(), 'whether the frame counter counts these messages, too', default=False),
+]
+_TWO_OF_SYNC: Schema = {'properties': {'sync': {'minItems': 2}}}
+
+KEYS = [
+    Key('name', text(), 'of the device, or of its output format', REQUIRED),
+    Key(
+        'baud',
+        whole(*BAUD),
+        'rate of its serial port, bit/s',
+        None,
+        '`--baud`, else 115200',
+    ),
+    _SYNC,
+    Key(
+        'constant',
+        array(mapping(_CONSTANT), words='list of keys, below'),
+        'further constant bytes: a frame where they differ is none',
+    ),
+    Key('length', whole(2, LONGEST), 'bytes of a frame, checksum included', REQUIRED),
+    Key('byte_order', _ORDER, 'of numbers that do not state their own', REQUIRED),
+    Key('fields', mapping(_FIELDS, words=_BELOW), 'what stands in a frame', REQUIRED),
+    Key(
+        'checksum',
+        either(_NONE, mapping(_CHECK, *_algorithm()), words='`none`, or keys, below'),
+        'what protects a frame; with `none` it has two constant bytes at least',
+        REQUIRED,
+    ),
+    Key(
+        'others',
+        array(
+            mapping(_OTHER, when(_NO_CHECK, _TWO_OF_SYNC)), words='list of messages, below'
+        ),
+        'messages between the frames that are no samples',
+    ),
+]
+
+TABLES: Tables = {
+    'device': KEYS,
+    'fields': _FIELDS,
+    'gyro': _TRIAD,
+    'skew': _CHANNEL,
+    'counter': _COUNTER,
+    'time': _TIME,
+    'status': _STATUS,
+    'faults': _FAULT,
+    'constant': _CONSTANT,
+    'checksum': _CHECK,
+    'others': _OTHER,
+    'others length': _LENGTH,
+    'others checksum': _OTHER_CHECK[len(_ALGORITHM) :],
+}
+VALUE = mapping(KEYS, when(_NO_CHECK, {'anyOf': [_TWO_OF_SYNC, given('constant')]}))
+TITLE = "A device: where things stand in its frames"

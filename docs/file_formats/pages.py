@@ -1,0 +1,66 @@
+"""JSON Schemas and pages as they should be, by the descriptions of the files."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from imu_calib.units import Dimension
+
+from . import calibration, device, imperfections, imu, plan, table
+from .keys import Schema, dimension_words, document
+from .keys import table as table_of
+
+CHECKOUT = Path(__file__).parents[2]
+SCHEMAS = CHECKOUT / 'config' / 'schemas'
+PAGES = CHECKOUT / 'docs' / 'files'
+
+FORMATS = {
+    'imu': imu,
+    'table': table,
+    'plan': plan,
+    'device': device,
+    'calibration': calibration,
+    'imperfections': imperfections,
+}
+
+_MARKED = re.compile(r'(<!-- keys: (.+?) -->\n).*?(<!-- end -->)', re.DOTALL)
+
+
+def schema(kind: str) -> Schema:
+    """Return the JSON Schema of a format."""
+    return document(kind, FORMATS[kind].TITLE, FORMATS[kind].VALUE)
+
+
+def units() -> str:
+    """Return the table of dimensions and the units that each may be written in."""
+    rows = ['| quantity | units |', '|---|---|']
+    for dimension in Dimension:
+        names = ', '.join(f'`{unit}`' for unit in dimension.value)
+        name = dimension_words(dimension)
+        rows.append(f'| <a id="{name.replace(" ", "-")}"></a>{name} | {names} |')
+    return '\n'.join(rows)
+
+
+def _filled(page: Path) -> str:
+    """Return a page with the tables between its marks as they should be."""
+
+    def table_for(match: re.Match[str]) -> str:
+        if match[2] == 'units':
+            keys = units()
+        else:
+            kind, _, name = match[2].partition(': ')
+            keys = table_of(FORMATS[kind].TABLES[name or kind])
+        return f'{match[1]}{keys}\n{match[3]}'
+
+    return _MARKED.sub(table_for, page.read_text(encoding='utf-8'))
+
+
+def written() -> dict[Path, str]:
+    """Return every file that is made of the descriptions, with its text."""
+    schemas = {
+        SCHEMAS / f'{kind}.json': json.dumps(schema(kind), indent=1, ensure_ascii=False) + '\n'
+        for kind in FORMATS
+    }
+    return schemas | {page: _filled(page) for page in sorted(PAGES.glob('*.md'))}
