@@ -75,6 +75,7 @@ setup(
             # Oracles.
             'allantools>=2024.6',
             'fastcrc>=0.5',
+            'jsonschema>=4',
             ROSBAGS,
             DDS,
             PLOT,

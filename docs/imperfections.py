@@ -1,6 +1,6 @@
 """Write docs/imperfections.md: what sessions say, and how far they are off, on imperfect stands.
 
-Each condition is a file of imperfections (docs/simulation.md), or a term of the sensors. Sessions
+Each condition is a file of imperfections (docs/files/imperfections.md), or a term of the sensors. Sessions
 that were run are kept as lines of a file, so that the study goes on where it was stopped; delete
 the file to begin anew.
 
@@ -316,7 +316,7 @@ HEAD = """\
 
 Written by `docs/imperfections.py`: sessions of {dwell:g} s per position of three units of
 [config/imus](../config/imus), {seeds}, calibrated by what `imu-calib calibrate` does by default.
-{code} The keys of the files are in [simulation.md](simulation.md).
+{code} The keys of the files are in [files/imperfections.md](files/imperfections.md).
 
 The table is `three_axis`. Its description says here what a laboratory's often does, nothing of how
 good it is: what is assumed then is in [tables.md](tables.md) and stands on the screen. In one row

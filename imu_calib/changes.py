@@ -106,7 +106,10 @@ def read_changes(section: Section, parameters: Sequence[Parameter]) -> Changes:
     coefficients, values = [], []
     for row in section.sections('coefficients'):
         course = row.choice('term', {course.value: course for course in Course})
-        coefficients.append(change(course, row.text('of')))
+        try:
+            coefficients.append(change(course, row.text('of')))
+        except InputError as error:
+            raise InputError(f'{row.key("of")}: {error}') from None
         values.append(row.number('value'))
         row.number('std')
         if (unit := row.text('unit')) != coefficients[-1].si:

@@ -128,10 +128,11 @@ class Section:
         values = numbers_of(self.raw(name))
         if values is None:
             raise InputError(f'{self.key(name)}: found no numbers.')
-        if values.shape != shape or not np.isfinite(values).all():
-            found = 'x'.join(str(n) for n in values.shape)
-            expected = 'x'.join(str(n) for n in shape)
+        found, expected = ('x'.join(map(str, s)) for s in (values.shape, shape))
+        if values.shape != shape:
             raise InputError(f'{self.key(name)}: found {found} numbers, expected {expected}.')
+        if not np.isfinite(values).all():
+            raise InputError(f'{self.key(name)}: found {found} numbers that are not all finite.')
         return values
 
     def texts(self, name: str) -> tuple[str, ...]:

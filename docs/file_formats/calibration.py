@@ -52,7 +52,9 @@ _SCALE = Key(
     'nominal: rad or m/s per pulse, rad/s or m/s^2 per count, 1 for SI',
     REQUIRED,
 )
-_RANGE = Key('range', number(above=0), 'rad/s or m/s^2: beyond, a bias is refused', None, 'no limit')
+_RANGE = Key(
+    'range', number(above=0), 'rad/s or m/s^2: beyond, a bias is refused', None, 'no limit'
+)
 _STD = Key('std', Value({'type': 'object'}, 'keys'), f'standard deviations by key; {_READERS}')
 _MATRIX = Key(
     'error_matrix',
@@ -83,7 +85,7 @@ def _triad(letter: str) -> list[Key]:
     return [_SCALE, _RANGE, _MATRIX, _BIAS, *_terms(letter), _STD]
 
 
-_BOTH = {'allOf': [given('error_matrix', 'bias')]}
+_BOTH = given('error_matrix', 'bias')
 _ESTIMATED = when({'anyOf': [given(k.name) for k in [_MATRIX, _BIAS, *_terms('a')]]}, _BOTH)
 
 _SKEWED = [

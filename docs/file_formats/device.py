@@ -40,9 +40,8 @@ _NOT_0 = Value({'type': 'number', 'not': {'const': 0}}, 'number, not 0')
 _SYNC = Key('sync', _BYTES, 'constant bytes at the start of each frame', REQUIRED)
 
 
-def _offset(words: str, default: object = REQUIRED) -> Key:
-    value = whole(0, LONGEST - 1, 'whole number, from 0')
-    return Key('offset', value, words, default)
+def _offset(words: str) -> Key:
+    return Key('offset', whole(0, LONGEST - 1, 'whole number, from 0'), words, REQUIRED)
 
 
 def _number(types: list[str], offset: Key | None = None) -> list[Key]:
@@ -61,13 +60,22 @@ def _number(types: list[str], offset: Key | None = None) -> list[Key]:
     ]
 
 
-_BITS: list[Schema] = [
-    when(
-        {'allOf': [given('bits'), has('type', name)]},
-        {'properties': {'bits': {'items': {'maximum': 8 * size - 1} if kind == 'u' else False}}},
-    )
-    for name, (kind, size) in TYPES.items()
-]
+_OTHERS = [name for name in TYPES if name not in _UNSIGNED]
+_DEFS: Schema = {
+    'bits': {
+        'allOf': [
+            *(
+                when(
+                    {'allOf': [given('bits'), has('type', name)]},
+                    {'properties': {'bits': {'items': {'maximum': 8 * TYPES[name][1] - 1}}}},
+                )
+                for name in _UNSIGNED
+            ),
+            when(has('type', *_OTHERS), {'properties': {'bits': {'type': 'null'}}}),
+        ]
+    },
+}
+_BITS: Schema = {'$ref': '#/$defs/bits'}
 
 _XYZ = Key(
     'offset',
@@ -151,18 +159,19 @@ _STATUS = [
     *_number(_UNSIGNED),
     Key('faults', array(_FAULT_VALUE, words='list of faults, below'), 'what it can say', REQUIRED),
 ]
-_STATUS_VALUE = mapping(_STATUS, *_BITS)
+_DEFS['status'] = mapping(_STATUS, _BITS).schema
+_STATUS_VALUE = Value({'$ref': '#/$defs/status'}, '')
 
 _BELOW = 'keys, below'
 _FIELDS = [
-    Key('gyro', mapping(_TRIAD, *_BITS, words=_BELOW), 'the three gyros', REQUIRED),
-    Key('accelerometer', mapping(_TRIAD, *_BITS, words=_BELOW), 'as `gyro`', REQUIRED),
-    Key('skew', mapping(_CHANNEL, *_BITS, words=_BELOW), 'a skewed gyro'),
-    Key('temperature', mapping(_CHANNEL, *_BITS, words=_BELOW), 'degrees Celsius; as `skew`'),
-    Key('counter', mapping(_COUNTER, *_BITS, words=_BELOW), 'number of the frame'),
+    Key('gyro', mapping(_TRIAD, _BITS, words=_BELOW), 'the three gyros', REQUIRED),
+    Key('accelerometer', mapping(_TRIAD, _BITS, words=_BELOW), 'as `gyro`', REQUIRED),
+    Key('skew', mapping(_CHANNEL, _BITS, words=_BELOW), 'a skewed gyro'),
+    Key('temperature', mapping(_CHANNEL, _BITS, words=_BELOW), 'degrees Celsius; as `skew`'),
+    Key('counter', mapping(_COUNTER, _BITS, words=_BELOW), 'number of the frame'),
     Key(
         'time',
-        mapping(_TIME, *_BITS, one_of('unit', 'ticks'), words=_BELOW),
+        mapping(_TIME, _BITS, one_of('unit', 'ticks'), words=_BELOW),
         "the device's clock",
     ),
     Key(
@@ -205,7 +214,7 @@ def _algorithm() -> list[Schema]:
     names = [key.name for key in _ALGORITHM[1:]]
     known = [
         when(has('kind', 'sum'), absent(*(n for n in names if n not in {'width', 'negated'}))),
-        when(has('kind', 'xor'), {**absent(*(n for n in names if n != 'init'))}),
+        when(has('kind', 'xor'), absent(*(n for n in names if n != 'init'))),
         when(has('kind', 'xor'), _least('init', 255)),
         when(has('kind', 'crc'), {'allOf': [absent('negated'), given('width', 'poly')]}),
         when(has('kind', *CATALOGUE), absent(*names)),
@@ -218,6 +227,9 @@ def _algorithm() -> list[Schema]:
         for bits in (8, 16, 24, 32)
     ]
 
+
+_DEFS['algorithm'] = {'allOf': _algorithm()}
+_KNOWN: Schema = {'$ref': '#/$defs/algorithm'}
 
 _PLACE = [
     _offset('of its first byte'),
@@ -238,11 +250,10 @@ _CHECK = [
 
 _LENGTH = [
     Key('type', choice(list(LENGTH_TYPES)), 'of the number', REQUIRED),
-    _offset('of the number, behind `sync`'),
+    Key('offset', whole(1, LONGEST), 'of the number, behind `sync`', REQUIRED),
     Key('byte_order', _ORDER, 'of the number', None, '`byte_order` of the frame'),
     Key('zero', whole(-LONGEST, LONGEST), 'added to the number', 0),
 ]
-_LENGTH[1] = Key('offset', whole(1, LONGEST), 'of the number, behind `sync`', REQUIRED)
 _OTHER_CHECK = [
     *_ALGORITHM,
     Key(
@@ -276,7 +287,7 @@ _OTHER = [
     ),
     Key(
         'checksum',
-        either(_NONE, mapping(_OTHER_CHECK, *_algorithm()), words='`none`, or keys, below'),
+        either(_NONE, mapping(_OTHER_CHECK, _KNOWN), words='`none`, or keys, below'),
         'what protects it; with `none` `sync` has two bytes at least',
         REQUIRED,
     ),
@@ -304,15 +315,13 @@ KEYS = [
     Key('fields', mapping(_FIELDS, words=_BELOW), 'what stands in a frame', REQUIRED),
     Key(
         'checksum',
-        either(_NONE, mapping(_CHECK, *_algorithm()), words='`none`, or keys, below'),
+        either(_NONE, mapping(_CHECK, _KNOWN), words='`none`, or keys, below'),
         'what protects a frame; with `none` it has two constant bytes at least',
         REQUIRED,
     ),
     Key(
         'others',
-        array(
-            mapping(_OTHER, when(_NO_CHECK, _TWO_OF_SYNC)), words='list of messages, below'
-        ),
+        array(mapping(_OTHER, when(_NO_CHECK, _TWO_OF_SYNC)), words='list of messages, below'),
         'messages between the frames that are no samples',
     ),
 ]
@@ -332,5 +341,6 @@ TABLES: Tables = {
     'others length': _LENGTH,
     'others checksum': _OTHER_CHECK[len(_ALGORITHM) :],
 }
-VALUE = mapping(KEYS, when(_NO_CHECK, {'anyOf': [_TWO_OF_SYNC, given('constant')]}))
-TITLE = "A device: where things stand in its frames"
+_TWO_BYTES: Schema = {'anyOf': [_TWO_OF_SYNC, given('constant')]}
+VALUE = Value({'$defs': _DEFS, **mapping(KEYS, when(_NO_CHECK, _TWO_BYTES)).schema}, '')
+TITLE = 'A device: where things stand in its frames'

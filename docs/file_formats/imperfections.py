@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-
 from imu_calib.simulation.options import Shake, StandOptions, Vibration, WarmUp
-from imu_calib.units import ARCSEC, Dimension
+from imu_calib.units import ARCSEC, PPM, Dimension
 
 from .keys import (
     REQUIRED,
@@ -39,9 +38,11 @@ _HARMONICS = [_size('once', 'once per turn'), _size('twice', 'twice per turn')]
 _ARRIVALS = [
     _size(
         'joints',
-        'standard deviation by which a joint stops wrong, unseen by its encoder until it moves again',
+        'by which a joint stops wrong, unseen by its encoder until it moves again',
     ),
-    _size('tilt', 'by which the whole table leans about either horizontal axis, anew at every stop'),
+    _size(
+        'tilt', 'by which the whole table leans about either horizontal axis, anew at every stop'
+    ),
     _size('heading', 'by which it turns about up, anew at every stop'),
 ]
 _TABLE = [
@@ -80,15 +81,12 @@ _TABLE = [
         None,
         "`positioning` of the table's file",
     ),
-    _size(
-        'servo', 'a joint stops off its goal by up to so much, and its encoder shows it'
-    ),
+    _size('servo', 'a joint stops off its goal by up to so much, and its encoder shows it'),
     Key(
         'rate',
         quantity(D.RATIO, '0 or more'),
         'a steady rate is off by up to so much',
-        None,
-        'as without the file',
+        f'{_DEFAULT.rate_error / PPM:g} ppm',
     ),
     Key(
         'acceleration',
@@ -112,7 +110,8 @@ _JOINT_STATES = [
         'rate',
         quantity(D.FREQUENCY, 'above 0'),
         'how often they come',
-        f'{_DEFAULT.joint_state_rate:g} Hz',
+        None,
+        f'`{_DEFAULT.joint_state_rate:g} Hz`, or `joint_state_rate` of stand_node',
     ),
 ]
 _SHARE = quantity(D.RATIO, '0 or more')
@@ -126,8 +125,20 @@ _STAMPS = [
         D.TIME,
     ),
     Key('bunch', whole(1), 'so many samples come and are stamped together', 1),
-    Key('clock_rate', quantity(D.RATIO), "how much faster the unit's clock runs than the table's", '0 ppm'),
-    Key('clock_offset', quantity(D.TIME), 'how far ahead it begins', '0 s'),
+    Key(
+        'clock_rate',
+        quantity(D.RATIO),
+        "how much faster the unit's clock runs than the table's",
+        None,
+        '`0 ppm`, or `clock_drift` of stand_node',
+    ),
+    Key(
+        'clock_offset',
+        quantity(D.TIME),
+        'how far ahead it begins',
+        None,
+        '`0 s`, or `clock_offset` of stand_node',
+    ),
 ]
 _FROZEN = [
     Key('every', quantity(D.TIME, 'above 0'), 'mean time between', REQUIRED),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 from imu_calib.units import Dimension
 
@@ -25,12 +26,27 @@ FORMATS = {
     'imperfections': imperfections,
 }
 
+_WIDTH = 110
 _MARKED = re.compile(r'(<!-- keys: (.+?) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
 def schema(kind: str) -> Schema:
     """Return the JSON Schema of a format."""
     return document(kind, FORMATS[kind].TITLE, FORMATS[kind].VALUE)
+
+
+def dump(value: Any, indent: str = '') -> str:
+    """Return JSON, on one line what fits."""
+    line = json.dumps(value, ensure_ascii=False)
+    if len(indent + line) <= _WIDTH or not isinstance(value, (dict, list)):
+        return line
+    deeper = indent + '  '
+    if isinstance(value, list):
+        rows, ends = [dump(v, deeper) for v in value], '[]'
+    else:
+        rows, ends = [f'{json.dumps(k)}: {dump(v, deeper)}' for k, v in value.items()], '{}'
+    inside = f',\n{deeper}'.join(rows)
+    return f'{ends[0]}\n{deeper}{inside}\n{indent}{ends[1]}'
 
 
 def units() -> str:
@@ -59,8 +75,5 @@ def _filled(page: Path) -> str:
 
 def written() -> dict[Path, str]:
     """Return every file that is made of the descriptions, with its text."""
-    schemas = {
-        SCHEMAS / f'{kind}.json': json.dumps(schema(kind), indent=1, ensure_ascii=False) + '\n'
-        for kind in FORMATS
-    }
+    schemas = {SCHEMAS / f'{kind}.json': dump(schema(kind)) + '\n' for kind in FORMATS}
     return schemas | {page: _filled(page) for page in sorted(PAGES.glob('*.md'))}

@@ -29,6 +29,7 @@ COMMANDS = {
     'montecarlo': 'repeat a simulated session with seeds',
     'info': 'what is in a recording',
     'convert': 'text files and bags of ROS 1 to a recording',
+    'schema': 'the JSON Schema of a file that you write',
 }
 """What each does; the module of its name does it."""
 

@@ -157,7 +157,10 @@ AnyCalibration: TypeAlias = Calibration | ThermalCalibration
 
 
 def combine(
-    calibrations: Sequence[Calibration], names: Sequence[str], order: int | None = None
+    calibrations: Sequence[Calibration],
+    names: Sequence[str],
+    order: int | None = None,
+    where: str = '',
 ) -> ThermalCalibration:
     """Combine calibrations of one unit at several temperatures.
 
@@ -165,6 +168,7 @@ def combine(
         calibrations: At least two, in any order.
         names: Their files, for messages.
         order: Of a polynomial; None for straight lines between neighbours.
+        where: Begins messages on all of them, where one file holds them.
 
     Raises:
         InputError: They are not of one unit, a temperature is missing or comes twice, or they
@@ -172,14 +176,16 @@ def combine(
 
     """
     if len(calibrations) < 2:
-        raise InputError(f'Found {len(calibrations)} calibration, expected two or more to combine.')
+        raise InputError(
+            f'{where}Found {len(calibrations)} calibration, expected two or more to combine.'
+        )
     for calibration, name in zip(calibrations, names, strict=True):
         _check_temperature(calibration, name)
         _check_alike(calibration, name, calibrations[0], names[0])
     if order is not None and not 1 <= order <= min(MOST, len(calibrations) - 1):
         raise InputError(
-            f'A polynomial of order {order}: found {len(calibrations)} temperatures, expected an '
-            f'order from 1 to {min(MOST, len(calibrations) - 1)}.'
+            f'{where}A polynomial of order {order}: found {len(calibrations)} temperatures, expected '
+            f'an order from 1 to {min(MOST, len(calibrations) - 1)}.'
         )
     ordered = sorted(calibrations, key=lambda c: float(c.provenance['temperature']['mean']))
     result = ThermalCalibration(tuple(ordered), order)
@@ -188,8 +194,8 @@ def combine(
     if len(close):
         k = int(close[0])
         raise InputError(
-            f'Two calibrations at {points[k]:.2f} and {points[k + 1]:.2f} degC: expected at least '
-            f'{_APART:g} K between them.'
+            f'{where}Two calibrations at {points[k]:.2f} and {points[k + 1]:.2f} degC: expected at '
+            f'least {_APART:g} K between them.'
         )
     return result
 
@@ -242,7 +248,8 @@ def read_calibration(section: Section) -> AnyCalibration:
     parts = section.sections('calibrations')
     section.finish()
     names = [part.where for part in parts]
-    return combine([Calibration.read(part) for part in parts], names, order)
+    where = f'{section.key("calibrations")}: '
+    return combine([Calibration.read(part) for part in parts], names, order, where)
 
 
 def by_temperature(calibration: Calibration) -> AnyCalibration:

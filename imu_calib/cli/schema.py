@@ -1,0 +1,22 @@
+"""Print the JSON Schema of a file that you write, for your editor (docs/files)."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from ..share import share_folder
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add options and the function that runs the command."""
+    schemas = sorted(p.stem for p in (share_folder() / 'config' / 'schemas').glob('*.json'))
+    parser.add_argument('kind', choices=schemas, help='kind of file')
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Print a schema."""
+    file = share_folder() / 'config' / 'schemas' / f'{arguments.kind}.json'
+    # Not by rich, which would break long lines.
+    sys.stdout.write(file.read_text(encoding='utf-8'))
