@@ -1,8 +1,8 @@
 """Write docs/imperfections.md: what sessions say, and how far they are off, on imperfect stands.
 
-Each condition is a file of imperfections (docs/files/imperfections.md), or a term of the sensors. Sessions
-that were run are kept as lines of a file, so that the study goes on where it was stopped; delete
-the file to begin anew.
+Each condition is a file of imperfections (docs/files/imperfections.md), or a term of the sensors.
+Sessions that were run are kept as lines of a file, so that the study goes on where it was stopped;
+delete the file to begin anew.
 
 Usage: python docs/imperfections.py [--seeds 2] [--jobs 1] [--rows imperfections.jsonl]
        python docs/imperfections.py --only 'stamps late' --seeds 5

@@ -53,7 +53,7 @@ def test_a_misspelt_key_is_named() -> None:
         ('id: a\nunits: pulses\ngyro: {}\naccelerometer: {}', "'scale_factor' is missing"),
         (
             'id: a\nunits: pulses\ngyro: {scale_factor: 0 arcsec/pulse}',
-            'scale_factor: must be above zero',
+            'scale_factor: found 0 arcsec/pulse, expected above 0',
         ),
         ('[1, 2', 'not YAML'),
         ('- 1', 'found a list, expected keys'),
@@ -108,8 +108,8 @@ positions:
         ('{id: 1, axes: [U, E, E]}', 'no right-handed frame'),
         ('{id: 1, axes: [U, N, E]}', 'no right-handed frame'),
         ('{id: 1, axes: [U, N]}', 'expected three of'),
-        ('{id: 1, axes: [E, N, U], dwell: -1 s}', 'dwell must be above zero'),
-        ('{id: 1, axes: [E, N, U], turned: {about: Q, by: 45 deg}}', 'expected X, Y or Z'),
+        ('{id: 1, axes: [E, N, U], dwell: -1 s}', 'dwell: found -1 s, expected 0 or more'),
+        ('{id: 1, axes: [E, N, U], turned: {about: Q, by: 45 deg}}', 'expected one of X, Y, Z'),
         ('{id: 1, axes: [E, N, U]}\n  - {id: 1, axes: [E, N, U]}', "two positions have the id '1'"),
     ],
 )
@@ -134,7 +134,7 @@ joints:
         ('azimuth: 30', 'expected a number with a unit'),
         ('  - {name: a, axis: x, max_rate: 1 deg/s, max_acceleration: 1 deg/s^2}', 'the same name'),
         ('  - {name: b, axis: q, max_rate: 1 deg/s, max_acceleration: 1 deg/s^2}', "found 'q'"),
-        ('  - {name: b, axis: x, max_rate: 0 deg/s, max_acceleration: 1 deg/s^2}', 'above zero'),
+        ('  - {name: b, axis: x, max_rate: 0 deg/s, max_acceleration: 1 deg/s^2}', 'above 0'),
     ],
 )
 def test_a_wrong_table_is_refused_in_words(more: str, message: str) -> None:

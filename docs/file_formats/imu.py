@@ -51,8 +51,8 @@ def _figures(letter: str) -> list[Key]:
         Key(
             'bias_instability',
             quantity(value, '0 or more'),
-            'how far a bias drifts within a session, as the data sheet states it; its part of '
-            'every standard deviation',
+            'how far a bias drifts within a session; counted in every standard deviation, unless '
+            'the data clearly shows less',
             f'0 {si}',
         ),
         Key(

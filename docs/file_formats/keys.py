@@ -78,9 +78,7 @@ def pattern(dimension: Dimension, sign: str = '') -> str:
 
 def quantity(dimension: Dimension, sign: str = '') -> Value:
     """Return a number with a unit; `sign` is '', 'above 0', '0 or more' or 'not 0'."""
-    name = dimension_words(dimension)
-    anchor = name.replace(' ', '-')
-    words = f'[{name}](index.md#{anchor})'
+    words = f'[{dimension_words(dimension)}](index.md#units)'
     return Value(
         {'type': 'string', 'pattern': pattern(dimension, sign)},
         f'{words}, {sign}' if sign else words,

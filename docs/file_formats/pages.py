@@ -54,8 +54,7 @@ def units() -> str:
     rows = ['| quantity | units |', '|---|---|']
     for dimension in Dimension:
         names = ', '.join(f'`{unit}`' for unit in dimension.value)
-        name = dimension_words(dimension)
-        rows.append(f'| <a id="{name.replace(" ", "-")}"></a>{name} | {names} |')
+        rows.append(f'| {dimension_words(dimension)} | {names} |')
     return '\n'.join(rows)
 
 
@@ -68,7 +67,7 @@ def _filled(page: Path) -> str:
         else:
             kind, _, name = match[2].partition(': ')
             keys = table_of(FORMATS[kind].TABLES[name or kind])
-        return f'{match[1]}{keys}\n{match[3]}'
+        return f'{match[1]}\n{keys}\n\n{match[3]}'
 
     return _MARKED.sub(table_for, page.read_text(encoding='utf-8'))
 

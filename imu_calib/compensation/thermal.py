@@ -184,8 +184,8 @@ def combine(
         _check_alike(calibration, name, calibrations[0], names[0])
     if order is not None and not 1 <= order <= min(MOST, len(calibrations) - 1):
         raise InputError(
-            f'{where}A polynomial of order {order}: found {len(calibrations)} temperatures, expected '
-            f'an order from 1 to {min(MOST, len(calibrations) - 1)}.'
+            f'{where}A polynomial of order {order}: found {len(calibrations)} temperatures, '
+            f'expected an order from 1 to {min(MOST, len(calibrations) - 1)}.'
         )
     ordered = sorted(calibrations, key=lambda c: float(c.provenance['temperature']['mean']))
     result = ThermalCalibration(tuple(ordered), order)
