@@ -410,7 +410,7 @@ def test_a_table_states_its_clock_and_a_calibration_counts_it(tmp_path) -> None:
     text = named_file('tables', 'three_axis').read_text()
     path.write_text(text + 'clock: 5 ppm\n')
     assert load_table(path).clock == pytest.approx(TABLE_CLOCK)
-    for stated, words in (('-1 ppm', 'clock: found -1 ppm, expected 0 or more'), ('0.5 %', 'at most 1000 ppm')):
+    for stated, words in (('-1 ppm', 'clock: found -1 ppm'), ('0.5 %', 'at most 1000 ppm')):
         path.write_text(text + f'clock: {stated}\n')
         with pytest.raises(InputError, match=words):
             load_table(path)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from jsonschema import Draft202012Validator
@@ -412,6 +413,51 @@ def test_an_exponent_without_a_point_is_a_number_although_yaml_1_1_says_text():
     assert document['faster'] == '2e-5'
     calibration = {**example('calibration'), 'clock': document}
     assert READERS['calibration'](Section(calibration, 'my.yaml')).clock.faster == 2e-5
+
+
+def defaults(schema, node, root, path=()):
+    """Yield paths and defaults of the keys that a document may have, as its schema states them."""
+    if '$ref' in schema:
+        part = root
+        for name in schema['$ref'].split('/')[1:]:
+            part = part[name]
+        yield from defaults(part, node, root, path)
+    fits = Draft202012Validator(root).evolve
+    parts = [*schema.get('allOf', ()), *schema.get('anyOf', ())]
+    if 'if' in schema:
+        parts.append(schema.get('then' if fits(schema=schema['if']).is_valid(node) else 'else', {}))
+    for part in parts:
+        if fits(schema=part).is_valid(node):
+            yield from defaults(part, node, root, path)
+    for name, value in schema.get('properties', {}).items() if isinstance(node, dict) else ():
+        if isinstance(value, dict) and 'default' in value:
+            yield (*path, name), value['default']
+        if isinstance(value, dict) and node.get(name) is not None:
+            yield from defaults(value, node[name], root, (*path, name))
+    for i, item in enumerate(node if isinstance(node, list) and 'items' in schema else ()):
+        yield from defaults(schema['items'], item, root, (*path, i))
+
+
+@pytest.mark.parametrize(('kind', 'document', 'where'), DOCUMENTS)
+def test_a_default_is_what_the_suite_takes_where_the_key_is_left_out(kind, document, where):
+    found = dict(defaults(validator(kind).schema, document, validator(kind).schema))
+    for path, default in found.items():
+        *above, key = path
+        stated, lacking = copy.deepcopy(document), copy.deepcopy(document)
+        at(stated, above)[key] = default
+        at(lacking, above).pop(key, None)
+        # The key may be none of this document's kind: `init` where the checksum is a sum.
+        if validator(kind).is_valid(stated):
+            assert written_out(kind, stated) == written_out(kind, lacking), path
+
+
+def written_out(kind, document):
+    """Return all that the suite reads of a document as text, but which keys it lacked."""
+    with np.printoptions(precision=17, threshold=sys.maxsize):
+        text = repr(READERS[kind](Section(document, 'my.yaml')))
+    text = re.sub(r'assumed=\(.*?\)', '', text)
+    # 10 ppm is 1e-05 but for rounding.
+    return re.sub(r'[0-9.]+e-[0-9]+', lambda m: f'{float(m[0]):.12g}', text)
 
 
 MISTAKES = {
