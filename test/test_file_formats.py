@@ -132,7 +132,7 @@ def further():
     counts = {'id': 'a', 'units': 'counts', 'gyro': {'scale_factor': '0.01 (deg/s)/count'}}
     counts |= {'accelerometer': {'scale_factor': '1 mg/count'}, 'skewed_gyro': counts['gyro']}
     yield 'imu', counts
-    yield 'table', with_values(example('table'), mount=['y', '-x', 'z']), [('mount',)]
+    yield 'table', with_values(example('table'), mount=['-x', 'y', '-z']), [('mount',)]
     device = example('device')
     for checksum in (
         {'kind': 'sum', 'width': 16, 'negated': True, 'offset': 46},
@@ -157,6 +157,37 @@ DOCUMENTS = [
     pytest.param(*(*d, EVERYWHERE)[:3], id=f'{d[0]} {i}')
     for i, d in enumerate([*examples(), *further()])
 ]
+
+
+def described(kind, document):
+    """Yield the path of every key that a document may have, and each schema that holds for it."""
+    root = validator(kind).schema
+    yield from _described(root, document, root, ())
+
+
+def _described(schema, node, root, path):
+    if '$ref' in schema:
+        part = root
+        for name in schema['$ref'].split('/')[1:]:
+            part = part[name]
+        yield from _described(part, node, root, path)
+    fits = Draft202012Validator(root).evolve
+    parts = [*schema.get('allOf', ()), *schema.get('anyOf', ())]
+    if 'if' in schema:
+        holds = fits(schema=schema['if']).is_valid(node)
+        parts.append(schema.get('then' if holds else 'else', {}))
+    for part in parts:
+        if fits(schema=part).is_valid(node):
+            yield path, part
+            yield from _described(part, node, root, path)
+    for name, value in schema.get('properties', {}).items() if isinstance(node, dict) else ():
+        if isinstance(value, dict):
+            yield (*path, name), value
+            if node.get(name) is not None:
+                yield from _described(value, node[name], root, (*path, name))
+    for i, item in enumerate(node if isinstance(node, list) and 'items' in schema else ()):
+        yield (*path, i), schema['items']
+        yield from _described(schema['items'], item, root, (*path, i))
 
 
 @dataclass
@@ -218,13 +249,16 @@ def other_values(value):
         for text in (spelt.format(match[2], match[2]) for spelt in SPELT):
             yield repr(text), text
         yield from ((f'in {unit}', f'1e-7 {unit}') for unit in SOME_UNITS)
+    elif isinstance(value, str):
+        for text in (f'-{value}', f'{value}s', f' {value}', value.upper()):
+            yield repr(text), text
     if isinstance(value, list):
         yield 'the last left out', value[:-1]
         yield 'the first twice', [*value, copy.deepcopy(value[0])]
         yield 'the other way round', value[::-1]
 
 
-def changed(document, where):
+def changed(kind, document, where):
     """Yield documents that differ from one in one place: on the way to some paths, or below."""
     mine = [
         path
@@ -240,6 +274,14 @@ def changed(document, where):
             other = copy.deepcopy(document)
             at(other, above)[key] = copy.deepcopy(value)
             yield Case(path, what, other)
+    for path, part in described(kind, document):
+        if path in mine and isinstance(at(document, path), (int, float)):
+            *above, key = path
+            for bound in {part.get('minimum'), part.get('maximum')} - {None}:
+                for value in (bound - 1, bound, bound + 1):
+                    other = copy.deepcopy(document)
+                    at(other, above)[key] = value
+                    yield Case(path, str(value), other)
     for path in ((), *mine):
         if isinstance(at(document, path), dict):
             more = copy.deepcopy(document)
@@ -264,7 +306,7 @@ BEYOND_A_SCHEMA = {
         ({'gyro__range': '1e-999 deg/s'}, 'range: found .* expected above 0'),
     ],
     'device': [
-        ({'length': 40}, 'offset: found .* expected a whole number'),
+        ({'length': 40}, 'offset: found .* expected .*whole number'),
         ({'fields__temperature__offset': 47}, "reach beyond the frame's length of 48"),
         ({'sync': [0] * 60, 'constant': None}, 'constant bytes reach beyond the length'),
         ({'fields__counter__bits': [11, 0]}, 'bits: found .* expected the first and the last bit'),
@@ -280,6 +322,7 @@ BEYOND_A_SCHEMA = {
         ),
         ({'checksum__covers': [2, 46]}, 'covers: the checksum cannot cover itself'),
         ({'checksum__covers': [45, 2]}, 'covers: found .* expected the offsets'),
+        ({'checksum__covers': [2, 60]}, 'covers: found .* expected whole numbers'),
         ({'others__0__checksum__covers': [1, -1]}, 'covers: found .* expected the first byte'),
         ({'others__1__length': 1}, 'length: found 1, expected a whole number'),
     ],
@@ -348,7 +391,7 @@ def test_schema_and_suite_refuse_the_same_and_the_suite_names_the_key(kind, docu
     assert refusal(kind, document) is None
     crossed = [words for of, _, _, words in CROSSED if of == kind]
     wrong = []
-    for case in changed(document, where):
+    for case in changed(kind, document, where):
         said = refusal(kind, case.document)
         valid = validator(kind).is_valid(case.document)
         if valid and said:
@@ -415,40 +458,16 @@ def test_an_exponent_without_a_point_is_a_number_although_yaml_1_1_says_text():
     assert READERS['calibration'](Section(calibration, 'my.yaml')).clock.faster == 2e-5
 
 
-def defaults(schema, node, root, path=()):
-    """Yield paths and defaults of the keys that a document may have, as its schema states them."""
-    if '$ref' in schema:
-        part = root
-        for name in schema['$ref'].split('/')[1:]:
-            part = part[name]
-        yield from defaults(part, node, root, path)
-    fits = Draft202012Validator(root).evolve
-    parts = [*schema.get('allOf', ()), *schema.get('anyOf', ())]
-    if 'if' in schema:
-        parts.append(schema.get('then' if fits(schema=schema['if']).is_valid(node) else 'else', {}))
-    for part in parts:
-        if fits(schema=part).is_valid(node):
-            yield from defaults(part, node, root, path)
-    for name, value in schema.get('properties', {}).items() if isinstance(node, dict) else ():
-        if isinstance(value, dict) and 'default' in value:
-            yield (*path, name), value['default']
-        if isinstance(value, dict) and node.get(name) is not None:
-            yield from defaults(value, node[name], root, (*path, name))
-    for i, item in enumerate(node if isinstance(node, list) and 'items' in schema else ()):
-        yield from defaults(schema['items'], item, root, (*path, i))
-
-
 @pytest.mark.parametrize(('kind', 'document', 'where'), DOCUMENTS)
 def test_a_default_is_what_the_suite_takes_where_the_key_is_left_out(kind, document, where):
-    found = dict(defaults(validator(kind).schema, document, validator(kind).schema))
-    for path, default in found.items():
-        *above, key = path
-        stated, lacking = copy.deepcopy(document), copy.deepcopy(document)
-        at(stated, above)[key] = default
+    stated = {path: part for path, part in described(kind, document) if 'default' in part}
+    for (*above, key), part in stated.items():
+        given, lacking = copy.deepcopy(document), copy.deepcopy(document)
+        at(given, above)[key] = part['default']
         at(lacking, above).pop(key, None)
         # The key may be none of this document's kind: `init` where the checksum is a sum.
-        if validator(kind).is_valid(stated):
-            assert written_out(kind, stated) == written_out(kind, lacking), path
+        if validator(kind).is_valid(given):
+            assert written_out(kind, given) == written_out(kind, lacking), (above, key)
 
 
 def written_out(kind, document):
