@@ -42,7 +42,9 @@ def _matrix(rows: int, columns: int) -> Value:
 
 
 _ROWS = array(array(_NUMBER), words='rows of numbers')
-_FORMAT = Key('format', Value({'const': 1, 'type': 'number'}, '`1`'), 'of the file', REQUIRED)
+_FORMAT = Key(
+    'format', Value({'const': 1, 'type': 'number'}, '`1`'), 'version of the format', REQUIRED
+)
 _IMU = Key('imu', text(), '`id` of the [IMU](imu.md)', REQUIRED)
 _SERIAL = Key('serial_number', text(), 'of the unit', '')
 
@@ -77,7 +79,7 @@ def _terms(letter: str) -> list[Key]:
             unit = term.kind.value.units[letter].si
             unit = '' if unit == '1' else f', {unit}'
             meaning = f'{term.kind.value.words}{unit}: to channel i add `{term.formula}`'
-            keys.append(Key(term.name, value, meaning.replace('|', '&#124;')))
+            keys.append(Key(term.name, value, meaning.replace('|', r'\|')))
     return keys
 
 
@@ -191,7 +193,9 @@ KEYS = [
     _FORMAT,
     _IMU,
     _SERIAL,
-    Key('units', choice([u.value for u in Units]), 'of the IMU', REQUIRED),
+    Key(
+        'units', choice([u.value for u in Units]), "of the IMU's numbers, as in its file", REQUIRED
+    ),
     *(Key(name, _TRIADS[letter], f'the {name}s', REQUIRED) for letter, name in TRIADS.items()),
     Key('skewed_gyro', mapping(_SKEWED, words=_BELOW), 'further gyros, askew to the three'),
     Key(

@@ -47,7 +47,12 @@ def _offset(words: str) -> Key:
 def _number(types: list[str], offset: Key | None = None) -> list[Key]:
     """Return the keys of a number in a frame."""
     return [
-        Key('type', choice(types), 'bits, and whether signed; `f` is floating point', REQUIRED),
+        Key(
+            'type',
+            choice(types),
+            '`u` unsigned, `i` signed or `f` floating point, and its bits',
+            REQUIRED,
+        ),
         offset or _offset('of its first byte'),
         Key('byte_order', _ORDER, 'of this number', None, '`byte_order` of the frame'),
         Key(
@@ -142,13 +147,19 @@ _TIME = [
     ),
 ]
 _FAULT = [
-    Key('bit', whole(0, 63), 'the bit that says it, 0 the lowest; this or `mask`', None, 'one'),
+    Key(
+        'bit',
+        whole(0, 63),
+        'the bit that says it, 0 the lowest; this or `mask`',
+        None,
+        'one of the two',
+    ),
     Key(
         'mask',
         whole(1, 2**64 - 1, 'whole number, from 1'),
         'the bits any of which says it; this or `bit`',
         None,
-        'of the two',
+        'one of the two',
     ),
     Key('when', choice(['set', 'clear']), 'which state of the bit is the fault', 'set'),
     Key('says', text(), 'what is wrong, for the screen and /diagnostics', REQUIRED),

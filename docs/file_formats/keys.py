@@ -220,7 +220,7 @@ def table(keys: Sequence[Key]) -> str:
         elif key.default is None:
             default = key.otherwise or 'none'
         else:
-            default = f'`{_shown(key.default)}`'
+            default = f'`{_shown(key.default)}`' if key.default != '' else 'empty'
         rows.append(f'| `{key.name}` | {key.value.words} | {default} | {key.meaning} |')
     return '\n'.join(rows)
 
@@ -237,7 +237,7 @@ def plain(words: str) -> str:
         head, _, label = before.rpartition('[')
         out += head + label
         rest = after.partition(')')[2]
-    return (out + rest).replace('`', '')
+    return (out + rest).replace('`', '').replace(r'\|', '|')
 
 
 Tables = Mapping[str, Sequence[Key]]
