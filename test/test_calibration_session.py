@@ -136,7 +136,7 @@ def test_with_pulses_the_bias_moves_by_quantisation_and_no_more() -> None:
 
 @pytest.mark.parametrize('azimuth', [0.0, 2.0, 5.0])
 def test_the_six_position_bias_moves_as_its_formula_says(azimuth: float) -> None:
-    # methods.md, section 4: dD = (I + M) mean(R_nb^T) (Rz(-e) - 1) (0, omega_N, 0).
+    # docs/mathematics.md, 'Twelve positions': dD = (I + M) mean(R_nb^T) (Rz(-e) - 1) (0, omega_N, 0).
     plan = quick_plan('six_position', 20.0)
     believed = replace(load_table('three_axis'), azimuth=0.0)
     exact = stand(azimuth=azimuth * DEG, quantise=False, noise=False)

@@ -56,7 +56,7 @@ def test_the_stated_variance_is_the_true_one(rate: float, walk: float) -> None:
 
 
 def test_the_end_points_of_a_noise_free_counter_err_by_a_sixth_of_a_pulse_squared() -> None:
-    # c (1 - c) averaged over the fraction c is 1/6 (methods.md, section 11).
+    # c (1 - c) averaged over the fraction c is 1/6 (docs/mathematics.md, 'Noise of a mean').
     rng = np.random.default_rng(3)
     rates = rng.uniform(0, 1000, 4000)
     errors = [end_points(counter(rng, r, 0.0, 100), PERIOD).rate - r for r in rates]
@@ -65,7 +65,7 @@ def test_the_end_points_of_a_noise_free_counter_err_by_a_sixth_of_a_pulse_square
 
 
 def test_the_accelerometer_of_table_1_reaches_the_walk() -> None:
-    # methods.md, section 11: 120 s, end points 3.9 micro-g, optimum 1.9 with 1.86 of it walk.
+    # docs/mathematics.md, 'Noise of a mean': 120 s, ends 3.9 micro-g, optimum 1.9, 1.86 of it walk.
     rng = np.random.default_rng(5)
     best = mean_rate(counter(rng, 890.6, 0.02), PERIOD, 0.02)
     plain = end_points(counter(rng, 890.6, 0.02), PERIOD)

@@ -145,7 +145,7 @@ def test_accelerometers_in_turns_are_as_good_as_rests_but_for_the_lever_arm() ->
 
 
 def test_an_axis_that_has_not_turned_leaves_its_responses_to_the_earth_rate() -> None:
-    # methods.md, section 11: static alone, M_g to 1 %.
+    # docs/mathematics.md, 'Joint estimate': static dwells alone, M_g to 1 %.
     found = by_name(reached(part(evidence_of(), 12, 12)))
     assert found['K_gx'] < 1e-5
     assert found['K_gy'] < 1e-5

@@ -193,7 +193,7 @@ def six_on_a_tilted_table() -> Evidence:
 
 
 def test_six_positions_on_a_tilted_table_keep_their_biases() -> None:
-    # methods.md, section 11: 0.05 deg costs the closed form 1.8 arcmin and 580 micro-g.
+    # docs/mathematics.md, 'Twelve positions': 0.05 deg costs six up to 530 micro-g.
     evidence = six_on_a_tilted_table()
     found, closed = joint.solve(evidence), six_position.solve(evidence)
     assert np.abs(errors(closed)[ACCEL_BIAS]).max() > 300 * MICRO_G
@@ -495,7 +495,7 @@ def test_the_earth_rate_seen_is_that_of_the_site() -> None:
 
 
 def test_without_a_rate_test_the_earth_rate_is_input_enough() -> None:
-    # methods.md, section 11: static alone tells M_g to 1 %.
+    # docs/mathematics.md, 'Joint estimate': static dwells alone, M_g to 1 %.
     plan = load_plan('twelve_position')
     plan = replace(plan, positions=tuple(replace(p, rate_test=None) for p in plan.positions))
     rng = np.random.default_rng(6)

@@ -52,7 +52,7 @@ def solved(name: str, values: Floats) -> Solution:
 def test_the_plan_of_four_gives_the_inputs_of_the_document() -> None:
     attitudes = np.array([p.attitude for p in load_plan('off_axis_four').positions])
     inputs = attitudes.transpose(0, 2, 1) @ np.array([0.0, W_N, W_U])
-    # methods.md, section 7.
+    # docs/mathematics.md, 'Gyros from the Earth rate'.
     expected = [[0, W_N, W_U], [-W_N, 0, -W_U], [W_N, 0, -W_U], [0, -W_N, W_U]]
     assert inputs == pytest.approx(np.array(expected), abs=1e-15)
     # Each move but the third's about Z is half a turn about P = (X - Y) / sqrt(2).
@@ -87,7 +87,7 @@ def test_without_errors_the_twelve_numbers_are_exact(name: str) -> None:
 
 def test_static_six_is_as_well_conditioned_as_the_arrangement_allows() -> None:
     name = 'static_six'
-    # methods.md, section 6.
+    # docs/mathematics.md, 'Gyros from the Earth rate'.
     assert solved(name, outputs(load_plan(name))).condition == pytest.approx(2.06, abs=0.005)
 
 
@@ -102,7 +102,7 @@ def test_the_mean_of_a_hundred_off_axis_runs_spreads_as_theory_says() -> None:
         studies.append(np.mean([m.vector()[:12] for m in runs], axis=0))
     errors = np.array(studies) - TRUTH.vector()[:12]
     spread = np.sqrt(np.mean(errors**2, axis=0) * 20 / 100)
-    # methods.md, section 7, in the order K, E_xy xz yx yz zx zy, D.
+    # docs/mathematics.md, 'Gyros from the Earth rate': K, E_xy xz yx yz zx zy, D.
     theory = np.array([0.0040, 0.0040, 0.0062, *[0.0072, 0.0061] * 2, 0.0060, 0.0060]) * 1e-4
     theory = np.append(theory, np.full(3, 5e-6 * DEG_H))
     # 25 means tell a standard deviation to 14 %.

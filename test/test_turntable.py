@@ -120,7 +120,7 @@ def test_every_step_of_a_plan_stands_where_its_position_says(name: str) -> None:
 
 
 def test_twelve_positions_cancel_the_earth_rate_in_every_group() -> None:
-    # methods.md, section 3: for any azimuth, within each group of four.
+    # docs/mathematics.md, 'Twelve positions': for any azimuth, within each group of four.
     positions = load_plan('twelve_position').positions
     for group in (positions[:4], positions[4:8], positions[8:]):
         assert sum(p.attitude for p in group) == pytest.approx(np.zeros((3, 3)))
@@ -129,7 +129,7 @@ def test_twelve_positions_cancel_the_earth_rate_in_every_group() -> None:
 
 
 def test_the_horizontal_pair_has_the_signs_of_the_paper() -> None:
-    # methods.md, section 3: signs of (y, z) in the X group, for an azimuth between 0 and 90 deg.
+    # docs/mathematics.md, 'Twelve positions': signs of (y, z) in the X group, azimuth 0 to 90 deg.
     horizontal = np.array([np.sin(0.3), np.cos(0.3), 0.0])  # north seen from the table's zero
     positions = load_plan('twelve_position').positions[:4]
     signs = [np.sign(p.attitude.T @ horizontal)[1:].tolist() for p in positions]

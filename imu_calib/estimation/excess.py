@@ -14,8 +14,7 @@ A wandering that the data sheet states (bias instability) is a floor: a session 
 does not show a drift of the size of its own noise, and its mean errs by it all the same. It is
 weighed against less of it by what the data says, with odds of ten to one for the data sheet.
 
-Source: methods.md, section 11 (weights from the data, drift within and between segments);
-docs/mathematics.md, "Arrivals".
+Source: docs/mathematics.md, 'Joint estimate' and 'Positioning errors'.
 """
 
 from __future__ import annotations

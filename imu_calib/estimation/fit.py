@@ -5,7 +5,7 @@ estimated together from every stretch at rest and every turn of any plan, each o
 that the session shows. What wanders and what misses its mark widens the covariance (`excess`);
 a stretch that does not fit the rest counts for less.
 
-Source: methods.md, section 11.
+Source: docs/mathematics.md, 'Joint estimate'.
 """
 
 from __future__ import annotations

@@ -267,7 +267,7 @@ def check_axes(response: Floats, name: str, what: str) -> None:
 def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int) -> _Fit:
     """Fit the vector that all stretches see, and a common offset, by weighted least squares.
 
-    Source: methods.md, section 11 (azimuth and latitude from the twelve positions themselves).
+    Source: docs/mathematics.md, 'Joint estimate' (azimuth and latitude from the session itself).
     """
     triad = model.gyro if channels.start == 0 else model.accel
     outputs = evidence.outputs()[:, channels] - triad.bias

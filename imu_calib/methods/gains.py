@@ -205,7 +205,8 @@ def rate_test(evidence: Evidence) -> tuple[Floats, float]:
     Raises:
         NotObservable: An axis about which nothing turned, or in one sense at one rate only.
 
-    Source: Luo 2018, eqs. (2-175) to (2-183), as corrected in methods.md, section 2.
+    Source: Luo 2018, eqs. (2-175) to (2-183), as corrected in
+    docs/mathematics.md, 'Rate test'.
     """
     ups = np.array([turn.up for turn in evidence.turns]).reshape(-1, 3)
     rates = np.array([turn.rate() for turn in evidence.turns])

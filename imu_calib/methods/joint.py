@@ -3,7 +3,7 @@
 What `fit` finds is held against the world: axes, latitude, what is left over; and what counted for
 less is named.
 
-Source: methods.md, section 11.
+Source: docs/mathematics.md, 'Joint estimate'.
 """
 
 from __future__ import annotations

@@ -53,8 +53,10 @@ def check(plan: Plan, site: Site) -> None:
 def _weights(attitudes: Floats, site: Site, where: str) -> Floats:
     """Return (4, s) weights on the outputs: responses to X, Y, Z and the bias.
 
-    Source: off-axis 2019, section 2, as in methods.md, section 7. The positions are told by where
-    X and Y point, so that with P = (X + Y) / sqrt(2), where 2 and 3 change places, the same holds.
+    The positions are recognised by where X and Y point, so that the same holds with
+    P = (X + Y) / sqrt(2), where 2 and 3 change places.
+
+    Source: off-axis 2019, section 2; docs/mathematics.md, 'Gyros from the Earth rate'.
     """
     for rate, lost, place in (
         (site.north_rate, f'{responses("g", 0)}, {responses("g", 1)}', 'near a pole'),

@@ -1,6 +1,7 @@
 """Positions with one axis vertical: the equations that twelve and six positions share.
 
-Sources: Cao 2022, sections 3.2 and 4, with the corrections of methods.md, sections 3 and 4.
+Sources: Cao 2022, sections 3.2 and 4, with the corrections of
+docs/mathematics.md, 'Twelve positions'.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Scale factors and misalignments of the gyros from whole turns about each axis.
 
 Sources: Cao 2022, section 3.1; Luo 2018, eqs. (2-175) to (2-183); off-axis 2019, section 1.1.1;
-with the corrections of methods.md, section 2.
+with the corrections of docs/mathematics.md, 'Rate test'.
 """
 
 from __future__ import annotations

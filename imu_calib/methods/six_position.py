@@ -1,4 +1,7 @@
-"""Six positions with a north reference: the baseline of Cao 2022 (methods.md, section 4)."""
+"""Six positions with a north reference: the baseline of Cao 2022.
+
+Source: docs/mathematics.md, 'Twelve positions'.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
-"""Three orthogonal gyros and one skewed from turns alone (CN103697918A; methods.md, section 8).
+"""Three orthogonal gyros and one skewed, from turns alone.
 
 Each channel's outputs are fitted by a bias and its couplings to X, Y and Z over all rates and all
 axes: 16 numbers, scale and direction in one, no small angle. First every rate point counts alike;
 the spread of its single turns, pooled over the points of one |rate|, then gives it its weight.
+
+Source: CN103697918A; docs/mathematics.md, 'A skewed gyro'.
 """
 
 from __future__ import annotations

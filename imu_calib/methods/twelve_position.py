@@ -1,7 +1,9 @@
-"""Twelve positions without a north reference (Cao 2022, sections 2 to 4; methods.md, section 3).
+"""Twelve positions without a north reference.
 
 Each axis in turn is vertical, up twice and down twice. Within such a group the horizontal Earth
 rate cancels on every gyro for any azimuth, and so does the vertical one: the mean is the bias.
+
+Source: Cao 2022, sections 2 to 4; docs/mathematics.md, 'Twelve positions'.
 """
 
 from __future__ import annotations

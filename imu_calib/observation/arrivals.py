@@ -4,7 +4,7 @@ A joint that stops is off what its encoder reads until it moves again: rests and
 share that error, about the joint's axis. And each stop leans and turns a little of its own,
 whichever joint moved. Nobody sees either but the sensors.
 
-Source: docs/mathematics.md, "Arrivals".
+Source: docs/mathematics.md, 'Positioning errors'.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ tilted by two small angles, R_nb = Rz(azimuth) Rx(tilt) Ry(tilt) A with A by the
 the Earth's rate and gravity are constant vectors in the frame of A.
 
 Sources: Cao 2022, eqs. (1)-(2), and Luo 2018, section 6.2, for what the channels answer;
-methods.md, section 11, for what goes into the state.
+docs/mathematics.md, 'Joint estimate', for what goes into the state.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What a session, whole or partial, tells about the parameters before anything is solved.
 
-The Fisher information of the equations (methods.md, section 11) and its null space: what the
-singular vectors of the column-scaled system say cannot be told apart.
+The Fisher information of the equations (docs/mathematics.md, 'Joint estimate') and its null space:
+what the singular vectors of the column-scaled system say cannot be told apart.
 """
 
 from __future__ import annotations

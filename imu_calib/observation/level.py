@@ -2,7 +2,8 @@
 
 The accelerometers at rest show the tilt. What it does to a solver is what the solver makes of the
 outputs that its own solution predicts on the table so tilted, less what it makes of those on a
-level one: to twelve positions 1 - cos tilt in K_a, to others more (docs/mathematics.md).
+level one: to twelve positions 1 - cos tilt in K_a, to others more
+(docs/mathematics.md, 'Twelve positions').
 """
 
 from __future__ import annotations

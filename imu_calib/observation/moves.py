@@ -5,7 +5,7 @@ inertial space, and T its time,
 
     e = log( C (R_b^T exp(-[w_ie] T) R_a)^T ) = noise,    three equations in the body axes at rest b
 
-Source: docs/mathematics.md, section "Moves"; the strapdown equations of Savage 1998.
+Source: docs/mathematics.md, 'Moves'; the strapdown equations of Savage 1998.
 """
 
 from __future__ import annotations

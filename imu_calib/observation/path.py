@@ -4,7 +4,7 @@ What has been joined to steps holds what its directions added by changing (`segm
 single samples do not.
 
 Sources: Bortz 1971, IEEE Trans. AES 7, 61, and Savage 1998, J. Guidance 21, 19, eq. (45), for the
-rotation vector of an interval; the derivatives are those of docs/mathematics.md, section "Moves".
+rotation vector of an interval; the derivatives are those of docs/mathematics.md, 'Moves'.
 """
 
 from __future__ import annotations

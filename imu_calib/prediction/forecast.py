@@ -204,7 +204,10 @@ def information(
     *,
     extra: Floats | None = None,
 ) -> Information:
-    """Return what a session tells at the truth (methods.md, section 11)."""
+    """Return the Fisher information of a session at the truth.
+
+    Source: docs/mathematics.md, 'Joint estimate'.
+    """
     equations = (FreeEquations if evidence.free else Equations)(evidence, parameters)
     if extra is not None:
         modelled = np.arange(len(equations.outputs))

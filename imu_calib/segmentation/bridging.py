@@ -2,7 +2,7 @@
 
 A counter counts on while a message is lost. Lines of one slope through the counts before and after
 tell what it gained between them, to a fraction of a pulse as long as the rate is the same; and what
-it gained is a whole number (docs/mathematics.md, lost samples).
+it gained is a whole number (docs/mathematics.md, 'Stamps and lost samples').
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 A counter shows floor(true count). Between two readings the error of a difference is one of two
 values, with variance c (1 - c) in pulses squared, c the fraction of the true difference: 1/6 on
-average over phases, however long one waits (methods.md, section 11). A counter tells more than its
-two end readings, and what more depends on how fast it runs against its own noise. Three estimators
-share the work, each with the variance that it leaves; the smallest to be expected is taken.
+average over phases, however long one waits (docs/mathematics.md, 'Noise of a mean'). A counter
+tells more than its two end readings, and what more depends on how fast it runs against its own
+noise. Three estimators share the work, each with the variance that it leaves; the smallest to be
+expected is taken.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 A device samples at equal intervals of its own clock. Its stamps say more: when a driver woke up,
 how long a line was busy, how many samples came in one packet. The instants are a line through the
-stamps; what the stamps are off it is theirs and not the samples' (docs/mathematics.md, stamps).
+stamps; what the stamps are off it is theirs and not the samples' (docs/mathematics.md,
+'Stamps and lost samples').
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The device's clock is one throughout. Stretches a minute apart tell its interval a hundred times
 better than one of them does, where stamps jitter; where the clock that stamps them wanders, the
 stretches do not lie on a line, and then each is timed by its own stamps. The two are averaged by
-their variances (docs/mathematics.md, stamps).
+their variances (docs/mathematics.md, 'Stamps and lost samples').
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ half a turn the angle of a ramp is a parabola, that of a plateau a line, and how
 from the other is measured against the scatter about a cubic, to which a ramp adds nothing.
 
 The straightest half turn is the seed. Its line grows to both ends as long as the angles stay on
-it, so that it rests on all of them in the end (docs/mathematics.md, rate test).
+it, so that it rests on all of them in the end (docs/mathematics.md, 'Rate test').
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ arcsec leave room for encoders whose errors repeat with the turn; at 90 deg/s no
 
 _LEAVES = 6.0
 """Standard deviations off the line at which it is left: normal noise passes them twice in 10^9,
-which rarely ends a plateau too early (docs/mathematics.md, rate test)."""
+which rarely ends a plateau too early (docs/mathematics.md, 'Rate test')."""
 
 _ENCODER = 1e-3 * DEG
 """Least departure that counts, rad. A judgement: 3.6 arcsec for an encoder's error within the turn,
@@ -68,7 +68,7 @@ _IN_TIME = 0.2
 rounding are else uniform and scatter by 1 / sqrt(12) = 0.29 of one."""
 
 _BLOCKS = 16
-"""Of the angles of a line, whose means show errors in common (docs/mathematics.md, rate test)."""
+"""Of the angles of a line, whose means show errors in common (docs/mathematics.md, 'Rate test')."""
 
 _SIGNIFICANT = 1e-3
 """Chance that the means of blocks of white noise scatter by so much more: one line in a thousand is
@@ -96,7 +96,7 @@ judgement: a ramp of 20 deg/s^2 leaves by 0.1 deg in it."""
 _WELL_OFF = 8.0
 """Departure in units of that at which a line is left, beyond which the way back to the beginning
 of a ramp is known: t grows by 8^(1/2) = 2.8 while it grows with the square, by 8^(1/3) = 2 with
-the cubic part (docs/mathematics.md, rate test)."""
+the cubic part (docs/mathematics.md, 'Rate test')."""
 
 _ROUNDS = 60
 """Most growths of a line: one may add half its length at either end, and the last add few
@@ -166,8 +166,8 @@ class WholeTurns:
 def find_turns(motion: Motion) -> list[WholeTurns]:
     """Find the whole turns at constant rate in a motion, in order.
 
-    A line through all encoder angles at that rate places the cuts: with 0.5 ms of stamp jitter
-    single crossings would cost 52 ppm, the line 8 (methods.md, section 2).
+    A line through all encoder angles at that rate places the cuts: it leaves less of the jitter of
+    stamps than single crossings, by sqrt(n / 6) of n angles (docs/mathematics.md, 'Rate test').
     """
     if not len(motion.stamp):
         return []

@@ -19,7 +19,10 @@ from .pace import Timing
 from .segment import Statistics
 
 BLOCK_SECONDS = 10.0
-"""Shortest block whose mean shows the random walk of a quantised counter (methods.md, 11)."""
+"""Shortest block whose mean shows the random walk of a quantised counter.
+
+Source: docs/mathematics.md, 'Noise of a mean'.
+"""
 
 _MINIMUM_BLOCKS = 4
 """For a variance between blocks."""
@@ -174,8 +177,8 @@ def statistics_between(samples: Samples, first: float, last: float, walk: Floats
     """Estimate the mean output between two instants that fall within samples.
 
     The samples that straddle the two instants are shared in proportion: left whole, one sample at
-    10 deg/s and 100 Hz is 280 ppm of a turn (methods.md, section 2). Where samples reach beyond
-    an instant at the same rate, the count there is read from all that surround it.
+    10 deg/s and 100 Hz is 280 ppm of a turn (docs/mathematics.md, 'Rate test'). Where samples reach
+    beyond an instant at the same rate, the count there is read from all that surround it.
 
     Args:
         samples: Gap-free, at one rate, and reaching beyond both instants.
