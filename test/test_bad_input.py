@@ -647,9 +647,9 @@ def test_the_plan_of_another_session(cli: CommandLine, recorded: Path) -> None:
     columns = {t: b for t, b in good().columns.items() if t != SETPOINTS}
     silent = write(cli.folder / 'silent', columns)
     options = ('--plan', 'six_position')
-    sentence = 'Missing .*x_up.* Rests that fit no position .* leaves them out'
+    sentence = 'Missing .*x_up.* Static dwells that fit no position .* leaves them out'
     cli.refuses(1, sentence, silent, *options, '--method', 'six_position')
-    sentence = 'Rests that fit no position of plan six_position: X up, heading'
+    sentence = 'Static dwells that fit no position of plan six_position: X up, heading'
     cli.uses_the_rest(sentence, silent, *options)
 
 
@@ -744,14 +744,14 @@ def knocked(position: str, after: float, axis: tuple[float, float, float]) -> Co
 def test_a_knock_amid_the_session(cli: CommandLine, axis: tuple[float, float, float]) -> None:
     # About Y, which is vertical at position 7, no accelerometer sees it: the gyros must.
     sentence = (
-        r'No position turns Z: K_gz, .* A knock turned the unit in its mount \(by 0.05\d deg at '
+        r'No position turns Z: K_gz, .* The unit shifted in its mount \(by 0.05\d deg at '
         r'position 7\): .* only what lies before it is used'
     )
     cli.refuses(1, sentence, knocked('7', 11.0, axis))
 
 
 def test_a_knock_at_the_end_of_the_session(cli: CommandLine) -> None:
-    sentence = r'A knock turned the unit .* at position 12\): .* only what lies before it is used'
+    sentence = r'The unit shifted .* at position 12\): .* only what lies before it is used'
     found = cli.uses_the_rest(sentence, knocked('12', 11.0, (1.0, 0.0, 0.0)))
     assert not any('Missing' in finding for finding in found.findings)
 

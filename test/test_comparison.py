@@ -85,9 +85,9 @@ def test_the_command_line_shows_both(tmp_path: Path, capsys: pytest.CaptureFixtu
     capsys.readouterr()
     assert main(['calibrate', bag, '-o', out]) == 0
     shown = ' '.join(capsys.readouterr().out.split())
-    assert 'joint: 12 stretches at rest' in shown
+    assert 'joint: 12 static dwells' in shown
     assert 'closed form twelve_position' in shown
-    assert 'allow for biases that wander by' in shown
+    assert 'allow for bias drift of' in shown
 
 
 @pytest.mark.parametrize(

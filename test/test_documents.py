@@ -26,7 +26,8 @@ INLINE_CODE = re.compile(r'`[^`\n]+`')
 INDENTED = re.compile(r'(?:(?<=\n\n)|^)(?: {4}.*\n?)+')
 CITATION = re.compile(
     r'(?P<page>[\w/.-]*\w\.md)'
-    r"""(?:,? \(?section (?P<number>\d+)\b|,? (?P<quote>["'])(?P<title>[^"']*(?:'s [^"']*)?)(?P=quote))?"""
+    r"""(?:,? section (?P<number>\d+)\b|"""
+    r"""(?:,?| and) (?P<quote>["'])(?P<title>[^"']*(?:'s [^"']*)?)(?P=quote))?"""
 )
 
 
@@ -46,7 +47,9 @@ def anchors(path: Path) -> set[str]:
     spelt: list[str] = []
     for title in titles(path):
         slug = re.sub(r'[^\w\- ]', '', title.lower()).replace(' ', '-')
-        again = sum(s == slug or re.fullmatch(rf'{re.escape(slug)}-\d+', s) is not None for s in spelt)
+        again = sum(
+            s == slug or re.fullmatch(rf'{re.escape(slug)}-\d+', s) is not None for s in spelt
+        )
         spelt.append(f'{slug}-{again}' if again else slug)
     return set(spelt)
 
@@ -80,7 +83,7 @@ def broken(path: Path) -> list[str]:
 
 def miscited(text: str, where: Path) -> list[str]:
     """Return what a file of code cites of pages, and no page has."""
-    # As one line: a citation may be broken by the end of a line, and go on after its sign of comment.
+    # As one line: a citation may go on after the end of a line and a sign of comment.
     text = re.sub(r'\s*\n\s*(?:# )?', ' ', text)
     wrong = []
     for cited in CITATION.finditer(text):
@@ -140,7 +143,9 @@ def test_a_citation_of_what_is_not_there_is_found(wrong: str) -> None:
 
 def test_links_to_pages_and_sections_that_are_not_there_are_found(tmp_path: Path) -> None:
     page = DOCS / 'not_written.md'
-    text = '[a](methods.md#no-such-section) [b](nothing.md) `[c](code.md)` [d](https://x.org/y.md)\n'
+    text = (
+        '[a](methods.md#no-such-section) [b](nothing.md) `[c](code.md)` [d](https://x.org/y.md)\n'
+    )
     written = tmp_path / page.name
     written.write_text(f'# Page\n\n{text}\n    [e](an_equation.md)\n\n```\n[f](block.md)\n```\n')
     assert list(links(written)) == ['methods.md#no-such-section', 'nothing.md']

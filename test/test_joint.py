@@ -246,7 +246,7 @@ def test_a_closed_form_that_a_tilt_spoils_says_so() -> None:
     closed = six_position.solve(on_a_tilted_table((0.0, 0.1 * DEG), 'six_position'))
     assert np.abs(errors(closed)[ACCEL_BIAS]).max() > 1000 * MICRO_G
     assert np.abs(normalised(closed)).max() < 4.5
-    assert any('which this closed form takes to be level' in text for text in closed.findings)
+    assert any('which this closed form takes to be horizontal' in text for text in closed.findings)
 
 
 def test_six_positions_need_no_north() -> None:
@@ -419,7 +419,7 @@ def test_moves_do_not_know_biases_better_than_a_drift_leaves_them() -> None:
 def test_drift_that_no_data_sheet_states_is_found_and_said() -> None:
     evidence = replace(wandering(1), instability=np.zeros(6))
     found = joint.solve(evidence)
-    assert any('biases of the accelerometers wander' in finding for finding in found.findings)
+    assert any('biases of the accelerometers drift by' in finding for finding in found.findings)
     assert np.abs(normalised(found)[ACCEL_BIAS]).max() < 4.5
 
 

@@ -55,7 +55,7 @@ def test_a_stream_without_noise_is_solved_to_rounding_and_claims_no_more(name: s
     assert (np.abs(error) < 4.5 * calibration.std).all()
     # Outputs at rest are rounded at 1e-14 of SI units; the Earth's rate is the smallest input.
     assert (calibration.std[:24] < 1e-8).all()
-    assert not any('wander' in finding for finding in calibration.findings)
+    assert not any('drift by' in finding for finding in calibration.findings)
 
 
 def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> None:
@@ -114,5 +114,5 @@ def test_clocks_that_many_turns_compare_explain_what_they_differ_by() -> None:
 def test_kalibr_is_not_given_the_rounding_of_numbers_as_a_density_of_noise() -> None:
     made = found('twelve_position')
     calibration = replace(made, provenance={**made.provenance, 'random_walk': [1e-16] * 6})
-    with pytest.raises(InputError, match='does not tell the noise of the'):
+    with pytest.raises(InputError, match='does not hold the noise of the'):
         EXPORTS['kalibr'](Source(calibration, Path('/c.yaml'), 100.0))

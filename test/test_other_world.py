@@ -175,4 +175,4 @@ def test_turns_about_a_level_axis_are_left_out_and_said(
 ) -> None:
     told = [f for f in unplanned[0].findings if 'a turn is left out' in f]
     assert len(told) == 1
-    assert 'its axis leans 90 deg off the vertical' in told[0]
+    assert 'its axis is 90 deg off the vertical' in told[0]

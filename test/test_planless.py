@@ -135,7 +135,8 @@ def test_rests_at_other_headings_than_the_plan_has_count() -> None:
     assert np.abs(errors(result)).max() < 4.5
     findings = ' '.join(result.calibration.findings)
     assert 'Missing from the recording: position 5, 6, 7, 8.' in findings
-    assert 'Rests that fit no position of plan twelve_position: Y up, heading 180 deg' in findings
+    place = 'of plan twelve_position: Y up, heading 180 deg'
+    assert f'Static dwells that fit no position {place}' in findings
     assert 'joint uses them all the same' in findings
     again = calibrate(turned_about_y(), UNPLANNED)
     assert np.array_equal(result.calibration.values, again.calibration.values)
@@ -179,8 +180,8 @@ def test_attitudes_that_leave_an_axis_level_are_refused_and_told_what_they_lack(
     with pytest.raises(NotObservable) as refused:
         calibrate(blocks, UNPLANNED)
     told = str(refused.value)
-    assert 'no rest has X vertical: K_ax' in told
-    assert 'a rest with X ' in told.split('It would take', 1)[1]
+    assert 'no static dwell has X vertical: K_ax' in told
+    assert 'a static dwell with X ' in told.split('It would take', 1)[1]
 
 
 def test_one_axis_of_turns_tells_no_three_responses_however_oblique_it_is() -> None:
@@ -240,7 +241,8 @@ def test_setpoints_that_the_plan_does_not_name_lead_to_rests_that_count() -> Non
     result = calibrate(session(plan, stand(azimuth=17 * DEG)), replace(plan, positions=known))
     assert len(result.labelled.segments) == 12
     findings = ' '.join(result.calibration.findings)
-    assert 'Rests that fit no position of plan twelve_position: Y down, heading 0 deg' in findings
+    place = 'of plan twelve_position: Y down, heading 0 deg'
+    assert f'Static dwells that fit no position {place}' in findings
     assert 'Position Y down, heading 0 deg: plan twelve_position has no position 7.' in findings
     assert np.abs(errors(result)).max() < 4.5
 
@@ -445,7 +447,7 @@ def test_without_joint_states_a_plan_is_asked_for(
     assert main(['calibrate', str(bag), '--imu-only', *SAID]) == 2
     told = capsys.readouterr().err
     assert 'does not say which plan was run: give --plan' in told
-    assert 'where joint states of a table tell the attitudes' in told
+    assert 'where joint states of a table give the attitudes' in told
 
 
 def rows_below(text: str, first: str, last: str) -> list[str]:

@@ -285,7 +285,7 @@ def test_the_command_says_what_a_plan_tells_of_each_term(
     assert len(rows) == len(TERMS)
     assert rows['accel_cubic'][0] == '-'
     assert ' '.join(rows['accel_cubic'][2:]).startswith(
-        'takes rests with each axis some 45 degrees'
+        'takes static dwells with each axis some 45 degrees'
     )
     assert rows['accel_quadratic'][1] == 'ug/g^2'
     assert rows['accel_quadratic'][2:4] == ['D_a', '1.3']

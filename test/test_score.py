@@ -113,7 +113,7 @@ CASES = {
         LEANING,
     ),
 }
-BLAMED = ('wander', 'scatter', 'not fit', 'elsewhere', 'counts for less', 'arrive', 'tilted')
+BLAMED = ('drift by', 'scatter', 'not fit', 'elsewhere', 'counts for less', 'arrive', 'tilted')
 """Words of the findings that blame something else."""
 
 

@@ -288,7 +288,7 @@ def test_a_warm_up_fades_at_a_rate_that_is_found(warming: tuple[Evidence, Floats
     assert np.diag(shares[Source.TIME_CONSTANT].covariance)[21] > 0
 
 
-BLAMED = ('wander', 'scatter', 'not fit', 'elsewhere', 'counts for less')
+BLAMED = ('drift by', 'scatter', 'not fit', 'elsewhere', 'counts for less')
 """Words of the findings that blame something else."""
 
 
@@ -351,7 +351,7 @@ def test_terms_that_the_session_cannot_tell_are_refused(drifting: Evidence) -> N
     with pytest.raises(NotObservable, match=r'moves by 0\.00 K.*expected 0\.5 K'):
         estimate(replace(drifting, temperature=still), changes=changes)
     one = replace(drifting, segments=drifting.segments, turns=drifting.turns, moves=())
-    with pytest.raises(NotObservable, match='cannot tell trend'):
+    with pytest.raises(NotObservable, match='do not determine trend'):
         estimate(one, changes=parted('trend:E_gxy+E_gxz+E_gyx+K_g+K_gx+K_gy+K_gz')[1])
 
 

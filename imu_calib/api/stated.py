@@ -201,7 +201,7 @@ def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan:
         return UNPLANNED
     raise InputError(
         f'{recording.path} does not say which plan was run: give --plan ({shipped("plans")}). '
-        'None is needed where joint states of a table tell the attitudes; here are none.'
+        'None is needed where joint states of a table give the attitudes; here are none.'
     )
 
 
@@ -331,8 +331,8 @@ def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
     if imu.skewed is not None and known.model.skewed is None:
         name = 'of this unit' if isinstance(truth, Calibration) else truth
         raise InputError(
-            f'--truth {name} tells nothing of the skewed gyro of IMU {imu.id}: a simulated one '
-            'needs it (for instance --truth fog_skewed).'
+            f'--truth {name} does not describe the skewed gyro of IMU {imu.id}: a simulated '
+            'one needs it (for instance --truth fog_skewed).'
         )
     return known
 

@@ -200,7 +200,7 @@ def _at(loaded: AnyCalibration, seen: Temperature | None) -> tuple[Calibration, 
     if isinstance(loaded, ThermalCalibration):
         if seen is None:
             raise InputError(
-                'The calibration depends on the temperature, which the recording does not tell.'
+                'The calibration depends on the temperature, which the recording does not hold.'
             )
         return loaded.at(seen.mean), []
     made_at = loaded.provenance.get('temperature')

@@ -14,9 +14,9 @@ def nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
     if not session.samples:
         return 'The IMU stream is empty: nothing can be determined.'
     if not session.duration:
-        told = ' '.join(f'{loss}.' for loss in session.losses)
-        return f'None of {session.samples} IMU samples can be used. {told}'
-    looked_for = 'Neither a rest nor a whole turn'
+        losses = ' '.join(f'{loss}.' for loss in session.losses)
+        return f'None of {session.samples} IMU samples can be used. {losses}'
+    looked_for = 'Neither a static dwell nor a whole turn'
     if setup.plan.is_stated:
         looked_for = f'None of the positions of plan {setup.plan.name}'
     text = (
@@ -26,7 +26,7 @@ def nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
     reasons = sorted({r.reason for r in labelled.rejected})
     loose = len(session.segments)
     if loose and setup.plan.is_stated:
-        text += f' {loose} stretches at rest fit no position of the plan.'
+        text += f' {loose} static dwells fit no position of the plan.'
     sentences = [*(f'Left out: {reason}' for reason in reasons[:3]), *session.losses]
     return ' '.join([text, *(f'{sentence}.' for sentence in sentences)])
 
@@ -70,8 +70,9 @@ def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
         return []
     becomes = f'{setup.method_name} uses them all the same'
     if setup.plan_alone:
-        becomes = f"{setup.method_name}, which knows the plan's positions alone, leaves them out"
-    return [f'Rests that fit no position of plan {setup.plan.name}: {"; ".join(names)}: {becomes}.']
+        becomes = f"{setup.method_name}, which uses the plan's positions alone, leaves them out"
+    fit = f'Static dwells that fit no position of plan {setup.plan.name}'
+    return [f'{fit}: {"; ".join(names)}: {becomes}.']
 
 
 def assumed(setup: Setup, solution: Solution) -> list[str]:

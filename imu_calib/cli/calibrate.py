@@ -60,7 +60,7 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         OUTPUT.print(change_note(result.calibration), markup=False)
     without = '' if setup['plan'] else ' without a plan'
     OUTPUT.print(
-        f'\n{setup["method"]}{without}: {setup["segments"]} stretches at rest, '
+        f'\n{setup["method"]}{without}: {setup["segments"]} static dwells, '
         f'{setup["turns"]} turns, {session.samples} samples in {session.duration:.0f} s'
     )
     for line in summary(solution.tests):
@@ -69,7 +69,7 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         OUTPUT.print(result.comparison.sentence(), markup=False)
     if solution.wandering is not None and solution.wandering.any():
         OUTPUT.print(
-            f'the standard deviations allow for biases that wander by '
+            f'the standard deviations allow for bias drift of '
             f'{solution.wandering[0] / DEG_H:.2g} deg/h and {solution.wandering[3] / MICRO_G:.2g} '
             'ug over 1000 s or so (data sheet, and what the session shows)'
         )

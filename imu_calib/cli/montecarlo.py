@@ -60,7 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     options.add_method_option(parser)
     parser.add_argument(
-        '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
+        '--bias-instability', action='store_true', help="let the biases drift by the IMU's figure"
     )
     parser.add_argument(
         '-o',

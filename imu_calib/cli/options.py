@@ -28,10 +28,10 @@ def add_imperfections_option(parser: argparse._ActionsContainer) -> None:
         '--imperfections',
         metavar='NAME|FILE',
         help='what is wrong with the stand: axes, wobble, zeros and encoders of the table in '
-        'arcsec, arrivals, ramps in deg/s^2, stamps in ms, samples lost or sent twice in %%, '
-        'frozen counts in s, ringing, a floor that shakes, temperature, warm-up of the biases '
-        f'(shipped: {shipped("imperfections")}; docs/files/imperfections.md; default: nothing). '
-        f'The table as it then truly is goes to {TRUE_TABLE}',
+        'arcsec, positioning errors, ramps in deg/s^2, stamps in ms, samples lost or sent twice in '
+        '%%, frozen counts in s, ringing, a floor that shakes, temperature, warm-up of the biases '
+        f'(shipped: {shipped("imperfections")}; docs/files/imperfections.md; default: nothing). The '
+        f'table as it then truly is goes to {TRUE_TABLE}',
     )
 
 
@@ -112,7 +112,7 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         '--plan',
         metavar='NAME|FILE',
         help="the plan that was run (default: the recording's own, else none); "
-        f'{NO_PLAN}: no plan, joint states tell the attitudes',
+        f'{NO_PLAN}: no plan, joint states give the attitudes',
     )
     parser.add_argument('--imu', metavar='NAME|FILE', help="what the IMU's numbers mean")
     parser.add_argument('--table', metavar='NAME|FILE', help='the turntable (default: three_axis)')

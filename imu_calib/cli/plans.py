@@ -46,7 +46,7 @@ _IN_THE_HAND = (
 _ANY_PLAN = 'twelve_position'
 """What a search for a plan begins from: nothing of it counts."""
 
-_LEANING = 'What a hold leans comes on top: E_a errs by half of it, D_a by g times a sixth.'
+_LEANING = 'The tilt of a hold comes on top: E_a errs by half of it, D_a by g times a sixth.'
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -92,7 +92,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     options.add_method_option(parser)
     parser.add_argument(
-        '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
+        '--bias-instability', action='store_true', help="let the biases drift by the IMU's figure"
     )
     options.add_site_options(parser)
     parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
@@ -174,7 +174,7 @@ def _predict(arguments: argparse.Namespace) -> None:
         _show_forecast(_side_by_side(own, found), best=found.method)
     if not arguments.bias_instability and imu.gyro.bias_instability + imu.accel.bias_instability:
         OUTPUT.print(
-            'Biases stand still here; with --bias-instability they wander by the data sheet'
+            'Biases are constant here; with --bias-instability they drift by the data sheet'
             f'{"." if plan.by_hand else ", as the joint estimate allows for."}'
         )
     _show_terms(prediction.terms)
@@ -262,7 +262,9 @@ def _show_terms(found: Sequence[OfTerm]) -> None:
         worst = float(one.std.max()) / shown.scale if one.told else np.nan
         words = _costs(one.dearer) if one.told else f'takes {one.term.needs}'
         rows.add_row(one.term.name, _cell(worst), shown.unit, words)
-    OUTPUT.print('\nWhat it would tell of each term (--terms), added alone: the worst channel.')
+    OUTPUT.print(
+        '\nWhat it would determine of each term (--terms), added alone: the worst channel.'
+    )
     OUTPUT.print(rows)
     OUTPUT.print()
 

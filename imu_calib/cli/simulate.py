@@ -34,7 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="true heading of the table's zero against north, about up (default: 0)",
     )
     parser.add_argument(
-        '--bias-instability', action='store_true', help="let the biases wander by the IMU's figure"
+        '--bias-instability', action='store_true', help="let the biases drift by the IMU's figure"
     )
     options.add_imperfections_option(parser)
     parser.add_argument('--seed', type=int, default=0, help='same seed, same bits (default: 0)')

@@ -100,9 +100,9 @@ class Compensation:
     The covariances add the calibration's own, propagated to first order at the rate and force of
     each sample, to the noise of one sample: N^2 / tau of the random walk N that the calibration
     measured, and of a pulse q (q / tau)^2 / 6, the mean over phases of c (1 - c) (q / tau)^2 for an
-    accumulating counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. Where terms are
-    not linear, rates and forces answer to these errors by their slopes at the sample; that errors
-    of forces get into rates through such terms is left out.
+    accumulating counter (docs/mathematics.md, 'Noise of a mean'); of an ADC's step q^2 / 12. Where
+    terms are not linear, rates and forces answer to these errors by their slopes at the sample;
+    that errors of forces get into rates through such terms is left out.
 
     Args:
         calibration: What to apply.

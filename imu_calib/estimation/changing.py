@@ -87,11 +87,11 @@ def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray
     named = f' ({", ".join(mine)})' if mine else ''
     evidence: Evidence = equations.evidence
     return (
-        f'{len(evidence.segments)} stretches at rest and {len(evidence.turns)} turns cannot tell '
+        f'{len(evidence.segments)} static dwells and {len(evidence.turns)} turns do not determine '
         f'{" and ".join(names_of(equations.changes))}{named}{apart}: not observable. To determine '
-        'it takes rests with each axis up, down and level at the beginning and at the end, and '
-        'turns about each axis there for what changes scale factors of gyros; or leave it out '
-        '(--terms).'
+        'it takes static dwells with each axis up, down and horizontal at the beginning and at the '
+        'end, and turns about each axis there for what changes scale factors of gyros; or leave '
+        'it out (--terms).'
     )
 
 

@@ -122,7 +122,7 @@ def _noise(source: Source) -> tuple[dict[str, float], list[str]]:
         drift, note = _drift(drifts, spec)
         if not (density > 0 and drift > 0):
             raise InputError(
-                f'The calibration does not tell the noise of the {name} that imu.yaml needs: '
+                f'The calibration does not hold the noise of the {name} that imu.yaml needs: '
                 'give --imu with its data sheet (random walk and bias instability).'
             )
         if note:

@@ -202,7 +202,7 @@ def clocks(evidence: Evidence) -> list[str]:
         return []
     return [
         f'The rate between the clocks of IMU and table is known to {std / PPM:.0f} ppm only: K_g '
-        'is no better (joint states at 20 Hz or more would tell).'
+        'is known no better (joint states at 20 Hz or more would improve it).'
     ]
 
 
@@ -405,7 +405,8 @@ def _off_positions(evidence: Evidence) -> list[str]:
     if not words:
         return []
     return [
-        f'The encoders stand off the plan: position {", ".join(words)}; the closed form feels it.'
+        f'By the encoders attitudes differ from the plan: position {", ".join(words)}; the closed '
+        'form, which takes those of the plan, is biased by that.'
     ]
 
 
@@ -435,13 +436,13 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
     text = (
         f'the gyros see an Earth rate of {earth[2] / DEG_H:.2f} +- {up_std / DEG_H:.2f} deg/h up '
         f'(expected {site.up_rate / DEG_H:.2f}) and {level / DEG_H:.2f} +- '
-        f'{level_std / DEG_H:.2f} deg/h level (expected {site.north_rate / DEG_H:.2f})'
+        f'{level_std / DEG_H:.2f} deg/h horizontal (expected {site.north_rate / DEG_H:.2f})'
     )
     if abs(total - EARTH_RATE) > _CONTRADICTION * total_std:
         raise Contradiction(
             f'The data contradicts itself: {text}, {total / DEG_H:.2f} deg/h in all, where the '
             f'Earth turns at {EARTH_RATE / DEG_H:.2f} deg/h at any latitude. The rate test does '
-            'not fit the stretches at rest (saturated turns, clocks that differ, drift).'
+            'not fit the static dwells (saturated turns, clocks that differ, drift).'
         )
     raise Contradiction(
         f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}. It fits a '

@@ -81,7 +81,7 @@ class Comparison:
         name, far = self.furthest
         agrees = 'differs by up to' if self.disagrees else 'agrees within'
         share = abs(self.tighter)
-        gain = 'tighter' if self.tighter >= 0 else 'wider, by what wanders or misses'
+        gain = 'tighter' if self.tighter >= 0 else 'wider, for bias drift and positioning errors'
         return (
             f'closed form {self.method} {agrees} {far:.1f} standard deviations ({name}); '
             f'joint is {share:.0%} {gain}'
@@ -99,8 +99,8 @@ class Comparison:
         )
         return [
             f'The closed form {self.method} differs from the joint estimate by more than their '
-            f'standard deviations allow: {names}. It knows nothing of tilts, of stretches that '
-            'count for less, of uneven ones.'
+            f'standard deviations allow: {names}. It allows neither for tilts nor for '
+            'segments that were weighed down, and weighs short and long ones alike.'
         ]
 
     def document(self) -> dict[str, object]:

@@ -171,7 +171,7 @@ def solve(evidence: Evidence) -> FreeFit:
     if len(evidence.segments) < FEWEST:
         raise NotObservable(
             f'{len(evidence.segments)} holds were found; gravity needs {FEWEST} or more in '
-            'different attitudes to tell the accelerometers, 20 or more for a good answer.'
+            'different attitudes to determine the accelerometers, 20 or more for a good result.'
         )
     start = _State(*started(evidence), np.ones(3))
     _check_observable(start)
@@ -288,7 +288,7 @@ def _check_observable(state: _State) -> None:
         if any(name[2] == 'g' for name in names):
             words.append('turn it by a quarter turn or more about different axes between holds')
         raise NotObservable(
-            f'{len(evidence.segments)} holds and {len(evidence.led)} turns cannot tell '
+            f'{len(evidence.segments)} holds and {len(evidence.led)} turns do not determine '
             f'{", ".join(names)}: {"; ".join(words)}.'
         )
 
@@ -301,16 +301,16 @@ def refuse(_: Evidence) -> Solution:
 
     """
     raise NotObservable(
-        'Free positions rest on every sample between the holds, which stretches and whole turns '
-        'do not tell: run them on a recording with the IMU alone.'
+        'Free positions need every sample between the holds, which segments of a table session '
+        'do not have: run them on a recording with the IMU alone.'
     )
 
 
 def scatter_words(scatter: Floats) -> list[str]:
     """Say what scatters more than its noise, by the (3,) factors of `FreeFit.scatter`."""
     return [
-        f'In {name} {factor:.1f} times the noise is left (a hand that trembles, biases that '
-        'wander): the standard deviations are widened.'
+        f'The residuals of {name} are {factor:.1f} times the noise (a hand that trembles, bias '
+        'drift): the standard deviations are widened.'
         for name, factor in zip(_GROUPS, scatter, strict=True)
         if factor > 1
     ]
@@ -322,9 +322,9 @@ def term_words(fit: FreeFit) -> list[str]:
         return []
     largest = np.abs(fit.model.g_sensitivity).max() * STANDARD_GRAVITY / DEG
     return [
-        f'The gyros feel specific force, by up to {largest:.2g} deg/s per g: {G_SENSITIVITY.name} '
-        'is estimated besides (without it, holds and turns leave more than chance explains: '
-        f'probability {max(fit.chance, 1e-99):.0e}).'
+        f'The gyros respond to specific force, by up to {largest:.2g} deg/s per g: '
+        f'{G_SENSITIVITY.name} is estimated besides (without it the residuals of holds and turns '
+        f'are larger than chance explains: probability {max(fit.chance, 1e-99):.0e}).'
     ]
 
 
@@ -366,7 +366,8 @@ def ellipsoid(outputs: Floats, gravity: float) -> Triad:
         return Triad(lower - np.eye(3), centre * gravity)
     raise NotObservable(
         'The accelerometers at rest do not see one and the same gravity in enough attitudes: '
-        'K_ax, K_ay, K_az cannot be told from the biases. Hold each axis up and down, and slants.'
+        'K_ax, K_ay, K_az cannot be separated from the biases. Hold each axis up and down, and '
+        'slanted.'
     )
 
 

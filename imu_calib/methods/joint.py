@@ -197,9 +197,10 @@ def _findings(found: Estimate) -> list[str]:
 def _constant(found: Estimate) -> str:
     names = ', '.join(c.name for c in found.constant)
     return (
-        f'The session does not tell how {names} change ({" and ".join(names_of(found.constant))}): '
-        'taken as constant. Moves between rests, or turns about each axis at the beginning and at '
-        'the end, would tell of gyros; rests with each axis up and down there of accelerometers.'
+        f'The session does not determine how {names} change '
+        f'({" and ".join(names_of(found.constant))}): taken as constant. Moves between dwells, or '
+        'turns about each axis at the beginning and at the end, would determine it for gyros; '
+        'dwells with each axis up and down there for accelerometers.'
     )
 
 
@@ -228,14 +229,15 @@ def _scattering(found: Estimate) -> list[str]:
     joints, stops = scatter.arriving.joints, scatter.arriving.stops
     if joints > _TELLING * evidence.positioning:
         notes.append(
-            f'The sensors scatter as if joints stopped {joints / ARCSEC:.2g} arcsec off what their '
-            f'encoders show ({known}): the standard deviations '
-            'allow for it.'
+            f'Positioning errors of {joints / ARCSEC:.2g} arcsec, which encoders do not show, '
+            f'explain the scatter of the residuals ({known}): the standard deviations allow for '
+            'them.'
         )
     if stops > _TELLING * max(joints, evidence.positioning):
         notes.append(
-            f'The sensors scatter as if the table leaned by {stops / ARCSEC:.2g} arcsec about any '
-            'axis, another way at each stop: the standard deviations allow for it.'
+            f'Attitude errors of the whole table, {stops / ARCSEC:.2g} arcsec about each axis and '
+            'others at each stop, explain the scatter of the residuals: the standard deviations '
+            'allow for it.'
         )
     for name, first, unit, symbol in (
         ('gyros', 0, DEG_H, 'deg/h'),
@@ -245,7 +247,7 @@ def _scattering(found: Estimate) -> list[str]:
         if wandering > (1 + _TELLING) * stated_of:
             stated = f'{stated_of / unit:.3g} {symbol}' if stated_of else 'none'
             notes.append(
-                f'The biases of the {name} wander by {wandering / unit:.2g} {symbol} (the '
+                f'The biases of the {name} drift by {wandering / unit:.2g} {symbol} (the '
                 f'description of the IMU states {stated}): the standard deviations allow for it.'
             )
     return notes

@@ -93,7 +93,7 @@ G_SENSITIVITY = Term(
         for i in range(3)
         for j in range(3)
     ),
-    'rests with each axis up and down, and turns about each',
+    'static dwells with each axis up and down, and turns about each',
 )
 """G_ij f_j to gyro i (Luo 2018, section 6.2), row by row of G."""
 
@@ -137,7 +137,8 @@ ACCEL_QUADRATIC = _own(
     'a',
     2,
     0,
-    'rests with each axis up, down and level; 45 degrees between tell it from accel_asymmetry',
+    'static dwells with each axis up, down and horizontal, and at 45 degrees between to tell it '
+    'from accel_asymmetry',
 )
 """K2_i f_i^2 (IEEE Std 1293, K_2)."""
 
@@ -146,12 +147,17 @@ ACCEL_ASYMMETRY = _own(
     'a',
     0,
     1,
-    'rests with each axis up, down and level; 45 degrees between tell it from accel_quadratic',
+    'static dwells with each axis up, down and horizontal, and at 45 degrees between to tell it '
+    'from accel_quadratic',
 )
 """A_i |f_i|: scale factors that differ by 2 A between the signs; K is their mean."""
 
 ACCEL_CUBIC = _own(
-    ParameterKind.ACCEL_CUBIC, 'a', 3, 0, 'rests with each axis some 45 degrees off the vertical'
+    ParameterKind.ACCEL_CUBIC,
+    'a',
+    3,
+    0,
+    'static dwells with each axis some 45 degrees off the vertical',
 )
 """K3_i f_i^3 (IEEE Std 1293, K_3). At 0 and 1 g it is the scale factor."""
 
@@ -166,7 +172,8 @@ ACCEL_CROSS = Term(
         for i in range(3)
         for j, k in ((0, 1), (0, 2), (1, 2))
     ),
-    'rests with two axes at once some 45 degrees off the vertical, in all quadrants of each pair',
+    'static dwells with two axes at once some 45 degrees off the vertical, in all quadrants of '
+    'each pair',
 )
 """X_ijk f_j f_k to accelerometer i, j < k (IEEE Std 1293, K_ip, K_io, K_po)."""
 
@@ -177,7 +184,7 @@ GYRO_G2 = Term(
         (Parameter(ParameterKind.GYRO_G2, 'g', i, i), Product((len(AXES) + i,) * 2))
         for i in range(3)
     ),
-    'rests with each axis up, down and level, and turns about each',
+    'static dwells with each axis up, down and horizontal, and turns about each',
 )
 """G2_i f_i^2 to gyro i: specific force along its axis, whatever its sign (IEEE Std 952)."""
 

@@ -24,7 +24,7 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
         settle=declare(
             'settle',
             default.settle,
-            'From the arrival to the start of the dwell, s of the joint states.',
+            'From the stop of the joints to the start of the dwell, s of the joint states.',
             lower=0.0,
         ),
         arrival=DEG

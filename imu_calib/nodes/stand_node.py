@@ -109,7 +109,7 @@ class StandNode(ros.Node):
         height = declare(self, 'height', 0.0, 'm above the ellipsoid')
         gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
         azimuth = declare(self, 'azimuth', 0.0, "true heading of the table's zero, deg")
-        wander = declare(self, 'bias_instability', False, 'whether the biases wander')
+        wander = declare(self, 'bias_instability', False, 'whether the biases drift')
         offset = declare(self, 'clock_offset', 0.0, 'device clock minus host clock, s')
         drift = declare(self, 'clock_drift', 0.0, 'how much faster the device clock runs, ppm')
         joints = declare(self, 'joint_state_rate', 100.0, 'Hz', lower=0.1, upper=10_000.0)

@@ -349,9 +349,7 @@ def known_noise(segments: tuple[Segment, ...], spec: ImuSpec) -> tuple[Floats, F
     stated = np.repeat([spec.gyro.random_walk, spec.accel.random_walk], 3)
     known = np.isfinite(found.deviation)
     if not (known | (stated > 0)).all():
-        raise NotObservable(
-            'The noise of the sensors is unknown: no stretch at rest is long enough.'
-        )
+        raise NotObservable('The noise of the sensors is unknown: no static dwell is long enough.')
     square = np.where(known, found.square, 0.0)
     freedom = found.freedom
     weight = _STATED_FREEDOM**2 / (_STATED_FREEDOM + freedom)

@@ -185,13 +185,13 @@ def undetermined(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> s
     others = [p.name for p in lost if p not in term.parameters]
     apart = f' apart from {", ".join(others)}' if others else ''
     return (
-        f'{_found(evidence)} cannot tell {term.name} ({", ".join(mine)}){apart}: not observable. '
-        f'To determine it takes {term.needs}; or leave it out (--terms).'
+        f'{_found(evidence)} do not determine {term.name} ({", ".join(mine)}){apart}: not '
+        f'observable. To determine it takes {term.needs}; or leave it out (--terms).'
     )
 
 
 def _found(evidence: Evidence) -> str:
-    return f'{len(evidence.segments)} stretches at rest and {len(evidence.turns)} turns'
+    return f'{len(evidence.segments)} static dwells and {len(evidence.turns)} turns'
 
 
 def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
@@ -206,7 +206,7 @@ def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
     left = {p.name for p, gone in zip(PARAMETERS, lost, strict=True) if gone}
     turned = [np.abs(turn.up) for turn in evidence.turns]
     stood = [np.abs(attitude[2]) for attitude in evidence.attitudes()]
-    place = 'position' if evidence.plan.is_stated else 'rest'
+    place = 'position' if evidence.plan.is_stated else 'static dwell'
     about = 'no position turns {}' if evidence.plan.is_stated else 'no turn is about {}'
     reasons = (('g', turned, about), ('a', stood, f'no {place} has {{}} vertical'))
     for triad, seen, reason in reasons:
@@ -221,7 +221,7 @@ def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
                 left -= set(names)
     rest = [p.name for p in PARAMETERS if p.name in left]
     if rest:
-        words.append(f'{_found(evidence)} cannot tell {", ".join(rest)}: not observable')
+        words.append(f'{_found(evidence)} do not determine {", ".join(rest)}: not observable')
     missing = evidence.missing()
     tail = f' (missing: position {", ".join(missing)})' if missing else ''
     text = '; '.join(words)

@@ -110,7 +110,7 @@ def _additions(evidence: Evidence) -> list[Addition]:
         for quarter in range(4):
             attitude = _upright(up, quarter)
             rest = replace(like, attitude=attitude, attitude_error=0.0)
-            found.append((f'a rest with {attitude_words(attitude)}', rest))
+            found.append((f'a static dwell with {attitude_words(attitude)}', rest))
     seconds = like.statistics.duration
     for axis in np.eye(3):
         # By no table: what accelerometers in turns tell of gravity is better told at rest.

@@ -114,7 +114,7 @@ def widened_for_tilt(
     widened[own, own] += np.outer(bias, bias)
     return widened, [
         f'The table is tilted by {tilt.size / ARCSEC:.0f} arcsec, which this closed form takes to '
-        f'be level: {PARAMETERS[12 + worst].name} errs by {ratio[worst]:.1f} of its standard '
-        'deviations, and those of the accelerometers are widened by what the tilt does. Level '
-        'the table, or take the joint estimate, which knows the tilt.'
+        f'be horizontal: {PARAMETERS[12 + worst].name} is biased by {ratio[worst]:.1f} standard '
+        'deviations, and the standard deviations of the accelerometers are widened by that. Level '
+        'the table, or take the joint estimate, which estimates the tilt.'
     ]

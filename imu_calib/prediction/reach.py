@@ -222,6 +222,6 @@ def _check_reachable(
     ]
     if short:
         raise NotObservable(
-            f'No dwell reaches it for {", ".join(short)}: what the turns, the arrivals and the '
-            'clocks leave is more than that. Turn more often.'
+            f'No dwell reaches it for {", ".join(short)}: the turns, the positioning errors and '
+            'the clocks contribute more than that. Turn more often.'
         )

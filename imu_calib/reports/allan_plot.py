@@ -120,7 +120,7 @@ def noise_notes(seen: Mapping[str, ChannelNoise]) -> str:
     if not seen:
         return ''
     text = (
-        'Overlapping Allan deviation of all stretches at rest together, with one standard '
+        'Overlapping Allan deviation of all static dwells together, with one standard '
         'deviation; "below" is a 95 % bound. A dwell of two minutes shows the random walk and '
         'seldom the bias instability: for that, let one position last for hours.'
     )

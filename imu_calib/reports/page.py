@@ -104,7 +104,7 @@ def _head(contents: Contents) -> str:
         ('method', _words(where.get('method'))),
         ('table', _words(where.get('table'))),
         ('site', _site(where)),
-        ('stretches at rest', _words(where.get('segments'))),
+        ('static dwells', _words(where.get('segments'))),
         ('turns', _words(where.get('turns'))),
         ('samples used', _words(where.get('samples'))),
     ]
@@ -167,7 +167,7 @@ def _course(result: Result | None) -> str:
     return section(
         'Course of the session',
         timeline.time_line(found, result.session.duration),
-        rejected or paragraph('Every stretch of the session was used.', 'note'),
+        rejected or paragraph('Every segment of the session was used.', 'note'),
         kind='page',
     )
 

@@ -90,7 +90,7 @@ def residual_plots(residuals: Residuals) -> str:
             panel = _panel(residuals, top, normalised[:, channels], None, name, limits=True)
             parts += panel.parts
             top += _HEIGHT + _GAP
-    return drawing(parts, _WIDTH, top - _GAP + 36, 'Residuals of every stretch at rest')
+    return drawing(parts, _WIDTH, top - _GAP + 36, 'Residuals of every static dwell')
 
 
 def _panel(
@@ -135,7 +135,7 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
     parts = []
     if residuals.numbered:
         named = '; '.join(f'{k + 1} {name}' for k, name in enumerate(residuals.positions))
-        parts.append(paragraph(f'Rests in order of time: {named}.', 'note'))
+        parts.append(paragraph(f'Static dwells in order of time: {named}.', 'note'))
     if rms is not None and len(rms) == 6:
         cells = [
             '-' if not isinstance(v, (int, float)) else three_digits(float(v) / scale)
@@ -150,8 +150,8 @@ def residual_notes(residuals: Residuals, rms: Sequence[object] | None) -> str:
         parts.append(
             paragraph(
                 f'{beyond} of {len(finite)} residuals are beyond {_EXPECTED:g} standard deviations '
-                "of the stretch's own noise (dashed lines). More than a few of them mean that "
-                'something else moved: the table between its arrivals, or the biases with time.',
+                "of the dwell's own noise (dashed lines). More than a few of them mean that "
+                'something else changed: positioning errors of the table, or bias drift.',
                 'note',
             )
         )

@@ -129,7 +129,7 @@ def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
         elif in_mount and off >= UP_TOLERANCE:
             reason = (
                 f'the accelerometers see up {off / DEG:.0f} deg off where the encoders have it, '
-                'and agree with them at most other rests'
+                'and agree with them at most other dwells'
             )
             rejected.append(Rejected(segment.start, segment.end, reason))
         else:
@@ -211,8 +211,8 @@ def _in_one_mount(
         segments=tuple(s for mount, s in segments if mount == best),
         turns=tuple(t for mount, t in turns if mount == best),
         notes=(
-            f'A knock turned the unit in its mount ({words}): before and after it misalignments '
-            f'differ, so only {_PART[(best > 0) + 2 * (best < len(slips))]} used',
+            f'The unit shifted in its mount ({words}): misalignments before and after differ, '
+            f'so only {_PART[(best > 0) + 2 * (best < len(slips))]} used',
         ),
     )
 
@@ -308,7 +308,7 @@ def _off_setpoint(segment: Segment, setpoint: Setpoint, table: Table | None) -> 
         miss -= TURN * round(miss / TURN)
         if abs(miss) > _ARRIVAL_TOLERANCE:
             where = f'its setpoint of position {setpoint.position}'
-            return f'joint {name} stands {miss / DEG:.3g} deg off {where}'
+            return f'joint {name} is {miss / DEG:.3g} deg off {where}'
     return ''
 
 

@@ -332,7 +332,7 @@ class Segmenter:
         for segment in self._segments:
             if beside_unseen((segment.start + segment.end) / 2):
                 reason = (
-                    'the gyros do not see the motion beside it that the joint states tell of '
+                    'the gyros do not see the motion beside it that the joint states show '
                     '(clocks that jump, or are more than a second apart)'
                 )
                 self._rejected.append(Rejected(segment.start, segment.end, reason))

@@ -54,7 +54,7 @@ _FREED = {
     ),
     ParameterKind.MISALIGNMENT: (
         'the misalignments are others',
-        "The unit or its axes have moved, or the table's arrivals are off by as much "
+        "The unit or its axes have moved, or the table's positioning error is as large "
         '(positioning in its YAML).',
     ),
 }
@@ -295,8 +295,8 @@ def _another_unit(system: System, values: Floats, factor: Floats, name: str) -> 
     if len(far) >= _HALF * len(determined):
         return Diagnosis(
             f'No single mistake explains the {name}, other parameters do: {len(far)} of the '
-            f"{len(determined)} that the session tells are off. The calibration is another unit's, "
-            'or the unit is not what it was.',
+            f'{len(determined)} that the session determines are off. The calibration is that of '
+            'another unit, or the unit has changed.',
             far,
         )
     return Diagnosis(

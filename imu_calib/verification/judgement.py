@@ -128,7 +128,9 @@ def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
             'changed places and a matrix that was transposed hardly show in them.'
         )
     elif not observed.evidence.turns:
-        others = ' and in the moves between rests' if len(observed.evidence.led) else ' alone'
+        others = (
+            ' and in the moves between static dwells' if len(observed.evidence.led) else ' alone'
+        )
         notes.append(
             'No turns by an encoder: scale factors and misalignments of the gyros show in the '
             f'Earth rate{others}.'
@@ -170,8 +172,8 @@ class _Trial:
         """Say by how much more the session scatters than its noise."""
         return [
             f'Between {what} the {self.name} scatter {factor:.1f} times more than within them, '
-            'whatever the parameters (arrivals of the table, drift): the limits are widened.'
-            + (' So much is a doubt by itself.' if factor > _TOO_WIDE else '')
+            'whatever the parameters (positioning errors, bias drift): the limits are widened.'
+            + (' So much makes the verdict MARGINAL by itself.' if factor > _TOO_WIDE else '')
             for what, factor in zip(
                 ('positions', 'turns', 'moves'), self.system.inflation, strict=True
             )

@@ -98,7 +98,7 @@ def observe(
     labelled = label(session, plan, table if with_angles or plan.is_stated else None)
     if not labelled.segments and not labelled.turns:
         raise NotObservable(
-            f'Neither rests nor whole turns were found in {session.samples} IMU samples '
+            f'Neither static dwells nor whole turns were found in {session.samples} IMU samples '
             f'({session.duration:.0f} s): nothing can be compared.'
         )
     # A plan of turns alone names no rests.
