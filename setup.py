@@ -32,6 +32,7 @@ PLOT = 'matplotlib>=3.6'
 DATA_FRAME = 'pandas>=2'
 # The first that refuses bytes which end within a string or a sequence.
 ROSBAGS = 'rosbags>=0.11.6'
+DOCS = ['sphinx>=7', 'myst-parser>=2', 'furo>=2024.1.29']
 
 setup(
     name=NAME,
@@ -67,6 +68,7 @@ setup(
         'plot': [PLOT],
         'dataframe': [DATA_FRAME],
         'ros1': [ROSBAGS],
+        'docs': DOCS,
         'test': [
             'pytest>=7.4',
             'pytest-timeout>=2.2',
@@ -82,6 +84,7 @@ setup(
             DATA_FRAME,
         ],
         'dev': [
+            *DOCS,
             PLOT,
             DATA_FRAME,
             'pandas-stubs',

@@ -23,7 +23,7 @@ class Units(Enum):
     PULSES = 'pulses'
     """Increments counted over the sample interval that ends at the stamp."""
     COUNTS = 'counts'
-    """Values proportional to rate: ADC codes, counts per second."""
+    """Values proportional to rate, such as ADC codes or counts per second."""
     SI = 'si'
     """rad/s and m/s^2."""
 

@@ -1,12 +1,20 @@
 """Pages, their links and their sections, and what the code cites of them."""
 
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from urllib.parse import unquote
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 from loopback import CHECKOUT
+
+sys.path.insert(0, str(CHECKOUT / 'docs'))
+import command_line
+import messages
 
 DOCS = CHECKOUT / 'docs'
 MATHEMATICS = DOCS / 'mathematics.md'
@@ -151,3 +159,31 @@ def test_links_to_pages_and_sections_that_are_not_there_are_found(tmp_path: Path
     assert list(links(written)) == ['methods.md#no-such-section', 'nothing.md']
     written.write_text('# Page\n\n[in itself](#page) [elsewhere](#elsewhere)\n')
     assert broken(written) == ['#elsewhere: not_written.md has no section #elsewhere']
+
+
+@pytest.mark.parametrize('script', [command_line, messages])
+def test_pages_of_options_and_messages_are_what_their_scripts_write(script: ModuleType) -> None:
+    assert script.PAGE.read_text('utf-8') == script.page()
+
+
+def test_every_option_and_every_field_is_on_its_page() -> None:
+    options = command_line.PAGE.read_text('utf-8')
+    for source in (CHECKOUT / 'imu_calib' / 'cli').glob('*.py'):
+        for option in re.findall(r"'(--[a-z][\w-]+)'", source.read_text('utf-8')):
+            assert f'`{option}' in options or f' {option}' in options, option
+    fields = messages.PAGE.read_text('utf-8')
+    for source in messages.FOLDER.glob('*.msg'):
+        for line in source.read_text('utf-8').splitlines():
+            if line.strip() and not line.strip().startswith('#'):
+                assert f'`{line.split("#")[0].split()[1]}`' in fields, line
+
+
+def test_the_ros_documentation_job_finds_the_pages() -> None:
+    named = ElementTree.parse(CHECKOUT / 'package.xml').findtext('export/rosdoc2')
+    head, rest = yaml.safe_load_all((CHECKOUT / str(named)).read_text('utf-8'))
+    assert head == {'type': 'rosdoc2 config', 'version': 1}
+    (builder,) = rest['builders']
+    folder = CHECKOUT / builder['sphinx']['sphinx_sourcedir']
+    # It takes an index in reStructuredText, and writes its own beside any other.
+    assert (folder / 'conf.py').is_file()
+    assert (folder / 'index.rst').is_file()

@@ -43,7 +43,7 @@ class Prediction:
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviations by the names of the parameters, SI units; NaN: not determined."""
+        """Standard deviations by the names of the parameters, SI units, NaN if not determined."""
         names = (p.name for p in self.forecast.parameters)
         return dict(zip(names, self.forecast.std.tolist(), strict=True))
 

@@ -42,9 +42,9 @@ class Mark(IntFlag):
     """What a person should know of a sample; any number of them."""
 
     GYRO_RANGE = 1
-    """A gyro stands at the end of its range: the rate is unknown."""
+    """A gyro is at the end of its range, so that the rate is unknown."""
     ACCEL_RANGE = 2
-    """An accelerometer stands at the end of its range: the specific force is unknown."""
+    """An accelerometer is at the end of its range, so that the specific force is unknown."""
     RATE = 4
     """Faster than the unit was turned when it was calibrated."""
     TEMPERATURE = 8

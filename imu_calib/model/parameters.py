@@ -53,7 +53,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Product:
-    """What a parameter is multiplied by: scale * u_i u_j ... |u_k| ...
+    """What a parameter is multiplied by: scale * u_i u_j ... abs(u_k) ...
 
     u = [w_x, w_y, w_z, f_x, f_y, f_z], rad/s and m/s^2.
 

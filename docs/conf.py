@@ -1,0 +1,112 @@
+"""How Sphinx makes the documentation site: `sphinx-build -W -n docs OUTPUT`."""
+
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+
+import imu_calib
+from imu_calib.version import version as installed
+
+# rosdoc2 builds from a copy of this folder: the checkout is where the package lies.
+ROOT = Path(imu_calib.__file__).resolve().parents[1]
+DOCS = ROOT / 'docs'
+sys.path.insert(0, str(ROOT))
+
+project = 'imu_calib'
+author = 'The imu_calib developers'
+copyright = author  # noqa: A001
+version = release = installed()
+
+extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
+source_suffix = {'.md': 'markdown', '.rst': 'restructuredtext'}
+# Notebooks are shown by pages, and linked to.
+exclude_patterns = ['_build', '**/.ipynb_checkpoints']
+
+html_theme = 'furo'
+html_title = 'imu_calib'
+html_show_sphinx = False
+html_show_copyright = False
+html_static_path = ['_static']
+html_css_files = ['site.css']
+
+# Anchors as GitHub spells them, so that one link leads there in both.
+myst_heading_anchors = 4
+
+# Docstrings set code between single marks.
+default_role = 'literal'
+autodoc_typehints = 'description'
+autodoc_typehints_description_target = 'documented_params'
+autodoc_member_order = 'bysource'
+autodoc_class_signature = 'mixed'
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+# What other packages document: no inventory is fetched, so that a build needs no network.
+nitpick_ignore_regex = [
+    (
+        r'py:.*',
+        r'(numpy|np|numpy\.typing|collections|pathlib|typing|types|contextlib|pandas|matplotlib)\..*',
+    ),
+    ('py:class', 'Figure'),
+]
+
+BORROWED = {
+    DOCS / 'overview.md': ROOT / 'README.md',
+    DOCS / 'contributing.md': ROOT / 'CONTRIBUTING.md',
+    DOCS / 'changelog.rst': ROOT / 'CHANGELOG.rst',
+}
+"""Pages whose text lies where GitHub and ROS look for it."""
+
+# A table of contents of a folder, and its pattern.
+_GLOB = re.compile(r'\.\. toctree::\n(?: +:.*\n)* +:glob:\n\n +(\S+)\n\n')
+_LINK = re.compile(r'(?P<text>\[[^][]*\])\((?P<target>[^()\s#:]+)(?P<anchor>#[^()\s]*)?\)')
+
+
+def read_source(app: Sphinx, page: str, source: list[str]) -> None:
+    """Take a borrowed page from where it lies, and lead links out of this folder."""
+    here = DOCS / app.env.doc2path(page, base=False)
+    lies = BORROWED.get(here, here)
+    if lies != here:
+        app.env.note_dependency(str(lies))
+        source[0] = lies.read_text('utf-8')
+    if here.suffix == '.md':
+        source[0] = led(source[0], lies.parent, here.parent, Path(app.srcdir))
+    elif page == 'index':
+        source[0] = _GLOB.sub(lambda tree: tree[0] if any(DOCS.glob(tree[1])) else '', source[0])
+
+
+def led(text: str, lies: Path, page: Path, source: Path) -> str:
+    """Return the text of a page with its links as the site has them.
+
+    Pages lead to pages, files beside the documentation are for download, folders are named.
+
+    Args:
+        text: Of a page in Markdown.
+        lies: The folder to which its links are relative.
+        page: The folder below docs in which the site has it.
+        source: The folder from which Sphinx builds: docs, or a copy of it.
+
+    """
+    borrowed = {theirs: ours for ours, theirs in BORROWED.items()}
+
+    def replace(link: re.Match[str]) -> str:
+        goal = (lies / link['target']).resolve()
+        goal = borrowed.get(goal, goal)
+        if goal.is_dir():
+            return '`' + link['text'][1:-1].strip('`') + '`'
+        inside = goal.is_relative_to(DOCS)
+        way = os.path.relpath(goal, page if inside else source / page.relative_to(DOCS))
+        return f'{link["text"]}({way}{link["anchor"] or ""})' if goal.exists() else link[0]
+
+    return _LINK.sub(replace, text)
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Connect what the pages need."""
+    app.connect('source-read', read_source)
+    return {'parallel_read_safe': True, 'parallel_write_safe': True}
