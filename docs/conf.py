@@ -101,7 +101,10 @@ def led(text: str, lies: Path, page: Path, source: Path) -> str:
             return '`' + link['text'][1:-1].strip('`') + '`'
         inside = goal.is_relative_to(DOCS)
         way = os.path.relpath(goal, page if inside else source / page.relative_to(DOCS))
-        return f'{link["text"]}({way}{link["anchor"] or ""})' if goal.exists() else link[0]
+        # A page that is called by the name of its file is called by its title.
+        named = inside and link['text'][1:-1] in (goal.name, link['target'])
+        text = '[]' if named and not link['anchor'] else link['text']
+        return f'{text}({way}{link["anchor"] or ""})' if goal.exists() else link[0]
 
     return _LINK.sub(replace, text)
 

@@ -1,6 +1,6 @@
 """Write docs/off_axis.md: the study of off-axis 2019, section 4, with what theory says of it.
 
-A hundred runs; at each position errors of arrival within 3 arcsec, uniform and independent, about
+A hundred runs; at each position positioning errors within 3 arcsec, uniform and independent, about
 the three body axes; no noise, no pulses. The outputs go through the shipped solvers.
 
 Usage: python docs/off_axis.py
@@ -131,10 +131,10 @@ def main() -> None:
     text = f"""# Off-axis four positions against static six
 
 Written by `docs/off_axis.py`: the study of off-axis 2019, section 4, run through this package's
-solvers. Latitude 34 deg; {RUNS} runs; at each position independent errors of arrival about the
+solvers. Latitude 34 deg; {RUNS} runs; at each position independent positioning errors about the
 three body axes, uniform within +-3 arcsec; no gyro noise, no pulses (0.05 deg/sqrt(h) over 120 s
 would spread K by 1 %, far more than the document shows, so it had none either). "Std of the mean"
-is what theory gives for the mean of {RUNS} runs: the solvers are linear, and an error e of arrival
+is what theory gives for the mean of {RUNS} runs: the solvers are linear, and a positioning error e
 moves the outputs by (I + M)(w x e).
 
 ## Off-axis four
@@ -159,7 +159,7 @@ stands beside it for its size and tests neither. Here the means lie within {ours
 
 ## Are four positions better than six?
 
-The standard deviations of one run, four over six, for the same errors of arrival:
+The standard deviations of one run, four over six, for the same positioning errors:
 
 | {' | '.join(NAMES)} |
 |{'---|' * 12}
