@@ -23,8 +23,15 @@ version = release = installed()
 
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
 source_suffix = {'.md': 'markdown', '.rst': 'restructuredtext'}
-# Notebooks are shown by pages, and linked to.
-exclude_patterns = ['_build', '**/.ipynb_checkpoints']
+# rosdoc2 puts copies of README and the like beside the pages, which are there already.
+exclude_patterns = [
+    '_build',
+    '**/.ipynb_checkpoints',
+    'README.md',
+    'CONTRIBUTING.md',
+    'CHANGELOG.rst',
+    '__*',
+]
 
 html_theme = 'furo'
 html_title = 'imu_calib'

@@ -266,7 +266,7 @@ def test_a_rest_off_its_setpoint_counts_where_the_encoders_have_it() -> None:
     assert names[9] == 'Z up, heading 180 deg'
     findings = ' '.join(result.calibration.findings)
     assert 'Missing from the recording: position 10.' in findings
-    assert 'joint outer stands -2 deg off its setpoint of position 10' in findings
+    assert 'joint outer is -2 deg off its setpoint of position 10' in findings
     assert np.abs(errors(result)).max() < 4.5
 
 
@@ -380,7 +380,7 @@ def test_report_and_verify_take_a_calibration_without_a_plan(
     page = bag.parent / 'report.html'
     assert main(['report', made, str(bag), *SAID, '-o', str(page)]) == 0
     text = page.read_text(encoding='utf-8')
-    assert 'Rests in order of time: 1 X up, heading 10 deg; 2 Y up' in text
+    assert 'Static dwells in order of time: 1 X up, heading 10 deg; 2 Y up' in text
     assert main(['verify', str(bag), '--calibration', made, *SAID]) == 0
     out = capsys.readouterr().out
     assert 'X up, heading 10 deg' in out

@@ -266,7 +266,7 @@ def test_a_term_that_shows_in_part_is_named_and_widens_what_it_touches() -> None
     named = [text for text in found.findings if 'accel_cross' in text]
     assert len(named) == 1
     assert 'does not determine it' in named[0]
-    assert 'To determine it takes rests with two axes at once' in named[0]
+    assert 'To determine it takes static dwells with two axes at once' in named[0]
     assert {t.name: t.state for t in found.tests}['accel_cross'] is State.NOT_DETERMINED
     off = (found.model.values(PARAMETERS) - model.values(PARAMETERS)) / found.std
     assert np.abs(off).max() < TOO_FAR
