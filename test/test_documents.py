@@ -97,7 +97,8 @@ def miscited(text: str, where: Path) -> list[str]:
     for cited in CITATION.finditer(text):
         name = cited['page']
         beside = where.parent if where.is_relative_to(DOCS) else DOCS
-        page = next((p for p in (CHECKOUT / name, beside / name) if p.is_file()), None)
+        places = (CHECKOUT / name, beside / name, DOCS / name, DOCS / 'files' / name)
+        page = next((p for p in places if p.is_file()), None)
         if page is None:
             wrong.append(f'{cited[0]}: there is no such page')
             continue

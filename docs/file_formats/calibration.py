@@ -107,7 +107,7 @@ _COVARIANCE = [
         'parameters',
         array(text(), words='list of names'),
         'the parameters that were estimated, in the order of the suite '
-        '([parameters](../mathematics.md#terms))',
+        '([parameters](../mathematics.md#7-terms))',
         REQUIRED,
     ),
     Key('matrix', _ROWS, 'their covariance, SI units: symmetric, positive semidefinite', REQUIRED),

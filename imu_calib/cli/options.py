@@ -30,8 +30,8 @@ def add_imperfections_option(parser: argparse._ActionsContainer) -> None:
         help='what is wrong with the stand: axes, wobble, zeros and encoders of the table in '
         'arcsec, positioning errors, ramps in deg/s^2, stamps in ms, samples lost or sent twice in '
         '%%, frozen counts in s, ringing, a floor that shakes, temperature, warm-up of the biases '
-        f'(shipped: {shipped("imperfections")}; docs/files/imperfections.md; default: nothing). The '
-        f'table as it then truly is goes to {TRUE_TABLE}',
+        f'(shipped: {shipped("imperfections")}; docs/files/imperfections.md; default: nothing). '
+        f'The table as it then truly is goes to {TRUE_TABLE}',
     )
 
 
