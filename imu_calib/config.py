@@ -117,11 +117,13 @@ class Section:
         """Return a whole number from `least` to `most`, which may be open."""
         if default is not None and not self.has(name):
             return default
-        value = self.raw(name)
-        if not is_whole(value, least, most):
+        value = as_whole(self.raw(name), least, most)
+        if value is None:
             bounds = f', {least} or more' if most is None else f' from {least} to {most}'
-            raise InputError(f'{self.key(name)}: found {value!r}, expected a whole number{bounds}.')
-        return int(value)
+            raise InputError(
+                f'{self.key(name)}: found {self.raw(name)!r}, expected a whole number{bounds}.'
+            )
+        return value
 
     def array(self, name: str, shape: tuple[int, ...]) -> Floats:
         """Return finite numbers in rows, as an array of a shape."""
@@ -214,14 +216,22 @@ def as_number(value: object) -> float | None:
     """
     if isinstance(value, str) and _EXPONENTIAL.fullmatch(value):
         return float(value)
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-
-
-def is_whole(value: object, least: int, most: int | None) -> bool:
-    """Say whether a value is a whole number from `least` to `most`; 2.0 is one."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return False
-    return least <= value <= (math.inf if most is None else most) and value % 1 == 0
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def as_whole(value: object, least: int, most: int | None) -> int | None:
+    """Return a whole number from `least` to `most`, None for anything else; 2.0 and 2e0 are one."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        number = as_number(value)
+        if number is None or not number.is_integer():
+            return None
+        value = int(number)
+    return value if least <= value and (most is None or value <= most) else None
 
 
 def numbers_of(value: object) -> Floats | None:

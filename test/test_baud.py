@@ -119,7 +119,7 @@ def test_a_rate_that_means_nothing_is_refused(tmp_path, started, capsys, port_na
     assert not started
 
 
-@pytest.mark.parametrize('found', [0, 'fast', 1e6, 10**9])
+@pytest.mark.parametrize('found', [0, 'fast', 1e6 + 0.5, 10**9])
 def test_a_rate_in_a_devices_file_is_checked(found):
     with pytest.raises(InputError, match=r'device\.yaml: baud: found .*, expected a whole number'):
         read_format(described(baud=found))

@@ -336,6 +336,7 @@ BEYOND_A_SCHEMA = {
         ({'gyro__error_matrix__0__1': 1.0}, 'lies .* off its body axis'),
         ({'gyro__bias__0': 2.0}, 'found .* expected at most'),
         ({'gyro__bias__0': float('nan')}, 'bias: found 3 numbers that are not all finite'),
+        ({'gyro__bias__0': 10**400}, 'bias: found 3 numbers that are not all finite'),
     ],
     'imperfections': [
         ({'mounting__floor__lowest': '50 Hz'}, 'floor: found lowest .* above highest'),
@@ -456,6 +457,8 @@ def test_an_exponent_without_a_point_is_a_number_although_yaml_1_1_says_text():
     assert document['faster'] == '2e-5'
     calibration = {**example('calibration'), 'clock': document}
     assert READERS['calibration'](Section(calibration, 'my.yaml')).clock.faster == 2e-5
+    device = {**example('device'), 'baud': yaml.safe_load('1e6')}
+    assert READERS['device'](Section(device, 'my.yaml')).baud == 1_000_000
 
 
 @pytest.mark.parametrize(('kind', 'document', 'where'), DOCUMENTS)

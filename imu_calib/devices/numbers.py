@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 
-from ..config import Section, as_number, is_whole
+from ..config import Section, as_number, as_whole
 from ..errors import InputError
 
 
 def whole_list(section: Section, name: str, lower: int, upper: int) -> list[int]:
     """Read a list of whole numbers from `lower` to `upper`."""
-    values = section.items(name)
-    for value in values:
-        if not is_whole(value, lower, upper):
+    found = []
+    for value in section.items(name):
+        number = as_whole(value, lower, upper)
+        if number is None:
             raise InputError(
                 f'{section.key(name)}: found {value!r}, expected whole numbers from {lower} to '
                 f'{upper}.'
             )
-    return [int(value) for value in values]
+        found.append(number)
+    return found
 
 
 def numbers(section: Section, name: str, most: int = 3) -> list[float]:
