@@ -72,7 +72,7 @@ def validator(kind):
 def refusal(kind, document):
     """Return what the suite says of a document, and None where it reads it."""
     try:
-        READERS[kind](Section(copy.deepcopy(document), 'my.yaml'))
+        READERS[kind](Section(document, 'my.yaml'))
     except InputError as error:
         return str(error)
     return None
@@ -233,12 +233,9 @@ OTHERS = {
 }
 QUANTITY = re.compile(r'([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\S.*)')
 UNITS = sorted({unit for dimension in Dimension for unit in dimension.value})
-SOME_UNITS = UNITS[::7]
+SOME_UNITS = UNITS[::15]
 """Another test takes all."""
-SPELT = (
-    *('-1e-7 {}', '0 {}', '-0.0 {}', '0e5{}', '+.5e-7{}', ' 1e-7  {} ', '1e9 {}', '1.{}'),
-    *('{}', '1', '1 parsec', '1,5 {}', '1 {} {}', '--1 {}', '1e {}', '\u0663 {}', '1 {}s'),
-)
+SPELT = ('-1e-7 {}', '0 {}', '1e9 {}', '{}', '1', '1 parsec', '1,5 {}', '1 {} {}', '\u0663 {}')
 
 
 def other_values(value):
@@ -258,6 +255,22 @@ def other_values(value):
         yield 'the other way round', value[::-1]
 
 
+GONE = object()
+
+
+def put(document, path, value):
+    """Return a document with another value at a path; what is not on the way is shared."""
+    key, *rest = path
+    copied = copy.copy(document)
+    if rest:
+        copied[key] = put(document[key], rest, value)
+    elif value is GONE:
+        del copied[key]
+    else:
+        copied[key] = value
+    return copied
+
+
 def changed(kind, document, where):
     """Yield documents that differ from one in one place: on the way to some paths, or below."""
     mine = [
@@ -266,27 +279,17 @@ def changed(kind, document, where):
         if any(path[: len(way)] == way[: len(path)] for way in where)
     ]
     for path in mine:
-        *above, key = path
-        lacking = copy.deepcopy(document)
-        del at(lacking, above)[key]
-        yield Case(path, 'left out', lacking)
+        yield Case(path, 'left out', put(document, path, GONE))
         for what, value in other_values(at(document, path)):
-            other = copy.deepcopy(document)
-            at(other, above)[key] = copy.deepcopy(value)
-            yield Case(path, what, other)
+            yield Case(path, what, put(document, path, value))
+        if isinstance(at(document, path), dict):
+            yield Case((*path, 'nonsense'), 'unknown', put(document, (*path, 'nonsense'), 1))
+    yield Case(('nonsense',), 'unknown', {**document, 'nonsense': 1})
     for path, part in described(kind, document):
         if path in mine and isinstance(at(document, path), (int, float)):
-            *above, key = path
             for bound in {part.get('minimum'), part.get('maximum')} - {None}:
                 for value in (bound - 1, bound, bound + 1):
-                    other = copy.deepcopy(document)
-                    at(other, above)[key] = value
-                    yield Case(path, str(value), other)
-    for path in ((), *mine):
-        if isinstance(at(document, path), dict):
-            more = copy.deepcopy(document)
-            at(more, path)['nonsense'] = 1
-            yield Case((*path, 'nonsense'), 'unknown', more)
+                    yield Case(path, str(value), put(document, path, value))
 
 
 BEYOND_A_SCHEMA = {
