@@ -26,9 +26,9 @@ from imu_calib.imu import load_imu
 from imu_calib.methods.free_positions import NAME as FREE_POSITIONS
 from imu_calib.methods.free_positions import in_frame_of_accelerometers
 from imu_calib.model import PARAMETERS, SensorModel
-from imu_calib.montecarlo import single_threaded
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
+from imu_calib.repetition import single_threaded
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import HandSession, as_planned, the_short_way

@@ -36,8 +36,8 @@ from test_joint import simulated
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint, twelve_position
 from imu_calib.model import PARAMETER_NAMES
-from imu_calib.montecarlo import economical
 from imu_calib.plan import load_plan
+from imu_calib.repetition import economical
 from imu_calib.stream import Floats
 from imu_calib.turntable import load_table
 

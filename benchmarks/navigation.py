@@ -32,8 +32,8 @@ from imu_calib.compensation.apply import Compensation
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.model import TERMS, SensorModel, Term, chosen
-from imu_calib.montecarlo import economical, single_threaded
 from imu_calib.plan import load_plan
+from imu_calib.repetition import economical, single_threaded
 from imu_calib.reports.svg import COLOURS, Axis, Panel, drawing, label, tag
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedImu, StandOptions, simulate

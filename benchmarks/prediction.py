@@ -27,9 +27,9 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.imu import load_imu
 from imu_calib.model import TERMS, Parameter
-from imu_calib.montecarlo import Study, economical, repeat
 from imu_calib.plan import Plan, load_plan
 from imu_calib.prediction import forecast
+from imu_calib.repetition import Study, economical, repeat
 from imu_calib.share import named_file, share_folder
 from imu_calib.simulation import StandOptions
 from imu_calib.turntable import Table, load_table

@@ -35,8 +35,8 @@ from imu_calib.calibrator import Setup
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
 from imu_calib.model import TERMS
-from imu_calib.montecarlo import economical
 from imu_calib.observation.evidence import Evidence
+from imu_calib.repetition import economical
 from imu_calib.share import named_file
 from imu_calib.simulation import simulate
 from imu_calib.turntable import load_table

@@ -33,8 +33,8 @@ from imu_calib.errors import ImuCalibError
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS
 from imu_calib.model.terms import term
-from imu_calib.montecarlo import single_threaded
 from imu_calib.plan import Plan, load_plan
+from imu_calib.repetition import single_threaded
 from imu_calib.stream import Floats
 from imu_calib.turntable import Table
 

@@ -16,34 +16,60 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .api.calibrating import calibrate
     from .api.columns import Columns, read
+    from .api.combining import combine
+    from .api.comparing import Compared, compare
     from .api.compensating import Compensated, compensate
     from .api.converting import Converted, convert
-    from .api.predicting import Prediction, predict
+    from .api.exporting import export
+    from .api.predicting import Prediction, predict, reach
+    from .api.repeating import Repeated, montecarlo
     from .api.reporting import report
     from .api.simulating import Simulated, simulate
     from .api.verifying import verify
     from .calibration import Calibration
     from .calibrator import Result
+    from .compensation.thermal import ThermalCalibration
     from .errors import ImuCalibError, InputError, NotObservable
+    from .exports import Exported
+    from .imu import ImuSpec, load_imu
+    from .plan import Plan, load_plan
+    from .prediction import Reached
+    from .turntable import Table, load_table
     from .verification import Verdict, Verification
 
 _WHERE = {
     'Calibration': 'calibration',
     'Columns': 'api.columns',
+    'Compared': 'api.comparing',
     'Compensated': 'api.compensating',
     'Converted': 'api.converting',
+    'Exported': 'exports',
     'ImuCalibError': 'errors',
+    'ImuSpec': 'imu',
     'InputError': 'errors',
     'NotObservable': 'errors',
+    'Plan': 'plan',
     'Prediction': 'api.predicting',
+    'Reached': 'prediction',
+    'Repeated': 'api.repeating',
     'Result': 'calibrator',
     'Simulated': 'api.simulating',
+    'Table': 'turntable',
+    'ThermalCalibration': 'compensation.thermal',
     'Verdict': 'verification',
     'Verification': 'verification',
     'calibrate': 'api.calibrating',
+    'combine': 'api.combining',
+    'compare': 'api.comparing',
     'compensate': 'api.compensating',
     'convert': 'api.converting',
+    'export': 'api.exporting',
+    'load_imu': 'imu',
+    'load_plan': 'plan',
+    'load_table': 'turntable',
+    'montecarlo': 'api.repeating',
     'predict': 'api.predicting',
+    'reach': 'api.predicting',
     'read': 'api.columns',
     'report': 'api.reporting',
     'simulate': 'api.simulating',
@@ -54,20 +80,36 @@ _WHERE = {
 __all__ = [
     'Calibration',
     'Columns',
+    'Compared',
     'Compensated',
     'Converted',
+    'Exported',
     'ImuCalibError',
+    'ImuSpec',
     'InputError',
     'NotObservable',
+    'Plan',
     'Prediction',
+    'Reached',
+    'Repeated',
     'Result',
     'Simulated',
+    'Table',
+    'ThermalCalibration',
     'Verdict',
     'Verification',
     'calibrate',
+    'combine',
+    'compare',
     'compensate',
     'convert',
+    'export',
+    'load_imu',
+    'load_plan',
+    'load_table',
+    'montecarlo',
     'predict',
+    'reach',
     'read',
     'report',
     'simulate',

@@ -15,6 +15,7 @@ from .budget import Budget, Share, Source
 from .budget_file import budget_document, read_budget
 from .changes import KEY as CHANGES
 from .changes import Changes, read_changes
+from .channel_noise import ChannelNoise, read_noise
 from .config import Section
 from .errors import InputError
 from .imu import ImuSpec, TriadSpec
@@ -114,6 +115,16 @@ class Calibration:
     def free_of_frame(self) -> tuple[Angles, ...]:
         """The angles between input axes, which no table's frame is in."""
         return free_of_frame(self.model, self.covariance, self.parameters)
+
+    @property
+    def noise(self) -> dict[str, ChannelNoise]:
+        """The noise that the session showed, by channel ('gx'); empty where none is known.
+
+        Raises:
+            InputError: What the file holds is no noise.
+
+        """
+        return read_noise(self.provenance.get('noise') or {})
 
     def with_share(self, source: Source, share: Share) -> Calibration:
         """Return the calibration with what another source adds to its covariance."""
@@ -252,9 +263,9 @@ class Calibration:
             InputError: pandas is not installed.
 
         """
-        from .views import data_frame
+        from .views import parameter_frame
 
-        return data_frame(self)
+        return parameter_frame(self)
 
     def plot(self) -> Figure:
         """Draw the parameters with bars of two standard deviations; return the matplotlib Figure.
@@ -266,6 +277,28 @@ class Calibration:
         from .views import draw
 
         return draw(self)
+
+    def plot_residuals(self) -> Figure:
+        """Draw the residuals of the static dwells by position; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed.
+
+        """
+        from .views import draw_residuals
+
+        return draw_residuals(self)
+
+    def plot_noise(self) -> Figure:
+        """Draw the Allan deviation that the session showed; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed, or the calibration carries no noise.
+
+        """
+        from .views import draw_noise
+
+        return draw_noise(self)
 
     def save(self, path: str | Path) -> None:
         """Write the file whole or not at all.

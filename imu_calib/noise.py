@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from .allan import (
     spread,
     unit_variances,
 )
+from .channel_noise import ChannelNoise, Coefficient
 from .segmentation.segment import CHANNELS, Statistics
 from .stream import Floats
 
@@ -29,92 +30,11 @@ _MOSTLY = 0.5
 """Of a variance: more of it is known of the counter, and tells nothing of the sensor."""
 _FEWEST_POINTS = 2
 """A slope takes two."""
-_SIGNIFICANT = 2.0
-"""Standard deviations from which on a coefficient is stated; below it is a limit."""
-_NINETY_FIVE = 1.645
-"""One-sided standard deviations of 95 percent."""
 _ALIKE = 0.2
 """Share: blocks whose lengths differ by more are not compared."""
 _SMALLEST_EIGENVALUE = 1e-10
 """Of the largest: below, an eigenvalue of a correlation is rounding. A judgement: rounding leaves
 some 1e-16 times the number of points, and estimated variances a good deal more."""
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """A coefficient of noise: its value where the data shows it, else what it is below (95 %)."""
-
-    value: float | None
-    std: float | None
-    below: float
-
-    @classmethod
-    def of(cls, square: float, deviation: float) -> Coefficient:
-        """Take a squared coefficient and its standard deviation."""
-        below = math.sqrt(max(square, 0.0) + _NINETY_FIVE * deviation)
-        if square < _SIGNIFICANT * deviation or square <= 0:
-            return cls(None, None, below)
-        value = math.sqrt(square)
-        return cls(value, deviation / (2 * value), below)
-
-
-@dataclass(frozen=True, eq=False)
-class ChannelNoise:
-    """What the stretches at rest show of one channel, in SI units.
-
-    Attributes:
-        tau: (k,) averaging times, s.
-        deviation: (k,) Allan deviation, rad/s or m/s^2.
-        std: (k,) its standard deviation.
-        random_walk: rad/sqrt(s) or (m/s)/sqrt(s).
-        bias_instability: rad/s or m/s^2; the curve is flat at 0.664 of it.
-        quantisation: rad or m/s, by slope -1; of a counter the known pulse over sqrt(12).
-        rate_random_walk: (rad/s)/sqrt(s) or (m/s^2)/sqrt(s).
-        timed: Whether `tau` holds clusters whose pulses were timed, since single readings of the
-            counter hide the noise below its steps.
-
-    """
-
-    tau: Floats
-    deviation: Floats
-    std: Floats
-    random_walk: Coefficient
-    bias_instability: Coefficient
-    quantisation: Coefficient
-    rate_random_walk: Coefficient
-    timed: bool
-
-    def document(self) -> dict[str, Any]:
-        """Return it as plain numbers, for a file."""
-        found: dict[str, Any] = {}
-        for name in _COEFFICIENTS:
-            coefficient: Coefficient = getattr(self, name)
-            if coefficient.value is not None:
-                found[name] = float(coefficient.value)
-                found[f'{name}_std'] = float(coefficient.std or 0.0)
-            elif math.isfinite(coefficient.below):
-                found[f'{name}_below'] = float(coefficient.below)
-        for name in _CURVE:
-            found[name] = [float(v) for v in getattr(self, name)]
-        return {**found, 'timed': self.timed}
-
-    @classmethod
-    def read(cls, document: Mapping[str, Any]) -> ChannelNoise:
-        """Take it from what `document` returned."""
-        coefficients = {
-            name: Coefficient(
-                document.get(name),
-                document.get(f'{name}_std'),
-                document.get(f'{name}_below', math.inf),
-            )
-            for name in _COEFFICIENTS
-        }
-        tau, deviation, std = (np.array(document[n], dtype=float) for n in _CURVE)
-        return cls(tau, deviation, std, **coefficients, timed=bool(document['timed']))
-
-
-_CURVE = ('tau', 'deviation', 'std')
-_COEFFICIENTS = ('random_walk', 'bias_instability', 'quantisation', 'rate_random_walk')
 
 
 def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, ChannelNoise]:

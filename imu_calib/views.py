@@ -1,27 +1,101 @@
-"""The parameters of a calibration as a data frame, and as a picture."""
+"""Calibrations, and what they are compared with, as data frames and pictures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .channel_noise import TRIADS
 from .extras import require
 from .model import Parameter
+from .stream import Floats
+from .units import DEG_H, MICRO_G
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
     from .calibration import Calibration
+    from .picture import Picture
+    from .repetition import Outcome
 
 _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
 _BAR = 2.0
 """Standard deviations that a bar reaches to either side: 95 percent."""
 
+_QUARTILES_TO_95 = (2.5, 97.5)
+_NORMAL_95 = 1.96
+_RATES = {'g': ('deg/h', DEG_H), 'a': ('ug', MICRO_G)}
+"""Units of noise and residuals."""
 
-def data_frame(calibration: Calibration) -> pandas.DataFrame:
+_HEIGHT = 4.2
+"""Of a row of panels, inches; as is the width of one."""
+
+
+def parameter_frame(calibration: Calibration) -> pandas.DataFrame:
     """Return value, standard deviation and unit of each parameter, by its name.
+
+    Raises:
+        InputError: pandas is not installed.
+
+    """
+    columns = {'value': calibration.values, 'std': calibration.std}
+    return _frame(calibration.parameters, columns, {})
+
+
+def compared_frame(
+    names: Sequence[str], parameters: Sequence[Parameter], values: Floats, std: Floats
+) -> pandas.DataFrame:
+    """Return two sets of parameters, their difference, and that over its standard deviation.
+
+    Args:
+        names: Of the two.
+        parameters: n of them.
+        values: (2, n), SI units.
+        std: (n,) of the difference.
+
+    Raises:
+        InputError: pandas is not installed.
+
+    """
+    difference = values[0] - values[1]
+    ratio = np.divide(difference, std, out=np.full(len(std), np.nan), where=std > 0)
+    columns = {names[0]: values[0], names[1]: values[1], 'difference': difference, 'std': std}
+    return _frame(parameters, columns, {'difference/std': ratio})
+
+
+def repeated_frame(outcome: Outcome) -> pandas.DataFrame:
+    """Return what repeated sessions come to, by parameter.
+
+    Raises:
+        InputError: pandas is not installed.
+
+    """
+    columns = {
+        'bias': outcome.bias,
+        'spread': outcome.spread,
+        'stated': outcome.mean_stated,
+        'worst': outcome.worst,
+    }
+    return _frame(outcome.parameters, columns, {'normalised': outcome.rms})
+
+
+def predicted_frame(parameters: Sequence[Parameter], std: Floats, best: Floats) -> pandas.DataFrame:
+    """Return predicted standard deviations, and the least that the session allows, by parameter.
+
+    Raises:
+        InputError: pandas is not installed.
+
+    """
+    return _frame(parameters, {'std': std, 'best': best}, {})
+
+
+def _frame(
+    parameters: Sequence[Parameter], shown: dict[str, Floats], plain: dict[str, Floats]
+) -> pandas.DataFrame:
+    """Return columns by parameter: some in the unit of each, some without one.
 
     Raises:
         InputError: pandas is not installed.
@@ -30,33 +104,14 @@ def data_frame(calibration: Calibration) -> pandas.DataFrame:
     require('pandas', 'A data frame', 'dataframe')
     import pandas as pd
 
-    parameters = calibration.parameters
     scale = np.array([p.unit.scale for p in parameters])
     index = pd.Index([p.name for p in parameters], name='parameter')
-    return pd.DataFrame(
-        {
-            'value': calibration.values / scale,
-            'std': calibration.std / scale,
-            'unit': [p.unit.shown for p in parameters],
-        },
-        index=index,
-    )
+    columns = {name: values / scale for name, values in shown.items()}
+    units = [p.unit.shown for p in parameters]
+    return pd.DataFrame({**columns, **plain, 'unit': units}, index=index)
 
 
-def empty_figure(width: float, height: float, what: str = 'A plot') -> Figure:
-    """Return a figure of a size in inches that belongs to no window.
-
-    Raises:
-        InputError: matplotlib is not installed; begins with what needs it.
-
-    """
-    require('matplotlib', what, 'plot')
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout='constrained')
-
-
-def draw(calibration: Calibration) -> Figure:
+def draw(calibration: Calibration) -> Picture:
     """Draw the parameters with bars of two standard deviations, those of a unit beside each other.
 
     Raises:
@@ -76,13 +131,134 @@ def draw(calibration: Calibration) -> Figure:
         shown, bars = values[members] / scale, _BAR * std[members] / scale
         axes.axhline(0.0, color='0.7', linewidth=0.8)
         axes.errorbar(range(len(members)), shown, yerr=bars, fmt='o', markersize=4, capsize=3)
-        names = [calibration.parameters[k].name for k in members]
-        axes.set_xticks(range(len(members)), names, rotation=90)
+        _name(axes, [calibration.parameters[k].name for k in members])
         axes.set_ylabel(unit)
         axes.set_title(_TRIADS[letter])
-    serial = f' {calibration.serial_number}' if calibration.serial_number else ''
-    figure.suptitle(f'{calibration.imu.id}{serial}: bars of {_BAR:g} standard deviations')
+    figure.suptitle(f'{_unit_of(calibration)}: bars of {_BAR:g} standard deviations')
     return figure
+
+
+def draw_residuals(calibration: Calibration) -> Picture:
+    """Draw what the model leaves of each static dwell, by position.
+
+    Raises:
+        InputError: matplotlib is not installed.
+
+    """
+    rows = calibration.residuals
+    figure = empty_figure(2 * _HEIGHT, _HEIGHT)
+    for letter, axes in zip(_TRIADS, figure.subplots(1, 2), strict=True):
+        unit, scale = _RATES[letter]
+        left = np.array([r.gyro if letter == 'g' else r.accel for r in rows]).reshape(-1, 3)
+        axes.axhline(0.0, color='0.7', linewidth=0.8)
+        for channel, column in zip('xyz', left.T, strict=True):
+            axes.plot(column / scale, 'o', markersize=4, label=channel)
+        _name(axes, [r.position for r in rows])
+        axes.set_xlabel('position')
+        axes.set_ylabel(f'residual, {unit}')
+        axes.set_title(_TRIADS[letter])
+        axes.legend()
+    figure.suptitle(f'{_unit_of(calibration)}: residuals of the static dwells')
+    return figure
+
+
+def draw_noise(calibration: Calibration) -> Picture:
+    """Draw the Allan deviation that the session showed, with the random walk found of it.
+
+    Raises:
+        InputError: matplotlib is not installed.
+
+    """
+    seen = calibration.noise
+    figure = empty_figure(2 * _HEIGHT, _HEIGHT)
+    for triad, axes in zip(TRIADS, figure.subplots(1, 2), strict=True):
+        for channel in (c for c in triad.channels if c in seen and len(seen[c].tau)):
+            noise = seen[channel]
+            walk, words = noise.random_walk.value, channel
+            if walk is not None:
+                words = f'{channel}: {walk / triad.walk_scale:.2g} {triad.walk}'
+            shown = noise.deviation / triad.rate_scale
+            (line,) = axes.loglog(noise.tau, shown, 'o', markersize=4, label=words)
+            if walk is not None:
+                slope = walk / np.sqrt(noise.tau) / triad.rate_scale
+                axes.loglog(noise.tau, slope, '--', linewidth=0.8, color=line.get_color())
+            axes.legend()
+        axes.set_xlabel('averaging time, s')
+        axes.set_ylabel(f'Allan deviation, {triad.rate}')
+        axes.set_title(f'{triad.name}s')
+    figure.suptitle(f'{_unit_of(calibration)}: noise; dashed: random walk')
+    return figure
+
+
+def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Floats) -> Picture:
+    """Draw differences over their standard deviations, by parameter.
+
+    Args:
+        title: Above the axes.
+        parameters: n of them.
+        normalised: (n,); NaN is not drawn.
+
+    Raises:
+        InputError: matplotlib is not installed.
+
+    """
+    names = [p.name for p in parameters]
+    figure = empty_figure(0.3 * len(names) + 2, _HEIGHT)
+    axes = figure.subplots()
+    _beside_normal(axes)
+    axes.plot(range(len(names)), normalised, 'o', markersize=5)
+    _name(axes, names)
+    axes.set_ylabel('difference / standard deviation')
+    axes.set_title(title)
+    return figure
+
+
+def draw_normalised(title: str, outcome: Outcome) -> Picture:
+    """Draw the normalised errors of repeated sessions beside what a normal law allows.
+
+    Raises:
+        InputError: matplotlib is not installed.
+
+    """
+    known = np.isfinite(outcome.mean_stated)
+    names = [p.name for p, k in zip(outcome.parameters, known, strict=True) if k]
+    figure = empty_figure(0.4 * len(names) + 2, _HEIGHT)
+    axes = figure.subplots()
+    _beside_normal(axes)
+    # A box from quartile to quartile of a normal law reaches to 0.67, its whiskers to 1.96.
+    axes.boxplot(outcome.normalised[:, known], whis=_QUARTILES_TO_95, sym='.')
+    _name(axes, names, first=1)
+    axes.set_ylabel('error / standard deviation stated')
+    axes.set_title(title)
+    return figure
+
+
+def empty_figure(width: float, height: float, what: str = 'A plot') -> Picture:
+    """Return a figure of a size in inches that belongs to no window.
+
+    Raises:
+        InputError: matplotlib is not installed; begins with what needs it.
+
+    """
+    require('matplotlib', what, 'plot')
+    from .picture import Picture
+
+    return Picture(figsize=(width, height), layout='constrained')
+
+
+def _beside_normal(axes: Axes) -> None:
+    """Mark one standard deviation, and between which 95 percent lie."""
+    axes.axhspan(-1, 1, color='0.85')
+    for level in (-_NORMAL_95, _NORMAL_95):
+        axes.axhline(level, color='0.6', linewidth=0.8, linestyle='--')
+
+
+def _name(axes: Axes, names: Sequence[str], first: int = 0) -> None:
+    axes.set_xticks(range(first, first + len(names)), names, rotation=90)
+
+
+def _unit_of(calibration: Calibration) -> str:
+    return ' '.join([calibration.imu.id, calibration.serial_number]).strip()
 
 
 def _groups(parameters: tuple[Parameter, ...]) -> dict[tuple[str, str], list[int]]:

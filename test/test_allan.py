@@ -20,8 +20,9 @@ from imu_calib.allan import (
     spread,
     unit_variances,
 )
+from imu_calib.channel_noise import ChannelNoise
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.noise import ChannelNoise, session_noise
+from imu_calib.noise import session_noise
 from imu_calib.observation.evidence import noise
 from imu_calib.reports.noise import noise_lines
 from imu_calib.segmentation.segment import Statistics

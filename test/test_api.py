@@ -1,22 +1,33 @@
 """The suite from Python: the same results, and the same sentences, as the commands."""
 
+import argparse
+import inspect
 import json
 import subprocess
 import sys
+from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from imu_calib.reports.parameters import in_scale_of
 from loopback import CHECKOUT
 
 import imu_calib
 from imu_calib import Calibration, InputError, NotObservable, Verdict
+from imu_calib.api import repeating
+from imu_calib.api.named import as_applied
 from imu_calib.bags import open_recording
+from imu_calib.changes import Changes
 from imu_calib.cli.main import main
 from imu_calib.imu import load_imu
+from imu_calib.model import PARAMETERS
+from imu_calib.model.session_terms import parted
 from imu_calib.plan import load_plan
-from imu_calib.units import DEG_H, PPM
+from imu_calib.repetition import Outcome, Study
+from imu_calib.units import DEG_H, MICRO_G, PPM
 
 SITE = ('--latitude', '34.65')
 
@@ -223,3 +234,194 @@ def test_reports_of_results_and_of_files_are_the_same(
     assert by_file.read_text().replace('c.yaml', name) == by_value.read_text()
     with pytest.raises(InputError, match='cannot be written'):
         imu_calib.report(result, tmp_path / 'nowhere' / 'a.html')
+
+
+def test_each_option_of_a_command_is_a_keyword_of_its_function() -> None:
+    functions = {
+        'compensate': imu_calib.compensate,
+        'convert': imu_calib.convert,
+        'export': imu_calib.export,
+        'montecarlo': imu_calib.montecarlo,
+        'simulate': imu_calib.simulate,
+    }
+    of_commands = {'help', 'output', 'format', 'calibration', 'imu'}
+    for name, function in functions.items():
+        parser = argparse.ArgumentParser()
+        import_module(f'imu_calib.cli.{name}').add_options(parser)
+        given = {action.dest for action in parser._actions if action.option_strings}
+        known = set(inspect.signature(function).parameters)
+        assert given - of_commands <= known, name
+        assert known - {'progress'} <= {action.dest for action in parser._actions} | {'source'}, (
+            name
+        )
+
+
+def test_two_calibrations_are_compared_in_any_form(
+    folder: Path, result: imu_calib.Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = folder / 'bag' / 'truth.yaml'
+    compared = imu_calib.compare(result, truth)
+    assert compared.names == ('first', 'truth')
+    assert [p.name for p in compared.parameters] == [p.name for p in PARAMETERS]
+    exact = Calibration.load(truth)
+    wrong = result.calibration.values[:24] - exact.values[:24]
+    assert compared.normalised == pytest.approx(wrong / result.calibration.std[:24])
+    frame = compared.to_dataframe()
+    assert list(frame.columns) == ['first', 'truth', 'difference', 'std', 'difference/std', 'unit']
+    assert frame.loc['K_gy', 'difference'] == pytest.approx(wrong[1] / PPM)
+    (axes,) = compared.plot().axes
+    assert [t.get_text() for t in axes.get_xticklabels()] == list(frame.index)
+    result.calibration.save(tmp_path / 'mine.yaml')
+    assert imu_calib.compare(tmp_path / 'mine.yaml', exact).names == ('mine', 'second')
+    assert main(['compare', str(tmp_path / 'mine.yaml'), str(truth)]) == 0
+    shown = capsys.readouterr().out
+    assert f'{compared.normalised[0]:+.1f}' in shown
+    with pytest.raises(InputError, match=r'nothing\.yaml'):
+        imu_calib.compare(result, tmp_path / 'nothing.yaml')
+
+
+def test_a_unit_in_another_scale_is_compared_in_that_of_the_first(
+    result: imu_calib.Result,
+) -> None:
+    mine = result.calibration
+    twice = replace(
+        mine.imu, gyro=replace(mine.imu.gyro, scale_factor=2 * mine.imu.gyro.scale_factor)
+    )
+    other = in_scale_of(mine, replace(mine, imu=twice))
+    compared = imu_calib.compare(mine, other)
+    assert np.abs(compared.normalised).max() < 1e-6
+    assert compared.findings == ('Shown with the nominal scale factors of first.',)
+
+
+def test_calibrations_at_several_temperatures_are_combined(
+    result: imu_calib.Result, tmp_path: Path
+) -> None:
+    warm, cold = (
+        replace(
+            result.calibration,
+            provenance={
+                **result.calibration.provenance,
+                'temperature': {'mean': at, 'lowest': at - 1, 'highest': at + 1},
+            },
+        )
+        for at in (40.0, 10.0)
+    )
+    cold.save(tmp_path / 'cold.yaml')
+    combined = imu_calib.combine([warm, tmp_path / 'cold.yaml'], tmp_path / 'both.yaml')
+    assert combined.temperatures == pytest.approx([10.0, 40.0])
+    assert combined.at(25.0).values == pytest.approx(result.calibration.values)
+    words = ['combine', str(tmp_path / 'cold.yaml'), str(tmp_path / 'warm.yaml'), '-o']
+    warm.save(tmp_path / 'warm.yaml')
+    assert main([*words, str(tmp_path / 'again.yaml')]) == 0
+    assert (tmp_path / 'again.yaml').read_text() == (tmp_path / 'both.yaml').read_text()
+    with pytest.raises(InputError, match=r'Two calibrations at 40\.00 and 40\.00 degC'):
+        imu_calib.combine([warm, warm])
+    with pytest.raises(InputError, match='combines calibrations at several temperatures'):
+        imu_calib.compare(tmp_path / 'both.yaml', result)
+    with pytest.raises(InputError, match='which format c cannot carry'):
+        imu_calib.export(combined, 'c')
+
+
+@pytest.mark.parametrize('kind', ['ros', 'kalibr', 'imucal', 'c'])
+def test_an_export_is_that_of_the_command(
+    result: imu_calib.Result, tmp_path: Path, kind: str
+) -> None:
+    file, mine, its = tmp_path / 'c.yaml', tmp_path / 'mine', tmp_path / 'its'
+    result.calibration.save(file)
+    done = imu_calib.export(file, kind, mine, sample_rate=100.0, imu='fog_medium')
+    words = ['export', str(file), '--format', kind, '--sample-rate', '100', '--imu', 'fog_medium']
+    assert main([*words, '-o', str(its)]) == 0
+    assert mine.read_text() == its.read_text() == done.text
+    assert done.findings
+    if kind == 'ros':
+        with pytest.raises(InputError, match='save the calibration and give its path'):
+            imu_calib.export(result, kind)
+    else:
+        again = imu_calib.export(result, kind, sample_rate=100.0, imu=load_imu('fog_medium'))
+        assert again.text == done.text
+
+
+def test_what_cannot_be_exported_is_refused(result: imu_calib.Result, tmp_path: Path) -> None:
+    file = tmp_path / 'c.yaml'
+    result.calibration.save(file)
+    with pytest.raises(InputError, match="--format: found 'json', expected one of ros, kalibr"):
+        imu_calib.export(file, 'json')
+    with pytest.raises(InputError, match='--sample-rate: found -1'):
+        imu_calib.export(file, 'kalibr', sample_rate=-1.0)
+    with pytest.raises(InputError, match='is the calibration itself'):
+        imu_calib.export(file, 'c', file)
+
+
+def test_repeated_sessions_are_those_of_the_command(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    repeated = imu_calib.montecarlo(folder / 'brief.yaml', runs=2, seed=5, terms='none')
+    assert [run.seed for run in repeated.outcome.runs] == [5, 6]
+    # Of 48 normalised errors: four deviations of their root mean square (1 / sqrt(2 * 48)).
+    assert np.sqrt((repeated.outcome.normalised**2).mean()) == pytest.approx(1.0, abs=0.41)
+    frame = repeated.to_dataframe()
+    assert frame.loc['D_gz', 'worst'] == pytest.approx(repeated.outcome.worst[11] / DEG_H)
+    (axes,) = repeated.plot().axes
+    assert [t.get_text() for t in axes.get_xticklabels()] == list(frame.index)
+
+    def known(study: Study, runs: int, seed: int, jobs: int, _: object) -> Outcome:
+        assert (runs, seed, jobs) == (2, 5, 1)
+        assert study.setup.plan.name == repeated.setup.plan.name
+        assert not study.setup.look
+        return repeated.outcome
+
+    monkeypatch.setattr(repeating, 'repeat', known)
+    words = ['montecarlo', str(folder / 'brief.yaml'), '--runs', '2', '--seed', '5', '--jobs', '1']
+    assert main([*words, '--terms', 'none']) == 0
+    shown = capsys.readouterr().out
+    assert f'{frame.loc["D_gz", "normalised"]:.3f}' in shown
+    with pytest.raises(InputError, match='expected a whole number above 0'):
+        imu_calib.montecarlo(folder / 'brief.yaml', runs=0)
+
+
+def test_dwells_are_found_that_reach_what_is_wanted(folder: Path) -> None:
+    reached = imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': '0.05 deg/h'})
+    places = {p.name: k for k, p in enumerate(reached.forecast.parameters)}
+    std = reached.forecast.std[places['D_gx']] / DEG_H
+    # Dwells are found to a thousandth below what is wanted.
+    assert std == pytest.approx(0.05, rel=5e-3)
+    again = imu_calib.predict(reached.plan, 'fog_medium')
+    assert again.std['D_gx'] / DEG_H == pytest.approx(std)
+    assert again.to_dataframe().loc['D_gx', 'std'] == pytest.approx(std)
+    table = imu_calib.load_table('three_axis')
+    standing = sum(step.dwell for step in reached.plan.steps(table))
+    assert again.duration > standing
+    with pytest.raises(InputError, match=r'--reach D_gx=0\.0: a standard deviation is above zero'):
+        imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': 0.0})
+
+
+def test_noise_and_residuals_are_pictures_that_notebooks_show(result: imu_calib.Result) -> None:
+    calibration = result.calibration
+    gyros, accels = calibration.plot_residuals().axes
+    assert len(gyros.get_lines()) == 1 + 3
+    assert [t.get_text() for t in accels.get_xticklabels()] == [
+        r.position for r in calibration.residuals
+    ]
+    assert accels.get_lines()[1].get_ydata()[2] == pytest.approx(
+        calibration.residuals[2].accel[0] / MICRO_G
+    )
+    noise = calibration.noise['gx']
+    picture = calibration.plot_noise()
+    drawn = picture.axes[0].get_lines()[0]
+    assert drawn.get_xdata() == pytest.approx(noise.tau)
+    assert drawn.get_ydata() == pytest.approx(noise.deviation / DEG_H)
+    assert picture._repr_png_().startswith(b'\x89PNG')
+
+
+def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(
+    result: imu_calib.Result,
+) -> None:
+    mine = result.calibration
+    asked = parted('thermal:D_gx')[1]
+    zeros = np.zeros((len(asked), len(asked)))
+    cross = np.zeros((len(mine.parameters), len(asked)))
+    follows = replace(mine, changes=Changes(asked, zeros[0], zeros, cross))
+    loaded, name = as_applied(follows)
+    assert isinstance(loaded, imu_calib.ThermalCalibration)
+    assert name == f'calibration of {mine.imu.id}'
+    assert as_applied(replace(result, calibration=mine))[0] is mine

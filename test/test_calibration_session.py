@@ -31,9 +31,9 @@ from imu_calib.calibrator import Result, Setup
 from imu_calib.config import Section
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.methods import twelve_position
-from imu_calib.montecarlo import economical
 from imu_calib.observation.evidence import noise
 from imu_calib.plan import Plan, load_plan
+from imu_calib.repetition import economical
 from imu_calib.segmentation.segment import Segment, Statistics
 from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock
 from imu_calib.turntable import load_table, read_table

@@ -138,10 +138,10 @@ def test_firmware_is_told_by_which_clock_its_interval_is() -> None:
     known = replace(truth(), clock=StampingClock('stamps of A', 'clock of B', 40 * PPM, PPM))
     exported = EXPORTS['c'](Source(known, Path('calibration.yaml')))
     assert 'divide an interval between them by 1.000040000' in exported.text
-    assert any('40.0 ppm fast' in sentence for sentence in exported.left_out)
+    assert any('40.0 ppm fast' in sentence for sentence in exported.findings)
     counts = replace(known, imu=replace(known.imu, units=Units.COUNTS))
     exported = EXPORTS['c'](Source(counts, Path('calibration.yaml')))
-    assert 'fast' not in ' '.join([exported.text, *exported.left_out])
+    assert 'fast' not in ' '.join([exported.text, *exported.findings])
 
 
 def test_intervals_of_sessions_that_are_combined_are_those_of_each() -> None:

@@ -179,7 +179,7 @@ def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:
     # 0.1 deg/h over the root of an hour.
     assert file['gyroscope_random_walk'] == pytest.approx(0.1 * DEG_H / 60)
     assert file['update_rate'] == 100.0
-    assert any('rule of thumb' in sentence for sentence in found.left_out)
+    assert any('rule of thumb' in sentence for sentence in found.findings)
 
 
 def test_kalibr_is_refused_what_it_needs_in_words() -> None:
@@ -280,5 +280,5 @@ def test_a_gyro_only_calibration_says_so() -> None:
     gyros_alone = replace(
         calibration, covariance=covariance, model=model, parameters=model.parameters
     )
-    left = EXPORTS['c'](Source(gyros_alone, Path('/c.yaml'))).left_out
+    left = EXPORTS['c'](Source(gyros_alone, Path('/c.yaml'))).findings
     assert any('accelerometers were not calibrated' in sentence for sentence in left)

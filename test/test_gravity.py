@@ -29,8 +29,8 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.metadata import describe, described_site
 from imu_calib.model import PARAMETERS, ParameterKind
-from imu_calib.montecarlo import Study, economical, run_once
 from imu_calib.prediction import forecast, reach
+from imu_calib.repetition import Study, economical, run_once
 from imu_calib.reports.repeatability import repeated
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions

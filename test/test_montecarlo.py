@@ -9,12 +9,12 @@ import pytest
 from sessions import SITE, paper_imu, stand, truth
 from test_prediction import brisk
 
+from imu_calib.api import repeating
 from imu_calib.calibrator import Setup
-from imu_calib.cli import montecarlo
 from imu_calib.cli.main import main
 from imu_calib.model import PARAMETERS
-from imu_calib.montecarlo import Outcome, Run, Study, economical, repeat
 from imu_calib.plan import load_plan
+from imu_calib.repetition import Outcome, Run, Study, economical, repeat
 from imu_calib.turntable import load_table
 
 
@@ -82,7 +82,7 @@ def test_a_plot_that_cannot_be_drawn_is_refused_before_the_first_run(
 ) -> None:
     if not installed:
         monkeypatch.setitem(sys.modules, 'matplotlib', None)
-    monkeypatch.setattr(montecarlo, 'repeat', lambda *_: pytest.fail('it runs'))
+    monkeypatch.setattr(repeating, 'repeat', lambda *_: pytest.fail('it runs'))
     arguments = ['montecarlo', 'twelve_position', '--runs', '1', '-o', str(tmp_path / name)]
     assert main(arguments) == 2
     said = ' '.join(capsys.readouterr().err.split())

@@ -17,10 +17,10 @@ from imu_calib.errors import InputError, NotObservable
 from imu_calib.imu import load_imu
 from imu_calib.methods import skewed
 from imu_calib.model import PARAMETER_NAMES
-from imu_calib.montecarlo import Study, economical, repeat
 from imu_calib.plan import Plan, RateTest, load_plan
 from imu_calib.prediction import check_session, duration, expected, forecast, reach
 from imu_calib.prediction.optimise import candidates, log_information, optimise
+from imu_calib.repetition import Study, economical, repeat
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedStand
 from imu_calib.turntable import load_table

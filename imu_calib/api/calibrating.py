@@ -13,8 +13,9 @@ from ..imu import ImuSpec
 from ..plan import Plan
 from ..stream import Block
 from ..turntable import Table
+from .named import Named
+from .progress import Progress, silent
 from .stated import (
-    Named,
     Stated,
     Streams,
     imu_of,
@@ -24,7 +25,6 @@ from .stated import (
     streams_of,
     table_of,
 )
-from .watching import Progress, silent
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from ..stream import (
     TemperatureBlock,
     Units,
 )
-from .stated import Named
+from .named import Named
 
 if TYPE_CHECKING:
     import pandas

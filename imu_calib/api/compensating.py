@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,14 +19,17 @@ from ..compensation.thermal import (
     ThermalCalibration,
     check_unit,
     first_of,
-    load_calibration,
 )
 from ..errors import InputError
 from ..imu import ImuSpec, compensated_imu
 from ..metadata import COMPENSATED, described_anew
 from ..stream import ImuBlock, Stamps
-from .stated import Named, Stated, imu_topic, serial_of, skew_topic, stated_imu, temperature_topic
-from .watching import Progress, silent
+from .named import Named, as_applied
+from .progress import Progress, silent
+from .stated import Stated, imu_topic, serial_of, skew_topic, stated_imu, temperature_topic
+
+if TYPE_CHECKING:
+    from ..calibrator import Result
 
 _RAW, _RATES = '/pulses', '/data_raw'
 _WORDS = {
@@ -66,7 +70,7 @@ class Compensated:
 
 def compensate(
     bag: Named,
-    calibration: AnyCalibration | Named,
+    calibration: Result | AnyCalibration | Named,
     output: Named,
     *,
     imu: ImuSpec | Named | None = None,
@@ -97,11 +101,8 @@ def compensate(
         InputError: Unreadable, the calibration is not this unit's, or the output exists.
 
     """
-    if isinstance(calibration, str | Path):
-        file = Path(calibration).expanduser()
-        loaded, name = load_calibration(file), str(calibration)
-    else:
-        file, loaded, name = Path(), calibration, 'the calibration'
+    loaded, name = as_applied(calibration)
+    file = Path(calibration).name if isinstance(calibration, str | Path) else ''
     with open_recording(bag) as recording:
         topic = _topic(imu_topic, recording)
         stated = Stated(imu=imu, serial=serial)
@@ -115,7 +116,7 @@ def compensate(
             compensated_imu(spec, *noise_gains(first_of(loaded).model)),
             raw_is_kept=keep,
         )
-        data = {**meant, COMPENSATED: file.name or first_of(loaded).imu.id}
+        data = {**meant, COMPENSATED: file or first_of(loaded).imu.id}
         stream = _Stream(compensator, target, frame_id)
         with (
             RecordingWriter(output, data, compression) as writer,

@@ -25,9 +25,9 @@ from ..share import named_file
 from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock, Units
 from ..units import Dimension, parse
 from .columns import read
-from .stated import Named
+from .named import Named
+from .progress import Progress, silent
 from .text import Text, read_text
-from .watching import Progress, silent
 
 _RAW, _SI, _JOINTS, _TEMPERATURE = (
     '/imu/pulses',

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from ..calibration import Calibration
 from ..calibrator import Setup
@@ -13,12 +15,18 @@ from ..imu import ImuSpec
 from ..methods import check_plan, closed_form_beside
 from ..model import Parameter, SensorModel
 from ..plan import Plan
-from ..prediction import Forecast, OfTerm, Reached, forecast, listed, of_each_term, reach
+from ..prediction import Forecast, OfTerm, Reached, duration, forecast, listed, of_each_term
+from ..prediction import reach as shortest_dwells
 from ..prediction.optimise import Optimum, optimise
 from ..turntable import Table
 from ..units import DEG, parse
-from .stated import Named, Stated, as_imu, as_plan, as_truth
-from .watching import Progress, silent
+from ..views import predicted_frame
+from .named import Named, as_imu, as_plan, as_truth
+from .progress import Progress, silent
+from .stated import Stated
+
+if TYPE_CHECKING:
+    import pandas
 
 _USUAL_RATE = 60.0
 """deg/s: a turn takes as long as a run-up from rest of the shipped tables; a choice."""
@@ -46,6 +54,24 @@ class Prediction:
         """Standard deviations by the names of the parameters, SI units, NaN if not determined."""
         names = (p.name for p in self.forecast.parameters)
         return dict(zip(names, self.forecast.std.tolist(), strict=True))
+
+    @property
+    def duration(self) -> float:
+        """Of the session on its table, s; NaN for a plan that is run by hand."""
+        table = self.setup.table
+        if table is None:
+            return math.nan
+        return duration(self.setup.plan.steps(table), table)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return std, the least that the session allows (best) and unit, by parameter.
+
+        Raises:
+            InputError: pandas is not installed.
+
+        """
+        found = self.forecast
+        return predicted_frame(found.parameters, found.std, found.best)
 
 
 def predict(
@@ -130,6 +156,64 @@ def optimised(
         return optimise(setup, truth, minutes * 60, rate * DEG, show=show)
 
 
+def reach(
+    plan: Plan | Named,
+    imu: ImuSpec | Named,
+    wanted: Mapping[str, str | float],
+    *,
+    table: Table | Named = 'three_axis',
+    truth: Calibration | Named = 'cao2022_table1',
+    azimuth: float | None = None,
+    method: str | None = None,
+    terms: str | None = None,
+    latitude: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+) -> Reached:
+    """Find the shortest dwells that reach standard deviations.
+
+    Args:
+        plan: As for `predict`, as are all but `wanted`.
+        imu: Its noise and the size of its pulses count.
+        wanted: Standard deviations by the names of parameters: texts with a unit, for instance
+            {'D_gx': '0.05 deg/h'}, or numbers in SI units.
+        table: The turntable.
+        truth: What the unit is thought to be.
+        azimuth: deg.
+        method: The estimator.
+        terms: To be estimated too.
+        latitude: deg; None for Luoyang's.
+        height: m.
+        height_std: m.
+        gravity: m/s^2.
+        gravity_std: m/s^2.
+
+    Returns:
+        The plan with these dwells, and what it will give.
+
+    Raises:
+        InputError: No such parameter, no standard deviation, or a file is missing or broken.
+        NotObservable: No dwell reaches it; says what stands in the way.
+
+    """
+    stated = Stated(
+        plan=plan,
+        imu=imu,
+        table=table,
+        azimuth=azimuth,
+        method=method,
+        terms=terms,
+        latitude=latitude,
+        height=height,
+        height_std=height_std,
+        gravity=gravity,
+        gravity_std=gravity_std,
+    )
+    return shortest(setup_of(stated), as_truth(truth).model, wanted)
+
+
 def setup_of(stated: Stated) -> Setup:
     """Return what a prediction is asked of, from what is stated.
 
@@ -178,7 +262,7 @@ def shortest(setup: Setup, truth: SensorModel, wanted: Mapping[str, str | float]
     """
     parameters = {p.name: p for p in listed(setup)}
     read = dict(_wanted(name, value, parameters) for name, value in wanted.items())
-    return reach(setup, truth, read)
+    return shortest_dwells(setup, truth, read)
 
 
 def _wanted(

@@ -19,8 +19,9 @@ from ..model import AUTO_TERMS, NO_TERMS, terms_of
 from ..model.session_terms import SESSION_TERMS
 from ..reports.page import Contents, page
 from .calibrating import calibrated
-from .stated import NO_PLAN, Named, Stated, as_calibration, as_imu
-from .watching import Progress, silent
+from .named import Named, as_calibration, as_imu
+from .progress import Progress, silent
+from .stated import NO_PLAN, Stated
 
 _ALIKE = 0.1
 """Of a standard deviation: two results of one recording that are closer are the same. A judgement:
@@ -33,7 +34,7 @@ def report(
     *,
     bag: Named | None = None,
     imu: ImuSpec | Named | None = None,
-    compare: Sequence[Calibration | Named] = (),
+    compare: Sequence[Result | Calibration | Named] = (),
     progress: Progress = silent,
 ) -> Path:
     """Write a report.
@@ -64,16 +65,14 @@ def written(
     output: Named,
     bag: Named | None,
     imu: ImuSpec | Named | None,
-    compare: Sequence[Calibration | Named],
+    compare: Sequence[Result | Calibration | Named],
     stated: Stated,
     progress: Progress,
 ) -> tuple[Path, ImuSpec | None]:
     """Write a report; return the file, and the unit's description as far as it is known."""
     path = Path(output)
     result = calibration if isinstance(calibration, Result) else None
-    found = (
-        calibration.calibration if isinstance(calibration, Result) else as_calibration(calibration)
-    )
+    found = as_calibration(calibration)
     name = Path(calibration).name if isinstance(calibration, str | Path) else found.imu.id
     others = {
         str(other) if isinstance(other, str | Path) else f'{k + 1}': as_calibration(other)

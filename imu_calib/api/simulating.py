@@ -23,8 +23,9 @@ from ..simulation.stand import IMU_TOPIC
 from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, SkewBlock, Stamps
 from ..turntable import load_table
 from ..units import DEG
-from .stated import TRUE_TABLE, Named, Stated, as_imu, load_truth
-from .watching import Progress, silent
+from .named import Named, as_imu, load_truth
+from .progress import Progress, silent
+from .stated import TRUE_TABLE, Stated
 
 TRUTH = 'truth.yaml'
 """Beside a simulated recording: the true parameters of the unit."""
@@ -69,7 +70,7 @@ def simulate(
     height_std: float | None = None,
     gravity: float | None = None,
     gravity_std: float | None = None,
-    serial: str = '',
+    serial: str | None = None,
     compression: str = '',
     progress: Progress = silent,
 ) -> Simulated:
@@ -132,7 +133,7 @@ def simulate(
         stand = SimulatedStand(steps, stands, spec, true.model, site, stated, seed)
         duration, blocks = stand.duration, stand.blocks()
     target = Path(output)
-    data = describe(str(plan), str(imu), None if named is None else str(named), site, serial)
+    data = describe(str(plan), str(imu), None if named is None else str(named), site, serial or '')
     with RecordingWriter(target, data, compression) as writer, progress('simulating') as show:
         start = None
         for topic, block in blocks:

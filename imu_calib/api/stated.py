@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
-from ..calibration import Calibration
 from ..cdr import Kind
 from ..config import Section
 from ..earth import MEASURED, Site
 from ..errors import InputError
-from ..imu import ImuSpec, load_imu, read_imu
+from ..imu import ImuSpec, read_imu
 from ..metadata import SERIAL_NUMBER, described_imu, described_site, imu_key
 from ..model import AUTO_TERMS, Term, chosen, looked_for
 from ..model.session_terms import Change, parted
-from ..plan import UNPLANNED, Plan, load_plan, read_plan
-from ..share import named_file, shipped
-from ..turntable import Table, load_table, read_table
+from ..plan import UNPLANNED, Plan, read_plan
+from ..share import shipped
+from ..turntable import Table, read_table
 from ..units import DEG
+from .named import Named, as_imu, as_plan, as_table
 
 if TYPE_CHECKING:
     # Costs more to load than most commands need.
     from ..bags import Recording, Topic
-
-Named: TypeAlias = str | Path
-"""The name of a file that ships, or the path of one."""
 
 NO_PLAN = 'none'
 """What a caller states for a plan where none was run, or the recording's own is not to be used."""
@@ -168,26 +164,6 @@ class Streams:
         return {topic: kind for topic, kind in named.items() if topic is not None}
 
 
-def as_plan(plan: Plan | Named) -> Plan:
-    """Return a plan that is named, or that already is one."""
-    return plan if isinstance(plan, Plan) else load_plan(plan)
-
-
-def as_imu(imu: ImuSpec | Named) -> ImuSpec:
-    """Return an IMU that is named, or that already is one."""
-    return imu if isinstance(imu, ImuSpec) else load_imu(imu)
-
-
-def as_table(table: Table | Named) -> Table:
-    """Return a table that is named, or that already is one."""
-    return table if isinstance(table, Table) else load_table(table)
-
-
-def as_calibration(calibration: Calibration | Named) -> Calibration:
-    """Return a calibration that is the file of a path, or that already is one."""
-    return calibration if isinstance(calibration, Calibration) else Calibration.load(calibration)
-
-
 def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan:
     """Return the plan of a recording; none is needed where joint states tell the attitudes.
 
@@ -311,30 +287,6 @@ def site_of(stated: Stated, recording: Recording) -> Site:
         gravity_std=stated.gravity_std,
         latitude_std=doubt,
     )
-
-
-def as_truth(truth: Calibration | Named) -> Calibration:
-    """Return true parameters: a shipped name, a file, or what already are some."""
-    if isinstance(truth, Calibration):
-        return truth
-    return Calibration.load(named_file('truths', truth))
-
-
-def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
-    """Return the true parameters of a simulated unit.
-
-    Raises:
-        InputError: They tell nothing of the unit's skewed gyro.
-
-    """
-    known = as_truth(truth)
-    if imu.skewed is not None and known.model.skewed is None:
-        name = 'of this unit' if isinstance(truth, Calibration) else truth
-        raise InputError(
-            f'--truth {name} does not describe the skewed gyro of IMU {imu.id}: a simulated '
-            'one needs it (for instance --truth fog_skewed).'
-        )
-    return known
 
 
 def streams_of(stated: Stated, recording: Recording) -> Streams:

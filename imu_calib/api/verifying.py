@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from ..compensation.thermal import (
     ThermalCalibration,
     check_identity,
     first_of,
-    load_calibration,
 )
 from ..errors import InputError
 from ..imu import ImuSpec
@@ -24,8 +23,9 @@ from ..segmentation.thermometer import Temperature
 from ..turntable import Table
 from ..verification import Verification, observe
 from ..verification import verify as judge
+from .named import Named, as_applied
+from .progress import Progress, silent
 from .stated import (
-    Named,
     Stated,
     serial_of,
     site_of,
@@ -34,7 +34,9 @@ from .stated import (
     streams_of,
     table_of,
 )
-from .watching import Progress, silent
+
+if TYPE_CHECKING:
+    from ..calibrator import Result
 
 _OTHER_TEMPERATURE = 5.0
 """K between two sessions from which on it is said. A judgement: MEMS biases move by a tenth of a
@@ -44,7 +46,7 @@ _THE_SAME = 'This recording made the calibration: it cannot but bear it out.'
 
 
 def verify(
-    calibration: AnyCalibration | Named,
+    calibration: Result | AnyCalibration | Named,
     bag: Named,
     *,
     plan: Plan | Named | None = None,
@@ -117,7 +119,7 @@ def verify(
 
 
 def verified(
-    calibration: AnyCalibration | Named,
+    calibration: Result | AnyCalibration | Named,
     bag: Named,
     stated: Stated,
     *,
@@ -125,10 +127,7 @@ def verified(
     progress: Progress = silent,
 ) -> Verification:
     """Hold a calibration against a recording, with what is stated of it as one value."""
-    if isinstance(calibration, str | Path):
-        loaded, name = load_calibration(Path(calibration)), str(calibration)
-    else:
-        loaded, name = calibration, f'calibration of {first_of(calibration).imu.id}'
+    loaded, name = as_applied(calibration)
     with open_recording(bag) as recording:
         return _verify(loaded, name, recording, stated, another_unit, progress)
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from ..calibration import Calibration
-from ..compensation.thermal import combine
+from ..api.combining import combine
 from . import options
 from .terminal import OUTPUT
 
@@ -32,8 +30,6 @@ def run(arguments: argparse.Namespace) -> None:
 
     """
     path = options.output_path(arguments.output)
-    calibrations = [Calibration.load(Path(name).expanduser()) for name in arguments.files]
-    combined = combine(calibrations, arguments.files, arguments.order)
-    combined.save(path)
+    combined = combine(arguments.files, path, order=arguments.order)
     listed = ', '.join(f'{celsius:.2f}' for celsius in combined.temperatures)
     OUTPUT.print(f'{combined.calibrations[0].imu.id} at {listed} degC, written to {path}')

@@ -38,13 +38,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.bag,
         arguments.calibration,
         arguments.output,
-        imu=arguments.imu,
-        serial=arguments.serial,
-        imu_topic=arguments.imu_topic,
-        output_topic=arguments.output_topic,
-        frame_id=arguments.frame_id,
-        keep=arguments.keep,
-        compression=arguments.compression,
+        **options.keywords(compensate, arguments),
         progress=progress_bar,
     )
     used = f', with {", ".join(done.beside)}' if done.beside else ''

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.converting import convert
+from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 _COLUMNS = 'NAME,NAME,NAME:UNIT'
@@ -47,16 +48,7 @@ def run(arguments: argparse.Namespace) -> None:
     done = convert(
         arguments.file,
         arguments.output,
-        stamp=arguments.stamp,
-        rate=arguments.rate,
-        gyro=arguments.gyro,
-        accel=arguments.accel,
-        joints=arguments.joints,
-        temperature=arguments.temperature,
-        delimiter=arguments.delimiter,
-        gyro_topic=arguments.gyro_topic,
-        accel_topic=arguments.accel_topic,
-        imu=arguments.imu,
+        **options.keywords(convert, arguments),
         progress=progress_bar,
     )
     listed = ', '.join(f'{count} of {topic}' for topic, count in done.counts.items())

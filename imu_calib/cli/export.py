@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
-from pathlib import Path
 
-from ..calibration import write_whole
-from ..compensation.thermal import ThermalCalibration, first_of, load_calibration
-from ..errors import InputError
-from ..exports import EXPORTS, Source
-from ..imu import load_imu
+from ..api.exporting import export
+from ..exports import EXPORTS
 from . import options
 from .terminal import OUTPUT, sentence_list
 
@@ -42,23 +37,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the file, and say what it cannot carry."""
-    rate = arguments.sample_rate
-    if rate is not None and not (math.isfinite(rate) and rate > 0):
-        raise InputError(f'--sample-rate: found {rate}, expected Hz above 0.')
-    path = Path(arguments.calibration).expanduser().absolute()
     target = options.output_path(arguments.output)
-    if target.absolute() == path:
-        raise InputError(f'--output: {target} is the calibration itself.')
-    loaded = load_calibration(path)
-    combined = isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1
-    if combined and arguments.format != 'ros':
-        raise InputError(
-            f'{path} combines calibrations at several temperatures, which format '
-            f'{arguments.format} cannot carry: export one of them.'
-        )
-    sheet = load_imu(arguments.imu) if arguments.imu is not None else None
-    source = Source(first_of(loaded), path, rate, arguments.topic, sheet)
-    exported = EXPORTS[arguments.format](source)
-    write_whole(target, exported.text)
+    exported = export(
+        arguments.calibration,
+        arguments.format,
+        target,
+        **options.keywords(export, arguments),
+    )
     OUTPUT.print(f'written to {target}', markup=False)
-    sentence_list('Worth knowing', exported.left_out)
+    sentence_list('Worth knowing', exported.findings)

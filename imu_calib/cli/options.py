@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import fields
+from inspect import Parameter, signature
 from pathlib import Path
+from typing import Any
 
 from ..api.stated import NO_PLAN, TRUE_TABLE, Stated
 from ..earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
@@ -20,6 +23,14 @@ def stated(arguments: argparse.Namespace) -> Stated:
     given = vars(arguments)
     known = {f.name: given[f.name] for f in fields(Stated) if f.name in given}
     return Stated(**known)
+
+
+def keywords(function: Callable[..., object], arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what a command line states of a function's keywords: options are named alike."""
+    of_function = signature(function).parameters.values()
+    names = [one.name for one in of_function if one.kind is Parameter.KEYWORD_ONLY]
+    given = vars(arguments)
+    return {name: given[name] for name in names if name in given}
 
 
 def add_imperfections_option(parser: argparse._ActionsContainer) -> None:

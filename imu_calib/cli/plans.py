@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from rich.table import Table as Rows
 
+from ..api.named import as_truth
 from ..api.predicting import optimised, predicted, setup_of, shortest
-from ..api.stated import as_truth
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
 from ..methods import METHODS, free_positions

@@ -51,21 +51,7 @@ def run(arguments: argparse.Namespace) -> None:
     done = simulate(
         arguments.plan,
         arguments.output,
-        imu=arguments.imu,
-        table=arguments.table,
-        truth=arguments.truth,
-        azimuth=arguments.azimuth,
-        bias_instability=arguments.bias_instability,
-        imperfections=arguments.imperfections,
-        seed=arguments.seed,
-        latitude=arguments.latitude,
-        latitude_std=arguments.latitude_std,
-        height=arguments.height,
-        height_std=arguments.height_std,
-        gravity=arguments.gravity,
-        gravity_std=arguments.gravity_std,
-        serial=arguments.serial or '',
-        compression=arguments.compression,
+        **options.keywords(simulate, arguments),
         progress=progress_bar,
     )
     written = f'the true parameters to {done.path / TRUTH}'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..api.stated import load_truth
+from ..api.named import load_truth
 from ..calibration import Calibration
 from ..devices import Baud, FrameFormat, check_port, choose_baud, is_serial, load_format, too_slow
 from ..earth import LUOYANG

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from ..api.watching import Show
+from ..api.progress import Show
 
 _WIDTH_OF_A_FILE = 160
 """Letters of a line where the output is a file: no table breaks."""

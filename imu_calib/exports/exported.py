@@ -21,7 +21,7 @@ class Source:
 
     Attributes:
         calibration: The calibration.
-        path: Its file, absolute.
+        path: Its file, absolute; None where it is in none.
         sample_rate: Of the IMU's stream, Hz; None where nobody said.
         topic: Topic of the IMU's stream.
         sheet: The IMU by its data sheet, for noise that the calibration does not tell; or None.
@@ -29,7 +29,7 @@ class Source:
     """
 
     calibration: Calibration
-    path: Path
+    path: Path | None = None
     sample_rate: float | None = None
     topic: str = '/imu/data'
     sheet: ImuSpec | None = None
@@ -50,10 +50,16 @@ class Source:
 
 @dataclass(frozen=True)
 class Exported:
-    """The text of a file, and what it cannot carry, in sentences."""
+    """A calibration as other software reads it.
+
+    Attributes:
+        text: Of the file.
+        findings: What it cannot carry, and what else a person should know, in sentences.
+
+    """
 
     text: str
-    left_out: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()
 
 
 def left_out(calibration: Calibration, export: str) -> list[str]:

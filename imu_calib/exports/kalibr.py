@@ -16,11 +16,10 @@ from __future__ import annotations
 import numpy as np
 import yaml
 
+from ..channel_noise import Coefficient
 from ..errors import InputError
 from ..imu import TriadSpec
-from ..noise import Coefficient
 from ..observation.evidence import SMALLEST_VARIANCE
-from ..reports.noise import noise_of
 from ..stream import Floats, Units
 from ..units import HOUR
 from .exported import Exported, Source, always_left_out
@@ -99,7 +98,7 @@ def _noise(source: Source) -> tuple[dict[str, float], list[str]]:
     walk = np.array(calibration.provenance.get('random_walk', np.zeros(6)), dtype=float)
     # Of a stream without noise the session shows the rounding of numbers, which is no density.
     walk = np.where(walk**2 > SMALLEST_VARIANCE, walk, 0.0)
-    channels = noise_of(calibration)
+    channels = calibration.noise
     found: dict[str, float] = {}
     notes = []
     for kalibr, name, mine, spec, densities in (

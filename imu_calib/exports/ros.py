@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import yaml
 
+from ..errors import InputError
 from .exported import Exported, Source, left_out
 
 
@@ -11,7 +12,15 @@ def export(source: Source) -> Exported:
     """Return parameters that point the node to the calibration file.
 
     The file is named, not copied: the node reads it anew when it changes.
+
+    Raises:
+        InputError: The calibration is in no file.
+
     """
+    if source.path is None:
+        raise InputError(
+            "The format ros names the calibration's file: save the calibration and give its path."
+        )
     document = {'/**': {'compensator_node': {'ros__parameters': {'calibration': str(source.path)}}}}
     head = (
         f'# Calibration of {source.calibration.imu.id} for compensator_node:\n'

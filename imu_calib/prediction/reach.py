@@ -40,8 +40,10 @@ SHORTEST = 5.0
 LONGEST = 24 * 3600.0
 """Longest dwell proposed, s."""
 
-_LOOKS = 15
+_LOOKS = 20
 """Rounds of the iteration; a cap."""
+_LONGER = 4.0
+"""Factor by which dwells grow where turns leave more than is wanted; a choice."""
 _CLOSE = 2e-3
 """Share of a dwell: a second in ten minutes."""
 _SLACK = 1.001
@@ -97,10 +99,12 @@ def reach(
                 f'Plan {plan.name} has no dwells: what its turns give, no dwell can change.'
             )
         _check_observed(found, rows)
-        if weights is None or setup.method_name in JOINT:
+        joint = setup.method_name in JOINT
+        if weights is None or joint:
             weights = _weights(now, truth, found.evidence)[rows] ** 2
         gravities = gravity_variances(found, truth)[rows]
-        before, plan = plan, _shorter(plan, found, weights, rows, targets / _SLACK, gravities)
+        wide = targets / _SLACK
+        before, plan = plan, _shorter(plan, found, weights, rows, wide, gravities, weighed=joint)
         pairs = zip(plan.positions, before.positions, strict=True)
         if max(abs(p.dwell - q.dwell) - _CLOSE * q.dwell for p, q in pairs) <= 0:
             break
@@ -114,6 +118,8 @@ def _shorter(
     rows: NDArray[np.intp],
     targets: Floats,
     gravities: Floats,
+    *,
+    weighed: bool,
 ) -> Plan:
     """Choose dwells by what one look at a session says of its variances.
 
@@ -124,6 +130,10 @@ def _shorter(
         rows: (k,) which parameters.
         targets: (k,) their standard deviations.
         gravities: (k,) variances that the doubt of gravity adds to theirs.
+        weighed: Whether the weights follow the dwells, as those of the joint estimate do.
+
+    Raises:
+        NotObservable: No dwell reaches them; says what stands in the way.
 
     """
     evidence = found.evidence
@@ -139,7 +149,20 @@ def _shorter(
     walk_part = np.einsum('ksc,sc->ks', by_segment, walked)
     count_part = np.einsum('ksc,sc->ks', by_segment, counted)
     fixed = square - (walk_part + count_part).sum(axis=1)
-    _check_reachable([found.parameters[row].name for row in rows], targets, fixed, gravities)
+    wanted = [found.parameters[row].name for row in rows]
+    _check_gravity(wanted, targets, gravities)
+    short = [
+        name for name, most, rest in zip(wanted, targets**2, fixed, strict=True) if rest >= most
+    ]
+    if short and weighed and dwells.min() < LONGEST:
+        # By weights for short dwells the turns count more than they will beside long ones.
+        longer = np.minimum(np.maximum(dwells, SHORTEST) * _LONGER, LONGEST)
+        return _with_dwells(plan, dict(zip(names, longer, strict=True)))
+    if short:
+        raise NotObservable(
+            f'No dwell reaches it for {", ".join(short)}: the turns, the positioning errors and '
+            'the clocks contribute more than that. Turn more often.'
+        )
     seconds = dwells[share] + beyond
 
     def left(logs: Floats) -> Floats:
@@ -175,7 +198,11 @@ def _shorter(
         method='SLSQP',
         options={'maxiter': 200, 'ftol': 1e-9},
     )
-    times = dict(zip(names, np.exp(solved.x), strict=True))
+    return _with_dwells(plan, dict(zip(names, np.exp(solved.x), strict=True)))
+
+
+def _with_dwells(plan: Plan, times: Mapping[str, float]) -> Plan:
+    """Return a plan with other dwells, s, at the positions named."""
     positions = tuple(
         replace(p, dwell=float(times[p.id])) if p.id in times else p for p in plan.positions
     )
@@ -205,10 +232,8 @@ def _check_observed(found: Forecast, rows: NDArray[np.intp]) -> None:
         )
 
 
-def _check_reachable(
-    wanted: Sequence[str], targets: Floats, fixed: Floats, gravities: Floats
-) -> None:
-    """Refuse what no dwell can give."""
+def _check_gravity(wanted: Sequence[str], targets: Floats, gravities: Floats) -> None:
+    """Refuse what gravity is not known well enough for."""
     scaled = gravities >= targets**2
     if scaled.any():
         names = ', '.join(name for name, far in zip(wanted, scaled, strict=True) if far)
@@ -216,12 +241,4 @@ def _check_reachable(
         raise NotObservable(
             f'No dwell reaches it for {names}: gravity is known to {least:.0f} ppm. Give --gravity '
             'as measured, or --height.'
-        )
-    short = [
-        name for name, target, rest in zip(wanted, targets, fixed, strict=True) if rest >= target**2
-    ]
-    if short:
-        raise NotObservable(
-            f'No dwell reaches it for {", ".join(short)}: the turns, the positioning errors and '
-            'the clocks contribute more than that. Turn more often.'
         )

@@ -7,10 +7,10 @@ from html import escape
 
 import numpy as np
 
+from ..channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
 from ..imu import ImuSpec, TriadSpec
-from ..noise import ChannelNoise, Coefficient
 from .html import paragraph, table
-from .noise import TRIADS, TriadUnits, written
+from .noise import written
 from .svg import COLOURS, Axis, Panel, drawing, label, legend
 
 _WIDTH, _HEIGHT, _LEFT, _TOP = 760.0, 250.0, 56.0, 42.0

@@ -3,62 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from ..calibration import Calibration
-from ..errors import InputError
+from ..channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
 from ..imu import TriadSpec
-from ..noise import ChannelNoise, Coefficient
-from ..units import DEG, DEG_H, HOUR, MICRO_G
 from .parameter_table import decimals, three_digits
-
-
-@dataclass(frozen=True)
-class TriadUnits:
-    """How the noise of a triad is written.
-
-    Attributes:
-        name: gyro or accelerometer.
-        channels: Names of its channels.
-        walk: Unit of the random walk in words.
-        walk_scale: Its SI value.
-        rate: Unit of the bias instability and of the Allan deviation in words.
-        rate_scale: Its SI value.
-
-    """
-
-    name: str
-    channels: tuple[str, ...]
-    walk: str
-    walk_scale: float
-    rate: str
-    rate_scale: float
-
-
-_ROOT_HOUR = HOUR**0.5
-TRIADS = (
-    TriadUnits('gyro', ('gx', 'gy', 'gz'), 'deg/sqrt(h)', DEG / _ROOT_HOUR, 'deg/h', DEG_H),
-    TriadUnits('accelerometer', ('ax', 'ay', 'az'), '(m/s)/sqrt(h)', 1 / _ROOT_HOUR, 'ug', MICRO_G),
-)
-
-
-def noise_of(calibration: Calibration) -> dict[str, ChannelNoise]:
-    """Return the noise that a calibration carries, by channel; empty where it carries none.
-
-    Raises:
-        InputError: What it carries is no noise.
-
-    """
-    document = calibration.provenance.get('noise') or {}
-    try:
-        return {str(name): ChannelNoise.read(entry) for name, entry in document.items()}
-    except (AttributeError, KeyError, TypeError, ValueError):
-        raise InputError('provenance: noise: is not what a calibration writes there.') from None
 
 
 def noise_lines(calibration: Calibration) -> list[str]:
     """Return a line per triad: what was seen beside what the IMU's file states."""
-    seen = noise_of(calibration)
+    seen = calibration.noise
     lines = []
     for units, spec in zip(TRIADS, (calibration.imu.gyro, calibration.imu.accel), strict=True):
         found = [seen[c] for c in units.channels if c in seen]

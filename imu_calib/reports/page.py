@@ -15,7 +15,6 @@ from . import allan_plot, repeatability, residuals, timeline
 from .assessment import angles_table, assess, badge, summary, tables, worst
 from .budget import budget_section
 from .html import bullets, facts, paragraph, section, table
-from .noise import noise_of
 from .parameter_table import FREE_OF_FRAME, change_note, decimals
 from .style import STYLE
 from .svg import tag
@@ -183,7 +182,7 @@ def _residuals(contents: Contents) -> str:
 
 
 def _noise(contents: Contents) -> str:
-    seen = noise_of(contents.calibration)
+    seen = contents.calibration.noise
     return section(
         'Noise',
         allan_plot.noise_plots(seen, contents.imu),

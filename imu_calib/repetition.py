@@ -117,6 +117,16 @@ class Outcome:
         return np.asarray(np.sqrt((self.stated**2).mean(axis=0)))
 
     @property
+    def worst(self) -> Floats:
+        """Largest error, (n,)."""
+        return np.asarray(np.abs(self.errors).max(axis=0))
+
+    @property
+    def rms(self) -> Floats:
+        """Root mean square of the errors over their standard deviations, (n,): one is right."""
+        return np.asarray(np.sqrt((self.normalised**2).mean(axis=0)))
+
+    @property
     def normalised(self) -> Floats:
         """Errors over the standard deviations stated with them, (runs, n)."""
         stated = self.stated

@@ -1,0 +1,43 @@
+"""Calibrations of one unit at several temperatures to one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from ..calibration import Calibration
+from ..compensation.thermal import ThermalCalibration
+from ..compensation.thermal import combine as by_temperature
+from .named import Named, as_calibration, name_of
+
+if TYPE_CHECKING:
+    from ..calibrator import Result
+
+
+def combine(
+    calibrations: Sequence[Result | Calibration | Named],
+    output: Named | None = None,
+    *,
+    order: int | None = None,
+) -> ThermalCalibration:
+    """Combine calibrations of one unit at several temperatures.
+
+    Args:
+        calibrations: Two or more, in any order: files, calibrations, or what `calibrate` returned.
+        output: File to write; None writes none.
+        order: Of a polynomial in temperature; None for straight lines between neighbours.
+
+    Returns:
+        What `compensate` and compensator_node apply: `at(celsius)` is the calibration at a
+        temperature.
+
+    Raises:
+        InputError: They are not of one unit, a temperature is missing or comes twice, they are too
+            few for the order, or a file cannot be read or written.
+
+    """
+    names = [name_of(one, f'calibration {k + 1}') for k, one in enumerate(calibrations)]
+    combined = by_temperature([as_calibration(one) for one in calibrations], names, order)
+    if output is not None:
+        combined.save(output)
+    return combined

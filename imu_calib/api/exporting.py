@@ -1,0 +1,69 @@
+"""A calibration in the form that other software reads."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..calibration import write_whole
+from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of
+from ..errors import InputError
+from ..exports import EXPORTS, Exported, Source
+from ..imu import ImuSpec
+from .named import Named, as_applied, as_imu
+
+if TYPE_CHECKING:
+    from ..calibrator import Result
+
+
+def export(
+    calibration: Result | AnyCalibration | Named,
+    format: str,  # noqa: A002
+    output: Named | None = None,
+    *,
+    sample_rate: float | None = None,
+    topic: str = '/imu/data',
+    imu: ImuSpec | Named | None = None,
+) -> Exported:
+    """Write a calibration for other software.
+
+    Args:
+        calibration: calibration.yaml, single or combined, or what was read from one.
+        format: 'ros': parameters of compensator_node, which name the file; 'kalibr': imu.yaml;
+            'imucal': JSON; 'c': a header (docs/exports.md).
+        output: File to write; None writes none.
+        sample_rate: Of the stream, Hz: for kalibr, and for imucal of pulses.
+        topic: Of the stream, for kalibr.
+        imu: The data sheet, for kalibr: noise that nobody has measured, and the sample rate.
+
+    Returns:
+        The text, and what it cannot carry.
+
+    Raises:
+        InputError: No such format, or it cannot carry this calibration; a file cannot be read or
+            written.
+
+    """
+    if format not in EXPORTS:
+        raise InputError(f'--format: found {format!r}, expected one of {", ".join(EXPORTS)}.')
+    if sample_rate is not None and not (math.isfinite(sample_rate) and sample_rate > 0):
+        raise InputError(f'--sample-rate: found {sample_rate}, expected Hz above 0.')
+    path = None
+    if isinstance(calibration, str | Path):
+        path = Path(calibration).expanduser().absolute()
+    target = None if output is None else Path(output).expanduser()
+    if target is not None and target.absolute() == path:
+        raise InputError(f'--output: {target} is the calibration itself.')
+    loaded, name = as_applied(calibration if path is None else path)
+    combined = isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1
+    if combined and format != 'ros':
+        raise InputError(
+            f'{name} combines calibrations at several temperatures, which format '
+            f'{format} cannot carry: export one of them.'
+        )
+    sheet = None if imu is None else as_imu(imu)
+    exported = EXPORTS[format](Source(first_of(loaded), path, sample_rate, topic, sheet))
+    if target is not None:
+        write_whole(target, exported.text)
+    return exported

@@ -1,0 +1,174 @@
+"""A simulated session many times: what its method reaches, against what it states."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..calibration import Calibration
+from ..calibrator import Setup
+from ..earth import LUOYANG
+from ..errors import InputError, NotObservable
+from ..imu import ImuSpec
+from ..methods import method as solver
+from ..plan import Plan
+from ..repetition import Outcome, Study, economical, repeat
+from ..simulation import StandOptions
+from ..turntable import Table
+from ..views import draw_normalised, repeated_frame
+from .named import Named, as_imu, as_plan, load_truth
+from .progress import Progress, silent
+from .stated import Stated
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Repeated:
+    """A session that was simulated and calibrated many times.
+
+    Attributes:
+        setup: Plan, method, table, IMU and site.
+        outcome: Errors and standard deviations of every run, and what they come to.
+        findings: What a person should know, in sentences.
+
+    """
+
+    setup: Setup
+    outcome: Outcome
+    findings: tuple[str, ...]
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return what the runs come to, by parameter, as a pandas.DataFrame.
+
+        Its columns: mean error (bias), scatter of the errors (spread), standard deviation stated,
+        largest error (worst), root mean square of errors over the standard deviations stated with
+        them (normalised), unit.
+
+        Raises:
+            InputError: pandas is not installed.
+
+        """
+        return repeated_frame(self.outcome)
+
+    def plot(self) -> Figure:
+        """Draw the errors over the standard deviations stated; return the matplotlib Figure.
+
+        Raises:
+            InputError: matplotlib is not installed.
+
+        """
+        setup, outcome = self.setup, self.outcome
+        title = f'{setup.plan.name}, {setup.method_name}: {len(outcome.errors)} runs'
+        return draw_normalised(title, outcome)
+
+
+def montecarlo(
+    plan: Plan | Named,
+    imu: ImuSpec | Named = 'fog_medium',
+    *,
+    runs: int = 100,
+    seed: int = 0,
+    jobs: int = 1,
+    table: Table | Named | None = None,
+    truth: Calibration | Named = 'cao2022_table1',
+    azimuth: float | None = None,
+    bias_instability: bool = False,
+    method: str | None = None,
+    terms: str | None = None,
+    latitude: float | None = None,
+    latitude_std: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+    progress: Progress = silent,
+) -> Repeated:
+    """Simulate a session with many seeds, calibrate from each, and compare with the truth.
+
+    Args:
+        plan: Name, file or value.
+        imu: Likewise.
+        runs: How many sessions.
+        seed: Of the first; the outcome depends on the seeds alone.
+        jobs: Processes. More than one need a program whose work stands below
+            `if __name__ == '__main__':`, as multiprocessing does.
+        table: Name, file or value; None for the three-axis table.
+        truth: The unit's true parameters.
+        azimuth: Heading of the table's zero, deg, known to the calibrator; None draws another one
+            for each run, which is unknown.
+        bias_instability: Let the biases wander by the IMU's figure.
+        method: The estimator; None for the joint estimate where it applies, else the plan's own.
+        terms: What the joint estimate adds to the 24 parameters, as for `calibrate`.
+        latitude: deg; None for Luoyang's.
+        latitude_std: deg; the true latitude is drawn by it, as gravity is by its own.
+        height: Above the ellipsoid, m.
+        height_std: m.
+        gravity: As measured, m/s^2.
+        gravity_std: m/s^2.
+        progress: Shows how far it is; nothing by default.
+
+    Raises:
+        InputError: A file is missing or broken, they do not fit each other, or the plan is run by
+            hand.
+        NotObservable: No run gave an estimate; says why.
+
+    """
+    if runs < 1 or jobs < 1:
+        raise InputError('--runs and --jobs: expected a whole number above 0.')
+    stated = Stated(
+        plan=plan,
+        imu=imu,
+        table=table,
+        azimuth=azimuth,
+        latitude=latitude,
+        latitude_std=latitude_std,
+        height=height,
+        height_std=height_std,
+        gravity=gravity,
+        gravity_std=gravity_std,
+        method=method,
+        terms=terms,
+    )
+    study = _study(stated, as_plan(plan), as_imu(imu), truth, wander=bias_instability)
+    with progress('simulating and calibrating') as show:
+        outcome = repeat(study, runs, seed, min(jobs, runs), show)
+    refusals = sorted({r.refusal for r in outcome.refused})
+    if len(outcome.refused) == runs:
+        raise NotObservable(f'All of {runs} runs were refused: {refusals[0]}')
+    held = study.setup.table
+    findings = [held.assumption] if held is not None and held.assumption else []
+    if refusals:
+        findings.append(f'Refused: {len(outcome.refused)} runs. {" ".join(refusals[:5])}')
+    return Repeated(study.setup, outcome, tuple(findings))
+
+
+def _study(
+    stated: Stated, plan: Plan, imu: ImuSpec, truth: Calibration | Named, *, wander: bool
+) -> Study:
+    """Return what is repeated.
+
+    Raises:
+        InputError: What is stated does not fit together.
+
+    """
+    table, site = stated.simulated_table(), stated.site(LUOYANG)
+    terms, changes = stated.sensor_terms, stated.changes
+    if stated.method is not None:
+        # It is refused before the first run, not by it.
+        solver(stated.method, terms, changes)
+    if plan.by_hand:
+        raise InputError(f'Plan {plan.name} is run by hand: only a table can be simulated here.')
+    plan.steps(table)
+    stand = StandOptions(
+        # A uniform error of this half width has the standard deviation that the table states.
+        positioning_error=math.sqrt(3) * table.positioning,
+        bias_instability=wander,
+    )
+    setup = Setup(
+        imu, plan, table, site, stated.method, terms=terms, changes=changes, look=stated.look
+    )
+    return Study(setup, load_truth(truth, imu).model, economical(stand), table.azimuth)
