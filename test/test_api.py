@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from imu_calib.reports.parameters import in_scale_of
+from imu_calib.reports.parameter_table import in_scale_of
 from loopback import CHECKOUT
 
 import imu_calib

@@ -355,3 +355,22 @@ def test_a_rest_does_not_reach_over_an_interruption() -> None:
     found = [*tracker.feed(stamp, rates), *tracker.finish()]
     first, second = (rest for rest in found if isinstance(rest, Rest))
     assert stamp[990] <= first.end < stamp[1000] <= second.start
+
+
+@pytest.mark.parametrize('early', range(0, 10, 3))
+def test_no_sample_of_a_turn_is_in_the_rest_before_it(early: int) -> None:
+    """A sample of 60 deg/s, 36 arcmin, is lost to the turn if the rest before has it."""
+    rng = np.random.default_rng(early)
+    at_rest = (2.0, 1.0, 0.0)
+    # Windows are of ten samples: the turns begin with one, and within one.
+    holds = [still(4 + 0.01 * early, at_rest, up) for up in ((0, 0, 1), (0, 1, 0), (1, 0, 0))]
+    turned = still(2, (60.0, -40.0, 20.0), (0.6, 0, 0.8))
+    rows = np.vstack([holds[0], turned, holds[1], turned, holds[2]])
+    rows[:, :3] += rng.normal(0, 0.05 * DEG, (len(rows), 3))
+    begins = np.cumsum([len(holds[0]), len(turned) + len(holds[1])])
+    rests = [part for part in tracked(rows) if isinstance(part, Rest)]
+    assert len(rests) == 3
+    for rest, samples in zip(rests, begins, strict=False):
+        # A rest has the samples up to its end.
+        last = round(rest.end / 10_000_000)
+        assert samples - 20 < last <= samples

@@ -177,7 +177,7 @@ class StillnessTracker:
         if self._reference is not None:
             if self._still(mean, self._reference):
                 return []
-            last = max(self._start, self._last_quiet(start))
+            last = max(self._start, self._last_quiet())
             rest = Rest(self._start, last)
             self._start, self._reference = last, None
             return [rest]
@@ -190,21 +190,17 @@ class StillnessTracker:
         self._start, self._reference = self._recent[1][0], centre
         return [motion] if motion.end > motion.start else []
 
-    def _last_quiet(self, start: int) -> int:
-        """Return where a rest ends that the window from `start` (ns) is none of.
+    def _last_quiet(self) -> int:
+        """Return the last stamp of a rest that the window judged is none of, ns.
 
         The window before may hold the first of the motion: where it strays from its own forerunner
-        by more than nine of ten do. Where the stream was interrupted the first sample after is of
-        another rest, or of none.
+        by more than nine of ten do. A sample is what was read up to its stamp: the first of the
+        window judged is of the motion already.
         """
-        if len(self._recent) > 1:
-            start = min(start, self._recent[-2][1] + round(WINDOW_SECONDS * 1e9))
-        if len(self._recent) < _WINDOWS_TO_SETTLE:
-            return start
-        first, last = self._recent[-3][2], self._recent[-2][2]
+        before, last, _ = self._recent
         usual = np.sqrt(2) * self._tolerance.usual
-        quiet = bool((np.abs(last - first)[:3] <= usual).all())
-        return start if quiet else self._recent[-2][0]
+        quiet = bool((np.abs(last[2] - before[2])[:3] <= usual).all())
+        return last[1] if quiet else before[1]
 
     def _still(self, mean: Floats, reference: Floats) -> bool:
         moved, leaning = np.abs(mean[:3] - self._offset.value), np.abs(mean - reference)[3:]
