@@ -78,6 +78,8 @@ setup(
             'allantools>=2024.6',
             'fastcrc>=0.5',
             'jsonschema>=4',
+            'nbclient>=0.9',
+            'ipykernel>=6.29',
             ROSBAGS,
             DDS,
             PLOT,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from .channel_noise import TRIADS
 from .extras import require
 from .model import Parameter
-from .stream import Floats
+from .stream import Floats, Stamps
 from .units import DEG_H, MICRO_G
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ _QUARTILES_TO_95 = (2.5, 97.5)
 _NORMAL_95 = 1.96
 _RATES = {'g': ('deg/h', DEG_H), 'a': ('ug', MICRO_G)}
 """Units of noise and residuals."""
+
+_POINTS = 1000
+"""Of a line: as many as a picture has places."""
 
 _HEIGHT = 4.2
 """Of a row of panels, inches; as is the width of one."""
@@ -211,6 +214,46 @@ def draw_differences(title: str, parameters: Sequence[Parameter], normalised: Fl
     axes.set_ylabel('difference / standard deviation')
     axes.set_title(title)
     return figure
+
+
+def draw_columns(
+    title: str, stamp: Stamps, columns: Mapping[str, Floats], units: Mapping[str, str]
+) -> Picture:
+    """Draw fields over time, a panel for each quantity: what stands before the point of their name.
+
+    Args:
+        title: Above the panels.
+        stamp: (n,) ns.
+        columns: (n,) each, by name.
+        units: By name, as far as they have one.
+
+    Raises:
+        InputError: matplotlib is not installed.
+
+    """
+    quantities: dict[str, list[str]] = {}
+    for name in columns:
+        quantities.setdefault(name.partition('.')[0], []).append(name)
+    figure = empty(2 * _HEIGHT, 0.5 + 2.0 * len(quantities))
+    panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    few = max(1, len(stamp) // _POINTS)
+    seconds = _means((stamp - stamp[:1]) * 1e-9, few)
+    for axes, (quantity, names) in zip(panels, quantities.items(), strict=True):
+        for name in names:
+            label = name.partition('.')[2] or name
+            axes.plot(seconds, _means(columns[name], few), linewidth=0.8, label=label)
+        unit = units.get(names[0], '')
+        axes.set_ylabel(f'{quantity},\n{unit}' if unit else quantity)
+        axes.legend(loc='upper right')
+    panels[-1].set_xlabel('s')
+    figure.suptitle(title)
+    return figure
+
+
+def _means(values: Floats, few: int) -> Floats:
+    """Return the means of so many values each; the rest of them is left out."""
+    count = len(values) // few
+    return np.asarray(values[: count * few].reshape(count, few).mean(axis=1))
 
 
 def draw_normalised(title: str, outcome: Outcome) -> Picture:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from imu_calib.reports.parameter_table import in_scale_of
 from loopback import CHECKOUT
 
 import imu_calib
@@ -27,6 +26,7 @@ from imu_calib.model import PARAMETERS
 from imu_calib.model.session_terms import parted
 from imu_calib.plan import load_plan
 from imu_calib.repetition import Outcome, Study
+from imu_calib.reports.parameter_table import in_scale_of
 from imu_calib.units import DEG_H, MICRO_G, PPM
 
 SITE = ('--latitude', '34.65')

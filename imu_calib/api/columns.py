@@ -26,10 +26,12 @@ from ..stream import (
     TemperatureBlock,
     Units,
 )
+from ..views import draw_columns
 from .named import Named
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
 
 _READ = {k.type_name: k for k in (Kind.IMU, Kind.JOINTS, Kind.SETPOINTS, Kind.TEMPERATURES)}
 _NUMBERS = {
@@ -90,6 +92,18 @@ class Columns:
         frame = pd.DataFrame(dict(self.columns), index=index)
         frame.attrs['units'] = dict(self.units)
         return frame
+
+    def plot(self) -> Figure:
+        """Draw the fields over time, those of a quantity together; return the matplotlib Figure.
+
+        Of many samples means over equal numbers of them are drawn.
+
+        Raises:
+            InputError: matplotlib is not installed.
+
+        """
+        numbers = {n: v for n, v in self.columns.items() if np.issubdtype(v.dtype, np.number)}
+        return draw_columns(self.topic, self.stamp, numbers, self.units)
 
 
 @overload

@@ -88,13 +88,17 @@ class Compared:
 
 
 def compare(
-    first: Result | AnyCalibration | Named, second: Result | AnyCalibration | Named
+    first: Result | AnyCalibration | Named,
+    second: Result | AnyCalibration | Named,
+    *,
+    names: tuple[str, str] | None = None,
 ) -> Compared:
     """Set two calibrations side by side: two of a unit, or one and the truth of a simulation.
 
     Args:
         first: calibration.yaml, what was read from one, or what `calibrate` returned.
         second: Likewise.
+        names: What to call them; None: as their files are called, else first and second.
 
     Raises:
         InputError: A file cannot be read, is of several temperatures, or the streams of the two are
@@ -105,7 +109,7 @@ def compare(
     in_scale = in_scale_of(its, mine)
     only = unmatched(mine, in_scale)
     known = [p for p, std in zip(mine.parameters, mine.std, strict=True) if np.isfinite(std)]
-    names = _names(first, second)
+    names = names or _names(first, second)
     findings = []
     if in_scale is not its:
         findings.append(f'Shown with the nominal scale factors of {names[0]}.')

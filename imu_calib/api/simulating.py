@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +110,8 @@ def simulate(
         gravity_std=gravity_std,
     ).site(LUOYANG)
     spec = as_imu(imu)
-    true = load_truth(truth, spec)
+    # Errors are relative to nominal scale factors: they are those of this unit, whoever had them.
+    true = replace(load_truth(truth, spec), imu=spec)
     steps = load_plan(plan)
     check_plan(steps.method, steps, site)
     named = None if steps.by_hand else table or _TABLE

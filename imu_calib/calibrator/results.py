@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..calibration import Calibration
+from ..estimation.tested import summary
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import Parameter
@@ -31,6 +32,11 @@ class Result:
     session: Segmented
     labelled: Labelled
     comparison: Comparison | None = None
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """What became of each term: estimated, or off, and from which size on it would be found."""
+        return tuple(summary(self.solution.tests))
 
 
 @dataclass(frozen=True, eq=False)

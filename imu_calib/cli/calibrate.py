@@ -10,7 +10,6 @@ from ..api.calibrating import calibrated
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..earth import MEASURED
-from ..estimation.tested import summary
 from ..methods import METHODS
 from ..reports.budget import budget_tables
 from ..reports.noise import noise_lines
@@ -63,7 +62,7 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         f'\n{setup["method"]}{without}: {setup["segments"]} static dwells, '
         f'{setup["turns"]} turns, {session.samples} samples in {session.duration:.0f} s'
     )
-    for line in summary(solution.tests):
+    for line in result.terms:
         OUTPUT.print(line, markup=False)
     if result.comparison is not None:
         OUTPUT.print(result.comparison.sentence(), markup=False)
