@@ -237,7 +237,7 @@ def draw_columns(
     figure = empty(2 * _HEIGHT, 0.5 + 2.0 * len(quantities))
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     few = max(1, len(stamp) // _POINTS)
-    seconds = _means((stamp - stamp[:1]) * 1e-9, few)
+    seconds = _means(np.asarray((stamp - stamp[:1]) * 1e-9, dtype=np.float64), few)
     for axes, (quantity, names) in zip(panels, quantities.items(), strict=True):
         for name in names:
             label = name.partition('.')[2] or name
