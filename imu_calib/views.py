@@ -234,7 +234,7 @@ def draw_columns(
     quantities: dict[str, list[str]] = {}
     for name in columns:
         quantities.setdefault(name.partition('.')[0], []).append(name)
-    figure = empty(2 * _HEIGHT, 0.5 + 2.0 * len(quantities))
+    figure = empty_figure(2 * _HEIGHT, 0.5 + 2.0 * len(quantities))
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     few = max(1, len(stamp) // _POINTS)
     seconds = _means(np.asarray((stamp - stamp[:1]) * 1e-9, dtype=np.float64), few)
