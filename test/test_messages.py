@@ -81,7 +81,8 @@ def test_numbers_are_kept_as_rclpy_keeps_them():
 @pytest.mark.parametrize('level', [0, 3, 127, 128, 255])
 def test_a_byte_has_all_its_values(level):
     sent = messages.DiagnosticStatus(level=bytes([level]))
-    assert deserialize_message(serialize_message(sent), messages.DiagnosticStatus) == sent
+    read = deserialize_message(serialize_message(sent), messages.DiagnosticStatus)
+    assert read.level == bytes([level])
 
 
 def test_a_bounded_string_and_a_fixed_array_keep_to_their_lengths():
