@@ -69,8 +69,8 @@ BORROWED = {
 }
 """Pages whose text lies where GitHub and ROS look for it."""
 
-# A table of contents of a folder, and its pattern.
-_GLOB = re.compile(r'\.\. toctree::\n(?: +:.*\n)* +:glob:\n\n +(\S+)\n\n')
+# A table of contents of a folder.
+_GLOB = re.compile(r'\.\. toctree::\n(?: +:.*\n)* +:glob:\n\n +(\w+)/\S+\n(?: +\S+\n)*\n')
 _LINK = re.compile(r'(?P<text>\[[^][]*\])\((?P<target>[^()\s#:]+)(?P<anchor>#[^()\s]*)?\)')
 
 
@@ -84,7 +84,8 @@ def read_source(app: Sphinx, page: str, source: list[str]) -> None:
     if here.suffix == '.md':
         source[0] = led(source[0], lies.parent, here.parent, Path(app.srcdir))
     elif page == 'index':
-        source[0] = _GLOB.sub(lambda tree: tree[0] if any(DOCS.glob(tree[1])) else '', source[0])
+        # Sphinx warns of patterns that nothing matches.
+        source[0] = _GLOB.sub(lambda t: t[0] if any(DOCS.glob(f'{t[1]}/*.md')) else '', source[0])
 
 
 def led(text: str, lies: Path, page: Path, source: Path) -> str:
