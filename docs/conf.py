@@ -3,23 +3,23 @@
 import os
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
 
-import imu_calib
-from imu_calib.version import version as installed
-
-# rosdoc2 builds from a copy of this folder: the checkout is where the package lies.
-ROOT = Path(imu_calib.__file__).resolve().parents[1]
-DOCS = ROOT / 'docs'
+# The checkout: above this file, or where rosdoc2, which builds from a copy, finds the package.
+ROOT = Path(__file__).resolve().parents[1]
+if not (ROOT / 'imu_calib' / '__init__.py').is_file():
+    ROOT = Path(str(import_module('imu_calib').__file__)).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
+DOCS = ROOT / 'docs'
 
 project = 'imu_calib'
 author = 'The imu_calib developers'
 copyright = author  # noqa: A001
-version = release = installed()
+version = release = import_module('imu_calib.version').version()
 
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
 source_suffix = {'.md': 'markdown', '.rst': 'restructuredtext'}
