@@ -58,4 +58,10 @@ class RowBuffer:
 
     def drop_until(self, stamp: int) -> None:
         """Forget the rows with stamps up to `stamp`."""
-        self._first += int(np.searchsorted(self.stamp, stamp, side='right'))
+        self.drop(int(np.searchsorted(self.stamp, stamp, side='right')))
+
+    def drop(self, count: int) -> int:
+        """Forget so many of the first rows, none where it is below zero; return how many."""
+        dropped = max(0, count)
+        self._first += dropped
+        return dropped

@@ -300,7 +300,12 @@ def _window_error(window: Floats, step: float, growth: float) -> float:
     """Return the variance of a reading error averaged over a window (see `_faded_error`)."""
     alike = np.correlate(window, window, mode='full')[len(window) - 1 :]
     power, turns = _harmonics(step, growth)
-    together = np.exp(np.outer(turns, np.arange(1, len(alike)))).real @ (2 * alike[1:])
+    # Powers of z up to n are products of two, each one of sqrt(n).
+    width = math.isqrt(len(alike) - 1) + 1
+    lags = np.zeros(width * width)
+    lags[1 : len(alike)] = 2 * alike[1:]
+    coarse, fine = (np.exp(np.outer(turns, by * np.arange(width))) for by in (width, 1))
+    together = ((coarse @ lags.reshape(width, width)) * fine).sum(axis=1).real
     return float(power @ together) + _READING_VARIANCE * float(alike[0])
 
 

@@ -163,9 +163,10 @@ class Intake:
 
     def _finite(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
         """Drop the rows that hold no numbers, and remember how many and from when."""
-        mask: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
-        if mask.all():
+        finite = np.isfinite(values)
+        if finite.all():
             return stamp, values
+        mask: NDArray[np.bool_] = np.asarray(finite.all(axis=1))
         self._note(what, stamp[~mask])
         return stamp[mask], values[mask]
 
@@ -174,10 +175,10 @@ class Intake:
         if not len(stamp):
             return stamp, values
         last = (stamp[:1] - 1, values[:1]) if self._newest is None else self._newest
-        again = (np.diff(stamp, prepend=last[0]) == 0) & (
-            values == np.vstack([last[1], values[:-1]])
-        ).all(axis=1)
         self._newest = stamp[-1:].copy(), values[-1:].copy()
+        again = stamp == np.append(last[0], stamp[:-1])
+        if again.any():
+            again &= (values == np.vstack([last[1], values[:-1]])).all(axis=1)
         if not again.any():
             return stamp, values
         self._note('having come twice', stamp[again])

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
 from ..units import DEG
+from .buffer import RowBuffer
 
 _WINDOW_NS = 250_000_000
 """ns over which a rate is looked at: encoders' noise counts little in it."""
@@ -74,11 +76,11 @@ class JointTracker:
     """
 
     def __init__(self) -> None:
-        self._stamp: Stamps = np.empty(0, dtype=np.int64)
-        self._position: Floats = np.empty((0, 0))
+        self._rows = RowBuffer(0)
         self._delivered: Floats = np.empty(0)
         self._turns: Floats = np.empty(0)
         self._judged = 0
+        self._seen_from = 0
         self._start: int | None = None
         self._moving = False
         self._angles: tuple[Floats, float] | None = None
@@ -86,12 +88,12 @@ class JointTracker:
     @property
     def known_until(self) -> int | None:
         """Stamp up to which the table's doing is known, ns."""
-        return int(self._stamp[-1]) if len(self._stamp) else None
+        return int(self._rows.stamp[-1]) if len(self._rows) else None
 
     @property
     def silent(self) -> bool:
         """Whether no joint state has come yet."""
-        return not len(self._stamp)
+        return not len(self._rows)
 
     @property
     def rest_since(self) -> int | None:
@@ -108,24 +110,23 @@ class JointTracker:
         """
         if self.silent:
             self._delivered, self._turns = position[0], np.zeros(position.shape[1])
-            self._position = self._position.reshape(0, position.shape[1])
-        self._position = np.vstack([self._position, self._unwrapped(position)])
-        self._stamp = np.concatenate([self._stamp, stamp])
+            self._rows = RowBuffer(position.shape[1])
+        self._rows.append(stamp, self._unwrapped(position))
         return self._judge()
 
     def _unwrapped(self, position: Floats) -> Floats:
         """Add whole turns: counted, where `np.unwrap` sums what each cut of the stream rounds."""
-        steps = np.diff(np.vstack([self._delivered, position]), axis=0)
+        steps = position - np.concatenate([self._delivered[None], position[:-1]])
         turns = self._turns - np.cumsum(np.rint(steps / _TURN), axis=0)
         self._delivered, self._turns = position[-1], turns[-1]
         return np.asarray(position + _TURN * turns)
 
     def finish(self) -> list[Rest | Motion]:
         """End of the stream: return the rest or motion that was going on."""
-        if not len(self._stamp):
+        if self.silent:
             return []
         done = self._judge(ended=True)
-        end, start = int(self._stamp[-1]), self._start or 0
+        end, start = int(self._rows.stamp[-1]), self._start or 0
         return [*done, self._motion(end) if self._moving else self._rest(start, end)]
 
     def split_rest(self, end: int) -> Rest | None:
@@ -133,12 +134,8 @@ class JointTracker:
 
         None in motion, and while readings that its angles are the mean of may still come.
         """
-        if self._moving or self._start is None:
+        if self._moving or self._start is None or self._angles is None:
             return None
-        if self._angles is None:
-            if self._stamp[-1] < self._start + _ANGLES_NS:
-                return None
-            self._angles = self._mean(self._start, self._start + _ANGLES_NS)
         rest = self._rest(self._start, end)
         self._start = end
         return rest
@@ -148,53 +145,55 @@ class JointTracker:
 
         The first ones wait until they show how noisy they are.
         """
-        if self._start is None and len(self._stamp) < _RECENT + 2 and not ended:
-            return []
-        before = np.searchsorted(self._stamp, self._stamp - _WINDOW_NS, side='right') - 1
-        before = np.clip(np.minimum(before, np.arange(len(before)) - 1), 0, None)
-        elapsed = np.maximum(self._stamp - self._stamp[before], 1) * 1e-9
-        apart = np.abs(self._position - self._position[before])
-        # What stands still does so however long nobody looks: silence is no leave to turn.
-        drift = _STILL_RATE * np.minimum(elapsed, _LONGEST_LOOK)
-        limit = np.maximum(drift[:, None], _NOISE * self._noise())
-        moving = (apart > limit).any(axis=1)
-        done: list[Rest | Motion] = []
+        stamp, position = self._rows.stamp, self._rows.values
         if self._start is None:
-            self._start = int(self._stamp[0])
-            self._judged = 1
-        new = np.arange(self._judged, len(moving))
-        changes = new[np.diff(moving[new].astype(np.int8), prepend=np.int8(self._moving)) != 0]
-        for k in changes:
+            if len(stamp) < _RECENT + 2 and not ended:
+                return []
+            self._start = int(stamp[0])
+        new = np.arange(self._judged, len(stamp))
+        if not len(new):
+            return []
+        before = np.searchsorted(stamp, stamp[new] - _WINDOW_NS, side='right') - 1
+        before = np.maximum(np.minimum(before, new - 1), 0)
+        elapsed = np.asarray((stamp[new] - stamp[before]) * 1e-9)
+        moving = self._moved(position, new, before, elapsed)
+        done: list[Rest | Motion] = []
+        for k in np.flatnonzero(moving != np.append(self._moving, moving[:-1])).tolist():
             # A window that counts as still may hold the last of a move, or the first of the next:
             # rest begins at the end of its first still window and ends where its last one began.
             if moving[k]:
-                last = max(int(self._stamp[before[k - 1]]), self._start)
+                last = max(self._seen_from if k == 0 else int(stamp[before[k - 1]]), self._start)
                 done.append(self._rest(self._start, last))
                 self._start, self._moving, self._angles = last, True, None
             else:
-                first = int(self._stamp[k])
+                first = int(stamp[new[k]])
                 done.append(self._motion(first))
                 self._start, self._moving = first, False
-        self._judged = len(moving)
+        self._judged, self._seen_from = len(stamp), int(stamp[before[-1]])
         self._forget()
         return done
 
-    def _noise(self) -> Floats:
-        """Return the standard deviation of each reading, (n, k) rad, by those before it.
-
-        Of readings that were judged already it is not asked: zero.
-        """
-        noise = np.zeros_like(self._position)
-        first = max(self._judged, _RECENT + 1)
-        if first < len(noise):
-            # The first readings have those after them alone.
-            around = self._position[first - _RECENT - 1 :]
-            sizes = np.abs(np.diff(around, n=2, axis=0))
-            windows = np.lib.stride_tricks.sliding_window_view(sizes, _RECENT, axis=0)
-            noise[first:] = _SECOND_DIFFERENCE * np.median(windows, axis=2)
-            if self._start is None:
-                noise[:first] = noise[first]
-        return noise
+    def _moved(
+        self, position: Floats, new: NDArray[np.intp], before: NDArray[np.intp], elapsed: Floats
+    ) -> NDArray[np.bool_]:
+        """Say of new readings, (n,), whether a joint is elsewhere than at those `before`."""
+        apart = np.abs(position[new] - position[before])
+        # What stands still does so however long nobody looks: silence is no leave to turn.
+        far = apart > (_STILL_RATE * np.minimum(elapsed, _LONGEST_LOOK))[:, None]
+        first = max(int(new[0]), _RECENT + 1)
+        if not far.any() or first >= len(position):
+            return np.asarray(far.any(axis=1))
+        # The first readings have those after them alone.
+        sizes = np.abs(np.diff(position[first - _RECENT - 1 :], n=2, axis=0))
+        limits = (_NOISE * _SECOND_DIFFERENCE) * sizes
+        # The median of their sizes is the noise of those before, and at most the largest.
+        unsure = np.flatnonzero((far & (apart <= limits.max(axis=0))).any(axis=1))
+        if len(unsure):
+            windows = np.lib.stride_tricks.sliding_window_view(limits, _RECENT, axis=0)
+            far[unsure] &= apart[unsure] > np.median(
+                windows[np.maximum(new[unsure] - first, 0)], axis=2
+            )
+        return np.asarray(far.any(axis=1))
 
     def _rest(self, start: int, end: int) -> Rest:
         """Close a rest; its angles are those of its first samples, however it is split."""
@@ -204,30 +203,25 @@ class JointTracker:
 
     def _mean(self, start: int, end: int) -> tuple[Floats, float]:
         """Return the mean angles from one instant to another, ns, and their deviation by noise."""
-        inside = (self._stamp >= start) & (self._stamp <= end)
-        return averaged(self._position[inside][:_SAMPLES_FOR_ANGLES])
+        return averaged(self._between(start, end)[1][:_SAMPLES_FOR_ANGLES])
 
     def _motion(self, end: int) -> Motion:
-        first = int(np.searchsorted(self._stamp, self._start or 0, side='left'))
-        inside = slice(first, int(np.searchsorted(self._stamp, end, side='right')))
-        return Motion(
-            self._start or 0, end, self._stamp[inside].copy(), self._position[inside].copy()
-        )
+        start = self._start or 0
+        return Motion(start, end, *self._between(start, end))
+
+    def _between(self, start: int, end: int) -> tuple[Stamps, Floats]:
+        """Return copies of the readings from one instant to another, ns, both included."""
+        return self._rows.between(start - 1, end)
 
     def _forget(self) -> None:
         """Drop what no later decision needs, so that memory does not grow with the session."""
-        if self._start is None:
-            return
-        recent = int(np.searchsorted(self._stamp, self._stamp[-1] - 2 * _WINDOW_NS))
-        recent = max(0, min(recent, len(self._stamp) - _RECENT - 2))
-        first = min(int(np.searchsorted(self._stamp, self._start)), recent)
-        if not self._moving and recent - first > _SAMPLES_FOR_ANGLES:
-            # The first samples of a rest give its angles, the last ones the next decision.
-            kept = np.r_[first : first + _SAMPLES_FOR_ANGLES, recent : len(self._stamp)]
-        else:
-            kept = np.arange(first, len(self._stamp))
-        self._stamp, self._position = self._stamp[kept], self._position[kept]
-        self._judged = len(self._stamp)
+        start, stamp = self._start or 0, self._rows.stamp
+        if not self._moving and self._angles is None and self._seen_from >= start + _ANGLES_NS:
+            # However the rest ends, it lasted until there.
+            self._angles = self._mean(start, start + _ANGLES_NS)
+        recent = int(np.searchsorted(stamp, stamp[-1] - 2 * _WINDOW_NS))
+        unread = recent if self._angles is not None else int(np.searchsorted(stamp, start))
+        self._judged -= self._rows.drop(min(unread, recent, len(stamp) - _RECENT - 2))
 
 
 def averaged(readings: Floats) -> tuple[Floats, float]:

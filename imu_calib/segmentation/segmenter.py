@@ -132,9 +132,9 @@ class Segmenter:
         if not len(stamp):
             return
         before = stamp[0] if self._newest is None else self._newest
-        begins = np.diff(stamp, prepend=before) > INTERRUPTION
-        last = np.concatenate([[before], stamp[:-1]])[begins]
-        self._interruptions += zip(last.tolist(), stamp[begins].tolist(), strict=True)
+        last = np.append(before, stamp[:-1])
+        begins = stamp - last > INTERRUPTION
+        self._interruptions += zip(last[begins].tolist(), stamp[begins].tolist(), strict=True)
         self._newest = int(stamp[-1])
 
     def finish(self) -> Segmented:
