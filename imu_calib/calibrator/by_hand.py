@@ -130,7 +130,7 @@ class HandCalibrator:
     def snapshot(self) -> HandCalibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself."""
         other = copy.copy(self)
-        other._segmenter = copy.deepcopy(self._segmenter)
+        other._segmenter = self._segmenter.snapshot()
         return other
 
     def review(self) -> HandReview:

@@ -81,7 +81,9 @@ class Calibrator:
 
         What the snapshot finishes with is what a session that ended here would give.
         """
-        return copy.deepcopy(self)
+        other = copy.copy(self)
+        other._segmenter = self._segmenter.snapshot()
+        return other
 
     def review(self) -> Review:
         """Say of a snapshot how far the session has come: solve, or what is determined already.
@@ -107,7 +109,7 @@ class Calibrator:
     def _reviewed(self, *, final: bool) -> Review:
         session = self._segmenter.finish()
         labelled = label(session, self._setup.plan, self._setup.table)
-        unsupported = unsupported_steps(session, labelled, self._setup.plan, self._setup.table)
+        unsupported = unsupported_steps(session, labelled, self._setup.plan, self._setup.steps)
         try:
             result = self._solve(session, final=final)
         except NotObservable as error:

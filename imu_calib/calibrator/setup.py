@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ..earth import Site
 from ..imu import ImuSpec
 from ..methods import JOINT, default_method, estimates
 from ..model import Parameter, Term
 from ..model.session_terms import Change
-from ..plan import Plan
+from ..plan import Plan, Step
 from ..turntable import Table
 
 
@@ -55,6 +56,11 @@ class Setup:
 
         """
         return estimates(self.method_name, self.terms)
+
+    @cached_property
+    def steps(self) -> tuple[Step, ...]:
+        """The plan laid out on the table; empty without one."""
+        return () if self.table is None else self.plan.steps(self.table)
 
     @property
     def plan_alone(self) -> bool:

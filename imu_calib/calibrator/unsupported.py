@@ -7,7 +7,6 @@ from ..segmentation.labelling import Labelled
 from ..segmentation.segment import Turn
 from ..segmentation.segmented import Segmented
 from ..stream import Mode
-from ..turntable import Table
 
 _ENOUGH = 0.5
 """Share of a dwell that must be sound: less costs more than a factor 1.4 in its noise."""
@@ -17,7 +16,7 @@ _SAME_RATE = 0.2
 
 
 def unsupported_steps(
-    session: Segmented, labelled: Labelled, plan: Plan, table: Table | None
+    session: Segmented, labelled: Labelled, plan: Plan, steps: tuple[Step, ...]
 ) -> tuple[int, ...]:
     """Return the steps whose setpoints were seen and whose data is not there.
 
@@ -25,18 +24,15 @@ def unsupported_steps(
         session: What the streams contain.
         labelled: Its segments by name.
         plan: What is run.
-        table: On what; without one nothing can be repeated.
+        steps: Its steps on the table; none without one, where nothing can be repeated.
 
     Returns:
         Indices of steps, ascending; the step that is being run is among them until it is done.
 
     """
-    if table is None:
-        return ()
     seen = [s.step for s in session.setpoints if s.plan == plan.name and s.mode is not Mode.HOLD]
     # Steps are run in order: one whose setpoints were lost with all else was run as well.
     last = max(seen, default=-1)
-    steps = plan.steps(table)
     rates = _rates_about_up(plan, steps)
     lost = [
         step.index

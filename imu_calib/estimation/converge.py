@@ -89,7 +89,8 @@ def least_squares(
         rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
         settled = before / 2 < change < _SETTLED
         if not damping and (settled or change < max(_CONVERGED * np.sqrt(len(left)), rounding)):
-            return tried
+            # Here and not where the step leads: what follows needs the derivatives that are known.
+            return state
         before = change
         ahead = system(tried)
         gained = _square(left) - _square(ahead[1])

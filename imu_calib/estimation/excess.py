@@ -196,12 +196,12 @@ class _Wander:
     @property
     def known(self) -> float:
         """Log likelihood of what is known beforehand."""
-        return float(scipy.special.logsumexp(self.calm))
+        return float(np.logaddexp.reduce(self.calm))
 
     @property
     def unknown(self) -> float:
         """Log likelihood of what is beyond it."""
-        return float(scipy.special.logsumexp(self.beyond))
+        return float(np.logaddexp.reduce(self.beyond, axis=None))
 
     @property
     def highest(self) -> float:
@@ -281,7 +281,7 @@ def _arrivals(
     # Of what does not move the arrivals all but what is known beforehand.
     none = either + math.log(max(-math.expm1(known - either), np.finfo(float).tiny))
     found -= math.log(found.size)
-    some = float(scipy.special.logsumexp(found))
+    some = float(np.logaddexp.reduce(found, axis=None))
     share = 1 / (1 + math.exp(min(none - some, 700.0)))
     if not _UNLIKELY < share < 1 - _UNLIKELY:
         share = round(share)
@@ -293,7 +293,7 @@ def _arrivals(
 
 def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
     """Return the log likelihoods of arrivals by all triads, (kinds, v), wanderings averaged."""
-    return np.asarray(np.sum([scipy.special.logsumexp(its, axis=0) for its in lines], axis=0))
+    return np.asarray(np.sum([np.logaddexp.reduce(its) for its in lines], axis=0))
 
 
 def _spread_out(

@@ -149,7 +149,7 @@ def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Sh
 
     """
     n, m = equations.sensors, len(equations.outputs)
-    factor = np.linalg.cholesky(equations.covariance(state))
+    factor = equations.factor(state)
     weights = scipy.linalg.solve_triangular(factor, gain[:n, :m].T, lower=True, trans='T').T
     found = equations.shares(state, weights)
     for source, which, freedom in equations.prior_sources:
@@ -180,21 +180,21 @@ def estimate(
     check_observable(equations)
     equations, constant = with_changes(equations, changes)
     # Moves lead from attitude to attitude of a table that is known; they say less of where it is.
-    resting = replace(equations, evidence=replace(evidence, moves=()))
+    resting = replace(equations, evidence=evidence.moved_by(()))
     resting, state = timed(resting, _start(resting))
     state = fit(resting, state)
     resting = _headed(_levelled(resting, state), state)
     state = fit(resting, state)
-    kept, astray = _moves_that_fit(resting, state, evidence)
-    equations = replace(resting, evidence=replace(evidence, moves=kept))
+    kept, astray = _moves_that_fit(resting, state, evidence.moves)
+    equations = replace(resting, evidence=kept)
     observed = Information.of(equations.whitened(state)[0]).observed
     if not np.delete(observed, np.r_[equations.arms]).all():
         # See `information.before`. Of lever arms turns show what the 24 need, and not more.
         equations = resting
-    found = _without_outliers(equations, fit(equations, state), turns=True)
+    found = _without_outliers(equations, state, turns=True)
     if _turns_disagree(evidence, found.outliers):
         equations, scatter = _turns_weighed_down(equations, state)
-        found = _without_outliers(equations, fit(equations, state), turns=False)
+        found = _without_outliers(equations, state, turns=False)
         found = replace(found, turns_scatter=scatter)
     between = doubt_of_time_constant(found.equations, found.state)
     covariance = found.covariance if between is None else found.covariance + between
@@ -202,9 +202,9 @@ def estimate(
 
 
 def _moves_that_fit(
-    resting: Equations, state: Floats, evidence: Evidence
-) -> tuple[tuple[Move, ...], tuple[Astray, ...]]:
-    """Choose the moves that rests and turns bear out.
+    resting: Equations, state: Floats, moves: tuple[Move, ...]
+) -> tuple[Evidence, tuple[Astray, ...]]:
+    """Choose the moves that rests and turns bear out: return the session with them.
 
     A gyro beyond its range, one that does not answer in proportion, or a table whose joints are
     not what they are said to be, is off by many times the noise in what takes seconds: such a move
@@ -213,20 +213,23 @@ def _moves_that_fit(
     Args:
         resting: The session without moves.
         state: (n,) what they say.
-        evidence: The session with them.
+        moves: All of it.
 
     """
+    evidence = resting.evidence.moved_by(moves)
     if not len(evidence.led):
-        return (), ()
+        return resting.evidence, ()
     scatter = excess(resting, state)
     kept: tuple[Move, ...] = ()
     while True:
         fitting, astray = _judged(with_scatter(resting, scatter), state, evidence)
-        if not astray or len(fitting) <= len(kept):
-            return fitting, astray
+        if not astray:
+            return evidence, ()
+        if len(fitting) <= len(kept):
+            return evidence.moved_by(fitting), astray
         # Moves show arrivals that hide in the noise of rests: with those that fit, others may.
         kept = fitting
-        moved = replace(resting, evidence=replace(evidence, moves=kept))
+        moved = replace(resting, evidence=evidence.moved_by(kept))
         scatter = replace(scatter, arriving=excess(moved, state).arriving)
 
 
@@ -253,17 +256,20 @@ def _judged(
 def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Estimate:
     """Weigh down what does not fit, one after the other; turns too, if so asked."""
     outliers: list[Outlier] = []
-    scatter = excess(equations, state)
+    plain = state = fit(equations, state)
+    scatter = excess(equations, plain)
+    weighted = with_scatter(equations, scatter)
     for _ in range(int(_MOST_OUTLIERS * len(equations.evidence.segments)) + 1):
-        weighted = with_scatter(equations, scatter)
         state = fit(weighted, state)
-        found = _outlier(equations, weighted, state, _candidates(equations.evidence, turns=turns))
+        views = (equations, plain), (weighted, state)
+        found = _outlier(views, _candidates(equations.evidence, turns=turns))
         if found is None:
             break
         outliers.append(found)
         equations = _weighed_down(equations, found.rows, 1 + found.square)
-        scatter = excess(equations, fit(equations, state))
-    weighted = with_scatter(equations, scatter)
+        plain = fit(equations, state)
+        scatter = excess(equations, plain)
+        weighted = with_scatter(equations, scatter)
     state = fit(weighted, state)
     information = Information.of(weighted.whitened(state)[0])
     return Estimate(
@@ -385,7 +391,9 @@ def fit(equations: Equations, state: Floats) -> Floats:
     """
     state = least_squares(state, equations.whitened, np.add, _ITERATIONS)
     azimuth = equations.sensors + Nuisance.AZIMUTH
-    state[azimuth] = (state[azimuth] + np.pi) % (2 * np.pi) - np.pi
+    if abs(state[azimuth]) > np.pi:
+        state = state.copy()
+        state[azimuth] = (state[azimuth] + np.pi) % (2 * np.pi) - np.pi
     return state
 
 
@@ -455,21 +463,23 @@ def _candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[n
 
 
 def _outlier(
-    plain: Equations,
-    weighted: Equations,
-    state: Floats,
+    views: tuple[tuple[Equations, Floats], tuple[Equations, Floats]],
     candidates: list[tuple[str, NDArray[np.intp]]],
 ) -> Outlier | None:
     """Find what fits least, and say whether the rest, judged without it, refuses it.
 
+    Looked at are the equations with the solution of each: without what scatters, and with it.
+
     One outlier among good stretches looks like a bias that wanders, and hides behind the scatter
     that it makes: the scatter that it is held against is that of the others alone.
     """
+    (plain, _), (_, state) = views
     if plain.own_variances.max() <= SMALLEST_VARIANCE:
         return None
     worst = set()
-    for equations in (plain, weighted):
-        squares = _falls(equations, state, candidates)
+    for equations, solved in views:
+        prepared = _cleaned(equations, solved)
+        squares = np.array([_drop(prepared, rows)[0] for _, rows in candidates])
         if squares.max() > scipy.special.chdtri(3, _SUSPECT):
             worst.add(int(np.argmax(squares)))
     best: Outlier | None = None
@@ -485,14 +495,6 @@ def _outlier(
     return best
 
 
-def _falls(
-    equations: Equations, state: Floats, candidates: list[tuple[str, NDArray[np.intp]]]
-) -> Floats:
-    state = fit(equations, state)
-    prepared = _cleaned(equations, state)
-    return np.array([_drop(prepared, rows)[0] for _, rows in candidates])
-
-
 def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[float, int]:
     """Return by how much chi-square falls when some outputs get offsets of their own, and how many.
 
@@ -503,13 +505,12 @@ def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[
 
 def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
     """Return C^-1 (outputs less prediction) and C^-1 less what the state takes up."""
-    factor = scipy.linalg.cho_factor(equations.covariance(state), lower=True)
-    jacobian, left = equations.jacobian(state), equations.outputs - equations.predict(state)
-    inverse = scipy.linalg.cho_solve(factor, np.eye(len(left)))
+    factor, (jacobian, left) = equations.factor(state), equations.whitened(state)
+    root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True)
     # Next to outputs without noise the others may seem to observe nothing: they take up nothing.
-    taken = np.nan_to_num(Information.of(equations.whitened(state)[0]).covariance)
-    weighed = inverse @ jacobian
-    return inverse @ left, inverse - weighed @ taken @ weighed.T
+    taken = np.nan_to_num(Information.of(jacobian).covariance)
+    weighed = root.T @ jacobian[: len(factor)]
+    return root.T @ left[: len(factor)], root.T @ root - weighed @ taken @ weighed.T
 
 
 def _drop(prepared: tuple[Floats, Floats], rows: NDArray[np.intp]) -> tuple[float, int]:

@@ -298,7 +298,7 @@ class Residuals:
         jacobian, left = equations.whitened(state)
         norms = np.linalg.norm(jacobian, axis=0)
         basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
-        factor = np.linalg.cholesky(equations.covariance(state))
+        factor = equations.factor(state)
         return cls(equations, np.asarray(basis), _without(left, basis), np.asarray(factor))
 
     def score(self, family: Family, patterns: Sequence[Pattern]) -> Score:

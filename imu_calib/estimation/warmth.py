@@ -64,7 +64,7 @@ def _moved(found: Estimate, letter: str) -> tuple[str, float]:
     """
     equations = found.equations
     names = equations.parameters
-    factor = np.linalg.cholesky(equations.covariance(found.state))
+    factor = equations.factor(found.state)
     one = equations.columns(
         [change(Course.THERMAL, f'K_{letter}')], equations.jacobian(found.state)
     )

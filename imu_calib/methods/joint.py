@@ -130,7 +130,7 @@ def _residuals(found: Estimate) -> tuple[Residual, ...]:
     equations, evidence = found.equations, found.equations.evidence
     rest = equations.rows.rest
     left = (equations.outputs - equations.predict(found.state))[rest]
-    std = np.sqrt(np.diag(equations.covariance(found.state))[rest])
+    std = np.linalg.norm(equations.factor(found.state), axis=1)[rest]
     return tuple(
         Residual(str(segment.position), segment.start, value, deviation)
         for segment, value, deviation in zip(evidence.segments, left, std, strict=True)
@@ -150,8 +150,7 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
     """
     plain = found.calm
     state, sensors = found.state, found.equations.sensors
-    factor = np.linalg.cholesky(plain.covariance(state))
-    free = scipy.linalg.solve_triangular(factor, plain.by_rate(state), lower=True)
+    free = scipy.linalg.solve_triangular(plain.factor(state), plain.by_rate(state), lower=True)
     jacobian, left = plain.whitened(state)
     # The heading is one of the three that are now free.
     jacobian = np.delete(jacobian, sensors + Nuisance.AZIMUTH, axis=1)

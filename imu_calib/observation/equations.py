@@ -578,18 +578,28 @@ class Equations:
             (m + k, n) derivatives and (m + k,) outputs less prediction.
 
         """
-        # A fit ends where what follows begins.
-        if self._latest.get('at') != (key := state.tobytes()):
-            self._latest.update(at=key, columns=self._whitened(state))
-        columns = cast(Floats, self._latest['columns'])
+        columns = self._weighed(state)[1]
         return columns[:, :-1], columns[:, -1]
 
+    def factor(self, state: Floats) -> Floats:
+        """Return the lower root of `covariance`, (m,) square, by which outputs are whitened."""
+        return self._weighed(state)[0]
+
+    def _weighed(self, state: Floats) -> tuple[Floats, Floats]:
+        """Return the root of the covariance, and the columns that are whitened by it."""
+        # A fit ends where what follows begins.
+        key = state.tobytes()
+        if key not in self._latest:
+            self._latest.clear()
+            factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
+            self._latest[key] = factor, self._whitened(state, factor)
+        return self._latest[key]
+
     @cached_property
-    def _latest(self) -> dict[str, object]:
+    def _latest(self) -> dict[bytes, tuple[Floats, Floats]]:
         return {}
 
-    def _whitened(self, state: Floats) -> Floats:
-        factor = np.linalg.cholesky(self.covariance(state))
+    def _whitened(self, state: Floats, factor: Floats) -> Floats:
         columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
         if len(columns):
             columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)

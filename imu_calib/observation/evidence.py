@@ -33,6 +33,9 @@ UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 _REMEMBERED = 21
 """Seven at each of three states: the last step, and two from which the next fits start."""
+_STANDING = {'held', 'turning', 'headings', 'arms', 'leaning', 'arrivals'}
+"""What of a session follows from its rests and turns, moves or not."""
+
 _QUARTZ = 50e-6
 _STATED_FREEDOM = 10.0
 _ENOUGH_FREEDOM = 20.0
@@ -124,6 +127,15 @@ class Evidence:
                 [[t.scale_factor_temperature, t.bias_temperature] for t in (imu.gyro, imu.accel)]
             ),
         )
+
+    def moved_by(self, moves: tuple[Move, ...]) -> Evidence:
+        """Return the session with other moves, or none: of rests and turns nothing is done again.
+
+        Whatever is worked out of these alone is kept.
+        """
+        found = replace(self, moves=moves)
+        vars(found).update({name: vars(self)[name] for name in _STANDING & vars(self).keys()})
+        return found
 
     @cached_property
     def memo(self) -> deque[tuple[Any, ...]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -126,6 +127,11 @@ class Segmenter:
         elif isinstance(block, TemperatureBlock):
             self._thermometer.feed(block)
         self._work()
+
+    def snapshot(self) -> Segmenter:
+        """Return a segmenter that goes on from here by itself; what was found is the same."""
+        values = (self._spec, self._table, self._sensor, *self._segments, *self._turns)
+        return copy.deepcopy(self, {id(value): value for value in values})
 
     def _note_interruptions(self, stamp: Stamps) -> None:
         """Note where the IMU's stream begins anew."""
