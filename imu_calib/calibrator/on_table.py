@@ -58,6 +58,7 @@ class Calibrator:
         self._solver = method(*asked, look=setup.look)
         self._glance = provisional(*asked)
         self._segmenter = Segmenter(setup.imu, setup.table)
+        self._gathered: tuple[tuple[object, ...], Evidence] | None = None
 
     def feed(self, block: Block) -> None:
         """Take a block of any topic in."""
@@ -74,7 +75,7 @@ class Calibrator:
         session = self._segmenter.finish()
         if session.strangers:
             raise InputError(session.strangers)
-        return self._solve(session, final=True)
+        return self._solve(session, self._labelled(session), final=True)
 
     def snapshot(self) -> Calibrator:
         """Return a calibrator with all that came in so far; this one goes on by itself.
@@ -108,10 +109,10 @@ class Calibrator:
 
     def _reviewed(self, *, final: bool) -> Review:
         session = self._segmenter.finish()
-        labelled = label(session, self._setup.plan, self._setup.table)
+        labelled = self._labelled(session)
         unsupported = unsupported_steps(session, labelled, self._setup.plan, self._setup.steps)
         try:
-            result = self._solve(session, final=final)
+            result = self._solve(session, labelled, final=final)
         except NotObservable as error:
             std = self._reached(labelled, session)
             return self._review(session, std, unsupported, None, str(error))
@@ -161,8 +162,12 @@ class Calibrator:
         return labelled.of_plan(setup.plan) if setup.plan_alone else labelled
 
     def _evidence(self, labelled: Labelled, session: Segmented) -> Evidence:
-        setup = self._setup
-        return Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
+        """Gather evidence; the same once more where a session is of the plan's positions alone."""
+        setup, parts = self._setup, (labelled.segments, labelled.turns, session)
+        if self._gathered is None or self._gathered[0] != parts:
+            found = Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
+            self._gathered = parts, found
+        return self._gathered[1]
 
     def _estimate(
         self,
@@ -202,9 +207,11 @@ class Calibrator:
             return solution, Comparison.refused(name, str(closed))
         return solution, Comparison.of(solution, closed, name)
 
-    def _solve(self, session: Segmented, *, final: bool) -> Result:
+    def _labelled(self, session: Segmented) -> Labelled:
+        return label(session, self._setup.plan, self._setup.table)
+
+    def _solve(self, session: Segmented, labelled: Labelled, *, final: bool) -> Result:
         setup = self._setup
-        labelled = label(session, setup.plan, setup.table)
         used = self._used(labelled)
         if not used.segments and not used.turns:
             raise NotObservable(nothing_found(session, labelled, setup))

@@ -88,9 +88,11 @@ def least_squares(
         tried = moved(state, step)
         rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
         settled = before / 2 < change < _SETTLED
-        if not damping and (settled or change < max(_CONVERGED * np.sqrt(len(left)), rounding)):
-            # Here and not where the step leads: what follows needs the derivatives that are known.
+        if not damping and change < _CONVERGED * np.sqrt(len(left)):
+            # Not where the step leads, which is as good: here the derivatives are known.
             return state
+        if not damping and (settled or change < rounding):
+            return tried
         before = change
         ahead = system(tried)
         gained = _square(left) - _square(ahead[1])

@@ -365,13 +365,15 @@ def _start(equations: Equations) -> Floats:
     known = equations.north_known
     angles = [0.0] if known else [k * 2 * np.pi / _STARTS for k in range(_STARTS)]
     best, smallest = equations.nominal(), np.inf
+    # Weights hardly depend on the heading.
+    factor = equations.factor(best)
     for angle in angles:
         state = equations.nominal()
         state[equations.sensors + Nuisance.AZIMUTH] = angle
-        jacobian, left = equations.whitened(state)
         # Of the table nothing is taken as known yet, of lever arms that they are no kilometres.
         priors = len(equations.outputs) + np.arange(len(Nuisance))
-        columns, left = np.delete(jacobian, priors, axis=0), np.delete(left, priors)
+        rows = np.delete(equations.whitened_by(factor, state), priors, axis=0)
+        columns, left = rows[:, :-1], rows[:, -1]
         first = equations.sensors
         columns[:, [first + which for which in Nuisance if which or known]] = 0.0
         columns[:, equations.changing] = 0.0

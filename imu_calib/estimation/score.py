@@ -83,10 +83,8 @@ class Family:
 
     def freed(self, equations: Equations, size: float) -> Equations:
         """Return equations whose table has this error alone, each of a standard deviation, rad."""
-        table = equations.evidence.table
-        assert table is not None
-        table = replace(table, errors=replace(TableErrors(), **{self.name: size}))
-        return replace(equations, evidence=replace(equations.evidence, table=table))
+        errors = replace(TableErrors(), **{self.name: size})
+        return replace(equations, evidence=equations.evidence.leaned_by(errors))
 
     def scatter(self, equations: Equations, state: Floats, time_constant: float) -> Excess:
         """Return what scatters beside the noise once the family explains what it can.

@@ -592,14 +592,15 @@ class Equations:
         if key not in self._latest:
             self._latest.clear()
             factor = np.asarray(np.linalg.cholesky(self.covariance(state)), dtype=float)
-            self._latest[key] = factor, self._whitened(state, factor)
+            self._latest[key] = factor, self.whitened_by(factor, state)
         return self._latest[key]
 
     @cached_property
     def _latest(self) -> dict[bytes, tuple[Floats, Floats]]:
         return {}
 
-    def _whitened(self, state: Floats, factor: Floats) -> Floats:
+    def whitened_by(self, factor: Floats, state: Floats) -> Floats:
+        """Return derivatives and residuals, (m + k, n + 1), by a root (m, m) of a covariance."""
         columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
         if len(columns):
             columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)

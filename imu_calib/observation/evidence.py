@@ -21,7 +21,7 @@ from ..segmentation.segmented import Move, Segmented
 from ..segmentation.statistics import pooled_walk
 from ..segmentation.thermometer import Temperature
 from ..stream import Floats, Units
-from ..table_errors import LEVELLED
+from ..table_errors import LEVELLED, TableErrors
 from ..turntable import Table
 from .arms import Arms
 from .arrivals import Leaning, around, of_joints, of_stops
@@ -33,8 +33,8 @@ UP = np.array([0.0, 0.0, 1.0])
 _AXIS_TOLERANCE = 0.05
 _REMEMBERED = 21
 """Seven at each of three states: the last step, and two from which the next fits start."""
-_STANDING = {'held', 'turning', 'headings', 'arms', 'leaning', 'arrivals'}
-"""What of a session follows from its rests and turns, moves or not."""
+_OF_RESTS = {'held', 'turning', 'headings', 'arms'}
+"""What of a session follows from its rests and turns alone."""
 
 _QUARTZ = 50e-6
 _STATED_FREEDOM = 10.0
@@ -133,8 +133,23 @@ class Evidence:
 
         Whatever is worked out of these alone is kept.
         """
-        found = replace(self, moves=moves)
-        vars(found).update({name: vars(self)[name] for name in _STANDING & vars(self).keys()})
+        return self._but(_OF_RESTS | {'leaning', 'arrivals'}, moves=moves)
+
+    def leaned_by(self, errors: TableErrors) -> Evidence:
+        """Return the session on its table with other errors: no more than `leaning` is by them.
+
+        Raises:
+            ValueError: There is no table.
+
+        """
+        if self.table is None:
+            raise ValueError('no table, and none of its errors')
+        kept = _OF_RESTS | {'arrivals', 'led', 'rows', 'memo'}
+        return self._but(kept, table=replace(self.table, errors=errors))
+
+    def _but(self, kept: set[str], **changed: Any) -> Evidence:
+        found = replace(self, **changed)
+        vars(found).update({name: vars(self)[name] for name in kept & vars(self).keys()})
         return found
 
     @cached_property
