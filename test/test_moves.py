@@ -14,6 +14,7 @@ from test_other_world import MEDIUM, NAVIGATION, segmented, true_vector
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
+from imu_calib.estimation.fit import fit
 from imu_calib.methods import joint
 from imu_calib.model import SensorModel
 from imu_calib.observation.equations import Equations
@@ -23,6 +24,7 @@ from imu_calib.segmentation.moves import STEP_ANGLE, joined
 from imu_calib.segmentation.statistics import Samples
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, ImuBlock
+from imu_calib.table_errors import TableErrors
 from imu_calib.turntable import load_table
 from imu_calib.units import ARCSEC, DEG, PPM
 
@@ -178,3 +180,36 @@ def test_moves_led_on_together_have_the_bits_of_each_alone() -> None:
         for name in ('rates', 'seconds', 'whole', 'carried'):
             assert getattr(path, name).tobytes() == getattr(alone, name).tobytes(), name
     assert Path.of_each([], model) == ()
+
+
+def test_other_moves_leave_what_rests_and_turns_say() -> None:
+    known = evidence()
+    state = Equations(known).nominal()
+    Equations(known).whitened(state)
+    for fresh, kept in (
+        (replace(known, moves=()), known.moved_by(())),
+        (replace(known, moves=known.moves[:3]), known.moved_by(known.moves[:3])),
+    ):
+        assert kept.arms is known.arms
+        for one, other in zip(*(Equations(e).whitened(state) for e in (fresh, kept)), strict=True):
+            assert np.array_equal(one, other)
+
+
+def test_other_errors_of_the_table_lead_no_move_again(monkeypatch) -> None:
+    known, errors = evidence(), TableErrors(orthogonality=1e-3)
+    state = Equations(known).nominal()
+    Equations(known).jacobian(state)
+    fresh = Equations(replace(known, table=replace(known.table, errors=errors))).by_table(state)
+    monkeypatch.setattr(Path, 'of_each', None)
+    assert np.array_equal(Equations(known.leaned_by(errors)).by_table(state), fresh)
+    assert fresh.any()
+
+
+def test_a_fit_ends_where_its_derivatives_are_known(monkeypatch) -> None:
+    equations = Equations(evidence())
+    state = fit(equations, equations.nominal())
+    monkeypatch.setattr(Equations, 'covariance', None)
+    jacobian, left = equations.whitened(state)
+    # A step from there would move the outputs by less than a billionth of their deviations.
+    step = np.linalg.lstsq(jacobian, left, rcond=None)[0]
+    assert np.linalg.norm(jacobian @ step) < 1e-9 * np.sqrt(len(left))

@@ -588,3 +588,20 @@ def test_a_gap_beside_few_samples_is_one() -> None:
     # Half of two steps is the gap: it is no jitter.
     stamps = np.array([0, 14_310_000_000, 14_320_000_000])
     assert gap_free(stamps, 0.01) == [(0, 1), (1, 3)]
+
+
+def test_a_snapshot_holds_what_was_found_and_goes_on_by_itself() -> None:
+    setup = Setup(paper_imu(), quick_plan('six_position', 20.0), load_table('three_axis'), SITE)
+    blocks = list(session(setup.plan))
+    half = len(blocks) // 2
+    going = fed(blocks[:half], setup)
+    snapshot = going.snapshot()
+    found = going._segmenter.segments
+    assert found
+    assert all(a is b for a, b in zip(found, snapshot._segmenter.segments, strict=True))
+    for one in (going, snapshot):
+        for _, block in blocks[half:]:
+            one.feed(block)
+    one, other = (c._segmenter.finish() for c in (going, snapshot))
+    pairs = zip(one.segments, other.segments, strict=True)
+    assert all(np.array_equal(a.statistics.mean, b.statistics.mean) for a, b in pairs)
