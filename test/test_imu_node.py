@@ -375,31 +375,47 @@ def test_simulated_time_before_the_first_clock_message_opens_nothing(bench):
     assert not bench.node._source.state.open
 
 
-def test_in_simulated_time_stamps_are_right_to_a_step_of_the_clock(bench):
+EPOCH = 1_700_000_000 * NS
+
+
+def in_simulated_time(bench, frames):
+    """Send frames ten times as fast as the wall clock; return what sets time, tenths of a s."""
     bench.open(use_sim_time='true', gap_timeout=10.0)
     clock = bench.listener.create_publisher(ros.messages.Clock, '/clock', 10)
-    epoch = 1_700_000_000 * NS
 
     def step(k):
         message = ros.messages.Clock()
-        message.clock.sec, message.clock.nanosec = divmod(epoch + k * NS // 10, NS)
+        message.clock.sec, message.clock.nanosec = divmod(EPOCH + k * NS // 10, NS)
         clock.publish(message)
 
     assert bench.until(lambda: clock.get_subscription_count() >= 2)
     step(0)
     bench.connect()
-    # Ten times as fast as the wall clock.
-    for k in range(20):
+    for k in range(frames // 100):
         bench.while_spinning(lambda: bench.device.send(100))
         step(k + 1)
         bench.until(lambda: False, 0.01)
-    assert bench.arrived(2000)
+    assert bench.arrived(frames)
+    return step
+
+
+def test_in_simulated_time_stamps_are_right_to_a_step_of_the_clock(bench):
+    step = in_simulated_time(bench, 2000)
     stamp = bench.listener.samples().stamp
     assert (np.diff(stamp) == NS // RATE).all()
     # No sample is stamped before the host knew that it was made.
-    assert 0 <= stamp[0] - epoch <= NS // 10
+    assert 0 <= stamp[0] - EPOCH <= NS // 10
     # By 18 s time leaps while the machine is busy with something else: that is no silence.
     step(200)
-    bench.until(lambda: bench.node.get_clock().now().nanoseconds == epoch + 20 * NS)
+    bench.until(lambda: bench.node.get_clock().now().nanoseconds == EPOCH + 20 * NS)
     bench.until(lambda: False, 0.1)
     assert not bench.listener.heard('stream', 2, 'No frame has come')
+
+
+def test_what_came_last_before_the_end_is_stamped_by_simulated_time_too(bench):
+    in_simulated_time(bench, 1000)
+    bench.device.send(100)
+    assert until(lambda: bench.node._source._waiting == 100 * len(frame(0, 0, [0] * 6)))
+    bench.node.stop()
+    assert bench.arrived(1100)
+    assert (np.diff(bench.listener.samples().stamp) == NS // RATE).all()

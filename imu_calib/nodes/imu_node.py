@@ -90,8 +90,8 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         """Let go of the device; return the publishers that must be heard."""
         self._source.stop()
         self._waiting += self._source.take()
-        if self._waiting:
-            self._take(self._waiting)
+        if chunks := self._first(len(self._waiting)):
+            self._take(chunks)
         self._line.settle()
         self._release()
         return [self._pulses] if self._skews is None else [self._pulses, self._skews]
@@ -161,16 +161,20 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         """
         if len(self._waiting) < _MOST_WAITING:
             self._waiting += self._source.take(_MOST_BYTES)
+        ready = len(self._waiting)
+        if self._simulated and self._line.offset is None:
+            now = self._now()
+            ready = sum(chunk.arrival < now for chunk in self._waiting)
+        return self._first(ready)
+
+    def _first(self, count: int) -> list[Chunk]:
+        """Return the first of the bytes that wait; in simulated time no other clock counts."""
+        chunks = self._waiting[:count]
+        del self._waiting[:count]
         if not self._simulated:
-            chunks, self._waiting = self._waiting, []
             return chunks
         now = self._now()
-        ready = len(self._waiting)
-        if self._line.offset is None:
-            ready = sum(chunk.arrival < now for chunk in self._waiting)
-        chunks = [Chunk(chunk.data, now, now) for chunk in self._waiting[:ready]]
-        del self._waiting[:ready]
-        return chunks
+        return [Chunk(chunk.data, now, now) for chunk in chunks]
 
     def _take(self, chunks: list[Chunk]) -> None:
         """Decode bytes; their samples wait until the clock's offset is known."""
