@@ -576,6 +576,33 @@ def test_signals_that_come_on_top_of_each_other_end_a_node_too(domain):
         assert process.returncode in {0, -signal.SIGINT, -signal.SIGTERM}
 
 
+PROGRAM = """
+import sys
+from imu_calib.middleware import Node
+from imu_calib.nodes.entry import entry_point
+class Ending(Node):
+    def __init__(self):
+        super().__init__('ending')
+        print('ready', flush=True)
+code = entry_point(Ending)
+print('over', flush=True)
+sys.stdin.readline()
+raise SystemExit(code)
+"""
+
+
+def test_a_program_that_a_signal_has_ended_is_not_cut_short_by_the_next(domain):
+    """A launcher sends SIGTERM where a busy machine takes more than 5 s after SIGINT."""
+    process = start(PROGRAM)
+    assert process.stdout.readline() == 'ready\n'
+    process.send_signal(signal.SIGINT)
+    assert process.stdout.readline() == 'over\n'
+    process.send_signal(signal.SIGTERM)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate('\n', timeout=patience())
+    assert process.returncode == 0, errors
+
+
 def test_a_node_that_nobody_hears_ends_all_the_same(domain):
     process = start(LAST_WORD)
     assert process.stdout.readline() == 'ready\n'

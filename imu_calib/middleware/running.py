@@ -56,6 +56,7 @@ def run(
     *,
     args: Sequence[str] | None = None,
     done: Callable[[Any], bool] | None = None,
+    ends: bool = False,
 ) -> bool:
     """Spin a node until SIGINT, SIGTERM, shutdown, or until it is done.
 
@@ -67,6 +68,8 @@ def run(
         node_factory: Makes the node, after init.
         args: Command line with --ros-args; none for that of the process.
         done: Asked with the node after each round; true ends the run.
+        ends: Whether the process ends with the run: it is then not cut short by a signal that comes
+            later, SIGTERM after SIGINT, where the end takes a launcher too long.
 
     Returns:
         Whether every last message was acknowledged.
@@ -93,7 +96,7 @@ def run(
     finally:
         try_shutdown()
         for number, handler in former.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if ends else handler)
     return heard
 
 

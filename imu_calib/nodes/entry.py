@@ -18,7 +18,7 @@ def entry_point(node: Callable[[], Any]) -> int:
     """
     end_with_parent()
     try:
-        run(node)
+        run(node, ends=True)
     except ImuCalibError as error:
         print(f'{getattr(node, "__name__", "node")}: {error}', file=sys.stderr)  # noqa: T201
         return error.exit_code
