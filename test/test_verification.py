@@ -20,7 +20,7 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
 from imu_calib.metadata import describe
 from imu_calib.model import Triad
-from imu_calib.plan import UNPLANNED
+from imu_calib.plan import UNPLANNED, Plan
 from imu_calib.rotations import rotation
 from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segmenter import Segmenter
@@ -43,10 +43,12 @@ def calibration() -> Calibration:
     return calibrate(session(plan, stand(azimuth=0.3), seed=100), plan).calibration
 
 
-def segmented(seed: int, table: Table | None, mounted: Table | None = None) -> Segmented:
+def segmented(
+    seed: int, table: Table | None, mounted: Table | None = None, plan: Plan = PLAN
+) -> Segmented:
     """A session of the table `mounted`, read as if it were of `table`; None: by the IMU alone."""
     segmenter = Segmenter(paper_imu(), table)
-    blocks = session(PLAN, stand(azimuth=HEADING), seed, table=mounted or table)
+    blocks = session(plan, stand(azimuth=HEADING), seed, table=mounted or table)
     for _, block in blocks:
         if table is not None or isinstance(block, ImuBlock):
             segmenter.feed(block)
@@ -57,6 +59,11 @@ def segmented(seed: int, table: Table | None, mounted: Table | None = None) -> S
 def observed(seed: int = 0) -> Observed:
     table = load_table('three_axis')
     return observe(segmented(seed, table), paper_imu(), SITE, PLAN, table)
+
+
+@cache
+def verified(seed: int = 0) -> Verification:
+    return verify(calibration(), observed(seed))
 
 
 @cache
@@ -76,7 +83,7 @@ def symptom(verification: Verification, *, gyros: bool) -> str:
 
 @pytest.mark.parametrize('seed', range(3))
 def test_the_right_calibration_is_accepted(seed: int) -> None:
-    verification = verify(calibration(), observed(seed))
+    verification = verified(seed)
     assert verification.verdict is not Verdict.FAIL
     for judged in verification.triads:
         assert judged.diagnosis is None
@@ -84,10 +91,24 @@ def test_the_right_calibration_is_accepted(seed: int) -> None:
         assert abs(judged.square - judged.freedom) < 5 * np.sqrt(2 * judged.freedom)
 
 
+def at_one_rate(plan: Plan) -> Plan:
+    """The plan with the last pair of its rates alone."""
+    return replace(
+        plan,
+        positions=tuple(
+            p if p.rate_test is None else replace(p, rate_test=replace(p.rate_test, rates=last))
+            for p in plan.positions
+            for last in [p.rate_test.rates[-2:] if p.rate_test is not None else ()]
+        ),
+    )
+
+
 def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
-    # What turns and their run-ups were is a move of a thousand degrees; the Earth's rate alone
-    # knows K_g to a percent.
-    seen = replace(observed(), evidence=replace(observed().evidence, turns=()))
+    # What turns and their run-ups were is a move of a thousand degrees, a minute for each axis at
+    # the fastest rate alone; the Earth's rate alone knows K_g to a percent.
+    table, plan = load_table('three_axis'), at_one_rate(PLAN)
+    seen = observe(segmented(0, table, plan=plan), paper_imu(), SITE, plan, table)
+    seen = replace(seen, evidence=replace(seen.evidence, turns=()))
     assert len(seen.evidence.led) == 5
     (gyros, _) = verify(calibration(), seen).triads
     assert gyros.verdict is Verdict.PASS
@@ -101,14 +122,14 @@ def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
 
 
 def test_what_is_compared_scatters_as_stated() -> None:
-    ratios = [c.ratio for seed in range(3) for c in verify(calibration(), observed(seed)).compared]
+    ratios = [c.ratio for seed in range(3) for c in verified(seed).compared]
     assert len(ratios) == 3 * (6 * 4 + 18 * 2)
     # 180 ratios, not all independent of each other.
     assert 0.75 < np.sqrt(np.mean(np.square(ratios))) < 1.3
 
 
 def test_the_limits_are_those_of_the_largest_of_all_that_is_compared() -> None:
-    verification = verify(calibration(), observed())
+    verification = verified()
     # The chance that the largest of n independent ratios exceeds the limit, by sound data.
     n = len(verification.compared)
     assert n == 6 * 4 + 18 * 2
@@ -338,21 +359,21 @@ def test_an_axis_off_by_what_the_table_states_is_no_fault_of_the_calibration() -
     segments = tuple(replace(s, attitude=leaning.attitude(s.angles)) for s in evidence.segments)
     turns = tuple(replace(t, up=leaning.attitude(t.angles)[2]) for t in evidence.turns)
 
-    def judged(**stated: float) -> Verification:
+    def stating(**stated: float) -> Verification:
         said = replace(table, errors=TableErrors(**stated))
         seen = replace(evidence, segments=segments, turns=turns, table=said)
         return verify(calibration(), replace(observed(), evidence=seen))
 
-    assert judged().verdict is Verdict.FAIL
-    known = judged(orthogonality=lean)
+    assert stating().verdict is Verdict.FAIL
+    known = stating(orthogonality=lean)
     assert known.verdict is Verdict.PASS
     # What leans in common leaves every angle its own deviation, and no length.
     far, near = (
         {q: max(abs(c.ratio) for c in v.compared if c.quantity is q) for q in Quantity}
-        for v in (judged(), known)
+        for v in (stating(), known)
     )
     for quantity in (Quantity.DIRECTION, Quantity.TURN_AXIS):
-        assert far[quantity] > judged().limits[1]
+        assert far[quantity] > stating().limits[1]
         assert near[quantity] < known.limits[0]
     assert near[Quantity.GRAVITY] == pytest.approx(far[Quantity.GRAVITY], rel=1e-3)
 

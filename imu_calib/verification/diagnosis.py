@@ -195,7 +195,10 @@ def _fit(system: System, values: Floats, factor: Floats) -> Fit | None:
 def _mistaken(system: System, values: Floats, factor: Floats) -> Iterator[_Tried]:
     """Take the file, or the outputs, for what they are not."""
     for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
-        read = replace(system, reading=system.reading * mistake.reading)
+        # Read as it is, the session's equations are not made anew.
+        read = system
+        if mistake.reading != 1:
+            read = replace(system, reading=system.reading * mistake.reading)
         if fit := _fit(read, mistake.values, factor):
             yield _Tried(Diagnosis(mistake.why), mistake.when, fit)
 
