@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from loopback import patience, until
-from sessions import SITE, ended, paper_imu, quick_plan, stand
+from sessions import SITE, at_one_rate, ended, paper_imu, quick_plan, stand
 
 from imu_calib.bags import Journal, open_recording
 from imu_calib.calibrator import Calibrator, Setup
@@ -32,20 +32,45 @@ ENCODERS = {
     SetpointBlock: (Kind.SETPOINTS, encode_setpoints),
 }
 TABLE = load_table('three_axis')
-PLAN = quick_plan('twelve_position', dwell=6.0)
+PLAN = at_one_rate(quick_plan('twelve_position', dwell=6.0))
 SETUP = Setup(paper_imu(), PLAN, TABLE, SITE)
+SLOW = replace(SETUP, plan=quick_plan('twelve_position', dwell=6.0))
 DESCRIPTION = {'imu_calib.plan': 'twelve, but shorter'}
+
+
+def serialised(setup):
+    payloads = {kind: [] for kind in TOPICS}
+    for _, block in simulate(setup.plan, TABLE, setup.imu, SensorModel(), SITE, stand(), 3):
+        if type(block) in ENCODERS:
+            kind, encode = ENCODERS[type(block)]
+            payloads[kind] += encode(block).payloads()
+    return payloads
 
 
 @pytest.fixture(scope='module')
 def wire():
     """The serialised messages of a session, by topic."""
-    payloads = {kind: [] for kind in TOPICS}
-    for _, block in simulate(PLAN, TABLE, SETUP.imu, SensorModel(), SITE, stand(), 3):
-        if type(block) in ENCODERS:
-            kind, encode = ENCODERS[type(block)]
-            payloads[kind] += encode(block).payloads()
-    return payloads
+    return serialised(SETUP)
+
+
+@pytest.fixture(scope='module')
+def slow_wire():
+    """Those of a session that turns at all rates of the plan."""
+    return serialised(SLOW)
+
+
+@pytest.fixture(scope='module')
+def reference(wire):
+    """What the messages of the session give, one topic after the other."""
+    return fed_at_once(wire, SETUP).finish().calibration
+
+
+def fed_at_once(wire, setup):
+    calibrator = Calibrator(setup)
+    for kind, payloads in wire.items():
+        for block in kind.decode(Messages.join(payloads)):
+            calibrator.feed(block)
+    return calibrator
 
 
 def begin(folder, description=DESCRIPTION):
@@ -96,17 +121,15 @@ def same(one, other):
 
 @settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_result_is_that_of_the_journal_however_the_messages_came(tmp_path_factory, wire, seed):
+def test_the_result_is_that_of_the_journal_however_the_messages_came(
+    tmp_path_factory, wire, reference, seed
+):
     folder = tmp_path_factory.mktemp('live') / 'journal'
     session = begin(folder)
     send(session, wire, np.random.default_rng(seed))
     live = finish(session)
     assert same(live, offline(folder))
-    reference = Calibrator(SETUP)
-    for kind, payloads in wire.items():
-        for block in kind.decode(Messages.join(payloads)):
-            reference.feed(block)
-    assert same(live, reference.finish().calibration)
+    assert same(live, reference)
 
 
 def test_reviews_on_the_way_leave_the_result_as_it_is(tmp_path, wire):
@@ -125,11 +148,7 @@ def test_reviews_on_the_way_leave_the_result_as_it_is(tmp_path, wire):
 
 
 def test_terms_are_looked_for_when_a_session_ends_and_not_at_every_review(wire):
-    setup = replace(SETUP, look=True)
-    whole = Calibrator(setup)
-    for kind, payloads in wire.items():
-        for block in kind.decode(Messages.join(payloads)):
-            whole.feed(block)
+    whole = fed_at_once(wire, replace(SETUP, look=True))
     review, end = whole.snapshot().review(), whole.snapshot().conclude()
     assert review.result is not None
     assert end.result is not None
@@ -230,13 +249,13 @@ MANY = 10 if os.environ.get('IMU_CALIB_MATRIX') == 'covering' else 40
 @settings(max_examples=MANY, deadline=None, suppress_health_check=list(HealthCheck))
 @given(lag=st.integers(-3000, 3000), share=st.floats(0, 1))
 @example(lag=2369, share=0.9636708728449709)
-def test_a_session_can_be_reviewed_wherever_it_stands(wire, lag, share):
-    calibrator = Calibrator(SETUP)
-    for kind, payloads in wire.items():
-        end = round(share * len(payloads)) + (lag if kind is Kind.IMU else 0)
-        if end > 0:
-            for block in kind.decode(Messages.join(payloads[:end])):
-                calibrator.feed(block)
+def test_a_session_can_be_reviewed_wherever_it_stands(slow_wire, lag, share):
+    ends = {
+        kind: max(0, round(share * len(payloads)) + (lag if kind is Kind.IMU else 0))
+        for kind, payloads in slow_wire.items()
+    }
+    seen = {kind: payloads[: ends[kind]] for kind, payloads in slow_wire.items() if ends[kind]}
+    calibrator = fed_at_once(seen, SLOW)
     review = calibrator.review()
     assert (review.result is None) == bool(review.refusal)
     assert len(review.std) == 24

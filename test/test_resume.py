@@ -1,5 +1,6 @@
 """`imu-calib stand --resume`: what was interrupted, killed or torn off goes on from its journal."""
 
+import itertools
 import os
 import re
 import shlex
@@ -122,55 +123,49 @@ def runs(folder):
     return [list(dict.fromkeys(int(step) for step in found)) for found in steps]
 
 
-def test_after_ctrl_c_the_last_line_is_what_goes_on(tmp_path):
+def test_what_is_interrupted_torn_off_and_killed_is_gone_on_with_time_after_time(tmp_path):
+    """One session: Ctrl-C, a power cut, and a command that is killed alone."""
     process, folder = begin(tmp_path)
     comes_to(process, folder, f'step {STEP} of')
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    last = errors.splitlines()[-1].rpartition(': ')[2]
+    last = interrupted(process, signal.SIGINT)
     assert last == f"imu-calib stand --resume '{folder}'"
     # Files that a person edits meanwhile are no matter.
     (tmp_path / 'short.yaml').write_text('name: another\n')
-    output = finishes(command(shlex.split(last)[1:]), folder)
-    first, second = runs(folder)
-    assert first == list(range(1, first[-1] + 1))
-    # The step that was interrupted, and one whose last data was under way, are run again.
-    assert first[-1] - 1 <= second[0] <= first[-1] + 1
-    assert second == list(range(second[0], 22))
-    assert 'The IMU stream was interrupted' in output
-
-
-@pytest.mark.parametrize('torn', [pytest.param(False, marks=pytest.mark.repeats), True])
-def test_after_a_power_cut_it_goes_on_with_what_reached_the_disk(tmp_path, torn):
-    process, folder = begin(tmp_path)
-    comes_to(process, folder, f'step {STEP} of')
+    process = command(shlex.split(last)[1:])
+    comes_to(process, folder, f'step {STEP + 4} of')
     kill_everything(process, folder)
-    if torn:
-        tear(folder)
-    output = finishes(command(['stand', '--resume', str(folder)]), folder)
-    first, second = runs(folder)
-    # What was in memory alone is run again, and no more: five seconds of the stand, and a chunk.
-    assert 1 < second[0] <= first[-1] + 1
-    assert second == list(range(second[0], 22))
-    assert 'The IMU stream was interrupted' in output
-
-
-def test_a_killed_command_is_gone_on_with_at_once_and_again(tmp_path):
-    process, folder = begin(tmp_path)
-    comes_to(process, folder, f'step {STEP} of')
+    tear(folder)
+    process = command(['stand', '--resume', str(folder)])
+    comes_to(process, folder, f'step {STEP + 7} of')
     # Its nodes end by themselves: what goes on waits for that.
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    again = command(['stand', '--resume', str(folder)])
-    comes_to(again, folder, f'step {STEP + 4} of')
-    again.send_signal(signal.SIGTERM)
-    _, errors = again.communicate(timeout=60)
-    assert again.returncode == 130, errors
-    assert errors.splitlines()[-1].endswith(f"imu-calib stand --resume '{folder}'")
-    finishes(command(['stand', '--resume', str(folder)]), folder)
-    assert len(runs(folder)) == 3
-    assert all(min(later) > 1 for later in runs(folder)[1:])
+    output = finishes(command(['stand', '--resume', str(folder)]), folder)
+    assert 'The IMU stream was interrupted' in output
+    parts = runs(folder)
+    assert len(parts) == 4
+    assert parts[0] == list(range(1, parts[0][-1] + 1))
+    assert parts[3][-1] == 21
+    for before, after in itertools.pairwise(parts):
+        # The step that was interrupted, and what was in memory alone, are run again, and no more:
+        # one step after Ctrl-C, five seconds of the stand and a chunk after a power cut.
+        assert 1 < after[0] <= before[-1] + 1
+        assert after == list(range(after[0], after[-1] + 1))
+    assert parts[1][0] >= parts[0][-1] - 1
+
+
+def test_sigterm_says_how_to_go_on_too(tmp_path):
+    process, folder = begin(tmp_path)
+    comes_to(process, folder, 'step 1 of')
+    assert interrupted(process, signal.SIGTERM) == f"imu-calib stand --resume '{folder}'"
+
+
+def interrupted(process, number):
+    """Interrupt the command; return what its last line says."""
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    return errors.splitlines()[-1].rpartition(': ')[2]
 
 
 def test_free_positions_in_a_simulated_hand_go_on_too(tmp_path):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import chi2, norm
-from sessions import LATITUDE, SITE, calibrate, paper_imu, quick_plan, session, stand
+from sessions import LATITUDE, SITE, at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
@@ -89,18 +89,6 @@ def test_the_right_calibration_is_accepted(seed: int) -> None:
         assert judged.diagnosis is None
         # Five standard deviations of chi-square.
         assert abs(judged.square - judged.freedom) < 5 * np.sqrt(2 * judged.freedom)
-
-
-def at_one_rate(plan: Plan) -> Plan:
-    """The plan with the last pair of its rates alone."""
-    return replace(
-        plan,
-        positions=tuple(
-            p if p.rate_test is None else replace(p, rate_test=replace(p.rate_test, rates=last))
-            for p in plan.positions
-            for last in [p.rate_test.rates[-2:] if p.rate_test is not None else ()]
-        ),
-    )
 
 
 def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
