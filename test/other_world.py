@@ -228,29 +228,32 @@ class Recording:
     angles: list[Vector] = field(default_factory=list)
 
 
+# Spelled out: called for every sample, they are half of what a session costs.
 def times(a: Matrix, b: Matrix) -> Matrix:
+    (p, q, r), (s, t, u), (v, w, x) = b
     return tuple(  # type: ignore[return-value]
-        tuple(sum(a[i][k] * b[k][j] for k in range(3)) for j in range(3)) for i in range(3)
+        [(i * p + j * s + k * v, i * q + j * t + k * w, i * r + j * u + k * x) for i, j, k in a]
     )
 
 
 def applied(a: Matrix, v: Vector) -> Vector:
-    return tuple(a[i][0] * v[0] + a[i][1] * v[1] + a[i][2] * v[2] for i in range(3))  # type: ignore[return-value]
+    x, y, z = v
+    (c, d, e), (f, g, h), (i, j, k) = a
+    return c * x + d * y + e * z, f * x + g * y + h * z, i * x + j * y + k * z
 
 
 def transposed(a: Matrix) -> Matrix:
-    return tuple(tuple(a[j][i] for j in range(3)) for i in range(3))  # type: ignore[return-value]
+    return tuple(zip(*a, strict=True))  # type: ignore[return-value]
 
 
 def about(axis: int, angle: float) -> Matrix:
     """The rotation by an angle about one of the axes."""
     c, s = math.cos(angle), math.sin(angle)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    rows = [[0.0] * 3 for _ in range(3)]
-    rows[axis][axis] = 1.0
-    rows[i][i] = rows[j][j] = c
-    rows[i][j], rows[j][i] = -s, s
-    return tuple(tuple(row) for row in rows)  # type: ignore[return-value]
+    if axis == 0:
+        return (1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c)
+    if axis == 1:
+        return (c, 0.0, s), (0.0, 1.0, 0.0), (-s, 0.0, c)
+    return (c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)
 
 
 def rotation_vector(r: Matrix) -> Vector:
@@ -456,14 +459,15 @@ def _record_imu(recording: Recording, world: World, unit: Unit, draw: random.Ran
     walks = [unit.gyro_walk] * 3 + [unit.accel_walk] * 3
     for k, (turned, pushed, middle, motion) in enumerate(felt(world, unit.rate)):
         beyond = [NOTHING] * 3 if middle is None else moved.on(middle, earth, motion, (k + 1) * dt)
-        outputs = [
-            *_answer(unit.gyro_m, unit.gyro_d, turned, dt),
+        outputs = _answer(unit.gyro_m, unit.gyro_d, turned, dt)
+        if any(map(any, beyond)):
             # Each accelerometer feels all three components where it is.
-            *(
+            outputs += [
                 _answer(unit.accel_m, unit.accel_d, _sum(pushed, more), dt)[c]
                 for c, more in enumerate(beyond)
-            ),
-        ]
+            ]
+        else:
+            outputs += _answer(unit.accel_m, unit.accel_d, pushed, dt)
         since = (k + 0.5) * dt
         for c in range(3):
             g, a = outputs[c], outputs[3 + c]
@@ -519,6 +523,8 @@ class Moved:
 
     def on(self, middle: Matrix, earth: Vector, motion: Motion, time: float) -> list[Vector]:
         """By accelerometer, along the body axes half way through the sample that ends then."""
+        if self.still:
+            return [NOTHING] * 3
         places, speeds = self.at(motion, time)
         felt = []
         for c in range(3):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -63,6 +64,10 @@ def segmented(world: World, unit: Unit, seed: int = 0) -> Evidence:
     return gathered(fed(world, unit, seed))
 
 
+# A session that a test solves in two ways is made once.
+recorded = lru_cache(maxsize=1)(record)
+
+
 def fed(
     world: World, unit: Unit, seed: int = 0, plan: Plan | None = None, *, look: bool = False
 ) -> Calibrator:
@@ -76,7 +81,7 @@ def fed(
     site = Site.at(world.latitude, 0.0, world.gravity)
     plan = load_plan('twelve_position') if plan is None else plan
     setup = Setup(spec, plan, load_table('three_axis'), site, look=look)
-    recording = record(world, unit, seed)
+    recording = recorded(world, unit, seed)
     calibrator = Calibrator(setup)
     stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)
     joints = EPOCH * 10**9 + np.rint(np.array(recording.joint_stamps) * 1e9).astype(np.int64)
