@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -85,6 +85,26 @@ class Way:
     moving: float
     seconds: float
 
+    @property
+    def step(self) -> float:
+        """Length of an interval, s."""
+        return self.moving / (len(self.attitudes) - 1)
+
+    @cached_property
+    def spins(self) -> Floats:
+        """What the table turns it by in each interval, body axes, (n - 1, 3) rad/s."""
+        turned = self.attitudes[:-1].transpose(0, 2, 1) @ self.attitudes[1:]
+        return np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], axis=1) / self.step
+
+    @cached_property
+    def carried(self) -> Floats:
+        """What carries each interval to the end of the move, (n - 1, 3, 3).
+
+        Seen from the middle of the interval: to second order in what it turns by.
+        """
+        middle = (self.attitudes[:-1] + self.attitudes[1:]) / 2
+        return np.asarray(self.attitudes[-1].T @ middle)
+
 
 def moves(plan: Plan, table: Table) -> list[Way]:
     """Those from one dwell to the next in which nothing turns whole turns."""
@@ -139,15 +159,9 @@ def read(plan: Plan, site: Site, state: Floats, ways: list[Way]) -> Floats:
             spin = up * (rate + axis @ site.earth_rate)
             values += [*model.predict(spin, along + np.cross(spin, np.cross(spin, arm)))]
     for way in ways:
-        total = np.zeros(3)
-        step = way.moving / (len(way.attitudes) - 1)
-        for first, second in pairwise(way.attitudes):
-            turned = first.T @ second
-            spin = np.array([turned[2, 1], turned[0, 2], turned[1, 0]]) / step
-            rate = spin + (base @ second).T @ site.earth_rate
-            # Seen from the middle of the interval: to second order in what it turns by.
-            carried = way.attitudes[-1].T @ (first + second) / 2
-            total += carried @ model.predict(rate, np.zeros(3))[0] * step
+        # (base @ attitude)' earth, of every interval.
+        rates = way.spins + way.attitudes[1:].transpose(0, 2, 1) @ (base.T @ site.earth_rate)
+        total = np.einsum('nij,nj->i', way.carried, model.predict(rates, np.zeros(3))[0]) * way.step
         # Where it stands before and after.
         beside = (way.seconds - way.moving) * model.gyro.bias
         values.append(total + (way.attitudes[-1].T @ way.attitudes[0] + np.eye(3)) @ beside / 2)
