@@ -40,22 +40,26 @@ _FAILED = pytest.StashKey[bool]()
 
 _LONG = (
     'test_stand.py',
-    'test_matrix.py',
-    'test_turntable_node.py',
-    'test_live_session.py',
-    'test_resume.py',
     'test_verification.py',
-    'test_score.py',
-    'test_prediction.py',
-    'test_joint.py',
+    'test_matrix.py',
     'test_calibration_session.py',
-    'test_screen.py',
+    'test_turntable_node.py',
+    'test_resume.py',
+    'test_live_session.py',
+    'test_bad_input.py',
+    'test_joint.py',
     'test_terms.py',
+    'test_prediction.py',
+    'test_score.py',
+    'test_planless.py',
     'test_gravity.py',
     'test_robot.py',
+    'test_clock.py',
+    'test_processes.py',
+    'test_other_world.py',
     'test_clocks.py',
 )
-"""Files that take minutes. They come first: begun last, one of them would be waited for alone."""
+"""Files that take longest, in that order: begun last, one of them would be waited for alone."""
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -20,10 +21,11 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.errors import NotObservable
 from imu_calib.metadata import describe
 from imu_calib.model import Triad
-from imu_calib.plan import UNPLANNED, Plan
+from imu_calib.plan import UNPLANNED, Plan, load_plan
 from imu_calib.rotations import rotation
 from imu_calib.segmentation.segmented import Segmented
 from imu_calib.segmentation.segmenter import Segmenter
+from imu_calib.share import named_file
 from imu_calib.stream import Floats, ImuBlock, Units
 from imu_calib.table_errors import TableErrors
 from imu_calib.turntable import Table, load_table
@@ -392,14 +394,24 @@ def test_a_model_without_an_inverse_is_refused_in_words() -> None:
         verify(gyro(-np.eye(3)), observed())
 
 
+def recorded(folder: Path, serial_number: str = '') -> Path:
+    """A recording of the six positions, with short dwells and the fastest turns alone."""
+    text = named_file('plans', 'six_position').read_text(encoding='utf-8')
+    text = re.sub(r'(?m)^dwell: .* s', 'dwell: 20 s', text)
+    file, bag = folder / 'short.yaml', folder / 'bag'
+    file.write_text(re.sub(r'rates: \[.*, (.*, .*)\]', r'rates: [\1]', text))
+    data = describe(str(file), 'fog_medium', 'three_axis', SITE, serial_number)
+    with RecordingWriter(bag, data) as writer:
+        for topic, block in session(load_plan(str(file)), stand(azimuth=HEADING), seed=1):
+            kind, messages, stamp = serialised(block)
+            writer.write(f'/{topic}', kind.type_name, messages, stamp)
+    return bag
+
+
 def test_the_command_accepts_rejects_and_refuses_by_its_exit_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bag = tmp_path / 'bag'
-    with RecordingWriter(bag, describe('six_position', 'fog_medium', 'three_axis', SITE)) as writer:
-        for topic, block in session(PLAN, stand(azimuth=HEADING), seed=1):
-            kind, messages, stamp = serialised(block)
-            writer.write(f'/{topic}', kind.type_name, messages, stamp)
+    bag = recorded(tmp_path)
     good, bad = tmp_path / 'good.yaml', tmp_path / 'bad.yaml'
     calibration().save(good)
     gyro(g().error_matrix.T).save(bad)
@@ -417,12 +429,7 @@ def test_the_command_accepts_rejects_and_refuses_by_its_exit_code(
 def test_the_calibration_of_another_unit_is_refused_by_its_name_and_by_its_data(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bag = tmp_path / 'bag'
-    data = describe('six_position', 'fog_medium', 'three_axis', SITE, 'A1234')
-    with RecordingWriter(bag, data) as writer:
-        for topic, block in session(PLAN, stand(azimuth=HEADING), seed=1):
-            kind, messages, stamp = serialised(block)
-            writer.write(f'/{topic}', kind.type_name, messages, stamp)
+    bag = recorded(tmp_path, 'A1234')
     good = replace(calibration(), serial_number='A1234')
     other_type = replace(good, imu=replace(good.imu, id='fog_other'))
     other_unit = replace(good, serial_number='B9')
