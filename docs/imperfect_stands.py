@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from imu_calib.plan import Plan, load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedStand, StandOptions
 from imu_calib.simulation.imperfections import read_imperfections
-from imu_calib.stream import Floats
+from imu_calib.stream import Block, Floats, TemperatureBlock
 from imu_calib.table_errors import ASSUMED
 from imu_calib.turntable import Table, load_table, read_table
 from imu_calib.units import ARCSEC, DEG
@@ -49,7 +49,7 @@ CAUSES = {
     'accelerometer drift': 'biases of the accelerometers drift by',
     'temperature': 'temperature moved',
     'north': 'gyros see north',
-    'course': 'The session shows .*(trend|warm_up)',
+    'course': 'The session (?:shows|hints at) .*(trend|warm_up)',
     **{t.name: rf'The session shows .*\b{t.name}\b' for t in TERMS},
 }
 """Words by which a finding names a cause."""
@@ -81,6 +81,7 @@ class Condition:
         term: That the sensors have; empty for none.
         bound: What of the stand, beyond the description, the information bound must allow for;
             None where the bound does not know the condition.
+        thermometer: Whether the temperature is recorded, where it moves.
 
     """
 
@@ -90,10 +91,15 @@ class Condition:
     exact: bool = False
     term: str = ''
     bound: Mapping[str, float] | None = field(default_factory=dict)
+    thermometer: bool = True
 
 
 _TILTED = 'table: {tilt: {east: 0.1 deg, north: -0.03 deg}}'
 _LEVEL = 'table: {tilt: {east: 20 arcsec, north: -10 arcsec}}'
+_RAMP = (
+    'temperature: {ramp: 10 K/h, gyro: {bias: 0.02 (deg/h)/K, scale_factor: 2 ppm/K}, '
+    'accelerometer: {bias: 5 ug/K, scale_factor: 5 ppm/K}}'
+)
 _DRIFT = ('gyro drift', 'accelerometer drift', 'course')
 
 CONDITIONS = {
@@ -157,11 +163,9 @@ CONDITIONS = {
         'mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}', bound=None
     ),
     'floor shakes': Condition('mounting: {floor: {rate: 0.05 deg/s, force: 2 mg}}', bound=None),
-    'temperature ramp': Condition(
-        'temperature: {ramp: 10 K/h, gyro: {bias: 0.02 (deg/h)/K, scale_factor: 2 ppm/K}, '
-        'accelerometer: {bias: 5 ug/K, scale_factor: 5 ppm/K}}',
-        ('temperature', *_DRIFT),
-        bound={'ramp': True},
+    'temperature ramp': Condition(_RAMP, ('temperature', *_DRIFT), bound={'ramp': True}),
+    'temperature ramp, not recorded': Condition(
+        _RAMP, _DRIFT, bound={'ramp': True}, thermometer=False
     ),
     'warm-up': Condition(
         'temperature: {warm_up: {gyro: 0.1 deg/h, accelerometer: 50 ug}}', _DRIFT, bound=None
@@ -207,6 +211,13 @@ def stand(condition: str, grade: str, seed: int) -> tuple[SimulatedStand, Setup]
     imu = load_imu(grade)
     simulated = SimulatedStand(plan, table, imu, unit_of(grade, one.term), SITE, options, draw)
     return simulated, Setup(imu, plan, table, SITE, look=True)
+
+
+def blocks(condition: str, simulated: SimulatedStand) -> Iterator[Block]:
+    """Yield what is recorded of a simulated stand."""
+    for _, block in simulated.blocks():
+        if CONDITIONS[condition].thermometer or not isinstance(block, TemperatureBlock):
+            yield block
 
 
 def truth(unit: SensorModel, options: StandOptions, duration: float) -> Floats:

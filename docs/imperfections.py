@@ -48,6 +48,7 @@ from imperfect_stands import (
     GRADES,
     SITE,
     SIZES,
+    blocks,
     described,
     quick,
     stand,
@@ -71,7 +72,7 @@ def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
     simulated, setup = stand(condition, grade, seed)
     calibrator = Calibrator(setup)
     try:
-        for _, block in simulated.blocks():
+        for block in blocks(condition, simulated):
             calibrator.feed(block)
         result = calibrator.finish()
     except ImuCalibError as error:

@@ -22,7 +22,7 @@ from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import ThermalCalibration, by_temperature, load_calibration
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.estimation.fit import Estimate, estimate
-from imu_calib.estimation.tested import State
+from imu_calib.estimation.tested import State, summary
 from imu_calib.imu import load_imu
 from imu_calib.methods import method
 from imu_calib.methods.joint import solve
@@ -325,6 +325,15 @@ def test_a_warm_up_that_nobody_asked_for_is_told_from_a_drift(
     assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
 
 
+def test_what_was_asked_for_is_on_the_screen(drifting: Evidence) -> None:
+    asked = parted('trend:D_a+K_a')[1]
+    found = solve(drifting, changes=asked)
+    states = {test.name: test for test in found.tests}
+    assert states['trend'].state is State.ASKED
+    assert states['trend'].changes == asked
+    assert summary(found.tests)[0] == 'terms: trend'
+
+
 def test_outputs_rise_within_a_stretch_as_their_course_does(drifting: Evidence) -> None:
     starts, ends = spans(drifting)
     whole = ends.max()
@@ -388,6 +397,7 @@ def test_commands_carry_them_from_the_recording_to_compensation(
     assert 'expected one of them' in capsys.readouterr().err
     assert main(['calibrate', 'bag', '--terms', 'thermal', '-o', 'c.yaml']) == 0
     shown = capsys.readouterr().out
+    assert re.search(r'^terms: thermal$', shown, re.MULTILINE)
     assert re.search(r'thermal +K_a +[0-9.]+ +[0-9.]+ +ppm per K', shown)
     assert 'compensation adds what follows the temperature' in ' '.join(shown.split())
     calibration = Calibration.load(Path('c.yaml'))
@@ -399,6 +409,7 @@ def test_commands_carry_them_from_the_recording_to_compensation(
     # At rest the compensated force is gravity at the beginning as at the end, where the
     # accelerometers answer by some 700 ppm more.
     assert main(['compensate', 'bag', '--calibration', 'c.yaml', '-o', 'si']) == 0
+    assert calibration.provenance['tests_of_terms']['thermal'] == {'state': 'asked for'}
     assert main(['report', 'c.yaml', 'bag', '-o', 'report.html']) == 0
     assert 'Terms of the session' in Path('report.html').read_text()
     capsys.readouterr()

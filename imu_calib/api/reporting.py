@@ -93,13 +93,13 @@ def written(
 
 def _terms(calibration: Calibration) -> str:
     """Return what --terms was for a calibration: what it did not find itself."""
+    told = calibration.provenance.get('terms') or []
     names = [term.name for term in terms_of(calibration.parameters)]
+    names += [name for name in told if name.partition(':')[0] in SESSION_TERMS]
     if calibration.provenance.get('terms_looked_for'):
         tests = calibration.provenance.get('tests_of_terms', {})
-        asked = [n for n in names if tests.get(n, {}).get('state') == State.ASKED.value]
-        names = [*asked, AUTO_TERMS]
-    told = calibration.provenance.get('terms') or []
-    names += [name for name in told if name.partition(':')[0] in SESSION_TERMS]
+        states = {n: tests.get(n.partition(':')[0], {}).get('state') for n in names}
+        names = [*(n for n in names if states[n] == State.ASKED.value), AUTO_TERMS]
     return ','.join(names) or NO_TERMS
 
 

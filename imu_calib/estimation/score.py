@@ -227,6 +227,7 @@ class Score:
         freedom: Degrees of freedom of that.
         estimate: (k,) coefficients by one step from zero, SI units; 0 along what is not seen.
         deviation: (k,) their standard deviations; infinite where they are not seen.
+        covariance: (k, k) of the coefficients along what is seen, in the covariance assumed.
         tries: Patterns of which it is the most significant, each of which may be it by chance.
         chosen: Which of them.
 
@@ -238,6 +239,7 @@ class Score:
     freedom: float
     estimate: Floats
     deviation: Floats
+    covariance: Floats
     tries: int = 1
     chosen: int = 0
 
@@ -303,9 +305,11 @@ class Residuals:
         """Test a family by its `columns_of`: the most significant of several counts as one of so
         many.
         """
-        scores = [self._score(family, *pattern) for pattern in patterns]
-        best = min(range(len(scores)), key=lambda k: scores[k].log_p)
-        return replace(scores[best], tries=len(scores), chosen=best)
+        return most_significant(self.scores(family, patterns))
+
+    def scores(self, family: Family, patterns: Sequence[Pattern]) -> list[Score]:
+        """Test a family by each of its `columns_of`."""
+        return [self._score(family, *pattern) for pattern in patterns]
 
     def _score(self, family: Family, columns: Floats, sizes: Floats) -> Score:
         count, rows = len(sizes), len(self.left)
@@ -322,7 +326,7 @@ class Residuals:
         taken = (self.basis[judged] ** 2).sum() + (directions[judged] ** 2).sum()
         freedom = float(judged.sum() - taken)
         scale = float(rest @ rest) / freedom if freedom >= 1 else 1.0
-        deviation = sizes * np.sqrt(((axes / values[:, None]) ** 2).sum(axis=0))
+        root = sizes[:, None] * axes.T / values
         seen = (axes**2).sum(axis=0) > 1 - _WHOLE
         return Score(
             float(along @ along),
@@ -330,8 +334,15 @@ class Residuals:
             max(1.0, scale),
             max(0.0, freedom),
             sizes * (axes.T @ (along / values)),
-            np.where(seen, deviation, np.inf),
+            np.where(seen, np.sqrt((root**2).sum(axis=1)), np.inf),
+            root @ root.T,
         )
+
+
+def most_significant(scores: Sequence[Score]) -> Score:
+    """Return the most significant of the tests of a family, as one of so many."""
+    best = min(range(len(scores)), key=lambda k: scores[k].log_p)
+    return replace(scores[best], tries=len(scores), chosen=best)
 
 
 _WHOLE = 1e-3

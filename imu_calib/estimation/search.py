@@ -13,7 +13,7 @@ Source: docs/mathematics.md, 'Terms that are missing'; Holm 1979, Scand. J. Stat
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -28,7 +28,17 @@ from ..observation.information import before, told
 from ..stream import Floats
 from .changing import timed, with_changes
 from .fit import Estimate, estimate, fit
-from .score import Family, Residuals, Score, columns_of, families, times_of
+from .score import (
+    Family,
+    Pattern,
+    Residuals,
+    Score,
+    columns_of,
+    families,
+    most_significant,
+    times_of,
+)
+from .undecided import Undecided, undecided
 
 CHANCE = 1e-3
 """By which a session without any of them has a family found, all families together."""
@@ -74,9 +84,11 @@ class Search:
         found: In the order in which they were.
         scores: Of what is off.
         alpha: Chance at which each of them is tested.
-        doubt: (n, n) covariance by what rivals would make of the parameters.
+        doubt: (n, n) covariance by what rivals, and drifts that are not shown, would make of the
+            parameters.
         leverage: How parameters (n,) move by each coefficient (k,) of a term that is off, (n, k),
             SI units.
+        probability: Of drifts that are off, each; empty where nothing was looked for.
 
     """
 
@@ -86,6 +98,7 @@ class Search:
     alpha: float
     doubt: Floats
     leverage: Mapping[Family, Floats]
+    probability: Mapping[Family, float] = field(default_factory=dict)
 
     def shares(self) -> dict[Source, Share]:
         """Return the covariance of the parameters by source, rivals included."""
@@ -191,9 +204,9 @@ def searched(
             continue
         kept = _confirmed(start, first, trial, found)
         if len(kept) == len(found):
-            return _concluded(trial, kept)
+            return _concluded(trial, kept, weigh=True)
         rejected |= {one.family for one in found} - {one.family for one in kept}
-    return _concluded(first, ())
+    return _concluded(first, (), weigh=look and noisy)
 
 
 def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
@@ -325,8 +338,15 @@ def _size(
     return tuple((p, size) for p in family.parameters), size if family.term is None else 0.0
 
 
-def _concluded(current: Estimate, found: tuple[Found, ...]) -> Search:
-    """Say what is left to be said of what is off, under the weights that count."""
+def _concluded(current: Estimate, found: tuple[Found, ...], *, weigh: bool) -> Search:
+    """Say what is left to be said of what is off, under the weights that count.
+
+    Args:
+        current: The last estimate.
+        found: What is on in it.
+        weigh: Whether drifts that are not shown widen the covariance.
+
+    """
     equations, state = current.equations, current.state
     named = [one.family for one in found]
     off = [f for f in families(equations) if f not in named]
@@ -336,20 +356,28 @@ def _concluded(current: Estimate, found: tuple[Found, ...]) -> Search:
     beside = residuals
     if of_session and current.scatter.spared:
         beside = Residuals.of(of_session[0].weighed(equations, current.scatter), state)
-    scores = {f: (beside if f in of_session else residuals).score(f, columns[f]) for f in off}
+    every = {f: (beside if f in of_session else residuals).scores(f, columns[f]) for f in off}
+    scores = {f: most_significant(its) for f, its in every.items()}
     m, n = len(equations.outputs), equations.sensors
     gain = current.gain[:n, :m]
-    leverage = {}
-    for family in off:
-        if not family.of_table:
-            columns_at, sizes = columns[family][scores[family].chosen]
-            white = scipy.linalg.solve_triangular(residuals.factor, columns_at / sizes, lower=True)
-            leverage[family] = gain @ white
+
+    def slopes(pattern: Pattern) -> Floats:
+        moved, sizes = pattern
+        white = scipy.linalg.solve_triangular(residuals.factor, moved / sizes, lower=True)
+        return np.asarray(gain @ white)
+
+    leverage = {f: slopes(columns[f][scores[f].chosen]) for f in off if not f.of_table}
     alpha = CHANCE / max(1, len(off))
     doubt = np.zeros((n, n))
     for one in found:
         doubt += _by_rivals(current, one)
-    return Search(current, found, scores, alpha, doubt, leverage)
+    drifts = Undecided({}, np.zeros((n, n)))
+    if weigh:
+        possible = {
+            f: list(zip(every[f], map(slopes, columns[f]), strict=True)) for f in of_session
+        }
+        drifts = undecided(possible, n)
+    return Search(current, found, scores, alpha, doubt + drifts.doubt, leverage, drifts.probability)
 
 
 def _by_rivals(current: Estimate, found: Found) -> Floats:

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from ..model import Parameter, Term
-from ..model.session_terms import Change, largest
+from ..model.session_terms import Change, largest, names_of
 from ..stream import Floats
 from ..units import ARCSEC
 from .search import Found, Search
@@ -22,6 +22,15 @@ _MATTERS = 0.1
 _HIDDEN = 4.5
 """Standard deviations by which a term of the session that is just not found moves a parameter that
 is then said to hold without it alone: chance passes them in one of 6000 sessions."""
+
+_EVEN = 0.5
+"""Probability beyond which a drift that is not found is more likely than none, and said."""
+
+_WORTH_NAMING = 0.1
+"""Share of that by which one of several courses is named."""
+
+_WIDER = 0.1
+"""Share by which a standard deviation must grow to be named."""
 
 _LN10 = float(np.log(10.0))
 
@@ -50,6 +59,8 @@ class Tested:
             infinite for those that the session does not show. Empty for what is on.
         moved: For each coefficient that is off, which parameter it would move most, and by how
             much per SI unit of it; None where it would move none.
+        probability: That a drift is there all the same, by which the standard deviations allow for
+            it; None where they do not.
 
     """
 
@@ -60,12 +71,15 @@ class Tested:
     changes: tuple[Change, ...] = ()
     smallest: tuple[float, ...] = ()
     moved: tuple[tuple[Parameter, float] | None, ...] = ()
+    probability: float | None = None
 
     def document(self) -> dict[str, object]:
         """Return what calibration.yaml keeps of it, SI units."""
         result: dict[str, object] = {'state': self.state.value}
         if self.log10_p is not None:
             result['log10_p'] = round(self.log10_p, 2)
+        if self.probability is not None:
+            result['probability'] = round(self.probability, 4)
         if self.smallest and (self.parameters or self.changes):
             result['found_from'] = [v if np.isfinite(v) else None for v in self.smallest]
         names = [one.name for one in self.parameters] + [one.name for one in self.changes]
@@ -79,9 +93,21 @@ class Tested:
         return result
 
 
-def tested(search: Search, asked: tuple[Term, ...]) -> tuple[Tested, ...]:
-    """Return what a search says of every family, the terms in their order."""
+def tested(
+    search: Search, asked: tuple[Term, ...], asked_changes: tuple[Change, ...] = ()
+) -> tuple[Tested, ...]:
+    """Return what a search says of every family, the terms in their order.
+
+    Args:
+        search: What was found.
+        asked: Terms of the sensors that were on whatever the session shows.
+        asked_changes: Coefficients of terms of the session, likewise.
+
+    """
     result = [Tested(t.name, State.ASKED, parameters=t.parameters) for t in asked]
+    for name in names_of(asked_changes):
+        mine = tuple(c for c in asked_changes if c.course.value == name)
+        result.append(Tested(name, State.ASKED, changes=mine))
     for one in search.found:
         state = State.NOT_DETERMINED if one.doubts else State.FOUND
         family = one.family
@@ -95,8 +121,18 @@ def tested(search: Search, asked: tuple[Term, ...]) -> tuple[Tested, ...]:
         moved = tuple(_moved(search, a, s, least) for a, s in zip(amounts, slopes, strict=False))
         state = State.OFF if score.tested else State.NOT_TESTED
         log10_p = score.log_p / _LN10 if score.tested else None
-        parameters, changes = family.parameters, family.changes
-        result.append(Tested(family.name, state, log10_p, parameters, changes, smallest, moved))
+        result.append(
+            Tested(
+                family.name,
+                state,
+                log10_p,
+                family.parameters,
+                family.changes,
+                smallest,
+                moved,
+                search.probability.get(family),
+            )
+        )
     return tuple(result)
 
 
@@ -126,7 +162,34 @@ def _moved(
 
 def findings(search: Search) -> list[str]:
     """Say what was found beside what was asked for."""
-    return [_found(one) for one in search.found]
+    return [*map(_found, search.found), *_likely(search)]
+
+
+def _likely(search: Search) -> list[str]:
+    """Say where a drift that is not found is there all the same, more likely than not.
+
+    Of a sound session the score is beyond that, 25 for eight coefficients, once in a thousand.
+    """
+    total = sum(search.probability.values())
+    if total <= _EVEN:
+        return []
+    words = ' or '.join(
+        f'{family.course.words} ({family.name})'
+        for family, share in search.probability.items()
+        if family.course is not None and share > _WORTH_NAMING * total
+    )
+    n = search.estimate.equations.sensors
+    variances = np.diag(search.estimate.covariance)[:n]
+    wider = np.sqrt(1 + np.diag(search.doubt) / variances) > 1 + _WIDER
+    names = [
+        p.name for p, yes in zip(search.estimate.equations.parameters, wider, strict=True) if yes
+    ]
+    return [
+        f'The session hints at {words}, with a probability of {min(total, 0.99):.2g}, and does not '
+        f'show it well enough to estimate it: the standard deviations of {", ".join(names)} allow '
+        'for it. To tell, record the temperature (imu/temperature) and calibrate with --terms '
+        'thermal, or let the unit run for an hour before the session.'
+    ]
 
 
 def _found(found: Found) -> str:
@@ -214,11 +277,14 @@ def _hidden(one: Tested) -> str:
         f'{moved.name} by {abs(slope) * least / moved.unit.scale:.2g} {moved.unit.shown}'
         for _, least, (moved, slope) in seen
     ]
+    may = f'{largest(changes, smallest)} may pass unseen and would move {" and ".join(by)}'
+    if one.probability is not None:
+        return (
+            f'{one.name}: {may}; the standard deviations allow for it with a probability of '
+            f'{one.probability:.2g}'
+        )
     verb = 'holds' if len(names) == 1 else 'hold'
-    return (
-        f'{", ".join(names)} {verb} for {one.name} = 0: {largest(changes, smallest)} may pass '
-        f'unseen and would move {" and ".join(by)}'
-    )
+    return f'{", ".join(names)} {verb} for {one.name} = 0: {may}'
 
 
 def _power(one: Tested) -> str:

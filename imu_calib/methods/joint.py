@@ -61,7 +61,7 @@ def solve(
         covariance=found.covariance + search.doubt,
         findings=(*findings(search), *found.findings),
         shares=search.shares(),
-        tests=tested(search, terms),
+        tests=tested(search, terms, changes),
     )
 
 

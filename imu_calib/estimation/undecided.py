@@ -1,0 +1,120 @@
+"""Drifts that a session neither shows nor excludes: how likely each is, and what it would do.
+
+A drift of the scale factors with the session's time that is too small to be found moves them by
+several standard deviations all the same. So every course has odds beforehand, the session's own
+evidence raises or lowers them, and what the course would make of the parameters enters their
+covariance by the probability that comes out (Bayesian model averaging).
+
+Sources: Liang et al. 2008, J. Am. Statist. Assoc. 103, 410 (the prior of the coefficients);
+Hoeting et al. 1999, Statist. Sci. 14, 382; docs/mathematics.md, 'Drifts that are not shown'.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from ..stream import Floats
+from .score import Family, Score
+
+_ODDS = 1 / 33
+"""Of a course, before the session is seen, to none: as `excess` has them for each case in which a
+data sheet is not right."""
+
+_LEAST = 1e-9
+"""Chi-square below which the integrals are taken at it: they are smooth there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Undecided:
+    """What drifts that are not shown may do.
+
+    Attributes:
+        probability: Of each course, all of its time constants together.
+        doubt: (n, n) covariance by what they would make of the parameters.
+
+    """
+
+    probability: Mapping[Family, float]
+    doubt: Floats
+
+
+Possible = tuple[Score, Floats]
+"""The test of a course with one time constant, and how parameters (n,) follow its coefficients
+(k,), (n, k) in SI units."""
+
+
+def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undecided:
+    """Weigh courses against each other and against none.
+
+    Args:
+        courses: With their time constants, each of which is as likely beforehand.
+        count: n of the parameters.
+
+    """
+    logs: dict[Family, float] = {}
+    doubts: dict[Family, Floats] = {}
+    for family, every in courses.items():
+        tested = [(score, slopes) for score, slopes in every if score.tested]
+        if not tested:
+            continue
+        each = np.array([log_bayes_factor(*_square(score)) for score, _ in tested])
+        total = float(scipy.special.logsumexp(each))
+        logs[family] = float(np.log(_ODDS / len(every))) + total
+        doubts[family] = sum(
+            (np.exp(one - total) * _doubt(*it) for one, it in zip(each, tested, strict=True)),
+            np.zeros((count, count)),
+        )
+    whole = float(np.logaddexp.reduce([0.0, *logs.values()]))
+    probability = {family: float(np.exp(log - whole)) for family, log in logs.items()}
+    doubt = np.zeros((count, count))
+    for family, share in probability.items():
+        doubt += share * doubts[family]
+    return Undecided(probability, doubt)
+
+
+def _square(score: Score) -> tuple[float, int]:
+    return score.statistic / score.scale, score.rank
+
+
+def log_bayes_factor(square: float, rank: int) -> float:
+    """Return the logarithm of how much likelier the data is with coefficients than without.
+
+    They are normal with g times the covariance by which the session knows them, and g has the
+    density (1 + g)^-1.5 / 2.
+
+    Args:
+        square: Chi-square of their score test.
+        rank: Its degrees of freedom.
+
+    """
+    z, b = max(square, _LEAST) / 2, (rank + 1) / 2
+    below = float(scipy.special.gammainc(b, z))
+    gamma = float(scipy.special.gammaln(b))
+    return z + gamma - b * math.log(z) + math.log(below) - math.log(2)
+
+
+def shrinkage(square: float, rank: int) -> tuple[float, float]:
+    """Return the mean of g / (1 + g) and of its square, as the session leaves them.
+
+    Args:
+        square: As in `log_bayes_factor`.
+        rank: Likewise.
+
+    """
+    z, b = max(square, _LEAST) / 2, (rank + 1) / 2
+    first, second, third = (float(scipy.special.gammainc(b + k, z)) for k in range(3))
+    lost = b / z * second / first
+    return 1 - lost, 1 - 2 * lost + b * (b + 1) / z**2 * third / first
+
+
+def _doubt(score: Score, slopes: Floats) -> Floats:
+    """Return the mean of what a course does to the parameters, squared, (n, n)."""
+    mean, mean_square = shrinkage(*_square(score))
+    moved = slopes @ score.estimate
+    spread = slopes @ (score.scale * score.covariance) @ slopes.T
+    return np.asarray(mean * spread + mean_square * np.outer(moved, moved))
