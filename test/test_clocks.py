@@ -22,6 +22,7 @@ from imu_calib.methods import method
 from imu_calib.observation.evidence import Evidence
 from imu_calib.segmentation.clock import ClockFit, ClockSample, fit_clock
 from imu_calib.segmentation.segment import Segment, Turn
+from imu_calib.segmentation.segmenter import clock_jumps
 from imu_calib.stamping import StampingClock
 from imu_calib.stream import Units
 from imu_calib.verification import Verdict, observe, verify
@@ -79,6 +80,25 @@ def test_the_deviations_of_offset_and_rate_are_those_of_their_errors(jump: float
     square = np.mean(np.square(ratios), axis=0)
     # A thousand of them: 5 %, four deviations of that.
     assert square == pytest.approx([freedom / (freedom - 2)] * 2, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ('jump', 'words'),
+    [(0.0, ''), (2e-5, ''), (1e-3, 'jump by +0.0010 s'), (-0.2, 'jump by -0.2000 s')],
+)
+def test_a_jump_is_said_where_the_stamps_resolve_it(jump: float, words: str) -> None:
+    """A stream that was interrupted may have been stamped anew, or only have frozen."""
+    rng = np.random.default_rng(6)
+    seconds = 50.0 * np.arange(12)
+    for _ in range(200):
+        # Two samples a hundredth apart tell an offset to some ten microseconds.
+        seen = 0.01 + jump * (seconds > 275) + 1e-5 * rng.standard_normal(12)
+        motions = [ClockSample(1e9 * t, o) for t, o in zip(seconds, seen, strict=True)]
+        fit = fit_clock(motions, [275_000_000_000])
+        assert fit.jumps == pytest.approx((jump,), abs=6e-5)
+        said = clock_jumps(fit)
+        assert len(said) == bool(words)
+        assert not words or words[:-3] in said[0]
 
 
 NAMED = {

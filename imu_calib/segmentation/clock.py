@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..rotations import angle_between
@@ -41,6 +42,9 @@ _OUTLIER = 12.0
 """Standard deviations of the usual step, by its median: a jump, not noise."""
 _LEAST_JUMP = 5e-3
 """s: half a sample of 100 Hz; smaller ones are no jumps of a clock."""
+_NO_JUMP = 1e-3
+"""Chance by which motions that scatter make a jump that is said."""
+
 _CELL_SECONDS = 0.1
 """s: a joint moves by what gyros see in it."""
 _MOVING = 0.25
@@ -69,6 +73,7 @@ class ClockFit:
         rate_std: Standard deviation; NaN where the session cannot tell.
         motions: How many motions it rests on.
         jumps: By how much the offset jumps between motions, s, in order.
+        surely: (jumps,) by how much at least, for all that scatters: 0 for one that may be none.
 
     """
 
@@ -79,6 +84,7 @@ class ClockFit:
     rate_std: float
     motions: int
     jumps: tuple[float, ...] = ()
+    surely: tuple[float, ...] = ()
 
 
 NO_CLOCK = ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
@@ -236,6 +242,10 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
     at_epoch = means[1] - rate * means[0]
     left = offset - rate * seconds - at_epoch[pieces]
     scatter = float(np.sqrt(left @ left / (n - 1 - k)))
+    jumps = np.diff(at_epoch)
+    counts = np.bincount(pieces)
+    lever = 1 / counts[1:] + 1 / counts[:-1] + np.diff(means[0]) ** 2 / spread
+    within = float(scipy.special.stdtrit(n - 1 - k, 1 - _NO_JUMP / 2)) * scatter * np.sqrt(lever)
     return ClockFit(
         epoch,
         float(offset.mean()),
@@ -243,7 +253,8 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
         rate,
         scatter / float(np.sqrt(spread)),
         n,
-        tuple(np.diff(at_epoch).tolist()),
+        tuple(jumps.tolist()),
+        tuple(np.maximum(np.abs(jumps) - within, 0.0).tolist()),
     )
 
 

@@ -162,7 +162,7 @@ class Segmenter:
             self.moves,
             tuple(self._rejected),
             tuple(self._slips),
-            (*self._losses(), *_jumps(clock)),
+            (*self._losses(), *clock_jumps(clock)),
             tuple(self._intake.setpoints),
             clock,
             self._intake.samples,
@@ -373,8 +373,14 @@ def interruption(last: int, begins: int) -> str:
     return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {last * 1e-9:.3f} s'
 
 
-def _jumps(clock: ClockFit) -> list[str]:
+_SHOWN = 1e-4
+"""Last digit of a jump that is shown, s: smaller ones are none to a person."""
+
+
+def clock_jumps(clock: ClockFit) -> list[str]:
+    """Say by how much clocks jump, where the stamps resolve it."""
     return [
         f'The clocks of IMU and table jump by {jump:+.4f} s against each other'
-        for jump in clock.jumps
+        for jump, surely in zip(clock.jumps, clock.surely, strict=True)
+        if surely >= _SHOWN
     ]
