@@ -213,3 +213,28 @@ def test_a_fit_ends_where_its_derivatives_are_known(monkeypatch) -> None:
     # A step from there would move the outputs by less than a billionth of their deviations.
     step = np.linalg.lstsq(jacobian, left, rcond=None)[0]
     assert np.linalg.norm(jacobian @ step) < 1e-9 * np.sqrt(len(left))
+
+
+def test_samples_lost_where_a_joint_starts_leave_what_is_said() -> None:
+    """A ramp of 60 deg/s^2 begins anywhere within the gap: beside it the rates are straight."""
+    rng = np.random.default_rng(3)
+    period, corner = 0.01, 40
+    ratios = []
+    for lost in (1, 2, 3):
+        for begins in rng.uniform(corner, corner + lost + 1, 200):
+            ends = np.arange(1, 101.0)
+            # By hand: the angle gained until t is a (t - begins)^2 / 2.
+            until = 60 * DEG * (np.maximum(ends - begins, 0) * period) ** 2 / 2
+            gained = np.diff(until, prepend=0.0)
+            known = np.delete(np.arange(100), corner + np.arange(lost))
+            filled = np.interp(np.arange(100), known, gained[known])
+            angle = np.zeros((100, 6))
+            angle[:, 0] = filled
+            rows = ~np.isin(np.arange(100), known)
+            samples = Samples(
+                (ends * 1e7).astype(np.int64), angle, np.zeros(6), period, np.zeros(6), filled=rows
+            )
+            ratios.append((filled.sum() - gained.sum()) ** 2 / joined(samples).filled)
+    # Uniform over the gap: their mean is one, and none is beyond h^2 / 8 of the slope.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.5)
+    assert max(ratios) < 4.5**2
