@@ -47,6 +47,8 @@ CAUSES = {
     'turns': 'turns .* scatter|Turns .* scatter',
     'gyro drift': 'biases of the gyros drift by',
     'accelerometer drift': 'biases of the accelerometers drift by',
+    'gyro scatter': 'gyros .*scatter from rest to rest',
+    'accelerometer scatter': 'accelerometers .*scatter from rest to rest',
     'temperature': 'temperature moved',
     'north': 'gyros see north',
     'course': 'The session (?:shows|hints at) .*(trend|warm_up)',
@@ -100,6 +102,13 @@ _RAMP = (
     'temperature: {ramp: 10 K/h, gyro: {bias: 0.02 (deg/h)/K, scale_factor: 2 ppm/K}, '
     'accelerometer: {bias: 5 ug/K, scale_factor: 5 ppm/K}}'
 )
+_SCATTERS = {
+    'g_sensitivity': ('gyro scatter',),
+    'gyro_g2': ('gyro scatter',),
+    'accel_cross': ('accelerometer scatter',),
+}
+"""What terms that follow the attitude look like where they are too small to be found."""
+
 _DRIFT = ('gyro drift', 'accelerometer drift', 'course')
 
 CONDITIONS = {
@@ -162,7 +171,11 @@ CONDITIONS = {
     'ringing': Condition(
         'mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}', bound=None
     ),
-    'floor shakes': Condition('mounting: {floor: {rate: 0.05 deg/s, force: 2 mg}}', bound=None),
+    'floor shakes': Condition(
+        'mounting: {floor: {rate: 0.05 deg/s, force: 2 mg}}',
+        ('gyro scatter', 'accelerometer scatter'),
+        bound=None,
+    ),
     'temperature ramp': Condition(_RAMP, ('temperature', *_DRIFT), bound={'ramp': True}),
     'temperature ramp, not recorded': Condition(
         _RAMP, _DRIFT, bound={'ramp': True}, thermometer=False
@@ -170,7 +183,10 @@ CONDITIONS = {
     'warm-up': Condition(
         'temperature: {warm_up: {gyro: 0.1 deg/h, accelerometer: 50 ug}}', _DRIFT, bound=None
     ),
-    **{name: Condition(causes=(name,), term=name, bound=None) for name in SIZES},
+    **{
+        name: Condition(causes=(name, *_SCATTERS.get(name, ())), term=name, bound=None)
+        for name in SIZES
+    },
 }
 
 

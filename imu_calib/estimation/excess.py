@@ -39,6 +39,9 @@ from .likelihood import along_columns, beside, fixed
 from .wandering import Wandering
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
+_SWIFT = 1 / 10
+"""Correlation time below which scatter is no drift: a rest of twelve, and the way to the next."""
+
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
 _ARRIVAL_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
 _KINDS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
@@ -130,6 +133,9 @@ class Excess:
         extra: What wandering adds to the covariance of the outputs: as the data sheet states it,
             and what the session shows beyond.
         spared: What of the wandering that the data sheet states the session seems to be without.
+        missed: Probability that arrivals miss beyond what the table states.
+        swift: Of gyros and accelerometers, whether what they show beyond the data sheet comes and
+            goes within a tenth of the session, as no drift does.
 
     """
 
@@ -137,6 +143,8 @@ class Excess:
     wandering: Floats
     extra: tuple[Component, ...] = ()
     spared: tuple[Component, ...] = ()
+    missed: float = 0.0
+    swift: tuple[bool, bool] = (False, False)
 
     @property
     def stated(self) -> tuple[Component, ...]:
@@ -170,8 +178,10 @@ def excess(equations: Equations, state: Floats) -> Excess:
     return Excess(
         Arrivals(math.sqrt(share * joints), math.sqrt(share * stops)),
         np.repeat([deviation for deviation, *_ in spread], 3),
-        tuple(part for _, parts, _ in spread for part in parts),
-        tuple(part for *_, spared in spread for part in spared),
+        tuple(part for _, parts, _, _ in spread for part in parts),
+        tuple(part for _, _, spared, _ in spread for part in spared),
+        share,
+        (spread[0][3], spread[1][3]),
     )
 
 
@@ -298,10 +308,10 @@ def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
 
 def _spread_out(
     triad: _Triad, mixture: list[tuple[float, _Wander]]
-) -> tuple[float, tuple[Component, ...], tuple[Component, ...]]:
+) -> tuple[float, tuple[Component, ...], tuple[Component, ...], bool]:
     """Return the wandering's standard deviation, the posterior's mean of its covariance.
 
-    And what that lacks of the wandering stated.
+    And what that lacks of the wandering stated, and whether what is beyond comes and goes swiftly.
     """
     calm, by_ratio = 0.0, np.zeros((len(_TIMES), len(_RATIOS)))
     for weight, wander in mixture:
@@ -321,7 +331,8 @@ def _spread_out(
     if by_ratio.any():
         parts.append(Component(Source.BIAS_FOUND, Dense(triad.rows, found)))
     spared = Component(Source.BIAS_STATED, Dense(triad.rows, (1 - calm) * stated))
-    return math.sqrt(total), tuple(parts), (spared,) if triad.stated else ()
+    swift = bool(by_ratio[np.array(_TIMES) <= _SWIFT].sum() > by_ratio.sum() / 2)
+    return math.sqrt(total), tuple(parts), (spared,) if triad.stated else (), swift
 
 
 def _triads(plain: Equations, state: Floats) -> list[_Triad]:

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ..changes import Changes
-from ..estimation.fit import Estimate, estimate
+from ..estimation.fit import Estimate, Outlier, estimate
 from ..estimation.search import searched
 from ..estimation.tested import findings, tested
 from ..estimation.warmth import moved_temperature
@@ -30,6 +30,13 @@ from .solution import Residual, Solution
 
 _TELLING = 0.1
 """Of what is stated anyway: scatter below it changes no deviation by more than half a percent."""
+
+_EVEN = 0.5
+"""Probability from which on arrivals that miss are more likely than not, and said."""
+
+_OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
+"""The largest of the terms that change with the attitude, for each triad."""
+
 _NAMED = 3
 """Moves that a sentence names; a person looks into the first."""
 
@@ -170,7 +177,9 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
 def _findings(found: Estimate) -> list[str]:
     notes = []
     if found.outliers:
-        names = ', '.join(f'{o.name} ({np.sqrt(o.square):.0f} sigma)' for o in found.outliers)
+        names = ', '.join(
+            f'{o.name} ({np.sqrt(o.square):.0f} sigma{_leaning(found, o)})' for o in found.outliers
+        )
         notes.append(f'Does not fit the rest and counts for less: {names}.')
     if found.astray:
         notes.append(_astray(found))
@@ -191,6 +200,27 @@ def _findings(found: Estimate) -> list[str]:
         )
     notes += [_constant(found)] if found.constant else []
     return [*notes, *moved_temperature(found), *_scattering(found)]
+
+
+def _leaning(found: Estimate, outlier: Outlier) -> str:
+    """Say how far the table would have leaned to do this; nothing where that explains little.
+
+    What is along gravity is then below a third of the 5.5 deviations from which on a rest counts
+    for less: two, as noise does.
+    """
+    equations = found.equations
+    if not any(np.array_equal(rows, outlier.rows) for rows in equations.rows.rest[:, 3:]):
+        return ''
+    force = equations.predict(found.state)[outlier.rows]
+    # Channels lie along their axes but for milliradians, and so does what is off.
+    off = (equations.outputs[outlier.rows] - force) / np.linalg.norm(force)
+    along = float(off @ force) / float(np.linalg.norm(force))
+    lean = float(np.linalg.norm(np.cross(off, force))) / float(np.linalg.norm(force))
+    return (
+        f', as if the table leaned by {lean / ARCSEC:.2g} arcsec there'
+        if abs(along) < lean / 3
+        else ''
+    )
 
 
 def _constant(found: Estimate) -> str:
@@ -226,6 +256,9 @@ def _scattering(found: Estimate) -> list[str]:
     if evidence.table is not None and 'positioning' in evidence.table.assumed:
         known = f'{stated} are assumed of the table'
     joints, stops = scatter.arriving.joints, scatter.arriving.stops
+    if scatter.missed < _EVEN:
+        # The deviations allow for it by its probability; it is not what happened.
+        joints = stops = 0.0
     if joints > _TELLING * evidence.positioning:
         notes.append(
             f'Positioning errors of {joints / ARCSEC:.2g} arcsec, which encoders do not show, '
@@ -245,6 +278,16 @@ def _scattering(found: Estimate) -> list[str]:
         wandering, stated_of = scatter.wandering[first], evidence.instability[first]
         if wandering > (1 + _TELLING) * stated_of:
             stated = f'{stated_of / unit:.3g} {symbol}' if stated_of else 'none'
+            if scatter.swift[first // 3]:
+                notes.append(
+                    f'The {name} scatter from rest to rest by {wandering / unit:.2g} {symbol}, '
+                    'more than their noise, and swifter than biases drift (the description of '
+                    f'the IMU states {stated} for those): the standard deviations allow for it. A '
+                    'floor that shakes does so, and so do errors that follow the attitude and are '
+                    f'too small to be told ({_OF_ATTITUDE[name]}). A second session tells: the '
+                    'same residuals at the same positions are the attitude.'
+                )
+                continue
             notes.append(
                 f'The biases of the {name} drift by {wandering / unit:.2g} {symbol} (the '
                 f'description of the IMU states {stated}): the standard deviations allow for it.'
