@@ -103,7 +103,7 @@ _ROWS = {
         'temp',
         'temperature that moved, by the coefficients that the IMU description states',
     ),
-    Source.TERMS: ('A', 'terms', 'terms that the session shows and does not determine'),
+    Source.TERMS: ('A', 'terms', 'terms that the session does not determine or exclude'),
 }
 
 
