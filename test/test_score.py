@@ -165,8 +165,8 @@ def test_looking_for_terms_changes_nothing_where_there_are_none() -> None:
     assert look.solution.shares is not None
     drifts = look.solution.shares[Source.TERMS].covariance
     assert (plain.solution.covariance + drifts).tobytes() == look.solution.covariance.tobytes()
-    # One in 34 sessions drifts: where that is not seen deviations grow by some hundredths.
-    assert (np.diag(look.solution.covariance) < 1.1 * np.diag(plain.solution.covariance)).all()
+    # Where no drift shows deviations grow by some hundredths, those of K_az most.
+    assert (look.solution.covariance.diagonal() < 1.4 * plain.solution.covariance.diagonal()).all()
 
 
 def test_the_tail_of_f_is_exact_where_numbers_end() -> None:

@@ -63,10 +63,10 @@ def seen(coefficients: Floats) -> list[tuple[Score, Floats]]:
 
 
 def test_drifts_are_as_likely_and_do_as_much_as_is_said() -> None:
-    """Sessions of a world in which one in 34 drifts, by as much as the prior says."""
+    """Sessions of a world in which one in 21 drifts, by as much as the prior says."""
     rng = np.random.default_rng(5)
     sessions = 6000
-    there = rng.random(sessions) < 1 / 34
+    there = rng.random(sessions) < 1 / 21
     # The distribution of g, turned about: 1 - (1 + g)^-0.5.
     sizes = np.sqrt((1 - rng.random(sessions)) ** -2 - 1)
     coefficients = there[:, None] * sizes[:, None] * rng.standard_normal((sessions, 3))

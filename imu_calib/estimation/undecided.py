@@ -21,9 +21,9 @@ import scipy
 from ..stream import Floats
 from .score import Family, Score
 
-_ODDS = 1 / 33
-"""Of a course, before the session is seen, to none: as `excess` has them for each case in which a
-data sheet is not right."""
+_ODDS = 1 / 20
+"""Of each of two courses, before the session is seen, to none: ten to one for none, as `excess` has
+it for the data sheet."""
 
 _LEAST = 1e-9
 """Chi-square below which the integrals are taken at it: they are smooth there."""
