@@ -41,7 +41,7 @@ CAUSES = {
     'wobble': 'joint axes that wobble',
     'encoder': 'encoders that err within the turn',
     'joints': 'Positioning errors of',
-    'stops': 'Attitude errors of the whole table',
+    'stops': 'Attitude errors of the whole table|attitude error of the table of',
     'moves': 'By the gyros .* of .* moves end elsewhere',
     'outliers': 'Does not fit the rest',
     'turns': 'turns .* scatter|Turns .* scatter',

@@ -6,7 +6,7 @@ evidence raises or lowers them, and what the course would make of the parameters
 covariance by the probability that comes out (Bayesian model averaging).
 
 Sources: Liang et al. 2008, J. Am. Statist. Assoc. 103, 410 (the prior of the coefficients);
-Hoeting et al. 1999, Statist. Sci. 14, 382; docs/mathematics.md, 'Drifts that are not shown'.
+Hoeting et al. 1999, Statist. Sci. 14, 382; docs/mathematics.md, 'Terms that are missing'.
 """
 
 from __future__ import annotations

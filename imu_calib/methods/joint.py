@@ -203,7 +203,7 @@ def _findings(found: Estimate) -> list[str]:
 
 
 def _leaning(found: Estimate, outlier: Outlier) -> str:
-    """Say how far the table would have leaned to do this; nothing where that explains little.
+    """Say which attitude error of the table does this; nothing where that explains little.
 
     What is along gravity is then below a third of the 5.5 deviations from which on a rest counts
     for less: two, as noise does.
@@ -217,7 +217,7 @@ def _leaning(found: Estimate, outlier: Outlier) -> str:
     along = float(off @ force) / float(np.linalg.norm(force))
     lean = float(np.linalg.norm(np.cross(off, force))) / float(np.linalg.norm(force))
     return (
-        f', as if the table leaned by {lean / ARCSEC:.2g} arcsec there'
+        f', as an attitude error of the table of {lean / ARCSEC:.2g} arcsec makes it'
         if abs(along) < lean / 3
         else ''
     )
