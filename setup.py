@@ -32,7 +32,7 @@ PLOT = 'matplotlib>=3.6'
 DATA_FRAME = 'pandas>=2'
 # The first that refuses bytes which end within a string or a sequence.
 ROSBAGS = 'rosbags>=0.11.6'
-DOCS = ['sphinx>=7', 'myst-parser>=2', 'furo>=2024.1.29']
+DOCS = ['sphinx>=7', 'myst-nb>=1.1', 'furo>=2024.1.29']
 
 setup(
     name=NAME,

@@ -21,8 +21,10 @@ author = 'The imu_calib developers'
 copyright = author  # noqa: A001
 version = release = import_module('imu_calib.version').version()
 
-extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
-source_suffix = {'.md': 'markdown', '.rst': 'restructuredtext'}
+extensions = ['myst_nb', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
+source_suffix = {'.md': 'myst-nb', '.rst': 'restructuredtext', '.ipynb': 'myst-nb'}
+# What they print is committed; tests run them.
+nb_execution_mode = 'off'
 # rosdoc2 puts copies of README and the like beside the pages, which are there already.
 exclude_patterns = [
     '_build',
@@ -60,6 +62,12 @@ nitpick_ignore_regex = [
         r'(numpy|np|numpy\.typing|collections|pathlib|typing|types|contextlib|pandas|matplotlib)\..*',
     ),
     ('py:class', 'Figure'),
+    # Values within others, which have no page, and names for a choice of types.
+    (
+        'py:class',
+        r'imu_calib\.(api\.progress\.Show|channel_noise\.ChannelNoise|repetition\.Outcome)',
+    ),
+    ('py:class', 'Named|AnyCalibration|Progress'),
 ]
 
 BORROWED = {

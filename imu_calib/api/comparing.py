@@ -56,7 +56,7 @@ class Compared:
 
     @property
     def std(self) -> Floats:
-        """Standard deviation of the difference, (n,) SI units: they are taken to be independent."""
+        """Standard deviation of the difference, (n,) SI units; they are taken to be independent."""
         both = [c.std[positions(self.parameters, c.parameters)] for c in self.calibrations]
         return np.asarray(np.hypot(*both))
 

@@ -35,7 +35,7 @@ class Result:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """What became of each term: estimated, or off, and from which size on it would be found."""
+        """Sentences on each term, estimated or off, and from which size on it would be found."""
         return tuple(summary(self.solution.tests))
 
 
