@@ -280,7 +280,7 @@ def test_the_calibration_of_another_unit_is_told_from_a_mistake() -> None:
     other = replace(calibration(), model=calibration().model.from_vector(vector))
     verification = verify(other, observed())
     for gyros in (True, False):
-        assert "another unit's" in symptom(verification, gyros=gyros)
+        assert 'that of another unit' in symptom(verification, gyros=gyros)
 
 
 def test_a_unit_turned_in_its_mount_is_told_by_how_much() -> None:
