@@ -67,19 +67,19 @@ class Source(Enum):
 
 _ROWS = {
     Source.NOISE: ('A', 'noise', 'random walk of the sensors, from blocks of static dwells'),
-    Source.QUANTISATION: ('B', 'pulse', 'quantisation of pulses and counts, from the pulse weight'),
+    Source.QUANTISATION: ('B', 'pulse', 'quantisation, from the pulse weight'),
     Source.BIAS_STATED: ('B', 'bias', 'bias instability, as the IMU description states it'),
     Source.BIAS_FOUND: ('A', 'drift', 'bias drift beyond that, as the session shows it'),
-    Source.ARRIVAL_STATED: ('B', 'pos', 'positioning errors of the table, as stated or assumed'),
+    Source.ARRIVAL_STATED: ('B', 'pos', 'positioning errors, as stated or assumed'),
     Source.ARRIVAL_FOUND: (
         'A',
         'pos+',
-        'positioning errors beyond that, as the session shows them',
+        'positioning errors beyond that, found',
     ),
     Source.STOPS: (
         'A',
         'stop',
-        'attitude errors of the whole table at each stop, as the session shows them',
+        'attitude errors of the table at each stop, found',
     ),
     Source.ENCODER_RATE: ('A', 'rate', "the table's rate, from the scatter of its encoder"),
     Source.ENCODER_NOISE: ('A', 'enc', "attitudes, from the encoders' noise"),
@@ -90,7 +90,7 @@ _ROWS = {
     Source.NORTH: (
         'B',
         'north',
-        'horizontal Earth rate of unknown heading, or not averaged out by turns',
+        'horizontal Earth rate, unknown heading or left by turns',
     ),
     Source.CLOCK: ('A', 'clock', 'rate between the clocks of IMU and table'),
     Source.TABLE_CLOCK: ('B', 't.clk', "the table's own clock, as its description states it"),
