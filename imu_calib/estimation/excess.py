@@ -39,9 +39,6 @@ from .likelihood import along_columns, beside, fixed
 from .wandering import Wandering
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
-_SWIFT = 1 / 10
-"""Correlation time below which scatter is no drift: a rest of twelve, and the way to the next."""
-
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
 _ARRIVAL_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
 _KINDS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
@@ -135,7 +132,7 @@ class Excess:
         spared: What of the wandering that the data sheet states the session seems to be without.
         missed: Probability that arrivals miss beyond what the table states.
         swift: Of gyros and accelerometers, whether what they show beyond the data sheet comes and
-            goes within a tenth of the session, as no drift does.
+            goes within a rest, as no drift does.
 
     """
 
@@ -331,7 +328,7 @@ def _spread_out(
     if by_ratio.any():
         parts.append(Component(Source.BIAS_FOUND, Dense(triad.rows, found)))
     spared = Component(Source.BIAS_STATED, Dense(triad.rows, (1 - calm) * stated))
-    swift = bool(by_ratio[np.array(_TIMES) <= _SWIFT].sum() > by_ratio.sum() / 2)
+    swift = bool(by_ratio.any()) and int(by_ratio.sum(axis=1).argmax()) == 0
     return math.sqrt(total), tuple(parts), (spared,) if triad.stated else (), swift
 
 
