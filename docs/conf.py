@@ -4,6 +4,7 @@ import os
 import re
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,13 @@ author = 'The imu_calib developers'
 copyright = author  # noqa: A001
 version = release = import_module('imu_calib.version').version()
 
-extensions = ['myst_nb', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
-source_suffix = {'.md': 'myst-nb', '.rst': 'restructuredtext', '.ipynb': 'myst-nb'}
+# Where only the parser of pages is installed, as on the ROS build farm, notebooks are left out.
+NOTEBOOKS = find_spec('myst_nb') is not None
+PARSER, PAGE = ('myst_nb', 'myst-nb') if NOTEBOOKS else ('myst_parser', 'markdown')
+extensions = [PARSER, 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
+source_suffix = {'.md': PAGE, '.rst': 'restructuredtext'}
+if NOTEBOOKS:
+    source_suffix['.ipynb'] = PAGE
 # What they print is committed; tests run them.
 nb_execution_mode = 'off'
 # rosdoc2 puts copies of README and the like beside the pages, which are there already.
