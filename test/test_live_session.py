@@ -12,6 +12,7 @@ from loopback import patience, until
 from sessions import SITE, at_one_rate, ended, paper_imu, quick_plan, stand
 
 from imu_calib.bags import Journal, open_recording
+from imu_calib.budget import Source
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints
 from imu_calib.errors import InputError
@@ -160,8 +161,11 @@ def test_terms_are_looked_for_when_a_session_ends_and_not_at_every_review(wire):
     assert final.provenance['terms_looked_for']
     assert not [f for f in final.findings if 'Provisional' in f]
     assert same(final, whole.finish().calibration)
-    # This unit has none: it is the same estimate.
-    assert same(on_the_way, final)
+    # This unit has none: it is the same estimate, but for drifts that are not excluded.
+    plain, searched = review.result.solution, end.result.solution
+    drifts = searched.shares[Source.TERMS].covariance
+    assert np.array_equal(on_the_way.model.vector(), final.model.vector())
+    assert np.array_equal(plain.covariance + drifts, searched.covariance)
 
 
 @pytest.mark.parametrize('killed_at', [0.1, 0.55, 0.93])

@@ -37,7 +37,7 @@ from imu_calib.cli.stand import _HELD as HELD
 from imu_calib.earth import EARTH_RATE
 from imu_calib.exports import EXPORTS
 from imu_calib.imu import ImuSpec, load_imu, read_imu
-from imu_calib.methods import JOINT, free
+from imu_calib.methods import JOINT, free_positions
 from imu_calib.plan import Plan, load_plan
 from imu_calib.share import share_folder
 from imu_calib.stream import Floats, Units
@@ -265,7 +265,7 @@ def test_a_shipped_plan_with_a_shipped_unit_goes_all_the_way(case: Case, shell: 
 def _near_the_truth(case: Case, found: Calibration) -> None:
     model = truth_of(case.truth).model
     if found.provenance.get('frame') == 'accelerometers':
-        model = free.in_frame_of_accelerometers(model)
+        model = free_positions.in_frame_of_accelerometers(model)
     error = found.values - model.values(found.parameters)
     known = np.isfinite(found.std) & (found.std > 0)
     assert known.sum() >= 12

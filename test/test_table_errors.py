@@ -244,8 +244,10 @@ def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
     ):
         evidence = replace(evidence_of(), table=table, positioning=table.positioning)
         found = estimate(evidence)
-        off = replace(found.scatter, arriving=Arrivals(joints=10 * ARCSEC))
-        (sentence,) = [f for f in _scattering(replace(found, scatter=off)) if 'joints' in f]
+        off = replace(found.scatter, arriving=Arrivals(joints=10 * ARCSEC), missed=1.0)
+        (sentence,) = [
+            f for f in _scattering(replace(found, scatter=off)) if 'Positioning errors' in f
+        ]
         assert words in sentence
 
 
