@@ -46,7 +46,7 @@ UNITS = {
     'full_model': ('fog_navigation', 'fog_navigation_terms'),
 }
 """Unit and truth by plan, where it is not the usual one."""
-ASKED = {'full_model': TERMS}
+ASKED = {'full_model': tuple(term for term in TERMS if not term.moving)}
 """Terms by plan, where it is made for more than its method's own parameters."""
 
 

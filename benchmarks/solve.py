@@ -1,4 +1,4 @@
-"""How long a solve takes: thirty rests, thirty turns and all ten terms together, on one core.
+"""How long a solve takes: thirty rests, thirty turns and all terms together, on one core.
 
 A session of the plan full_model with the twelve positions after it is simulated and cut, and solved
 by the joint estimate. Counted is processor time, of one thread: a machine that is busy takes longer

@@ -43,6 +43,7 @@ CAUSES = {
     'joints': 'Positioning errors of',
     'stops': 'Attitude errors of the whole table|attitude error of the table of',
     'moves': 'By the gyros .* of .* moves end elsewhere',
+    'velocities': 'By the accelerometers .* of .* moves do not end at rest',
     'outliers': 'Does not fit the rest',
     'turns': 'turns .* scatter|Turns .* scatter',
     'gyro drift': 'biases of the gyros drift by',

@@ -38,6 +38,7 @@ class Source(Enum):
     AZIMUTH = 'azimuth'
     TILT = 'tilt'
     ARM = 'lever_arm'
+    DELAY = 'delay'
     NORTH = 'unknown_north'
     TABLE = 'table'
     CLOCK = 'clock'
@@ -85,7 +86,8 @@ _ROWS = {
     Source.ENCODER_NOISE: ('A', 'enc', "attitudes, from the encoders' noise"),
     Source.AZIMUTH: ('B', 'azim', "prior of the table's azimuth"),
     Source.TILT: ('B', 'tilt', "prior of the table's two tilts"),
-    Source.ARM: ('B', 'arm', 'priors of the lever arms of accelerometers in turns'),
+    Source.ARM: ('B', 'arm', 'priors of the lever arms of accelerometers'),
+    Source.DELAY: ('B', 'delay', 'delay of accelerometers after gyros'),
     Source.TABLE: ('B', 'table', 'axes, zeros and encoders of the table, as stated or assumed'),
     Source.NORTH: (
         'B',

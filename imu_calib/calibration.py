@@ -423,13 +423,17 @@ def _spec_document(spec: TriadSpec) -> dict[str, Any]:
 
 
 def _shape(term: Term) -> tuple[int, ...]:
-    """Return how a term's coefficients stand in a file: one for each channel, or a row of them."""
+    """Return how a term's coefficients stand in a file: one, one for each channel, or rows."""
     count = len(term.parameters) // len(AXES)
+    if not count:
+        return ()
     return (len(AXES),) if count == 1 else (len(AXES), count)
 
 
-def _shaped(values: Floats) -> list[Any]:
+def _shaped(values: Floats) -> list[Any] | float:
     """Return coefficients as they stand in a file."""
+    if len(values) == 1:
+        return float(values[0])
     return _row(values) if len(values) == len(AXES) else _rows(values.reshape(len(AXES), -1))
 
 

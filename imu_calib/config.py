@@ -130,7 +130,7 @@ class Section:
         values = numbers_of(self.raw(name))
         if values is None:
             raise InputError(f'{self.key(name)}: found no numbers.')
-        found, expected = ('x'.join(map(str, s)) for s in (values.shape, shape))
+        found, expected = ('x'.join(map(str, s)) or '1' for s in (values.shape, shape))
         if values.shape != shape:
             raise InputError(f'{self.key(name)}: found {found} numbers, expected {expected}.')
         if not np.isfinite(values).all():

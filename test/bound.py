@@ -4,9 +4,11 @@ The stream of a channel is taken whole, sample by sample: its increments are the
 random walk plus the difference of two reading errors, white with a twelfth of a pulse squared.
 Their covariance is tridiagonal, and the information on a constant rate is 1' S^-1 1. What the
 channels read comes from the sensor model and rotations written out; derivatives are differences.
-Of a move between two rests the gyros' increments are carried to its end and summed: a random walk
-over its time, and two reading errors. Where the unit turns whole turns it is somewhere within a
-metre of the axis, elsewhere at each position.
+Of a move between two rests the gyros' increments are carried to its end and summed, and those of
+the accelerometers likewise, in axes that err as the gyros do: a random walk over its time, and two
+reading errors. Where the unit turns whole turns it is somewhere within a metre of the axis,
+elsewhere at each position; each accelerometer is somewhere within centimetres of the others, and
+all answer some milliseconds late.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import solveh_banded
+from scipy.linalg import block_diag, solveh_banded
 
 from imu_calib.earth import Site
 from imu_calib.imu import ImuSpec
@@ -29,6 +31,8 @@ from imu_calib.units import ARCSEC
 
 _LEVELLED = 20 * ARCSEC
 _WITHIN = 1.0
+_APART = 0.03
+_LATE = 0.01
 _BEYOND = 1.0
 _PARTS = 201
 _SEEN_BESIDE = 0.5
@@ -58,8 +62,10 @@ def bound(
     """
     ways = moves(plan, table) if table is not None else []
     arms = 3 * sum(position.rate_test is not None for position in plan.positions)
-    state = np.concatenate([model.vector(), [azimuth, 0.0, 0.0], np.zeros(arms)])
-    steps = np.concatenate([np.full(24, 1e-3), np.full(3, 1e-4), np.full(arms, 1e-3)])
+    # Where the unit and each accelerometer are, and how late they answer.
+    unknown = arms + (13 if ways else 0)
+    state = np.concatenate([model.vector(), [azimuth, 0.0, 0.0], np.zeros(unknown)])
+    steps = np.concatenate([np.full(24, 1e-3), np.full(3, 1e-4), np.full(unknown, 1e-3)])
     jacobian = np.array(
         [
             (read(plan, site, state + step, ways) - read(plan, site, state - step, ways))
@@ -67,11 +73,12 @@ def bound(
             for step in np.diag(steps)
         ]
     ).T
-    moved = [spec.gyro.random_walk**2 * way.seconds for way in ways]
-    moved = np.repeat(np.array(moved) + spec.gyro.scale_factor**2 / 6, 3)
-    jacobian /= np.sqrt(np.append(variances(plan, spec, at_rest), moved))[:, None]
-    information = jacobian.T @ jacobian
-    information += np.diag([*[0.0] * 25, *[_LEVELLED**-2] * 2, *[_WITHIN**-2] * arms])
+    noise = block_diag(
+        np.diag(variances(plan, spec, at_rest)), *(noise_of(way, spec, site) for way in ways)
+    )
+    information = jacobian.T @ np.linalg.solve(noise, jacobian)
+    priors = [_WITHIN] * arms + ([_WITHIN] * 3 + [_APART] * 9 + [_LATE] if ways else [])
+    information += np.diag([*[0.0] * 25, *np.array([_LEVELLED] * 2 + priors) ** -2.0])
     scale = 1 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     return np.asarray(np.sqrt(np.diag(covariance))[:24])
@@ -91,19 +98,29 @@ class Way:
         return self.moving / (len(self.attitudes) - 1)
 
     @cached_property
-    def spins(self) -> Floats:
-        """What the table turns it by in each interval, body axes, (n - 1, 3) rad/s."""
-        turned = self.attitudes[:-1].transpose(0, 2, 1) @ self.attitudes[1:]
-        return np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], axis=1) / self.step
+    def at(self) -> Floats:
+        """Attitudes before it, in the middle of each interval and after it, (n + 1, 3, 3)."""
+        ends = self.attitudes
+        return np.concatenate([ends[:1], (ends[:-1] + ends[1:]) / 2, ends[-1:]])
 
     @cached_property
-    def carried(self) -> Floats:
-        """What carries each interval to the end of the move, (n - 1, 3, 3).
+    def lasting(self) -> Floats:
+        """How long each of them lasts, (n + 1,) s."""
+        beside = (self.seconds - self.moving) / 2
+        return np.array([beside, *[self.step] * (len(self.attitudes) - 1), beside])
 
-        Seen from the middle of the interval: to second order in what it turns by.
-        """
-        middle = (self.attitudes[:-1] + self.attitudes[1:]) / 2
-        return np.asarray(self.attitudes[-1].T @ middle)
+    @cached_property
+    def spins(self) -> Floats:
+        """What the table turns it by in each of them, body axes, (n + 1, 3) rad/s."""
+        turned = self.attitudes[:-1].transpose(0, 2, 1) @ self.attitudes[1:]
+        rates = np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], axis=1) / self.step
+        return np.vstack([np.zeros(3), rates, np.zeros(3)])
+
+    @cached_property
+    def faster(self) -> Floats:
+        """How fast that changes, (n + 1, 3) rad/s^2."""
+        inner = (self.spins[2:] - self.spins[:-2]) / (2 * self.step)
+        return np.vstack([np.zeros(3), inner, np.zeros(3)])
 
 
 def moves(plan: Plan, table: Table) -> list[Way]:
@@ -141,10 +158,11 @@ def travel(
 
 
 def read(plan: Plan, site: Site, state: Floats, ways: list[Way]) -> Floats:
-    """What all stretches and turns (six each) read, and moves (three each) sum to."""
+    """What all stretches and turns (six each) read, and moves (six each) sum to."""
     model = SensorModel.from_vector(state[:24])
     azimuth, east, north = state[24:27]
-    arms = iter(state[27:].reshape(-1, 3))
+    turned = sum(position.rate_test is not None for position in plan.positions)
+    arms, besides = iter(state[27 : 27 + 3 * turned].reshape(-1, 3)), state[27 + 3 * turned :]
     base = about('z', azimuth) @ about('x', east) @ about('y', north)
     values = []
     for position in plan.positions:
@@ -159,13 +177,52 @@ def read(plan: Plan, site: Site, state: Floats, ways: list[Way]) -> Floats:
             spin = up * (rate + axis @ site.earth_rate)
             values += [*model.predict(spin, along + np.cross(spin, np.cross(spin, arm)))]
     for way in ways:
-        # (base @ attitude)' earth, of every interval.
-        rates = way.spins + way.attitudes[1:].transpose(0, 2, 1) @ (base.T @ site.earth_rate)
-        total = np.einsum('nij,nj->i', way.carried, model.predict(rates, np.zeros(3))[0]) * way.step
-        # Where it stands before and after.
-        beside = (way.seconds - way.moving) * model.gyro.bias
-        values.append(total + (way.attitudes[-1].T @ way.attitudes[0] + np.eye(3)) @ beside / 2)
+        values += [summed(way, model, site, base, besides)]
     return np.concatenate(values)
+
+
+def summed(way: Way, model: SensorModel, site: Site, base: Floats, besides: Floats) -> Floats:
+    """What gyros and accelerometers sum to over a move, along the body axes at its end.
+
+    The axes of the accelerometers' sum are those of the attitudes, turned by what the gyros read
+    beyond the truth. Where the unit is enters by the Coriolis force alone, but what the places of
+    the accelerometers differ by in full.
+    """
+    unit, places, late = besides[:3], besides[3:12].reshape(3, 3), besides[12]
+    first, last, gravity = way.attitudes[0], way.attitudes[-1], base.T @ site.specific_force
+    # (base @ attitude)' earth, and the attitude's transpose by gravity.
+    rates = way.spins + way.at.transpose(0, 2, 1) @ (base.T @ site.earth_rate)
+    gyro, accel = model.predict(rates, way.at.transpose(0, 2, 1) @ gravity)
+    for c, place in enumerate(places):
+        felt = np.cross(way.faster, place) + np.cross(way.spins, np.cross(way.spins, place))
+        accel[:, c] += felt @ model.accel.response[c]
+    changing = np.diff(way.attitudes.transpose(0, 2, 1) @ gravity, axis=0) / way.step
+    accel[1:-1] -= late * changing @ model.accel.response.T
+    to_end = last.T @ way.at * way.lasting[:, None, None]
+    read, gained = (np.einsum('nij,nj->ni', to_end, x) for x in (gyro, accel))
+    # What is read here turns what was gained before, and half of what is gained meanwhile.
+    so_far = np.cumsum(way.lasting) - way.lasting / 2
+    before = np.outer(so_far, last.T @ site.specific_force)
+    velocity = (gained - np.cross(before, read)).sum(axis=0)
+    coriolis = 2 * np.cross(site.earth_rate, base @ (last - first) @ unit)
+    return np.append(read.sum(axis=0), velocity + (base @ last).T @ coriolis)
+
+
+def noise_of(way: Way, spec: ImuSpec, site: Site) -> Floats:
+    """The covariance (6, 6) of what `summed` sums, by random walk and readings at both ends."""
+    x, y, z = way.attitudes[-1].T @ site.specific_force
+    turning = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    found = np.zeros((6, 6))
+    count = 200
+    for k in range(count):
+        by_gyro = np.vstack([np.eye(3), turning * (k + 0.5) / count * way.seconds])
+        found += spec.gyro.random_walk**2 * way.seconds / count * by_gyro @ by_gyro.T
+    for at in (0.0, 1.0):
+        by_gyro = np.vstack([np.eye(3), turning * at * way.seconds])
+        found += spec.gyro.scale_factor**2 / 12 * by_gyro @ by_gyro.T
+    own = spec.accel.random_walk**2 * way.seconds + spec.accel.scale_factor**2 / 6
+    found[3:, 3:] += own * np.eye(3)
+    return found
 
 
 def about(axis: str, angle: float) -> Floats:

@@ -83,6 +83,7 @@ class Unit:
         arm: Where the unit is from the inner axis, body axes, m: without `World.misses` from where
             all axes cross.
         places: Where accelerometers x, y and z are in the unit, body axes, m.
+        late: How much later than the gyros all three answer, s.
         counts: Whether it delivers rates and forces, rounded to `pulse` per second.
         gyro_drift, accel_drift: Of the biases per second, rad/s^2 and m/s^3.
         gyro_growth, accel_growth: Of the responses per second, 1/s.
@@ -101,6 +102,7 @@ class Unit:
     rate: float = 100.0
     arm: Vector = NOTHING
     places: Matrix = ZERO
+    late: float = 0.0
     counts: bool = False
     gyro_drift: Vector = NOTHING
     accel_drift: Vector = NOTHING
@@ -452,13 +454,17 @@ def _record_imu(recording: Recording, world: World, unit: Unit, draw: random.Ran
     dt = 1.0 / unit.rate
     motions = schedule(world)
     moved = Moved(world, unit, motions[0])
+    afterwards = felt(world, unit.rate, unit.late)
     earth = earth_of(world)
     sums = [0.0] * 6
     told = [0] * 6
     pulses = [unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3
     walks = [unit.gyro_walk] * 3 + [unit.accel_walk] * 3
-    for k, (turned, pushed, middle, motion) in enumerate(felt(world, unit.rate)):
-        beyond = [NOTHING] * 3 if middle is None else moved.on(middle, earth, motion, (k + 1) * dt)
+    for k, (turned, _, _, _) in enumerate(felt(world, unit.rate)):
+        _, pushed, middle, motion = afterwards[k]
+        beyond = [NOTHING] * 3
+        if middle is not None:
+            beyond = moved.on(middle, earth, motion, (k + 1) * dt - unit.late)
         outputs = _answer(unit.gyro_m, unit.gyro_d, turned, dt)
         if any(map(any, beyond)):
             # Each accelerometer feels all three components where it is.
@@ -544,9 +550,11 @@ def earth_of(world: World) -> Vector:
     return 0.0, EARTH_RATE * math.cos(world.latitude), EARTH_RATE * math.sin(world.latitude)
 
 
-@lru_cache(maxsize=2)
-def felt(world: World, rate: float) -> list[tuple[Vector, Vector, Matrix | None, Motion]]:
-    """What every sample is given: integrals of rate and specific force in body axes.
+@lru_cache(maxsize=3)
+def felt(
+    world: World, rate: float, late: float = 0.0
+) -> list[tuple[Vector, Vector, Matrix | None, Motion]]:
+    """What every sample is given: integrals of rate and specific force in body axes, so much late.
 
     And the attitude in its middle where it moves, and which motion it is.
     """
@@ -554,7 +562,7 @@ def felt(world: World, rate: float) -> list[tuple[Vector, Vector, Matrix | None,
     duration = motions[-1].end + 1.5 + world.dwell
     dt = 1.0 / rate
     count = int(duration * rate)
-    halves = angles_at(motions, (0.5 * dt * k for k in range(2 * count + 1)))
+    halves = angles_at(motions, (0.5 * dt * k - late for k in range(2 * count + 1)))
     before, _ = next(halves)
     r_before = attitude(before, world)
     earth = earth_of(world)

@@ -82,7 +82,8 @@ def test_the_sources_in_the_file_add_up_to_the_covariance_in_the_file(plan: str,
     document = yaml.safe_load(made(plan, name).to_yaml())
     written = document['uncertainty_budget']
     sources = {entry['source']: entry for entry in written['sources']}
-    priors = {Source.AZIMUTH, Source.TILT, Source.ARM} if name.startswith('joint') else set()
+    joint = {Source.AZIMUTH, Source.TILT, Source.ARM, Source.DELAY}
+    priors = joint if name.startswith('joint') else set()
     assert set(sources) == {s.value for s in WHATEVER_THE_METHOD | priors}
     variances = [np.square(entry['standard_uncertainty']) for entry in sources.values()]
     stated = np.diag(document['covariance']['matrix'])

@@ -75,6 +75,8 @@ SHOWN = {
     'A_a': ('ppm', 1e-6),
     'K3_a': ('ug/g^3', 1e-6 / 9.80665**2),
     'X_a': ('ug/g^2', 1e-6 / 9.80665),
+    'P_a': ('mm', 1e-3),
+    'T_a': ('ms', 1e-3),
     'G2_g': ('(deg/h)/g^2', math.pi / 180 / 3600 / 9.80665**2),
 }
 """Unit of people and its SI value, by the beginning of a name: 1 ug/g^2 is 1e-6 g per g^2."""
@@ -82,6 +84,14 @@ SHOWN = {
 SETS = [*[(term,) for term in TERMS], TERMS]
 NAMES = [*(term.name for term in TERMS), 'all']
 of_sets = pytest.mark.parametrize('terms', SETS, ids=NAMES)
+
+AT_REST = tuple(term for term in TERMS if not term.moving)
+of_resting = pytest.mark.parametrize(
+    'terms',
+    [*[(term,) for term in AT_REST], AT_REST],
+    ids=[*(term.name for term in AT_REST), 'all'],
+)
+"""Of rests and turns: what only motion shows is asked in test_motion_terms.py."""
 
 
 def plain(values: Mapping[str, float], w: Floats, f: Floats) -> list[float]:
@@ -163,7 +173,7 @@ def spread_of(model: SensorModel) -> Floats:
 
 def test_every_parameter_has_a_name_a_unit_a_product_and_a_row_for_each_export() -> None:
     parameters = parameters_of(TERMS, skewed=4)
-    assert len({p.name for p in parameters}) == len(parameters) == 24 + 42 + 16
+    assert len({p.name for p in parameters}) == len(parameters) == 24 + 49 + 16
     assert set(PRODUCTS) == set(parameters)
     for kind in ParameterKind:
         assert set(kind.value.exports) == set(EXPORTS)
@@ -290,7 +300,8 @@ def test_a_file_keeps_every_parameter(terms: tuple[Term, ...]) -> None:
     assert again.covariance.tolist() == calibration.covariance.tolist()
     for term in terms:
         assert f'  {term.name}:' in text
-        assert f'add {term.name}[i]' in text
+        channel = '[i]' if len(term.parameters) > 1 else ''
+        assert f'add {term.name}{channel}' in text
 
 
 def test_a_truth_by_hand_states_any_term_and_no_wrong_one() -> None:
@@ -444,9 +455,14 @@ def test_exports_carry_every_parameter_or_refuse_it(terms: tuple[Term, ...]) -> 
     for name, export in EXPORTS.items():
         source = Source(calibration, Path('/c.yaml'), 100.0, sheet=sheet)
         # The formulas of Kalibr and imucal (test_exports.py) have a place for G and no other.
-        refused = [t for t in terms if name in {'kalibr', 'imucal'} and t.name != 'g_sensitivity']
+        products = [t for t in terms if t.name != 'g_sensitivity' and not t.moving]
+        refused = products if name in {'kalibr', 'imucal'} else []
         if not refused:
-            assert export(source).text
+            exported = export(source)
+            assert exported.text
+            # At rest files are right without what only motion shows, and the node takes it off.
+            for term in (t for t in terms if t.moving and name != 'ros'):
+                assert f'The {term.kind.value.words} is left out.' in exported.left_out
             continue
         with pytest.raises(InputError) as error:
             export(source)
@@ -543,7 +559,7 @@ def observed(terms: tuple[Term, ...]) -> Observed:
     return Observed(evidence_of(terms), load_imu('si'), 100.0)
 
 
-@of_sets
+@of_resting
 def test_the_joint_estimate_finds_every_parameter(terms: tuple[Term, ...]) -> None:
     parameters = parameters_of(terms)
     found = estimate(evidence_of(terms), parameters)
@@ -556,7 +572,7 @@ def test_the_joint_estimate_finds_every_parameter(terms: tuple[Term, ...]) -> No
     assert np.abs((got - wanted) / std).max() < 0.05
 
 
-@of_sets
+@of_resting
 def test_verify_accepts_with_every_term_and_names_the_one_that_is_missing(
     terms: tuple[Term, ...],
 ) -> None:

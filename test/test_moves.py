@@ -1,4 +1,4 @@
-"""Moves between rests: what the gyros saw on the way, against motions written out again."""
+"""Moves between rests: what the sensors saw on the way, against motions written out again."""
 
 from __future__ import annotations
 
@@ -16,12 +16,19 @@ from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.estimation.fit import fit
 from imu_calib.methods import joint
-from imu_calib.model import SensorModel
+from imu_calib.model import SensorModel, Triad
+from imu_calib.model.terms import DELAY
+from imu_calib.observation.arms import APART, LONGEST
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.moves import _second_order
 from imu_calib.observation.path import Path, chained
-from imu_calib.segmentation.moves import STEP_ANGLE, joined
-from imu_calib.segmentation.statistics import Samples
+from imu_calib.observation.thrust import Thrust, by_places
+from imu_calib.segmentation.moves import STEP_ANGLE, MoveReader, joined
+from imu_calib.segmentation.segment import Segment
+from imu_calib.segmentation.segmented import Gained, Move
+from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.statistics import Samples, statistics_at_rest
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, ImuBlock
 from imu_calib.table_errors import TableErrors
@@ -72,11 +79,152 @@ def test_steps_lead_where_the_motion_went() -> None:
     assert np.abs(chained(plain)[0] @ attitude - np.eye(3)).max() > 5 * ARCSEC
 
 
+@pytest.mark.parametrize('by_hand', [False, True])
+def test_of_a_hand_angles_alone_are_read(by_hand: bool) -> None:
+    """A hand pushes accelerometers, at rest too: where it holds them still it is not."""
+    samples, _ = tumbled()
+    n, delivered = len(samples.stamp), np.zeros((20, 6))
+    rests = [samples.part(0, 20), samples.part(n - 20, n)]
+    found = [
+        Segment(int(r.stamp[0]), int(r.stamp[-1]), statistics_at_rest(r, np.ones(6))) for r in rests
+    ]
+    reader = MoveReader(Sensor.of(paper_imu()), by_hand=by_hand)
+    reader.rest(rests[0], delivered, found[:1])
+    reader.motion(samples.part(20, n - 20), np.zeros((n - 40, 6)))
+    reader.rest(rests[1], delivered, found[1:])
+    (move,) = reader.finish(PERIOD)
+    # The first sample of a rest ends where it begins.
+    assert move.seconds.sum() == pytest.approx((n - 40) * PERIOD)
+    assert (move.gained is None) == by_hand
+
+
+GRAVITY = np.array([0.0, 0.0, 9.8])
+IN_A_MOVE = 40.0
+"""What gravity gives in the four seconds of a move, m/s."""
+
+WRONG = SensorModel.from_vector(true_vector(MEDIUM))
+PLACES = np.array([[0.02, 0.03, -0.01], [-0.01, 0.04, 0.02], [0.03, -0.02, 0.01]])
+
+
 @cache
-def evidence() -> Evidence:
+def tumbled(moved: bool = False, late: int = 0) -> tuple[Samples, Floats]:
+    """What sensors in error give of that motion between rests, and the attitude at its end.
+
+    Each accelerometer at its place feels how fast that changes, by differences of places; so many
+    samples late, it answers what it should have before.
+    """
+    fine, beside = 20, 20
+    step = PERIOD / fine
+    attitude, rows = np.eye(3), []
+    for k in range(-beside, round(4.0 / PERIOD) + beside):
+        total = np.zeros(6)
+        for j in range(fine):
+            time = k * PERIOD + j * step
+            turning = 0.0 <= time < 4.0 - step / 2
+            rate = tumbling(time + step / 2) if turning else np.zeros(3)
+            half_way = attitude @ turned_by(rate * step / 2)
+            force = np.broadcast_to(half_way.T @ GRAVITY, (3, 3))
+            if moved and turning:
+                before, after = tumbling(time), tumbling(time + step)
+                then = attitude @ turned_by(rate * step)
+                faster = then @ np.cross(after, PLACES).T - attitude @ np.cross(before, PLACES).T
+                force = force + (half_way.T @ faster / step).T
+            total[:3] += WRONG.predict(rate, GRAVITY)[0] * step
+            # Accelerometer c answers to all three components where it is.
+            felt = [WRONG.predict(rate, force[c])[1][c] for c in range(3)]
+            total[3:] += np.array(felt) * step
+            attitude = attitude @ turned_by(rate * step)
+        rows.append(total)
+    increments = np.array(rows)
+    increments[:, 3:] = increments[np.maximum(np.arange(len(rows)) - late, 0), 3:]
+    stamp = np.arange(1, len(rows) + 1) * 10_000_000
+    return Samples(stamp, increments, np.zeros(6), PERIOD, np.zeros(6)), attitude
+
+
+def pushed(samples: Samples, attitude: Floats, model: SensorModel = WRONG) -> Thrust:
+    """The same joined to steps and led on by the true sensors."""
+    steps = joined(samples)
+    path = Path.of(steps.turned, steps.counts * PERIOD, model, attitude.T @ GRAVITY)
+    return Thrust.of_each([Gained(steps.gained, steps.mean, np.zeros(3))], [path], model)[0]
+
+
+def test_steps_hold_what_gravity_gives_on_the_way() -> None:
+    samples, attitude = tumbled()
+    thrust = pushed(samples, attitude)
+    seconds = len(samples.stamp) * PERIOD
+    off = attitude @ thrust.whole - GRAVITY * seconds
+    # What the third order of a step may turn the axes by, as above: a fifth of what the best
+    # accelerometers scatter by in that time.
+    assert np.abs(off).max() < 0.1 * ARCSEC * GRAVITY[2] * seconds
+    assert attitude @ thrust.lasting == pytest.approx(GRAVITY * seconds**2 / 2, abs=1e-4)
+    # Without what the turning within steps adds it is far off.
+    first = np.concatenate([[0], np.cumsum(joined(samples).counts)[:-1]]).astype(int)
+    plain = replace(joined(samples), gained=np.add.reduceat(samples.increments[:, 3:], first))
+    path = thrust.path
+    gained = Gained(plain.gained, np.zeros_like(plain.gained), np.zeros(3))
+    far = attitude @ Thrust.of_each([gained], [path], WRONG)[0].whole - GRAVITY * seconds
+    assert np.abs(far).max() > 1e-4
+
+
+def test_a_scale_factor_that_is_far_off_leaves_what_the_variance_allows() -> None:
+    samples, attitude = tumbled()
+    factors = np.array([1.25, 1.0, 1.0])
+    increments = samples.increments * np.concatenate([np.ones(3), factors])
+    bare = WRONG.accel
+    triad = Triad(factors[:, None] * bare.response - np.eye(3), factors * bare.bias)
+    thrust = pushed(replace(samples, increments=increments), attitude, replace(WRONG, accel=triad))
+    off = attitude @ thrust.whole - GRAVITY * len(samples.stamp) * PERIOD
+    steps = joined(samples)
+    move = Move(0, 1, steps.turned, steps.counts * PERIOD, np.zeros(3))
+    allowed = 0.25 * GRAVITY[2] * _second_order(move)
+    assert 0.05 * allowed < np.abs(off).max() < allowed
+
+
+def test_accelerometers_that_are_apart_gain_what_their_places_make() -> None:
+    apart, attitude = tumbled(moved=True)
+    together, _ = tumbled()
+    moved = pushed(apart, attitude).whole - pushed(together, attitude).whole
+    slopes = by_places([pushed(together, attitude)])[0]
+    # What is read beyond gravity is taken off: a unit at its places reads as if it were at none.
+    assert -slopes @ PLACES.ravel() == pytest.approx(moved, abs=1e-3 * np.abs(moved).max())
+    assert np.abs(moved).max() > 0.01
+    # A shift of all moves nothing from rest to rest.
+    common = np.tile(np.eye(3), (3, 1))
+    assert np.abs(slopes @ common).max() < 1e-12
+
+
+def test_accelerometers_that_answer_late_gain_what_gravity_has_turned() -> None:
+    samples, attitude = tumbled()
+    late, _ = tumbled(late=1)
+    moved = pushed(late, attitude).whole - pushed(samples, attitude).whole
+    predicted = -PERIOD * pushed(samples, attitude).by_delay
+    # A sample is 0.9 deg at most: the second order is a hundredth of the first.
+    assert predicted == pytest.approx(moved, abs=0.02 * np.abs(moved).max())
+    assert np.abs(moved).max() > 0.01
+    # A model that knows it takes off all but the third order: a degree cubed of gravity.
+    aware = WRONG.with_values(DELAY.parameters, np.array([PERIOD]))
+    assert -pushed(late, attitude, aware).moved == pytest.approx(moved, abs=DEG**3 * IN_A_MOVE)
+
+
+FINE_PULSE = 1e-4
+"""Half of what the accelerometers of the unit scatter by in a second, m/s: velocities count."""
+
+
+@cache
+def evidence(pulse: float = FINE_PULSE) -> Evidence:
+    """Of the unit of Cao 2022, but for the pulses of its accelerometers."""
+    spec = paper_imu()
+    spec = replace(spec, accel=replace(spec.accel, scale_factor=pulse))
     plan = quick_plan('twelve_position', 20.0)
-    setup = Setup(paper_imu(), plan, load_table('three_axis'), SITE, None)
-    return gathered(fed(session(plan, stand(azimuth=0.3), seed=1), setup))
+    setup = Setup(spec, plan, load_table('three_axis'), SITE, None)
+    return gathered(fed(session(plan, stand(azimuth=0.3), seed=1, spec=spec), setup))
+
+
+def test_velocities_that_pulses_hide_do_not_count() -> None:
+    coarse = paper_imu().accel.scale_factor
+    assert evidence(coarse).led.pushed == ()
+    assert len(evidence(coarse).led) == len(evidence().led)
+    assert evidence().led.pushed == tuple(range(9))
 
 
 def test_there_is_a_move_from_each_position_to_the_next_but_those_with_turns() -> None:
@@ -88,11 +236,35 @@ def test_derivatives_are_those_of_the_prediction() -> None:
     equations = Equations(evidence())
     state = equations.nominal()
     state[:27] = [*truth().model.vector(), 0.3, 1e-4, 2e-4]
-    jacobian, moves = equations.jacobian(state), equations.rows.move
+    jacobian, moves = equations.jacobian(state), equations.rows.moving
     for k, step in enumerate(1e-6 * np.eye(len(state))):
         found = (equations.predict(state + step) - equations.predict(state - step)) / 2e-6
         # At the truth what a move is off is an arcsecond: the logarithm's own slope is one.
-        assert jacobian[moves, k] == pytest.approx(found[moves], rel=1e-3, abs=1e-4)
+        # The Earth turns by 2e-4 while a move lasts, and a velocity of gravity is left as it is.
+        pairs = zip(np.split(jacobian[moves, k], 2), np.split(found[moves], 2), strict=True)
+        for (analytic, slope), scale in zip(pairs, (1.0, 2 * IN_A_MOVE), strict=True):
+            assert analytic == pytest.approx(slope, rel=1e-3, abs=1e-4 * scale)
+
+
+@pytest.mark.parametrize('counted', [True, False])
+def test_a_clock_that_is_faster_shortens_moves(counted: bool) -> None:
+    """Pulses stay over the shorter seconds, and rates times these are less."""
+    led, model, faster = evidence().led, truth().model, 1e-4
+    less = 1.0 if counted else 1 / (1 + faster)
+    links = []
+    for link in led.links:
+        move, gained = link.move, link.move.gained
+        gained = replace(gained, velocity=gained.velocity * less, mean=gained.mean * less)
+        seconds = move.seconds / (1 + faster)
+        move = replace(move, turned=move.turned * less, seconds=seconds, gained=gained)
+        links.append(replace(link, move=move))
+    world = SITE.earth_rate, SITE.specific_force
+    off = replace(led, links=tuple(links), _memo={}).off(model, *world) - led.off(model, *world)
+    slope = led.by_clock(model, SITE.specific_force, counted=counted)
+    # The Earth turns by so much less, which is left out, and gravity of that.
+    assert slope[:, :3] == pytest.approx(off[:, :3] / faster, abs=5e-4)
+    assert slope[:, 3:] == pytest.approx(off[:, 3:] / faster, abs=5e-4 * IN_A_MOVE)
+    assert np.abs(slope[:, 3:]).max() > 5 * 5e-4 * IN_A_MOVE
 
 
 def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
@@ -103,26 +275,52 @@ def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
     segments = list(evidence().segments)
     segments[5] = replace(segments[5], attitude=segments[5].attitude @ turned_by(lean))
     leaning = Equations(replace(evidence(), segments=tuple(segments)))
-    found = (leaning.predict(state) - equations.predict(state))[equations.rows.move]
+    found = (leaning.predict(state) - equations.predict(state))[equations.rows.moving]
     columns = np.zeros((12, 3, 1))
     columns[5, :, 0] = lean
     short = evidence().led.by_attitudes(truth().model, columns)[..., 0]
-    assert short == pytest.approx(found, abs=1e-3 * ARCSEC)
-    assert np.abs(short).max() > 1 * ARCSEC
+    short = np.concatenate([short[:, :3].ravel(), short[:, 3:].ravel()])
+    angles, velocities = np.split(short, 2)
+    assert angles == pytest.approx(found[: len(angles)], abs=1e-3 * ARCSEC)
+    assert velocities == pytest.approx(found[len(angles) :], abs=1e-3 * ARCSEC * IN_A_MOVE)
+    assert np.abs(angles).max() > 1 * ARCSEC
+    # Half of the rotation turns gravity for three seconds.
+    assert np.abs(velocities).max() > 15 * ARCSEC
 
 
-@pytest.mark.parametrize('unit', [MEDIUM, NAVIGATION], ids=['medium', 'navigation'])
+FINELY_COUNTED = replace(MEDIUM, accel_pulse=FINE_PULSE)
+
+
+@pytest.mark.parametrize('unit', [FINELY_COUNTED, NAVIGATION], ids=['medium', 'navigation'])
 def test_by_the_true_sensors_moves_are_off_by_their_noise(unit) -> None:
-    """Of a session that other code has made, sample by sample."""
-    world = World(azimuth=0.4, dwell=6.0)
+    """Of a session that other code has made, sample by sample, joint axes that miss each other."""
+    misses = (0.002, -0.001, 0.001), (-0.001, 0.002, 0.001)
+    world = World(azimuth=0.4, dwell=6.0, misses=misses)
+    unit = replace(unit, arm=(0.2, -0.1, 0.15), places=tuple(map(tuple, PLACES)))
     found = segmented(world, unit)
     real = SensorModel.from_vector(true_vector(unit))
     rate = np.array([0.0, np.cos(world.latitude), np.sin(world.latitude)]) * 7.292115e-5
     rate = turned_by(np.array([0.0, 0.0, -world.azimuth])) @ rate
     moves = found.led
-    off = (moves.off(real, rate) / np.sqrt(moves.variances(found.walk))).ravel()
-    assert len(moves) >= 5
-    assert chi2.ppf(1e-4, len(off)) < off @ off < chi2.isf(1e-4, len(off))
+    force = np.array([0.0, 0.0, world.gravity])
+    off = moves.off(real, rate, force)
+    # The unit is where its arm says, and each accelerometer at its place.
+    arms, _ = moves.besides(real, rate)
+    known = np.concatenate([np.array(unit.arm) / LONGEST, PLACES.ravel() / APART])
+    assert np.abs(off[:, 3:]).max() > 0.1
+    off = off + arms @ known
+    for scaled in np.split(off / np.sqrt(moves.variances(found.walk)), 2, axis=1):
+        square = (scaled**2).sum()
+        assert len(moves.pushed) == len(moves) >= 5
+        assert chi2.ppf(1e-4, scaled.size) < square < chi2.isf(1e-4, scaled.size)
+    # And all of it together, places unknown, as the covariance of the outputs has it.
+    equations = Equations(found)
+    state = equations.nominal()
+    state[:25] = [*true_vector(unit), world.azimuth]
+    rows = equations.rows.velocity.ravel()
+    left = (equations.outputs - equations.predict(state))[rows]
+    square = left @ np.linalg.solve(equations.covariance(state)[np.ix_(rows, rows)], left)
+    assert chi2.ppf(1e-4, len(rows)) < square < chi2.isf(1e-4, len(rows))
 
 
 def test_moves_sharpen_the_scale_factors_of_the_gyros() -> None:
@@ -165,6 +363,24 @@ def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
         in said
     )
     without = tuple(m for m in evidence().moves if m is not wrong)
+    other = joint.solve(replace(evidence(), moves=without))
+    assert solution.model.vector() == pytest.approx(other.model.vector(), rel=1e-9, abs=1e-15)
+
+
+def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
+    links = evidence().led.links
+    wrong = links[4].move
+    knocked = replace(wrong.gained, velocity=wrong.gained.velocity + np.array([0.1, 0.0, 0.0]))
+    bent = replace(wrong, gained=knocked)
+    moves = tuple(bent if m is wrong else m for m in evidence().moves)
+    solution = joint.solve(replace(evidence(), moves=moves))
+    (said,) = [f for f in solution.findings if 'end at rest' in f]
+    names = [evidence().segments[k].position for k in (links[4].first, links[4].second)]
+    assert said.startswith(
+        f'By the accelerometers 1 of 9 moves do not end at rest (from position {names[0]} to '
+        f'{names[1]};'
+    )
+    without = tuple(replace(m, gained=None) if m is wrong else m for m in evidence().moves)
     other = joint.solve(replace(evidence(), moves=without))
     assert solution.model.vector() == pytest.approx(other.model.vector(), rel=1e-9, abs=1e-15)
 

@@ -60,16 +60,18 @@ def times(kind: ParameterKind, few: tuple[str, ...], many: tuple[str, ...], tria
     return float((foreseen(*many)[kind][part] / foreseen(*few)[kind][part]).max())
 
 
-def test_one_session_tells_all_ten_terms_together() -> None:
+def test_one_session_tells_all_twelve_terms_together() -> None:
     every = tuple(t.name for t in TERMS)
-    assert len(every) == 10
+    assert len(every) == 12
     found = foreseen(*every)
-    assert sum(len(s) for s in found.values()) == 66
-    # Each to a hundredth of what data sheets of such units state: 10 ppm, 10 ug/g^2, 0.1 (deg/h)/g.
+    assert sum(len(s) for s in found.values()) == 73
+    # Each to a hundredth of what data sheets of such units state: 10 ppm, 10 ug/g^2, 0.1 (deg/h)/g;
+    # places to a tenth of a millimetre and the delay to a hundredth of a millisecond.
     sizes = {t: p.unit.scale for t in TERMS for p in t.parameters[:1]}
     for t in TERMS:
         shown = found[t.kind] / sizes[t]
-        assert shown.max() < {'g_sensitivity': 0.03, 'gyro_g2': 0.05}.get(t.name, 2.0), t.name
+        sharp = {'g_sensitivity': 0.03, 'gyro_g2': 0.05, 'size_effect': 0.1, 'delay': 0.01}
+        assert shown.max() < sharp.get(t.name, 2.0), t.name
 
 
 @pytest.mark.parametrize(
@@ -152,8 +154,10 @@ def session(name: str, terms: tuple[Term, ...], positioning: float, seed: int) -
 
 
 def test_a_simulated_session_gives_back_all_66() -> None:
-    found = session('full_model', TERMS, 0.0, 1).calibration
-    assert found.parameters == parameters_of(TERMS)
+    # At 20 Hz joints turn further within a sample than moves may, which alone tell of the others.
+    terms = tuple(t for t in TERMS if not t.moving)
+    found = session('full_model', terms, 0.0, 1).calibration
+    assert found.parameters == parameters_of(terms)
     off = (found.values - UNIT.model.values(found.parameters)) / found.std
     assert np.abs(off).max() < TOO_FAR
     assert 0.7 < np.sqrt(np.mean(off**2)) < 1.3

@@ -19,6 +19,7 @@ from imu_calib.methods import skewed
 from imu_calib.model import PARAMETER_NAMES
 from imu_calib.plan import Plan, RateTest, load_plan
 from imu_calib.prediction import check_session, duration, expected, forecast, reach
+from imu_calib.prediction.forecast import information
 from imu_calib.prediction.optimise import candidates, log_information, optimise
 from imu_calib.repetition import Study, economical, repeat
 from imu_calib.share import named_file
@@ -55,6 +56,27 @@ def test_the_best_is_the_bound_of_the_full_stream() -> None:
     slow = np.array([name.startswith(('E_a', 'D_a')) for name in PARAMETER_NAMES])
     assert found.best[~slow] == pytest.approx(floor[~slow], rel=0.02)
     assert np.all((found.best > floor * 0.98) & (found.best < floor * 1.08))
+
+
+def test_velocities_of_moves_are_predicted_as_the_bound_has_them() -> None:
+    """Accelerometers and gyros of so little noise that velocities tell beside rests of 3 s."""
+    spec, plan = load_imu('fog_navigation'), brisk(3.0)
+    gyro = replace(spec.gyro, scale_factor=1e-8, random_walk=1e-6)
+    accel = replace(spec.accel, scale_factor=1e-6, random_walk=1e-5)
+    case = Setup(replace(spec, gyro=gyro, accel=accel), plan, load_table('three_axis'), SITE)
+    ahead = expected(case, truth().model, 0.5)
+    plain = replace(ahead, moves=tuple(replace(m, gained=None) for m in ahead.moves))
+    best, without = (
+        np.sqrt(np.diag(information(one, truth().model).covariance)[:24]) for one in (ahead, plain)
+    )
+    at_rest = {s.position: s.statistics.duration for s in ahead.segments}
+    floor = bound(plan, case.imu, truth().model, SITE, 0.5, at_rest, case.table)
+    assert np.all(best > 0.97 * floor), best / floor
+    # What misalignments show of arms along the axis of a turn, the bound takes for nothing: K_a.
+    others = np.delete(np.arange(24), [12, 13, 14])
+    assert np.all(best[others] < 1.06 * floor[others]), best / floor
+    assert np.all(without[12:] > 1.005 * best[12:]), without / best
+    assert np.all(without[[12, 13, 14]] > 1.04 * best[[12, 13, 14]])
 
 
 @pytest.mark.parametrize('name', ['twelve_position', 'six_position'])

@@ -192,9 +192,11 @@ def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Eviden
             for parameter in change.parameters:
                 there[PARAMETERS.index(parameter)] += slope * when
         rows = drifting.rows.stretch == k
-        # In moves, which are not linear, 1e-3 and 1e-6 of some radians are multiplied.
-        within = 1e-8 if k >= len(parts) - len(moves) else 1e-13
-        assert predicted[rows] == pytest.approx(plain.predict(there)[rows], abs=within)
+        off = np.abs(predicted - plain.predict(there))[rows].reshape(-1, 3).max(axis=1)
+        # In moves, which are not linear, 1e-3 and 1e-6 of some radians are multiplied, and of some
+        # forty m/s.
+        within = [1e-8, 40e-8] if k >= len(parts) - len(moves) else 1e-13
+        assert np.all(off < within)
 
 
 def test_derivatives_are_those_of_the_prediction(drifting: Evidence) -> None:

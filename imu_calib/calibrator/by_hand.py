@@ -209,7 +209,9 @@ class HandCalibrator:
         )
         kept = tuple(
             link.move
-            for link, variance in zip(evidence.led.links, evidence.led.variances(walk), strict=True)
+            for link, variance in zip(
+                evidence.led.links, evidence.led.variances(walk)[:, :3], strict=True
+            )
             if link.move.filled <= _LOST * (variance.mean() - link.move.filled)
         )
         return replace(evidence, moves=kept)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from ..methods import (
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import AXES, Parameter, SensorModel
+from ..model.motion import moved
 from ..observation.evidence import Evidence
 from ..observation.information import reached
 from ..segmentation.labelling import Labelled, label
@@ -166,7 +168,7 @@ class Calibrator:
         setup, parts = self._setup, (labelled.segments, labelled.turns, session)
         if self._gathered is None or self._gathered[0] != parts:
             found = Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
-            self._gathered = parts, found
+            self._gathered = parts, replace(found, coarse=moved(setup.terms))
         return self._gathered[1]
 
     def _estimate(

@@ -158,6 +158,12 @@ class Compensation:
         highest = calibration.provenance.get('highest_rate')
         self._highest = np.inf if highest is None else _BEYOND * float(highest)
 
+    def noise(self, interval: Floats) -> Floats:
+        """Return the variances of single samples by noise and steps, (n, channels) SI."""
+        tau = interval[:, None] / self._faster
+        quantum = self._quantum / (tau * tau) if self._units is Units.PULSES else self._quantum
+        return np.asarray(self._power / tau + quantum)
+
     def apply(
         self, gyro: Floats, accel: Floats, interval: Floats, skewed: Floats | None = None
     ) -> Compensated:
@@ -273,7 +279,7 @@ class Compensation:
         for k, parameter in enumerate(parameters):
             reach = gyros if parameter.triad == 'g' else accels
             # Those of skewed gyros that the samples come without.
-            if parameter.row < reach.shape[1]:
+            if parameter.row < reach.shape[1] and not PRODUCTS[parameter].none:
                 effect[self._levers.index(PRODUCTS[parameter]), :, k] = reach[:, parameter.row]
         spread = np.einsum('amp,pq,bnq->abmn', effect, square, effect)
         # Errors act against the output, whose sign the square does not see.
@@ -316,7 +322,8 @@ class Compensation:
 
 def _levers(parameters: tuple[Parameter, ...]) -> tuple[Product, ...]:
     """Return what errors of parameters are multiplied by, each once."""
-    return tuple(dict.fromkeys((*_LINEAR, *(PRODUCTS[parameter] for parameter in parameters))))
+    products = (PRODUCTS[parameter] for parameter in parameters)
+    return tuple(dict.fromkeys((*_LINEAR, *(product for product in products if not product.none))))
 
 
 def joined(parts: list[Compensated]) -> Compensated:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..calibration import Calibration
 from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
 from .apply import Compensated, Compensation, Mark, joined
+from .in_motion import Applied, InMotion
 from .sample_clock import SampleClock
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
@@ -72,7 +73,8 @@ class Compensator:
     live, too; the first counts for all before. Where a calibration depends on the temperature,
     samples wait for the first one. A skewed gyro's value belongs to the sample of the same stamp;
     a sample without one after 50 ms goes without. A recording's other topics are therefore taken
-    in before its samples.
+    in before its samples. Where accelerometers are known to be apart or late a sample waits for the
+    next one (`in_motion`).
 
     Args:
         calibration: Single or combined.
@@ -100,6 +102,7 @@ class Compensator:
         self._temperatures: list[tuple[int, float]] = []
         self._used: float | None = None
         self._mark = 0
+        self._in_motion = InMotion()
         self._set(calibration)
 
     def replace(self, calibration: AnyCalibration) -> None:
@@ -119,7 +122,8 @@ class Compensator:
     @property
     def waiting(self) -> int:
         """Samples that came in and did not go out yet."""
-        return sum(map(len, self._untimed)) + sum(len(t.interval) for t in self._timed)
+        waiting = sum(map(len, self._untimed)) + sum(len(t.interval) for t in self._timed)
+        return waiting + self._in_motion.waiting
 
     @property
     def waits_for_temperature(self) -> bool:
@@ -216,7 +220,7 @@ class Compensator:
             return []
         if self._used is None and self._temperatures:
             self._use(self._temperatures.pop(0)[1])
-        readings: list[Reading] = []
+        applied: list[Applied] = []
         while self._timed:
             timed = self._timed[0]
             count = len(timed.interval) if last else self._ready_count(timed.block.stamp)
@@ -225,8 +229,11 @@ class Compensator:
             self._timed.pop(0)
             if count < len(timed.interval):
                 self._timed.insert(0, timed.cut(count, len(timed.interval)))
-            readings += self._by_temperature(timed.cut(0, count))
-        return readings
+            for one in self._by_temperature(timed.cut(0, count)):
+                applied += self._in_motion.take(one)
+        if last:
+            applied += self._in_motion.finish()
+        return [Reading(one.stamp, one.values, one.frame_id) for one in applied]
 
     def _hold(self, *, last: bool) -> None:
         """Keep the latest samples while no temperature has come; the oldest make room."""
@@ -243,23 +250,23 @@ class Compensator:
         late = np.flatnonzero(stamp > newest)
         return int(late[0]) if len(late) else len(stamp)
 
-    def _by_temperature(self, timed: _Timed) -> list[Reading]:
+    def _by_temperature(self, timed: _Timed) -> list[Applied]:
         """Compensate samples, each at the temperature that counts for it."""
-        readings = []
+        applied = []
         while self._temperatures and len(timed.interval):
             since, celsius = self._temperatures[0]
             beyond = np.flatnonzero(timed.block.stamp >= since)
             if not len(beyond):
                 break
             first = int(beyond[0])
-            readings.append(self._compensated(timed.cut(0, first)))
+            applied.append(self._compensated(timed.cut(0, first)))
             timed = timed.cut(first, len(timed.interval))
             self._temperatures.pop(0)
             self._use(celsius)
-        readings.append(self._compensated(timed))
-        return [reading for reading in readings if len(reading)]
+        applied.append(self._compensated(timed))
+        return applied
 
-    def _compensated(self, timed: _Timed) -> Reading:
+    def _compensated(self, timed: _Timed) -> Applied:
         block, interval = timed.block, timed.interval
         if not self._takes_skewed or not len(block):
             values = self._ready[False].apply(block.gyro, block.accel, interval)
@@ -268,7 +275,7 @@ class Compensator:
         if values.marks.any():
             for mark in Mark:
                 self.counts[mark] += int(np.count_nonzero(values.marks & mark))
-        return Reading(block.stamp, values, block.frame_id)
+        return Applied(block.stamp, values, block.frame_id, interval, self._ready[False])
 
     def _with_skewed(self, block: ImuBlock, interval: Floats) -> Compensated:
         """Compensate with the fourth gyro where there is a value of the same stamp."""

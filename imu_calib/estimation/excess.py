@@ -33,7 +33,6 @@ from ..observation.arrivals import NO_ARRIVALS, Arrivals
 from ..observation.components import Component, Dense
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
-from ..segmentation.segmented import Move
 from ..stream import Floats
 from .likelihood import along_columns, beside, fixed
 from .wandering import Wandering
@@ -253,7 +252,7 @@ def _variances(equations: Equations) -> Floats:
     at_rest = equations.own_variances[equations.rows.rest[:, 3:]]
     sharpest = float(np.median(at_rest)) / evidence.site.gravity**2
     if len(evidence.led):
-        sharpest = min(sharpest, float(np.median(evidence.led.variances(evidence.walk))))
+        sharpest = min(sharpest, float(np.median(evidence.led.variances(evidence.walk)[:, :3])))
     return np.asarray(_ARRIVAL_RATIOS * sharpest)
 
 
@@ -333,7 +332,7 @@ def _spread_out(
 
 
 def _triads(plain: Equations, state: Floats) -> list[_Triad]:
-    """Return gyros, with turns and moves, and accelerometers."""
+    """Return gyros and accelerometers, either with turns and moves."""
     jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
     rising = plain.rising(state)
     parts = (jacobian, left, rising, plain.covariance(state), plain.arrivals(state))
@@ -346,17 +345,19 @@ def _triad(
     parts: tuple[Floats, Floats, Floats, Floats, tuple[Floats, ...]],
     state: Floats,
 ) -> _Triad:
-    """Cut out gyros (first = 0, with the turns) or accelerometers (first = 3)."""
+    """Cut out gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
     rows = equations.rows.gyros if first == 0 else equations.rows.accels
     stretches = [(x.statistics, x.start) for x in evidence.segments]
-    moves: list[Move] = []
+    turns, moves = list(evidence.turns), [link.move for link in evidence.led.links]
+    pushed = [moves[k] for k in evidence.rows.pushed]
     if first == 3:
-        turns = [evidence.turns[k] for k in evidence.rows.felt]
-        stretches += [(x.statistics, x.start) for x in turns]
-    if first == 0:
-        stretches += [(x.statistics, x.start) for x in evidence.turns]
-        moves = [link.move for link in evidence.led.links]
+        turns, moves = [turns[k] for k in evidence.rows.felt], pushed
+    else:
+        # What the gyros' biases do to the axes of a move is in its velocity too.
+        rows = np.concatenate([rows, equations.rows.velocity.ravel()])
+        moves = [*moves, *pushed]
+    stretches += [(x.statistics, x.start) for x in turns]
     jacobian, left, rising, covariance, arrivals = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)

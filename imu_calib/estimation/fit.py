@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
+from ..model.motion import of_motion
 from ..model.session_terms import Change
 from ..observation.arrivals import NO_ARRIVALS
 from ..observation.equations import Equations, Nuisance
@@ -33,6 +34,7 @@ from ..units import DEG
 from .changing import doubt_of_time_constant, timed, with_changes
 from .converge import least_squares
 from .excess import Excess, excess
+from .score import with_parameters
 
 _STARTS = 8
 _ITERATIONS = 100
@@ -70,13 +72,19 @@ class Outlier:
 
 @dataclass(frozen=True)
 class Astray:
-    """A move whose end by the gyros is `angle` (rad) off what the encoders show: left out.
+    """A move that is left out, or its velocity alone.
 
-    `positions` are those it leads from and to.
+    Attributes:
+        positions: That it leads from and to.
+        off: By how much its end by the gyros is off what the encoders show, rad; or how fast it is
+            by the accelerometers where it stands, m/s.
+        velocity: Whether it is the velocity.
+
     """
 
     positions: tuple[str, str]
-    angle: float
+    off: float
+    velocity: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +162,11 @@ def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Sh
     found = equations.shares(state, weights)
     for source, which, freedom in equations.prior_sources:
         prior = gain[:n, m + np.array(which, dtype=int)]
-        found[source] = Share.of_parts([(prior @ prior.T, freedom)])
+        parts = [(prior @ prior.T, freedom)]
+        # Of lever arms some are in the state, and the others' priors in the outputs' covariance.
+        if source in found:
+            parts.append((found[source].covariance, np.inf))
+        found[source] = Share.of_parts(parts)
     return found
 
 
@@ -180,15 +192,22 @@ def estimate(
     check_observable(equations)
     equations, constant = with_changes(equations, changes)
     # Moves lead from attitude to attitude of a table that is known; they say less of where it is.
-    resting = replace(equations, evidence=evidence.moved_by(()))
+    moving = of_motion(parameters)
+    resting = replace(
+        equations,
+        parameters=tuple(p for p in parameters if p not in moving),
+        evidence=evidence.moved_by(()),
+    )
     resting, state = timed(resting, _start(resting))
     state = fit(resting, state)
     resting = _headed(_levelled(resting, state), state)
     state = fit(resting, state)
     kept, astray = _moves_that_fit(resting, state, evidence.moves)
     equations = replace(resting, evidence=kept)
+    if moving:
+        equations, state = with_parameters(equations, state, moving)
     observed = Information.of(equations.whitened(state)[0]).observed
-    if not np.delete(observed, np.r_[equations.arms]).all():
+    if not (moving or np.delete(observed, np.r_[equations.arms]).all()):
         # See `information.before`. Of lever arms turns show what the 24 need, and not more.
         equations = resting
     found = _without_outliers(equations, state, turns=True)
@@ -225,12 +244,17 @@ def _moves_that_fit(
         fitting, astray = _judged(with_scatter(resting, scatter), state, evidence)
         if not astray:
             return evidence, ()
-        if len(fitting) <= len(kept):
+        if _count(fitting) <= _count(kept):
             return evidence.moved_by(fitting), astray
         # Moves show arrivals that hide in the noise of rests: with those that fit, others may.
         kept = fitting
         moved = replace(resting, evidence=evidence.moved_by(kept))
         scatter = replace(scatter, arriving=excess(moved, state).arriving)
+
+
+def _count(moves: Sequence[Move]) -> int:
+    """Return the number of rotations and velocities."""
+    return sum(1 if move.gained is None else 2 for move in moves)
 
 
 def _judged(
@@ -242,14 +266,24 @@ def _judged(
     predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))
     covariance, known = moving.covariance(state), np.nan_to_num(known)
     kept, astray = [], []
-    for link, rows in zip(evidence.led.links, moving.rows.move, strict=True):
+
+    def fits(rows: NDArray[np.intp]) -> bool:
         off, slopes = predicted[rows], jacobian[rows]
         spread = covariance[np.ix_(rows, rows)] + slopes @ known @ slopes.T
-        if off @ np.linalg.solve(spread, off) <= scipy.special.chdtri(3, _ASTRAY):
-            kept.append(link.move)
-            continue
+        return bool(off @ np.linalg.solve(spread, off) <= scipy.special.chdtri(3, _ASTRAY))
+
+    velocities = dict(zip(moving.rows.pushed, moving.rows.velocity, strict=True))
+    for k, (link, rows) in enumerate(zip(evidence.led.links, moving.rows.move, strict=True)):
         ends = [str(evidence.segments[end].position) for end in (link.first, link.second)]
-        astray.append(Astray((ends[0], ends[1]), float(np.linalg.norm(off))))
+        if not fits(rows):
+            off = float(np.linalg.norm(predicted[rows]))
+            astray.append(Astray((ends[0], ends[1]), off))
+        elif k in velocities and not fits(velocities[k]):
+            off = float(np.linalg.norm(predicted[velocities[k]]))
+            astray.append(Astray((ends[0], ends[1]), off, velocity=True))
+            kept.append(replace(link.move, gained=None))
+        else:
+            kept.append(link.move)
     return tuple(kept), tuple(astray)
 
 
@@ -458,9 +492,15 @@ def _candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[n
             (f'the accelerometers in {turned[k]}', mine)
             for k, mine in zip(rows.felt, rows.turn_accels, strict=True)
         ]
-    for link, mine in zip(evidence.led.links, rows.move, strict=True):
+    moved = []
+    for link in evidence.led.links:
         ends = [evidence.segments[end].position for end in (link.first, link.second)]
-        found.append((f'the move from position {ends[0]} to {ends[1]}', mine))
+        moved.append(f'the move from position {ends[0]} to {ends[1]}')
+    found += zip(moved, rows.move, strict=True)
+    found += [
+        (f'the velocity of {moved[k]}', mine)
+        for k, mine in zip(rows.pushed, rows.velocity, strict=True)
+    ]
     return found
 
 

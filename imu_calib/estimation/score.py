@@ -11,14 +11,25 @@ Sources: Rao 1948, Proc. Camb. Phil. Soc. 44, 50; docs/mathematics.md, 'Terms th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..model import AXES, PARAMETERS, TERMS, Parameter, Term, parameters_of, positions, terms_of
+from ..model import (
+    AXES,
+    PARAMETERS,
+    TERMS,
+    Parameter,
+    ParameterKind,
+    Term,
+    parameters_of,
+    positions,
+    terms_of,
+)
+from ..model.motion import of_motion
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..observation.equations import Equations
 from ..observation.information import Information, meant, useful
@@ -105,6 +116,11 @@ class Family:
             return excess(self.freed(equations, _FREE), state)
         return excess(*with_parameters(equations, state, self.parameters))
 
+    @property
+    def held(self) -> frozenset[ParameterKind]:
+        """What is zero for certain if it is off: else what it does to velocities is allowed for."""
+        return frozenset(p.kind for p in of_motion(self.parameters))
+
     def weighed(self, equations: Equations, scatter: Excess) -> Equations:
         """Return the equations with the scatter under which the family is tested.
 
@@ -112,7 +128,7 @@ class Family:
         then seems less than the data sheet states, and is counted in full.
         """
         extra = scatter.extra if self.course is None else (*scatter.extra, *scatter.spared)
-        return replace(equations, extra=extra, arriving=scatter.arriving)
+        return replace(equations, extra=extra, arriving=scatter.arriving, held=self.held)
 
     def judged(self, equations: Equations) -> NDArray[np.bool_]:
         """Return which outputs (m,) tell how well the covariance is known."""
@@ -190,6 +206,8 @@ def families(equations: Equations) -> tuple[Family, ...]:
     """Return all that is off and can be told of at all."""
     on = terms_of(equations.parameters)
     found = [Family(term.name, term) for term in TERMS if term not in on]
+    if not equations.rows.pushed:
+        found = [family for family in found if not family.held]
     if not equations.changes:
         found += [Family(course.value, course=course) for course in LOOKED_FOR]
     evidence = equations.evidence
@@ -202,6 +220,15 @@ def families(equations: Equations) -> tuple[Family, ...]:
 
 TABLE_ERRORS = ('zeros', 'orthogonality', 'wobble', 'encoder')
 """Fields of `TableErrors`: what a table's file may state."""
+
+
+def scores_of(
+    patterns: Mapping[Family, Sequence[Pattern]], equations: Equations, state: Floats
+) -> dict[Family, Score]:
+    """Test families about a solution, each as if it were zero for certain."""
+    held = dict.fromkeys(family.held for family in patterns)
+    residuals = {one: Residuals.of(replace(equations, held=one), state) for one in held}
+    return {f: residuals[f.held].score(f, columns) for f, columns in patterns.items()}
 
 
 def with_parameters(

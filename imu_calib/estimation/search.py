@@ -36,6 +36,7 @@ from .score import (
     columns_of,
     families,
     most_significant,
+    scores_of,
     times_of,
 )
 from .undecided import Undecided, undecided
@@ -265,8 +266,7 @@ def _under_own_scatter(
     there most is tried first.
     """
     columns = columns_of(open_ones, equations, state)
-    plain = Residuals.of(equations, state)
-    scores = {family: plain.score(family, columns[family]) for family in open_ones}
+    scores = scores_of(columns, equations, state)
     suspect = [
         family
         for family, score in scores.items()
@@ -356,8 +356,9 @@ def _concluded(current: Estimate, found: tuple[Found, ...], *, weigh: bool) -> S
     beside = residuals
     if of_session and current.scatter.spared:
         beside = Residuals.of(of_session[0].weighed(equations, current.scatter), state)
-    every = {f: (beside if f in of_session else residuals).scores(f, columns[f]) for f in off}
-    scores = {f: most_significant(its) for f, its in every.items()}
+    drifting = {f: beside.scores(f, columns[f]) for f in of_session}
+    scores = scores_of(columns, equations, state)
+    scores |= {f: most_significant(its) for f, its in drifting.items()}
     m, n = len(equations.outputs), equations.sensors
     gain = current.gain[:n, :m]
 
@@ -374,7 +375,7 @@ def _concluded(current: Estimate, found: tuple[Found, ...], *, weigh: bool) -> S
     drifts = Undecided({}, np.zeros((n, n)))
     if weigh:
         possible = {
-            f: list(zip(every[f], map(slopes, columns[f]), strict=True)) for f in of_session
+            f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in of_session
         }
         drifts = undecided(possible, n)
     return Search(current, found, scores, alpha, doubt + drifts.doubt, leverage, drifts.probability)

@@ -8,13 +8,14 @@ Source: docs/mathematics.md, 'Joint estimate'.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import scipy
 
 from ..changes import Changes
-from ..estimation.fit import Estimate, Outlier, estimate
+from ..estimation.fit import Astray, Estimate, Outlier, estimate
 from ..estimation.search import searched
 from ..estimation.tested import findings, tested
 from ..estimation.warmth import moved_temperature
@@ -181,8 +182,7 @@ def _findings(found: Estimate) -> list[str]:
             f'{o.name} ({np.sqrt(o.square):.0f} sigma{_leaning(found, o)})' for o in found.outliers
         )
         notes.append(f'Does not fit the rest and counts for less: {names}.')
-    if found.astray:
-        notes.append(_astray(found))
+    notes += _astray(found)
     if found.turns_scatter > 1:
         notes.append(turns_scatter(found.turns_scatter))
     if found.equations.any_heading:
@@ -233,18 +233,36 @@ def _constant(found: Estimate) -> str:
     )
 
 
-def _astray(found: Estimate) -> str:
-    """Say which moves were left out, how far they are off, and what does so."""
-    total = len(found.astray) + len(found.equations.evidence.led)
-    worst = max(found.astray, key=lambda move: move.angle)
-    names = ', '.join(' to '.join(move.positions) for move in found.astray[:_NAMED])
-    more = '' if len(found.astray) <= _NAMED else f' and {len(found.astray) - _NAMED} more'
-    return (
-        f'By the gyros {len(found.astray)} of {total} moves end elsewhere than by the encoders '
-        f'(from position {names}{more}; {worst.angle / ARCSEC:.3g} arcsec at most): they are left '
-        'out. Rates beyond the range of the gyros do so, gyros that do not answer in proportion, '
-        'and a table whose axes are not where its description says.'
-    )
+def _astray(found: Estimate) -> list[str]:
+    """Say which moves were left out, or their velocities, by how much, and what does so."""
+    notes = []
+    turned = [move for move in found.astray if not move.velocity]
+    pushed = [move for move in found.astray if move.velocity]
+    led = found.equations.evidence.led
+    if turned:
+        angle = max(move.off for move in turned) / ARCSEC
+        notes.append(
+            f'By the gyros {len(turned)} of {len(turned) + len(led)} moves end elsewhere than by '
+            f'the encoders ({_ways(turned)}; {angle:.3g} arcsec at most): they are left out. Rates '
+            'beyond the range of the gyros do so, gyros that do not answer in proportion, and a '
+            'table whose axes are not where its description says.'
+        )
+    if pushed:
+        speed = max(move.off for move in pushed)
+        notes.append(
+            f'By the accelerometers {len(pushed)} of {len(pushed) + len(led.pushed)} moves do not '
+            f'end at rest ({_ways(pushed)}; {speed:.3g} m/s at most): their velocities are left '
+            'out. Accelerometers that do not answer in proportion do so, and a unit that vibrates '
+            'in its mount.'
+        )
+    return notes
+
+
+def _ways(moves: Sequence[Astray]) -> str:
+    """Name the first of several moves."""
+    names = ', '.join(' to '.join(move.positions) for move in moves[:_NAMED])
+    more = '' if len(moves) <= _NAMED else f' and {len(moves) - _NAMED} more'
+    return f'from position {names}{more}'
 
 
 def _scattering(found: Estimate) -> list[str]:

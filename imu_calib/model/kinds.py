@@ -47,7 +47,8 @@ class Kind:
         symbol: Begins their names.
         words: For sentences.
         key: In calibration.yaml, and in the specification of an IMU's YAML.
-        axes: How many input axes their names have after the channel.
+        axes: How many input axes their names have after the channel; None where a triad has one
+            parameter, without a channel.
         units: By triad.
         exports: What each export does with them.
 
@@ -56,7 +57,7 @@ class Kind:
     symbol: str
     words: str
     key: str
-    axes: int
+    axes: int | None
     units: Mapping[str, Unit]
     exports: Mapping[str, Carried]
 
@@ -86,6 +87,13 @@ _GYRO_BIAS = 100 * DEG
 _ACCEL_BIAS = STANDARD_GRAVITY
 """Five times and more what data sheets of the cheapest units state (MPU-9150: zero-rate output
 20 deg/s, zero-g output 0.15 g; gyros react to acceleration by some 0.1 deg/s per g)."""
+
+_LARGE = 0.3
+"""Of a unit, m: ten times what the accelerometers of one are apart as a rule."""
+
+_LATE = 0.1
+"""Five times the longest delay of the low-pass filters of MEMS units, s (MPU-6050, register map,
+DLPF_CFG: 2 to 19 ms)."""
 
 _RATIO = Unit('1', 'ppm', PPM, Dimension.RATIO)
 _NONLINEARITY = Unit('1', 'ppm', PPM, Dimension.RATIO, _NONLINEAR)
@@ -202,6 +210,22 @@ class ParameterKind(Enum):
             )
         },
         _AS_PRODUCTS,
+    )
+    PLACE = Kind(
+        'P',
+        'place of an accelerometer',
+        'size_effect',
+        1,
+        {'a': Unit('m', 'mm', 1e-3, Dimension.LENGTH, _LARGE)},
+        _BY_THE_NODE,
+    )
+    DELAY = Kind(
+        'T',
+        'delay of the accelerometers',
+        'delay',
+        None,
+        {'a': Unit('s', 'ms', 1e-3, Dimension.TIME, _LATE)},
+        _BY_THE_NODE,
     )
 
 

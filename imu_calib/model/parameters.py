@@ -21,8 +21,8 @@ MOST_SKEWED = len(_SKEWED)
 class Parameter:
     """One parameter: its name, its kind, its triad ('g' or 'a') and its place.
 
-    `row` is the channel, skewed gyros from 3 on; `column` the input axis, or None for a bias;
-    `second` the other input axis of a product of two.
+    `row` is the channel, skewed gyros from 3 on, and 0 of what a triad has in common; `column` the
+    input axis, or None for a bias; `second` the other input axis of a product of two.
     """
 
     kind: ParameterKind
@@ -34,6 +34,8 @@ class Parameter:
     @property
     def name(self) -> str:
         """Name after Cao 2022, subscripts as in eqs. (1)-(2): E_gxy is row x, column y."""
+        if self.kind.value.axes is None:
+            return f'{self.kind.value.symbol}_{self.triad}'
         places = [c for c in (self.column, self.second) if c is not None]
         axes = ''.join(AXES[c] for c in places[: self.kind.value.axes])
         return f'{self.kind.value.symbol}_{self.triad}{(AXES + _SKEWED)[self.row]}{axes}'
@@ -67,6 +69,11 @@ class Product:
     factors: tuple[int, ...] = ()
     absolute: tuple[int, ...] = ()
     scale: float = 1.0
+
+    @property
+    def none(self) -> bool:
+        """Whether it is zero whatever the inputs are."""
+        return self.scale == 0
 
     @property
     def degree_in_force(self) -> int:
@@ -123,6 +130,10 @@ class Product:
             for n, k in enumerate(absolute)
         ]
         return tuple(found)
+
+
+NOTHING = Product(scale=0.0)
+"""Of parameters that only motion shows (`motion`): at rest they add nothing."""
 
 
 def _triad_parameters(triad: str) -> list[Parameter]:

@@ -166,7 +166,8 @@ class Skewed:
 class SensorModel:
     """Gyros and accelerometers of one unit, in SI after the nominal scale factor.
 
-    n_g = (I + M_g) w + d_g + G f and n_a = (I + M_a) f + d_a, and what the terms add.
+    n_g = (I + M_g) w + d_g + G f and n_a = (I + M_a) f + d_a, and what the terms add. What places
+    and delays of the accelerometers add in motion is not in it: see `motion`.
 
     Attributes:
         gyro: The gyro triad.
@@ -307,7 +308,7 @@ class SensorModel:
             (parameter.channel, float(value), product)
             for name, values in self.terms.items()
             for (parameter, product), value in zip(term(name).products, values, strict=True)
-            if value
+            if value and not product.none
         )
 
     def extra(self, inputs: Floats) -> Floats:

@@ -1,7 +1,8 @@
 """Terms beyond the 24 parameters: what a channel adds to its output besides I + M and bias.
 
 Every parameter of a term is multiplied by a product of the instantaneous inputs (`Product`), from
-which prediction, derivatives, inversion and code follow. `TERMS` is their order in vectors.
+which prediction, derivatives, inversion and code follow; of two terms motion alone shows what
+(`motion`). `TERMS` is their order in vectors.
 
 Rates count in units of 60 deg/s, so that the coefficients are ratios of the size of what they do.
 
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 from ..errors import InputError
 from ..units import DEG
 from .kinds import ParameterKind
-from .parameters import AXES, Parameter, Product
+from .parameters import AXES, NOTHING, Parameter, Product
 from .session_terms import SESSION_TERMS
 
 NO_TERMS = 'none'
@@ -38,6 +39,8 @@ class Term:
         kind: Of all its parameters.
         products: Its parameters, in order, with what each is multiplied by.
         needs: What a session must have to determine it; ends 'it takes'.
+        moving: What it adds to channel i where only motion shows it (`motion`), for people; empty
+            for others.
 
     """
 
@@ -45,6 +48,7 @@ class Term:
     kind: ParameterKind
     products: tuple[tuple[Parameter, Product], ...]
     needs: str
+    moving: str = ''
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -54,6 +58,9 @@ class Term:
     @property
     def formula(self) -> str:
         """What it adds to channel i, for people: the coefficients are those of files."""
+        if self.moving:
+            channel = '[i]' if len(self.products) > 1 else ''
+            return f'{self.name}{channel} {self.moving}'
         if len(self.products) == len(AXES):
             return f'{self.name}[i] {self.products[0][1].words("i")}'
         each = [product.words() for _, product in self.products[: len(self.products) // 3]]
@@ -62,7 +69,7 @@ class Term:
     @property
     def linear(self) -> bool:
         """Whether the outputs stay linear in the inputs with it."""
-        return all(len(p.factors) == 1 and not p.absolute for _, p in self.products)
+        return all(p.none or (len(p.factors) == 1 and not p.absolute) for _, p in self.products)
 
     @property
     def triad(self) -> str:
@@ -188,6 +195,37 @@ GYRO_G2 = Term(
 )
 """G2_i f_i^2 to gyro i: specific force along its axis, whatever its sign (IEEE Std 952)."""
 
+_OF_MOVES = (
+    'moves from rest to rest about each axis, of a table with joint states, and pulses of the '
+    'accelerometers that are small beside what these make of'
+)
+
+SIZE_EFFECT = Term(
+    'size_effect',
+    ParameterKind.PLACE,
+    tuple(
+        (Parameter(ParameterKind.PLACE, 'a', i, j), NOTHING)
+        for i in range(3)
+        for j in range(3)
+        if i != j
+    ),
+    f'{_OF_MOVES} a centimetre',
+    '(m, along the two other axes) as its place r_i: row i of ([dw/dt] + [w][w]) r_i',
+)
+"""Accelerometer i is at r_i. Where the unit is turned about is anybody's choice, and so is one
+component of each place: that along its own axis is zero. The point whose x, y and z are those of
+the accelerometers x, y and z is where the specific force holds."""
+
+DELAY = Term(
+    'delay',
+    ParameterKind.DELAY,
+    ((Parameter(ParameterKind.DELAY, 'a', 0, None), NOTHING),),
+    f'{_OF_MOVES} a millisecond',
+    '(s after the gyros): it reads what it should have read so much earlier',
+)
+"""The accelerometers answer so much later than the gyros do; all three alike, since moves by right
+angles do not tell one that is late from one that is elsewhere."""
+
 TERMS: tuple[Term, ...] = (
     G_SENSITIVITY,
     GYRO_ASYMMETRY,
@@ -199,6 +237,8 @@ TERMS: tuple[Term, ...] = (
     ACCEL_CUBIC,
     ACCEL_CROSS,
     GYRO_G2,
+    SIZE_EFFECT,
+    DELAY,
 )
 """All terms, in the order of vectors and covariances: after the 24 parameters."""
 

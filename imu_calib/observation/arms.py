@@ -20,10 +20,10 @@ from ..directions import across
 from ..segmentation.segment import Turn
 from ..stream import Floats
 
-_LONGEST = 1.0
+LONGEST = 1.0
 """Standard deviation of an arm of which nothing is known, m: no table holds a unit farther out."""
 
-_APART = 0.03
+APART = 0.03
 """How far the accelerometers of a unit are from each other, m: a judgement, of units that fit into
 a hand and of those that fill a case. Of turns about an oblique axis it is seen as it is."""
 
@@ -75,7 +75,7 @@ class Arms:
             # The Coriolis force of the Earth, 2 w_e x (w x p), is along the centripetal one.
             pull = rate * (rate + 2 * up_rate)
             row[:, 3 * group : 3 * group + 3] = -pull * np.column_stack([*across(up), up])
-        deviations = [(_LONGEST, _LONGEST, _left_along(turn.up)) for turn in kinds]
+        deviations = [(LONGEST, LONGEST, _left_along(turn.up)) for turn in kinds]
         return cls(np.array(which, dtype=np.intp), slopes, np.array(deviations).ravel())
 
     def __len__(self) -> int:
@@ -86,7 +86,7 @@ class Arms:
 def _left_along(up: Floats) -> float:
     """Return the standard deviation of what is left of places along an axis, m."""
     oblique = np.sqrt(max(0.0, 1 - float(np.abs(up).max()) ** 2))
-    return float(np.hypot(_ASKEW, _APART * oblique))
+    return float(np.hypot(_ASKEW, APART * oblique))
 
 
 def _alike(turn: Turn, other: Turn) -> bool:

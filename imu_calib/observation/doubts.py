@@ -15,6 +15,9 @@ ENCODER_FREEDOM = 14.0
 """Degrees of freedom of an encoder's rate, the least: sixteen blocks less a line's two unknowns
 (`segmentation/plateau.py`)."""
 
+_ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
+"""Which outputs of a move are which."""
+
 
 def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, ...]:
     """Return what each output has for itself: noise, quantisation, the encoders' noise.
@@ -34,11 +37,15 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
         rest, turn = (np.array(part).reshape(-1, 6) for part in (at_rest, turned))
         return evidence.rows.joined(rest, turn, moved)
 
+    leading, pushing = led.noise(walk)
     noise = joined(
         [walk**2 * s.walk_gain for s in statistics],
         [walk**2 * s.walk_gain for s in turned],
-        led.noise(walk),
+        leading * _ANGLES + pushing,
     )
+    # What the gyros' noise makes of velocities.
+    none = np.zeros(6)
+    leaning = joined([none for _ in segments], [none for _ in turns], leading * _VELOCITIES)
     quantum = joined(
         [s.quantum for s in statistics], [s.quantum for s in turned], led.quantisation()
     )
@@ -47,7 +54,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
         [np.append(t.encoder_variance(), t.lean_variance(site.gravity)) for t in turns],
         led.encoders(),
     )
-    total = noise + quantum + encoder
+    total = noise + leaning + quantum + encoder
     quantum = quantum + np.maximum(SMALLEST_VARIANCE - total, 0.0)
     channel = evidence.rows.channels
     parts = [
@@ -55,6 +62,7 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
         for c, freedom in enumerate(evidence.walk_freedom.tolist())
     ]
     parts += [
+        Component(Source.NOISE, Diagonal(leaning), float(evidence.walk_freedom[:3].sum())),
         Component(Source.QUANTISATION, Diagonal(quantum)),
         Component(Source.ENCODER_NOISE, Diagonal(encoder)),
     ]

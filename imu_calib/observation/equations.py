@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..budget import Share, Source
 from ..earth import Site
-from ..model import PARAMETERS, Parameter, SensorModel
+from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..model.session_terms import Change
 from ..rotations import GENERATORS, rotation
 from ..stream import Floats, Units
@@ -117,6 +117,8 @@ class Equations:
         changes: Coefficients by which parameters change during the session: the end of the state.
         time_constant: Of a warm-up among them, as a fraction of the session.
         doubts: Parameters that are not in the state, and the standard deviation about zero of each.
+        held: Kinds of parameters of motion that are zero for certain: what is in no state the
+            covariance allows for otherwise.
 
     """
 
@@ -130,6 +132,7 @@ class Equations:
     changes: tuple[Change, ...] = ()
     time_constant: float = 1.0
     doubts: tuple[tuple[Parameter, float], ...] = ()
+    held: frozenset[ParameterKind] = frozenset()
 
     @property
     def sensors(self) -> int:
@@ -179,9 +182,9 @@ class Equations:
 
     @cached_property
     def outputs(self) -> Floats:
-        """What was read, (m,) rad/s, m/s^2 and rad: moves read no difference."""
+        """What was read, (m,) rad/s, m/s^2, rad and m/s: moves read no difference."""
         turned = np.array([t.statistics.mean for t in self.evidence.turns]).reshape(-1, 6)
-        moved = np.zeros(self.rows.move.shape)
+        moved = np.zeros((len(self.evidence.led), 6))
         return self.rows.joined(self.evidence.outputs(), turned, moved)
 
     @cached_property
@@ -290,18 +293,18 @@ class Equations:
 
     def _predicted(self, state: Floats) -> Floats:
         """Return what is read by the parameters of the session's mean, (m,)."""
-        _, *inputs = self._inputs(state)
+        around, *inputs = self._inputs(state)
         model = self.model(state)
-        predicted = self._answers(model, inputs)
-        predicted[self._divided] /= 1 + state[self.clock]
-        led = self.evidence.led.off(model, self.earth(state)).reshape(self.rows.move.shape)
+        at_rest, turned = self._answers(model, inputs)
+        led = self.evidence.led.off(model, self.earth(state), around.force)
         if state[self.clock]:
-            led = led + self._led_by_clock(model) * state[self.clock]
-        predicted[self.rows.move] = led
+            led = led + self._led_by_clock(model, around) * state[self.clock]
+        predicted = self.rows.joined(at_rest, turned, led)
+        predicted[self._divided] /= 1 + state[self.clock]
         return predicted
 
-    def _answers(self, model: SensorModel, inputs: Sequence[Floats]) -> Floats:
-        """Return what rests and turns read by the table's clock, (m,), moves zero.
+    def _answers(self, model: SensorModel, inputs: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Return what rests (s, 6) and turns (t, 6) read by the table's clock.
 
         Args:
             model: The sensors.
@@ -310,8 +313,7 @@ class Equations:
         """
         rate, force, turning, felt = inputs
         at_rest = np.hstack(model.predict(rate, force))
-        turned = whole(np.concatenate(model.predict(turning, felt), axis=-1))
-        return self.rows.joined(at_rest, turned, np.zeros(self.rows.move.shape))
+        return at_rest, whole(np.concatenate(model.predict(turning, felt), axis=-1))
 
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (m, n).
@@ -325,21 +327,24 @@ class Equations:
         model, n = self.model(state), self.sensors
         at_rest = np.zeros((len(rate), 6, self.size))
         turned = np.zeros((len(turning), 6, self.size))
-        led = np.zeros((len(self.evidence.led), 3, self.size))
+        moves = self.evidence.led
+        led = np.zeros((len(moves), 6, self.size))
         world = np.vstack([around.rate_slopes, around.force_slopes])
         at_rest[:, :, n : n + 3] = model.slopes(rate, force) @ _both(self._to_body) @ world
         slopes = model.slopes(turning, felt)
         turned[:, :, n : n + 3] = whole(slopes @ _both(self._headings) @ world)
         arms = self.evidence.arms
         turned[arms.turns, :, self.arms] = whole(slopes[..., 3:])[arms.turns] @ arms.slopes
-        led[:, :, n : n + 3] = self.evidence.led.by_rate() @ around.rate_slopes
+        led[:, :, n : n + 3] = moves.by_rate() @ around.rate_slopes
+        led[:, :, n : n + 3] += moves.by_force() @ around.force_slopes
+        led[:, :, self.clock] = self._led_by_clock(model, around)
         result = self.rows.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
         result[:, :n] = self.by_parameters(state, self.parameters)
         answers = self._answers(model, (rate, force, turning, felt))
-        result[divided, self.clock] = -answers[divided] / faster**2
-        result[self.rows.move, self.clock] = self._led_by_clock(model)
+        answered = self.rows.joined(*answers, np.zeros_like(led[:, :, 0]))
+        result[divided, self.clock] = -answered[divided] / faster**2
         result[:, self.changing] = self.columns(self.changes, result)
         return result
 
@@ -370,14 +375,15 @@ class Equations:
         if self.evidence.units is not Units.PULSES:
             return np.zeros(0, dtype=np.intp)
         if self.evidence.clocks_compared:
-            return np.setdiff1d(np.arange(len(self.rows)), self.rows.move)
+            return np.setdiff1d(np.arange(len(self.rows)), self.rows.moving)
         return self.rows.turn[self._turning[2]].ravel()
 
-    def _led_by_clock(self, model: SensorModel) -> Floats:
-        """Return the derivatives of the moves by the rate between the clocks, (m, 3)."""
-        if self.evidence.units is Units.PULSES:
-            return np.zeros(self.rows.move.shape)
-        return self.evidence.led.by_clock(model)
+    def _led_by_clock(self, model: SensorModel, around: Surroundings) -> Floats:
+        """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
+        counted = self.evidence.units is Units.PULSES
+        if counted and not self.evidence.clocks_compared:
+            return np.zeros((len(self.evidence.led), 6))
+        return self.evidence.led.by_clock(model, around.force, counted=counted)
 
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
@@ -439,6 +445,8 @@ class Equations:
             parameters, deviations = zip(*self.doubts, strict=True)
             columns = self.by_parameters(state, parameters) * np.array(deviations)
             found.append(Component(Source.TERMS, Factor(columns)))
+        if self.rows.pushed:
+            found += self._levers(state)
         if (by_table := self.by_table(state)).shape[1]:
             found.append(Component(Source.TABLE, Factor(by_table)))
         if evidence.site.latitude_std:
@@ -447,6 +455,23 @@ class Equations:
         if evidence.temperature is not None and evidence.thermal.any():
             found.append(self._warmth(self.jacobian(state)))
         return tuple(found)
+
+    def _levers(self, state: Floats) -> list[Component]:
+        """Return what lever arms and the accelerometers' delay do to the velocities of moves."""
+        rate = self.surroundings(state).rate
+        known = self.held | {p.kind for p in self.parameters}
+        arms, delays = self.evidence.led.besides(self.model(state), rate, known)
+        return [
+            Component(Source.ARM, Factor(self._of_moves(arms))),
+            Component(Source.DELAY, Factor(self._of_moves(delays))),
+        ]
+
+    def _of_moves(self, led: Floats) -> Floats:
+        """Return values (m, 6, ...) of moves in the order of the outputs, those of others zero."""
+        at_rest, turned = (
+            np.zeros((count, *led.shape[1:])) for count in (self.rows.rests, self.rows.turns)
+        )
+        return self.rows.joined(at_rest, turned, led)
 
     def _warmth(self, derivatives: Floats) -> Component:
         """Return what the temperature does by the coefficients that the data sheet states."""

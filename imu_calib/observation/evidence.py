@@ -71,6 +71,8 @@ class Evidence:
         thermal: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data
             sheet, standard deviations, 1/K and SI/K; 0 where not stated.
         free: Whether nobody knows the attitudes: they are sought, and moves join them.
+        coarse: Whether velocities of moves count that tell next to nothing beside the rests: where
+            parameters are sought that only motion shows.
 
     """
 
@@ -90,6 +92,7 @@ class Evidence:
     temperature: Temperature | None = None
     thermal: Floats = field(default_factory=lambda: np.zeros((2, 2)))
     free: bool = False
+    coarse: bool = False
 
     @classmethod
     def of(
@@ -183,13 +186,21 @@ class Evidence:
     def led(self) -> Moves:
         """The moves that count as observations."""
         site = self.site
-        return Moves.between(self.segments, self.turns, self.moves, site.gravity, free=self.free)
+        return Moves.between(
+            self.segments,
+            self.turns,
+            self.moves,
+            site.gravity,
+            self.walk,
+            free=self.free,
+            coarse=self.coarse,
+        )
 
     @cached_property
     def rows(self) -> Rows:
         """Where the outputs lie among the equations."""
         felt = tuple(self.arms.turns.tolist())
-        return Rows(len(self.segments), len(self.turns), len(self.led), felt)
+        return Rows(len(self.segments), len(self.turns), len(self.led), felt, self.led.pushed)
 
     @cached_property
     def arms(self) -> Arms:
@@ -231,7 +242,7 @@ class Evidence:
         """Return the session with outputs, and their noise, multiplied by (6,) factors."""
         segments = (replace(s, statistics=s.statistics.scaled(factors)) for s in self.segments)
         turns = (replace(t, statistics=t.statistics.scaled(factors)) for t in self.turns)
-        moves = (m.scaled(factors[:3]) for m in self.moves)
+        moves = (m.scaled(factors) for m in self.moves)
         walk = self.walk * factors
         changed = replace(self, segments=tuple(segments), turns=tuple(turns), moves=tuple(moves))
         return replace(changed, walk=walk)

@@ -1,38 +1,64 @@
-"""Moves as observations: the gyros led from one attitude of the table to the next.
+"""Moves as observations: gyros and accelerometers led from one rest of the table to the next.
 
 With C the rotation that the gyros of a model saw from rest a to rest b, of what stands still in
-inertial space, and T its time,
+inertial space, v what its accelerometers gained (`thrust`), f the specific force of gravity and T
+the time,
 
     e = log( C (R_b^T exp(-[w_ie] T) R_a)^T ) = noise,    three equations in the body axes at rest b
+    z = exp(-[R_b e] / 2) R_b v - f T = noise,            three in the frame of the attitudes
 
-Source: docs/mathematics.md, 'Moves'; the strapdown equations of Savage 1998.
+Half of what the rotation is off is taken off the velocity, which the attitudes of both ends then
+tell alike: what the gyros' noise does to either is independent.
+
+Source: docs/mathematics.md, 'Moves' and 'Velocities of moves'; the strapdown equations of Savage
+1998.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..model import Parameter, SensorModel
+from ..model import Parameter, ParameterKind, SensorModel, positions
+from ..model.motion import of_motion
 from ..rotations import rotation_vector, rotations
 from ..segmentation.segment import Segment, Turn
 from ..segmentation.segmented import Move
 from ..stream import Floats
+from .arms import APART, LONGEST
 from .path import Path
+from .thrust import CROSS, Thrust, by_places
 
 _EDGES = 1 / 6
 """Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12."""
+
+_LATE = 0.01
+"""By how much accelerometers may answer later than gyros, s, a standard deviation: low-pass filters
+of MEMS delay either by 2 to 19 ms (MPU-6050, register map, DLPF_CFG)."""
+
+_LEAST_OFF = 1e-3
+"""By how much accelerometers are off what they should read at least, as a ratio: misalignments do
+not show in the size of gravity."""
+
+_WORSE = 10.0
+"""Times the standard deviation of the mean force of a rest to which a velocity may know that of its
+move: one that is known worse tells less than a hundredth of what the rest before it does."""
+
+_LEVEL = np.array([1.0, 1.0, 0.0])
+"""What a rotation of the axes makes of gravity: nothing along it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
     """A move, and the indices of the segments at rest that it leads from and to.
 
-    `rounding` (3,) is the variance that rounding each sample leaves, `bent` that of what a rate
-    that does not change linearly leaves, `encoders` that by the noise of the encoders at both ends,
-    about any axis, rad^2.
+    `rounding` (6,) is the variance that rounding each sample leaves, rad^2 and (m/s)^2, `bent` that
+    of what a rate that does not change linearly leaves, `encoders` that by the noise of the
+    encoders at both ends, about any axis, rad^2. `cut` is what the second order leaves of a
+    velocity, m/s.
     """
 
     first: int
@@ -41,6 +67,7 @@ class Link:
     rounding: Floats
     encoders: float
     bent: float
+    cut: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +84,9 @@ class Moves:
     links: tuple[Link, ...]
     attitudes: Floats
     gravity: float
-    _memo: dict[bytes, tuple[Path, ...]] = field(default_factory=dict, repr=False)
+    _memo: dict[bytes, tuple[tuple[Path, ...], tuple[Thrust | None, ...]]] = field(
+        default_factory=dict, repr=False
+    )
 
     @classmethod
     def between(
@@ -66,16 +95,30 @@ class Moves:
         turns: Sequence[Turn],
         moves: Sequence[Move],
         gravity: float,
+        walk: Floats,
         *,
         free: bool = False,
+        coarse: bool = False,
     ) -> Moves:
         """Choose the moves that count; all of a unit in the hand, whose attitudes are `free`.
 
         A move that holds measured turns shares its noise with them and tells hardly more: it is
-        left to them. Where no joint moved there is nothing to be led.
+        left to them. Where no joint moved there is nothing to be led. A velocity that tells next to
+        nothing beside the rest is left out: pulses of some mm/s hide what it would.
+
+        Args:
+            segments: At rest, in order.
+            turns: That were measured.
+            moves: Between segments.
+            gravity: m/s^2.
+            walk: (6,) random-walk coefficients of the channels.
+            free: Whether the attitudes are sought.
+            coarse: Whether such velocities count too: other things than the rest tells are sought.
+
         """
         by_end = {s.end: k for k, s in enumerate(segments) if free or s.angles is not None}
         by_start = {s.start: k for k, s in enumerate(segments) if free or s.angles is not None}
+        wrong = _off(segments, gravity)
         links = []
         for move in moves:
             first, second = by_end.get(move.start), by_start.get(move.end)
@@ -88,8 +131,10 @@ class Moves:
                 continue
             encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
             # A hand holds no rate: rounded one by one, its samples average out.
-            rounding = np.zeros(3) if free else _rounding(move, segments[first])
-            links.append(Link(first, second, move, rounding, encoders, bent(move)))
+            rounding = np.zeros(6) if free else _rounding(move, segments[first])
+            told = move if coarse else _telling(move, rounding, segments[first], walk)
+            cut = wrong * gravity * _second_order(move)
+            links.append(Link(first, second, told, rounding, encoders, bent(move), cut))
         # Where nobody tells them no table's move counts; of a unit in the hand they are sought.
         attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]
         return cls(tuple(links), np.array(attitudes).reshape(-1, 3, 3), gravity)
@@ -97,8 +142,21 @@ class Moves:
     def __len__(self) -> int:
         return len(self.links)
 
+    @property
+    def pushed(self) -> tuple[int, ...]:
+        """Which of them have accelerometers that count."""
+        return tuple(k for k, link in enumerate(self.links) if link.move.gained is not None)
+
     def paths(self, model: SensorModel) -> tuple[Path, ...]:
-        """Return the moves as a model sees them; those of the last model are kept."""
+        """Return the moves as a model's gyros see them."""
+        return self._led(model)[0]
+
+    def thrusts(self, model: SensorModel) -> tuple[Thrust | None, ...]:
+        """Return what a model's accelerometers gained; None where they do not count."""
+        return self._led(model)[1]
+
+    def _led(self, model: SensorModel) -> tuple[tuple[Path, ...], tuple[Thrust | None, ...]]:
+        """Lead the moves on; those of the last model are kept."""
         key = model.values(model.parameters).tobytes()
         if key not in self._memo:
             self._memo.clear()
@@ -106,97 +164,244 @@ class Moves:
                 (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
                 for k in self.links
             ]
-            self._memo[key] = Path.of_each(motions, model)
+            paths = Path.of_each(motions, model)
+            gained = [link.move.gained for link in self.links]
+            known = [one for one in gained if one is not None]
+            felt = iter(Thrust.of_each(known, [paths[k] for k in self.pushed], model))
+            thrusts = tuple(None if one is None else next(felt) for one in gained)
+            self._memo[key] = paths, thrusts
         return self._memo[key]
 
-    def off(self, model: SensorModel, earth_rate: Floats) -> Floats:
-        """Return what the gyros' attitude at the end is off the encoders', (m, 3) rad.
+    def _pushes(self, model: SensorModel) -> list[tuple[int, Link, Floats, Thrust]]:
+        """Return of moves whose accelerometers count index, link, attitude at the end, thrust."""
+        return [
+            (k, link, self.attitudes[link.second], thrust)
+            for k, (link, thrust) in enumerate(zip(self.links, self.thrusts(model), strict=True))
+            if thrust is not None
+        ]
+
+    def off(self, model: SensorModel, earth_rate: Floats, force: Floats) -> Floats:
+        """Return e and z, (m, 6) rad and m/s; z is zero where accelerometers do not count.
 
         Args:
             model: The sensors.
             earth_rate: In the frame of the attitudes, (3,) or of each of them (s, 3), rad/s.
+            force: (3,) specific force at rest, likewise, m/s^2.
 
         """
-        found, rates = [], np.broadcast_to(earth_rate, (len(self.attitudes), 3))
-        for link, path in zip(self.links, self.paths(model), strict=True):
-            turned = rotations(-rates[[link.second]] * link.move.duration)[0]
-            shown = self.attitudes[link.second].T @ turned @ self.attitudes[link.first]
-            found.append(rotation_vector(path.whole @ shown.T))
-        return np.array(found).reshape(-1, 3)
+        found = np.zeros((len(self), 6))
+        if not self.links:
+            return found
+        rates = np.broadcast_to(earth_rate, (len(self.attitudes), 3))
+        ends = [link.second for link in self.links]
+        meanwhile = rotations(-rates[ends] * np.array(self._seconds)[:, None])
+        for k, (link, path) in enumerate(zip(self.links, self.paths(model), strict=True)):
+            shown = self.attitudes[link.second].T @ meanwhile[k] @ self.attitudes[link.first]
+            found[k, :3] = rotation_vector(path.whole @ shown.T)
+        half_way = rotations(-np.einsum('mij,mj->mi', self.attitudes[ends], found[:, :3]) / 2)
+        for k, link, attitude, thrust in self._pushes(model):
+            # The Earth turns the frame meanwhile.
+            lasting = (CROSS @ rates[link.second]) @ attitude @ thrust.lasting
+            gained = attitude @ (thrust.whole + thrust.moved) + lasting
+            found[k, 3:] = half_way[k] @ gained - force * link.move.duration
+        return found
 
     def by_parameters(self, model: SensorModel, parameters: tuple[Parameter, ...]) -> Floats:
-        """Return the derivatives of `off` by parameters of the sensors, (m, 3, p)."""
+        """Return the derivatives of `off` by parameters of the sensors, (m, 6, p)."""
         paths = self.paths(model)
+        result = np.zeros((len(self), 6, len(parameters)))
         if not paths:
-            return np.zeros((0, 3, len(parameters)))
+            return result
         rates = np.concatenate([path.rates for path in paths])
         forces = np.concatenate([path.forces for path in paths])
-        answers = model.derivatives(rates, forces, parameters)[:, :3]
+        answers = model.derivatives(rates, forces, parameters)
         each = np.split(answers, np.cumsum([len(path.rates) for path in paths])[:-1])
-        return np.array([p.following(one) for p, one in zip(paths, each, strict=True)])
+        for k, (path, one) in enumerate(zip(paths, each, strict=True)):
+            result[k, :3] = path.following(one[:, :3])
+        pushes, own = self._pushes(model), of_motion(parameters)
+        for k, _, attitude, thrust in pushes:
+            result[k, 3:] = attitude @ thrust.by_parameters(parameters, each[k])
+        if pushes and own:
+            where = positions(own, parameters)
+            apart = by_places([thrust for *_, thrust in pushes])
+            for (k, _, attitude, thrust), places in zip(pushes, apart, strict=True):
+                columns = [
+                    places[:, 3 * p.row + (p.column or 0)]
+                    if p.kind is ParameterKind.PLACE
+                    else thrust.by_delay
+                    for p in own
+                ]
+                result[k, 3:, where] = np.array(columns) @ attitude.T
+        return result
 
-    def by_clock(self, model: SensorModel) -> Floats:
-        """Return the derivatives of `off` by how fast the clock is that times rates, (m, 3) rad.
+    def by_clock(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
+        """Return the derivatives of `off` by how fast the clock is, (m, 6).
 
-        Over the shorter seconds the same rates turn by less.
+        Args:
+            model: The sensors.
+            force: (3,) as in `off`.
+            counted: Whether the outputs are pulses, which stay over the shorter seconds. Rates
+                times these turn by less.
+
         """
-        found = [
-            path.following((path.rates @ model.gyro.response.T)[:, :, None])[:, 0]
-            for path in self.paths(model)
-        ]
-        return np.array(found).reshape(-1, 3)
+        found = np.zeros((len(self), 6))
+        answers = [(p.rates @ model.gyro.response.T)[:, :, None] for p in self.paths(model)]
+        if not counted:
+            for k, path in enumerate(self.paths(model)):
+                found[k, :3] = path.following(answers[k])[:, 0]
+        for k, link, attitude, thrust in self._pushes(model):
+            if counted:
+                found[k, 3:] = force * link.move.duration - attitude @ thrust.by_seconds
+            else:
+                found[k, 3:] = attitude @ thrust.following(answers[k])[:, 0]
+        return found
 
     def by_rate(self) -> Floats:
-        """Return the derivatives of `off` by the Earth rate, (m, 3, 3) rad per rad/s."""
-        return np.array([self.attitudes[k.second].T * k.move.duration for k in self.links]).reshape(
-            -1, 3, 3
-        )
+        """Return the derivatives of `off` by the Earth rate, (m, 6, 3) rad per rad/s.
+
+        Half way between both ends the turning of the frame moves no velocity.
+        """
+        found = np.zeros((len(self), 6, 3))
+        for k, link in enumerate(self.links):
+            found[k, :3] = self.attitudes[link.second].T * link.move.duration
+        return found
+
+    def by_force(self) -> Floats:
+        """Return the derivatives of `off` by the specific force at rest, (m, 6, 3) s."""
+        found = np.zeros((len(self), 6, 3))
+        found[:, 3:] = -np.array(self._seconds).reshape(-1, 1, 1) * np.eye(3)
+        return found
 
     def by_attitudes(self, model: SensorModel, leaning: Floats) -> Floats:
-        """Return by how much `off` is short of what attitudes that lean make of it.
+        """Return the derivatives of `off` by errors of the attitudes at both ends.
 
         Args:
             model: The sensors.
             leaning: (s, 3, e) rotations of the attitudes in body axes, per unit of e errors.
 
         Returns:
-            (m, 3, e).
+            (m, 6, e).
 
         """
-        blocks = [
-            leaning[link.second] - path.whole @ leaning[link.first]
-            for link, path in zip(self.links, self.paths(model), strict=True)
-        ]
-        return np.array(blocks).reshape(len(self), 3, leaning.shape[2])
+        found = np.zeros((len(self), 6, leaning.shape[2]))
+        for k, (link, path) in enumerate(zip(self.links, self.paths(model), strict=True)):
+            found[k, :3] = leaning[link.second] - path.whole @ leaning[link.first]
+            if link.move.gained is not None:
+                both = [self.attitudes[end] @ leaning[end] for end in (link.first, link.second)]
+                # Half of either, crossed with what gravity gives.
+                east, north, _ = sum(both) * (self.gravity * link.move.duration / 2)
+                found[k, 3:5] = north, -east
+        return found
 
-    def noise(self, walk: Floats) -> Floats:
-        """Return the variances of `off` by random walk, (m, 3) rad^2.
+    def besides(
+        self,
+        model: SensorModel,
+        earth_rate: Floats,
+        known: AbstractSet[ParameterKind] = frozenset(),
+    ) -> tuple[Floats, Floats]:
+        """Return what velocities feel that no parameter takes up, and that many move alike.
+
+        Args:
+            model: The sensors.
+            earth_rate: (3,) in the frame of the attitudes, rad/s.
+            known: Kinds that are parameters, or taken as zero.
+
+        Returns:
+            (m, 6, 12) by where the unit is and its accelerometers are, 3 where their places are
+            known, and (m, 6, 1) by their delay, per standard deviation.
+
+        """
+        apart, late = (kind not in known for kind in (ParameterKind.PLACE, ParameterKind.DELAY))
+        arms = np.zeros((len(self), 6, 12 if apart else 3))
+        delays = np.zeros((len(self), 6, 1 if late else 0))
+        pushes = self._pushes(model)
+        if not pushes:
+            return arms, delays
+        coriolis = -2 * LONGEST * CROSS @ earth_rate
+        for k, link, attitude, thrust in pushes:
+            # The unit ends elsewhere than it began.
+            arms[k, 3:, :3] = coriolis @ (attitude - self.attitudes[link.first])
+            if late:
+                delays[k, 3:, 0] = _LATE * attitude @ thrust.by_delay
+        if apart:
+            columns = by_places([thrust for *_, thrust in pushes])
+            for (k, _, attitude, _), places in zip(pushes, columns, strict=True):
+                arms[k, 3:, 3:] = APART * attitude @ places
+        return arms, delays
+
+    def noise(self, walk: Floats) -> tuple[Floats, Floats]:
+        """Return the variances of `off` by random walk of gyros and of accelerometers, (m, 6) each.
 
         Random walks of the three channels are alike: what of them the turning of the axes mixes
-        stays what it was.
+        stays what it was. Half way between both ends a velocity knows a twelfth of what the
+        rotation at the end would do to it over the whole time.
         """
-        square = float(np.mean(walk[:3] ** 2))
-        return _thrice([square * link.move.duration for link in self.links])
+        gyro, accel = (float(np.mean(part**2)) for part in (walk[:3], walk[3:]))
+        seconds = np.array(self._seconds).reshape(-1, 1)
+        turning = gyro * seconds * self._turning
+        turning[:, 3:] /= 12
+        return turning, accel * seconds * np.repeat([0.0, 1.0], 3)
 
     def quantisation(self) -> Floats:
-        """Return the variances of `off` by pulses, rounding and samples' length, (m, 3) rad^2."""
-        found = [
-            _EDGES * link.move.quantum**2 + link.rounding + link.bent + link.move.filled
-            for link in self.links
-        ]
-        return np.array(found).reshape(-1, 3)
+        """Return the variances of `off` by pulses, rounding and samples' length, (m, 6).
+
+        Of a remainder at either end half of the rotation is in the velocity, and what each step may
+        be off adds to it like random walk.
+        """
+        found = np.zeros((len(self), 6))
+        for k, (link, turning) in enumerate(zip(self.links, self._turning, strict=True)):
+            ends, bent = _EDGES * link.move.quantum**2, link.bent
+            found[k, :3] = ends + link.rounding[:3] + bent + link.move.filled
+            found[k, 3:] = turning[3:] * (ends.mean() / 4 + bent / 12 + link.move.filled / 4)
+            if (gained := link.move.gained) is not None:
+                own = _EDGES * gained.quantum**2 + link.rounding[3:]
+                found[k, 3:] += own.mean() + gained.filled + link.cut**2
+        return found
 
     def encoders(self) -> Floats:
-        """Return the variances of `off` by the encoders' noise at both ends, (m, 3) rad^2."""
-        return _thrice([link.encoders for link in self.links])
+        """Return the variances of `off` by the encoders' noise at both ends, (m, 6)."""
+        errors = np.array([link.encoders for link in self.links]).reshape(-1, 1)
+        return np.asarray(errors * self._turning * np.repeat([1.0, 0.25], 3))
 
     def variances(self, walk: Floats) -> Floats:
-        """Return the sum of all three, (m, 3) rad^2."""
-        return self.noise(walk) + self.quantisation() + self.encoders()
+        """Return the sum of all three, (m, 6)."""
+        return np.asarray(sum(self.noise(walk)) + self.quantisation() + self.encoders())
+
+    @property
+    def _seconds(self) -> list[float]:
+        return [link.move.duration for link in self.links]
+
+    @property
+    def _turning(self) -> Floats:
+        """Squares of what a rotation of the axes at the end makes of e and of R_b v, (m, 6)."""
+        along = [_LEVEL * (self.gravity * seconds) ** 2 for seconds in self._seconds]
+        return np.hstack([np.ones((len(self), 3)), np.array(along).reshape(-1, 3)])
 
 
-def _thrice(values: Sequence[float]) -> Floats:
-    return np.array(values).repeat(3).reshape(-1, 3)
+def _telling(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:
+    """Return a move without its velocity, if that tells nothing beside the rest before it."""
+    if move.gained is None:
+        return move
+    left = _EDGES * move.gained.quantum**2 + rounding[3:] + walk[3:] ** 2 * move.duration
+    own = float(np.mean(left)) / move.duration**2
+    if own <= _WORSE**2 * float(np.mean(rest.statistics.variance(walk)[3:])):
+        return move
+    return replace(move, gained=None)
+
+
+def _off(segments: Sequence[Segment], gravity: float) -> float:
+    """Return by how much the size of what accelerometers read at rest is off gravity, a ratio."""
+    sizes = [float(np.linalg.norm(s.statistics.mean[3:])) / gravity for s in segments]
+    return max([_LEAST_OFF, *(abs(size - 1) for size in sizes)])
+
+
+def _second_order(move: Move) -> float:
+    """Return what a step leaves of its velocity where a model changes its samples, in all, s.
+
+    Within a step each sample is turned by the angle to its middle: of a change of force that is
+    even in the time from there a twelfth of the square of the step's angle is left.
+    """
+    return float((move.turned**2).sum(axis=1) @ move.seconds) / 12
 
 
 def _rounding(move: Move, rest: Segment) -> Floats:
@@ -204,8 +409,9 @@ def _rounding(move: Move, rest: Segment) -> Floats:
 
     A counter carries its remainder on: at the ends of a move alone, see `_EDGES`.
     """
-    left = rest.statistics.quantum[:3] * move.duration**2
-    return np.where(move.quantum > 0, 0.0, left)
+    left = rest.statistics.quantum * move.duration**2
+    pulses = np.zeros(3) if move.gained is None else move.gained.quantum
+    return np.where(np.append(move.quantum, pulses) > 0, 0.0, left)
 
 
 def bent(move: Move) -> float:

@@ -29,6 +29,7 @@ class Path:
         seconds: (n,) its length, s.
         whole: (3, 3) takes the components of what stands still in inertial space from the start
             to the end.
+        axes: (n, 3, 3) takes components from the middle of an interval to the end.
         carried: (n, 3, 3) takes an error of the gyros' outputs over an interval, rad, to the
             rotation of the body axes at the end that it feigns.
 
@@ -38,6 +39,7 @@ class Path:
     forces: Floats
     seconds: Floats
     whole: Floats
+    axes: Floats
     carried: Floats
 
     @classmethod
@@ -82,7 +84,7 @@ class Path:
         answer = np.linalg.inv(model.gyro.response)
         # An error over an interval counts as one in its middle, to the second order of its angle.
         return tuple(
-            cls(rates, felt, each, whole, middle @ answer)
+            cls(rates, felt, each, whole, middle, middle @ answer)
             for (rates, middle, whole), felt, each in zip(led, forces, seconds, strict=True)
         )
 

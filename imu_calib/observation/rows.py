@@ -1,7 +1,8 @@
 """Where the outputs of a session lie among its equations: this module alone knows their order.
 
 Six for each rest (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
-for each move (angles), then three for each turn whose accelerometers count.
+for each move (angles), then three for each turn whose accelerometers count, then three for each
+move whose accelerometers count (velocities).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ class Rows:
         turns: Likewise.
         moves: Likewise.
         felt: Which of the turns have accelerometers that count.
+        pushed: Which of the moves have.
 
     """
 
@@ -33,10 +35,12 @@ class Rows:
     turns: int = 0
     moves: int = 0
     felt: tuple[int, ...] = ()
+    pushed: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of outputs."""
-        return 6 * self.rests + 3 * (self.turns + self.moves + len(self.felt))
+        threes = self.turns + self.moves + len(self.felt) + len(self.pushed)
+        return 6 * self.rests + 3 * threes
 
     @cached_property
     def rest(self) -> Indices:
@@ -60,22 +64,34 @@ class Rows:
         return before + np.arange(3 * len(self.felt)).reshape(-1, 3)
 
     @cached_property
+    def velocity(self) -> Indices:
+        """Of the moves' velocities, (v, 3)."""
+        count = 3 * len(self.pushed)
+        return len(self) - count + np.arange(count).reshape(-1, 3)
+
+    @cached_property
+    def moving(self) -> Indices:
+        """Of all that moves gave: angles, velocities."""
+        return np.concatenate([self.move.ravel(), self.velocity.ravel()])
+
+    @cached_property
     def gyros(self) -> Indices:
         """Of all that gyros gave, in groups of three: rests, turns, moves."""
         return np.concatenate([self.rest[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
 
     @cached_property
     def accels(self) -> Indices:
-        """Of all that accelerometers gave, in groups of three: rests, turns."""
-        return np.concatenate([self.rest[:, 3:].ravel(), self.turn_accels.ravel()])
+        """Of all that accelerometers gave, in groups of three: rests, turns, moves."""
+        parts = (self.rest[:, 3:], self.turn_accels, self.velocity)
+        return np.concatenate([part.ravel() for part in parts])
 
     @cached_property
     def channels(self) -> Indices:
-        """Which channel each output is of, 0 to 5; an axis at the end of a move counts as one."""
+        """Which channel each output is of, 0 to 5; an axis of a move counts as one."""
         result = np.empty(len(self), dtype=np.intp)
         result[self.rest] = np.arange(6)
         result[self.turn] = result[self.move] = np.arange(3)
-        result[self.turn_accels] = np.arange(3, 6)
+        result[self.turn_accels] = result[self.velocity] = np.arange(3, 6)
         return result
 
     @cached_property
@@ -84,8 +100,10 @@ class Rows:
         result = np.empty(len(self), dtype=np.intp)
         result[self.rest] = np.arange(self.rests)[:, None]
         result[self.turn] = self.rests + np.arange(self.turns)[:, None]
-        result[self.move] = self.rests + self.turns + np.arange(self.moves)[:, None]
+        moves = self.rests + self.turns + np.arange(self.moves)[:, None]
+        result[self.move] = moves
         result[self.turn_accels] = self.rests + np.array(self.felt, dtype=np.intp)[:, None]
+        result[self.velocity] = moves[list(self.pushed)]
         return result
 
     def joined(self, rest: Floats, turn: Floats, move: Floats) -> Floats:
@@ -94,13 +112,14 @@ class Rows:
         Args:
             rest: (s, 6, ...).
             turn: (t, 6, ...): of turns whose accelerometers do not count they are left out.
-            move: (m, 3, ...).
+            move: (m, 6, ...), angles, then velocities: likewise.
 
         """
         parts = (
             (rest, self.rest),
             (turn[:, :3], self.turn),
-            (move, self.move),
+            (move[:, :3], self.move),
             (turn[list(self.felt), 3:], self.turn_accels),
+            (move[list(self.pushed), 3:], self.velocity),
         )
         return np.concatenate([part.reshape(at.size, *rest.shape[2:]) for part, at in parts])

@@ -66,5 +66,9 @@ def _statistics(statistics: Statistics, faster: float, pulses: bool) -> Statisti
 
 
 def _move(move: Move, faster: float, pulses: bool) -> Move:
-    turned = move.turned if pulses else move.turned / faster
-    return replace(move, turned=turned, seconds=move.seconds / faster)
+    less = 1.0 if pulses else 1 / faster
+    gained = move.gained
+    if gained is not None:
+        gained = replace(gained, velocity=gained.velocity * less)
+    turned, seconds = move.turned * less, move.seconds / faster
+    return replace(move, turned=turned, seconds=seconds, gained=gained)

@@ -13,7 +13,7 @@ from ..earth import Site
 from ..model import SensorModel
 from ..rotations import rotation, rotation_vectors, rotations
 from ..segmentation.segment import Segment
-from ..segmentation.segmented import Move
+from ..segmentation.segmented import Gained, Move
 from ..stream import Floats
 from ..turntable import Table
 from .evidence import UP
@@ -45,7 +45,7 @@ def move_along(
     truth: SensorModel,
     world: tuple[Floats, Floats],
 ) -> Move:
-    """Return what the gyros would give on the way from one rest to the next.
+    """Return what the sensors would give on the way from one rest to the next.
 
     Args:
         before: The rest that it begins at.
@@ -62,25 +62,28 @@ def move_along(
     # What the table stands at both ends, before and after.
     stood = (seconds - course.end) / 2
     attitudes = np.concatenate([attitudes[:1], attitudes, attitudes[-1:]])
-    return _along(before, after, attitudes, np.array([stood, *np.diff(knots), stood]), truth, world)
+    spans = np.array([stood, *np.diff(knots), stood])
+    turned, velocity = _along(attitudes, spans, truth, world)
+    pulse = before.statistics.pulse
+    gained = Gained(velocity, np.zeros_like(velocity), pulse[3:])
+    return Move(before.end, after.start, turned, spans, pulse[:3], gained=gained)
 
 
 def _along(
-    before: Segment,
-    after: Segment,
-    attitudes: Floats,
-    spans: Floats,
-    truth: SensorModel,
-    world: tuple[Floats, Floats],
-) -> Move:
-    """Return what the gyros would give through (n + 1, 3, 3) attitudes, (n,) seconds apart."""
+    attitudes: Floats, spans: Floats, truth: SensorModel, world: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Return what the sensors would give through (n + 1, 3, 3) attitudes, (n,) seconds apart.
+
+    Returns:
+        (n, 3) angles, rad, and (n, 3) velocities, m/s.
+
+    """
     earth, force = world
     steps = rotation_vectors(np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:])
     middles = (attitudes[:-1] + attitudes[1:]) / 2
     rates = steps / spans[:, None] + np.einsum('i,nij->nj', earth, middles)
-    gyro, _ = truth.predict(rates, np.einsum('i,nij->nj', force, middles))
-    quantum = before.statistics.pulse[:3]
-    return Move(before.end, after.start, gyro * spans[:, None], spans, quantum)
+    gyro, accel = truth.predict(rates, np.einsum('i,nij->nj', force, middles))
+    return gyro * spans[:, None], accel * spans[:, None]
 
 
 def held_in_turn(segments: list[Segment]) -> list[Segment]:
@@ -136,7 +139,8 @@ def short_move(before: Segment, after: Segment, truth: SensorModel, site: Site) 
     attitudes = ends[0] @ rotations(parts)
     spans = np.full(_SHORT_STEPS, (after.start - before.end) * 1e-9 / _SHORT_STEPS)
     world = site.up_rate * UP, site.specific_force
-    return _along(before, after, attitudes, spans, truth, world)
+    turned, _ = _along(attitudes, spans, truth, world)
+    return Move(before.end, after.start, turned, spans, before.statistics.pulse[:3])
 
 
 def nanoseconds(seconds: float) -> int:

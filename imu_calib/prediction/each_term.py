@@ -9,6 +9,7 @@ import numpy as np
 from ..calibrator import Setup
 from ..methods import JOINT
 from ..model import TERMS, Parameter, SensorModel, Term, terms_of
+from ..model.motion import moved
 from ..stream import Floats
 from .forecast import Forecast, listed, with_parameters
 
@@ -59,11 +60,12 @@ def of_each_term(
 
 def _of_term(term: Term, found: Forecast, setup: Setup, truth: SensorModel, wander: bool) -> OfTerm:
     more = replace(setup, terms=(*setup.terms, term))
+    evidence = replace(found.evidence, coarse=moved(more.terms))
     parameters = listed(more)
     std = dict(
         zip(
             parameters,
-            with_parameters(found.evidence, more, truth, parameters, wander=wander).tolist(),
+            with_parameters(evidence, more, truth, parameters, wander=wander).tolist(),
             strict=True,
         )
     )

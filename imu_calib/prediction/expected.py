@@ -19,6 +19,7 @@ from ..estimation.wandering import STATED_TIME, Wandering
 from ..imu import ImuSpec, TriadSpec
 from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
+from ..model.motion import moved
 from ..observation.evidence import UP, Evidence
 from ..observation.headings import headings, whole
 from ..observation.ways import (
@@ -181,6 +182,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         moves=tuple(moves),
         table=setup.table,
         free=free,
+        coarse=moved(setup.terms),
     )
 
 
@@ -250,7 +252,7 @@ def wandering(evidence: Evidence, spec: ImuSpec) -> Floats:
     """Return the covariance of the outputs by biases that wander, (m + u,) square.
 
     First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
-    instabilities, seen by the means of stretches and turns and by the angles of m moves; u is the
+    instabilities, seen by the means of stretches and turns and by what moves sum up; u is the
     number of turns that a skewed gyro saw.
 
     Args:
@@ -273,6 +275,8 @@ def wandering(evidence: Evidence, spec: ImuSpec) -> Floats:
     figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]
     # What a move carries along as it turns; all else reads its own bias.
     answers = np.eye(7)[channel]
-    answers[rows.move, :3] = evidence.led.by_parameters(SensorModel(), BIASES[:3])
+    led = evidence.led.by_parameters(SensorModel(), BIASES)
+    answers[rows.move, :6] = led[:, :3]
+    answers[rows.velocity, :6] = led[list(rows.pushed), 3:]
     by_bias = answers * figures
     return np.asarray(means[np.ix_(which, which)] * (by_bias @ by_bias.T))

@@ -1,10 +1,13 @@
-"""From rest to rest: how the gyros saw a unit turn on the way, in steps of about a degree.
+"""From rest to rest: what gyros and accelerometers gave on the way, in steps of about a degree.
 
 A step joins samples. Its rotation vector is the sum of their angles and what the change of their
-direction adds (coning), to the second order. An error model of a percent changes what the second
-order adds by a percent of it: steps stand for the samples however often the model changes.
+direction adds (coning), to the second order. Its velocity is the sum of theirs in the body axes in
+the mean of its rotation over its time (sculling), to the third order. An error model of a percent
+changes what the second order adds by a percent of it, and nothing of the first about the mean:
+steps stand for the samples however often the model changes.
 
-Source: Savage 1998, J. Guidance 21, 19, eqs. (45) and (48).
+Sources: Savage 1998, J. Guidance 21, 19, eqs. (45) and (48), and 208 for sculling;
+docs/mathematics.md, 'Moves' and 'Velocities of moves'.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import numpy as np
 from ..stream import Floats
 from ..units import DEG
 from .segment import Segment
-from .segmented import Move, Rejected, Slip
+from .segmented import Gained, Move, Rejected, Slip
 from .sensor import Sensor
 from .statistics import Samples, gap_free
 
@@ -32,6 +35,8 @@ _SHORTEST = 4
 """Steps: a shorter motion is a jerk."""
 _BESIDE = 5
 """Samples beside a gap whose second differences tell how the rate bends: three of them."""
+
+_GYROS, _ACCELEROMETERS = slice(3), slice(3, 6)
 
 COARSEST = 5 * DEG
 """Largest angle of one sample on a table, rad: a direction that changes from one to the next by a
@@ -49,13 +54,15 @@ class MoveReader:
 
     Args:
         sensor: The IMU.
-        coarsest: Largest angle of one sample, rad.
+        by_hand: Whether a hand moves the unit: samples may be coarser, and of the accelerometers,
+            which it pushes, nothing is asked.
 
     """
 
-    def __init__(self, sensor: Sensor, coarsest: float = COARSEST) -> None:
+    def __init__(self, sensor: Sensor, *, by_hand: bool = False) -> None:
         self._sensor = sensor
-        self._coarsest = coarsest
+        self._by_hand = by_hand
+        self._coarsest = COARSEST_BY_HAND if by_hand else COARSEST
         self._open: list[_Steps] | None = None
         self._seen = 0
         self._begin = 0
@@ -93,17 +100,25 @@ class MoveReader:
                 would make rates into angles a percent off, where they jitter.
 
         """
-        pulses = self._sensor.counted
-        return tuple(
-            Move(
-                start,
-                end,
-                steps.turned if pulses else steps.turned * (period / steps.period)[:, None],
-                steps.counts * period,
-                steps.quantum,
-                steps.filled,
-            )
-            for start, end, steps in self._moves
+        return tuple(self._move(*one, period) for one in self._moves)
+
+    def _move(self, start: int, end: int, steps: _Steps, period: float) -> Move:
+        # Rates become angles and velocities by the interval that is right.
+        longer = np.ones(1) if self._sensor.counted else period / steps.period
+        gained = Gained(
+            steps.gained * longer[:, None],
+            steps.mean * longer[:, None],
+            steps.quantum[3:],
+            float(steps.filled[1]),
+        )
+        return Move(
+            start,
+            end,
+            steps.turned * longer[:, None],
+            steps.counts * period,
+            steps.quantum[:3],
+            float(steps.filled[0]),
+            None if self._by_hand else gained,
         )
 
     def _close(self, segment: Segment) -> None:
@@ -135,27 +150,33 @@ class _Steps:
 
     Attributes:
         turned: (n, 3) rotation vectors by the sample interval that was assumed, rad.
+        gained: (n, 3) velocities in the axes in the mean of the rotation, likewise, m/s.
+        mean: (n, 3) that mean less half of the rotation, likewise, rad.
         counts: (n,) samples in each.
         period: (n,) the sample interval assumed, s.
-        quantum: (3,) size of a pulse, rad.
-        filled: Variance that filled gaps leave, rad^2.
+        quantum: (6,) size of a pulse, rad and m/s.
+        filled: (2,) variances that filled gaps leave, rad^2 and (m/s)^2.
 
     """
 
     turned: Floats
+    gained: Floats
+    mean: Floats
     counts: Floats
     period: Floats
     quantum: Floats
-    filled: float = 0.0
+    filled: Floats
 
 
 def _together(parts: Sequence[_Steps]) -> _Steps:
     return _Steps(
         np.vstack([p.turned for p in parts]),
+        np.vstack([p.gained for p in parts]),
+        np.vstack([p.mean for p in parts]),
         np.concatenate([p.counts for p in parts]),
         np.concatenate([p.period for p in parts]),
         parts[0].quantum,
-        sum(p.filled for p in parts),
+        np.sum([p.filled for p in parts], axis=0),
     )
 
 
@@ -171,38 +192,65 @@ def joined(samples: Samples) -> _Steps:
     so_far = total - np.repeat(total[first], counts, axis=0)
     before = np.vstack([np.zeros(3), angle[:-1]])
     turned = np.add.reduceat(angle + np.cross(so_far / 2 + before / 12, angle), first)
+    half_way = so_far + angle / 2
+    mean = np.add.reduceat(half_way, first) / counts[:, None]
+    beyond = half_way - np.repeat(mean, counts, axis=0)
+    gained = _half_way(angle, samples.increments[:, 3:])
+    gained = gained + np.cross(beyond, gained + np.cross(beyond, gained) / 2)
+    quantum = np.where(samples.quantum > 0, samples.quantum, samples.carried)
     return _Steps(
         turned,
+        np.add.reduceat(gained, first),
+        mean - turned / 2,
         counts.astype(float),
         np.full(len(first), samples.period),
-        samples.quantum[:3],
-        _left_by_filling(samples),
+        np.append(samples.quantum[:3], quantum[3:]),
+        np.array([_left_by_filling(samples, triad) for triad in (_GYROS, _ACCELEROMETERS)]),
     )
 
 
-def _left_by_filling(samples: Samples) -> float:
-    """Return the variance of an angle by gaps that a line from one side to the other fills, rad^2.
+def _half_way(angle: Floats, velocity: Floats) -> Floats:
+    """Return what samples gained in the body axes half way through each one's angle, (n, 3).
 
-    Over h intervals the trapezium leaves f'' h^3 / 12 (Davis and Rabinowitz 1984, section 2.1); how
-    the rate bends is told by the second differences of the samples beside the gap. A joint that
-    starts or stops within it bends it at once, which no sample beside shows: slopes that differ by
-    s leave s c (h - c) / 2 of a corner at c, in the mean square s^2 h^4 / 120.
+    Rates and forces change as their neighbours say.
+
+    Args:
+        angle: (n, 3) rad.
+        velocity: (n, 3) m/s, in axes that turn with the body.
+
+    """
+    bent, steeper = (
+        np.vstack([part[1:], part[-1:]]) - np.vstack([part[:1], part[:-1]])
+        for part in (angle, velocity)
+    )
+    third = np.cross(angle, steeper + np.cross(angle, velocity)) - np.cross(bent, velocity)
+    return np.asarray(velocity + third / 24)
+
+
+def _left_by_filling(samples: Samples, triad: slice) -> float:
+    """Return the variance of a sum by gaps that a line from one side to the other fills, SI^2.
+
+    Of the angle or the velocity of a triad. Over h intervals the trapezium leaves f'' h^3 / 12
+    (Davis and Rabinowitz 1984, section 2.1); how the rate bends is told by the second differences
+    of the samples beside the gap. A joint that starts or stops within it bends a rate at once,
+    which no sample beside shows: slopes that differ by s leave s c (h - c) / 2 of a corner at c, in
+    the mean square s^2 h^4 / 120. Forces follow the angle, whose slope has no such corner.
     """
     if samples.filled is None or not samples.filled.any():
         return 0.0
-    angle, lost = samples.increments[:, :3], samples.filled
+    sums, lost = samples.increments[:, triad], samples.filled
     edges = np.flatnonzero(np.diff(lost.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     total = 0.0
     for start, stop in edges.tolist():
         beside = [
-            angle[a:b] for a, b in ((start - _BESIDE, start), (stop, stop + _BESIDE)) if a >= 0
+            sums[a:b] for a, b in ((start - _BESIDE, start), (stop, stop + _BESIDE)) if a >= 0
         ]
         bends = np.vstack([np.diff(part, n=2, axis=0) for part in beside] or [np.zeros((0, 3))])
         square = float((bends**2).sum(axis=1).max(initial=0.0))
         h = stop - start + 1
         left = square * (h**3 / 12) ** 2
-        if start >= 2 and stop + 2 <= len(angle):
-            turn = angle[stop + 1] - angle[stop] - angle[start - 1] + angle[start - 2]
+        if triad == _GYROS and start >= 2 and stop + 2 <= len(sums):
+            turn = sums[stop + 1] - sums[stop] - sums[start - 1] + sums[start - 2]
             left = max(left, float(turn @ turn) * h**4 / 120)
         total += left
     return total

@@ -50,6 +50,26 @@ class FreeMotion:
 
 
 @dataclass(frozen=True, eq=False)
+class Gained:
+    """What the accelerometers gained on a move, step by step.
+
+    Attributes:
+        velocity: (n, 3) integral of the specific force of each step, in the body axes in the mean
+            of its rotation over its time, m/s.
+        mean: (n, 3) that mean less half of the rotation, rad: what a rate makes that changes.
+        quantum: (3,) size of one pulse of their counters, m/s; 0 where there are none.
+        filled: Variance that samples which were lost, and are read from those around them, leave
+            along any axis, (m/s)^2.
+
+    """
+
+    velocity: Floats
+    mean: Floats
+    quantum: Floats
+    filled: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class Move:
     """A motion from one segment at rest to the next, without a gap.
 
@@ -61,6 +81,7 @@ class Move:
         quantum: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
         filled: Variance that samples which were lost, and are read from those around them, leave
             in its angle about any axis, rad^2.
+        gained: What the accelerometers gained; None where nobody asks.
 
     """
 
@@ -70,6 +91,7 @@ class Move:
     seconds: Floats
     quantum: Floats
     filled: float = 0.0
+    gained: Gained | None = None
 
     @property
     def duration(self) -> float:
@@ -77,8 +99,14 @@ class Move:
         return float(self.seconds.sum())
 
     def scaled(self, factors: Floats) -> Move:
-        """Return the angles and their quantum multiplied by (3,) factors."""
-        return replace(self, turned=self.turned * factors, quantum=self.quantum * factors)
+        """Return angles, velocities and their quanta multiplied by (6,) factors, one a triad."""
+        gyro, accel = factors[:3], factors[3:]
+        gained = self.gained
+        if gained is not None:
+            velocity, quantum = gained.velocity * accel, gained.quantum * accel
+            gained = replace(gained, velocity=velocity, mean=gained.mean * gyro, quantum=quantum)
+        turned, quantum = self.turned * gyro, self.quantum * gyro
+        return replace(self, turned=turned, quantum=quantum, gained=gained)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from .bridging import Bridged, bridged
 from .clock import ClockFit, ClockSample, Seen, clock_sample, fit_clock, seen_by_gyros
 from .intake import Intake
 from .motion import JointTracker, Motion, Rest
-from .moves import COARSEST_BY_HAND, MoveReader
+from .moves import MoveReader
 from .order import Ordered
 from .pace import Pace
 from .rests import read_rest
@@ -80,11 +80,7 @@ class Segmenter:
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
         self._motions: list[FreeMotion] = []
-        self._moves = (
-            MoveReader(self._sensor)
-            if table is not None
-            else MoveReader(self._sensor, COARSEST_BY_HAND)
-        )
+        self._moves = MoveReader(self._sensor, by_hand=table is None)
         self._rejected: list[Rejected] = []
         self._slips: list[Slip] = []
         self._pace = Pace()

@@ -11,6 +11,7 @@ from ..earth import Site
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..model import SensorModel
+from ..model.motion import delay, places
 from ..stream import Floats, ImuBlock, SkewBlock, Stamps, Units
 from .delivery import Line
 from .motion import Motion
@@ -92,12 +93,14 @@ class _Channels:
 class SimulatedImu:
     """An IMU that samples in its own clock, whatever the table does.
 
-    Each sample is the integral of the true motion over its interval, taken through the sensor
-    model, drifted with temperature, disturbed, limited to the range (mean rate of the interval)
-    and counted. Random walk adds a normal number of standard deviation walk * sqrt(interval) to
-    each increment. Bias instability is a first-order Gauss-Markov process whose standard deviation
-    is the data sheet's figure; its Allan deviation peaks at 0.62 of that. Every source of
-    randomness has a stream of its own: switching one off leaves the others as they were.
+    Each sample is the integral of the true motion over its interval, for accelerometers where and
+    when each of them feels it, taken through the sensor model, drifted with temperature, disturbed,
+    limited to the range (mean rate of the interval) and counted. Random walk adds a normal number
+    of standard deviation walk * sqrt(interval) to each increment. Bias instability is a first-order
+    Gauss-Markov process whose standard deviation is the data sheet's figure; its Allan deviation
+    peaks at 0.62 of that. Every source of randomness has a stream of its own: switching one off
+    leaves the others as they were.
+
     """
 
     def __init__(
@@ -144,6 +147,7 @@ class SimulatedImu:
         self._gyro = self._channels(gyros, 'gyro')
         self._accel = self._channels(accels, 'accel')
         self._device_period = 1 / rate
+        self._places = places(model)
         self._line = Line(self.options.delivery, self._device_period, rng.spawn(1)[0])
         self._phase = float(phase.uniform())
         self._next = 0
@@ -176,8 +180,14 @@ class SimulatedImu:
             self.taken = np.empty(0, np.intp)
             return ImuBlock(stamps, np.empty((0, 3)), np.empty((0, 3)), self.options.frame_id)
         widths = np.diff(edges)
-        angle, velocity = motion.increments(edges, self.site, np.array(self.options.lever))
-        gyro, accel = self._respond(angle / widths[:, None], velocity / widths[:, None], edges)
+        late = delay(self.model)
+        # Accelerometers that answer early are in time, and all else late.
+        on_time = edges + min(0.0, late)
+        angle, velocity = motion.increments(on_time, self.site, np.array(self.options.lever))
+        rate, own = angle / widths[:, None], None
+        if late or self._places.any():
+            own = self._in_motion(motion, on_time - late, rate)
+        gyro, accel = self._respond(rate, velocity / widths[:, None], edges, own)
         values = [
             self._gyro.deliver(gyro, widths, self.period),
             self._accel.deliver(accel, widths, self.period),
@@ -210,8 +220,29 @@ class SimulatedImu:
         offset = self.epoch + round(self.options.clock_offset * 1e9)
         return np.asarray(offset + np.rint(elapsed * 1e9).astype(np.int64))
 
-    def _respond(self, rate: Floats, force: Floats, edges: Floats) -> tuple[Floats, Floats]:
+    def _in_motion(self, motion: Motion, edges: Floats, rate: Floats) -> Floats:
+        """Return what accelerometers read, each at its own place, (n, 3).
+
+        Args:
+            motion: What the table does.
+            edges: (n + 1,) of the intervals as accelerometers feel them, s.
+            rate: (n, 3) of the gyros, rad/s.
+
+        """
+        found = np.empty_like(rate)
+        for k, place in enumerate(self._places):
+            lever = np.array(self.options.lever) + place
+            _, velocity = motion.increments(edges, self.site, lever)
+            force = velocity / np.diff(edges)[:, None]
+            found[:, k] = self.model.predict(rate, force)[1][:, k]
+        return found
+
+    def _respond(
+        self, rate: Floats, force: Floats, edges: Floats, own: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Return what the channels read; accelerometers what is their own, where they are apart."""
         gyro, accel = self.model.predict(rate, force)
+        accel = accel if own is None else own
         middle = (edges[1:] + edges[:-1]) / 2
         drift, warming = self.options.thermal_drift, self.options.warming
         if drift != ThermalDrift() and (warming.offset or warming.rise or warming.ramp):

@@ -1,0 +1,197 @@
+"""What places and delay of the accelerometers make of samples is taken off.
+
+How fast a rate and a force change is told by the samples before and after: each waits for the next
+one, and where there is none at one side the other tells.
+
+Source: docs/mathematics.md, 'Terms of motion'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model import AXES, terms_of
+from ..model.motion import MOTION, moved, of_motion, slopes
+from ..stream import Floats, Stamps
+from .apply import Compensated, Compensation
+
+_NEXT = 1.5
+"""Sample intervals to the next sample, at most: beyond it one is missing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Applied:
+    """Consecutive samples with one frame, as a calibration has compensated them.
+
+    Attributes:
+        stamp: (n,) ns.
+        values: Rates and forces, what motion adds still in them.
+        frame_id: As it came in.
+        interval: (n,) sample intervals, s.
+        ready: What was applied.
+
+    """
+
+    stamp: Stamps
+    values: Compensated
+    frame_id: str
+    interval: Floats
+    ready: Compensation
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    @property
+    def moving(self) -> bool:
+        """Whether motion adds anything by the calibration."""
+        return moved(terms_of(self.ready.calibration.model.parameters))
+
+    def cut(self, start: int, stop: int) -> Applied:
+        """Return some of the samples."""
+        part, v = slice(start, stop), self.values
+        values = Compensated(
+            v.rate[part],
+            v.force[part],
+            v.rate_covariance[part],
+            v.force_covariance[part],
+            v.marks[part],
+            None if v.parity is None else v.parity[part],
+        )
+        return replace(self, stamp=self.stamp[part], values=values, interval=self.interval[part])
+
+
+class InMotion:
+    """Lets samples wait for their next, and takes off what motion adds to them.
+
+    Where a calibration knows of nothing that motion adds, samples go through as they are.
+    """
+
+    def __init__(self) -> None:
+        self._before: Applied | None = None
+        self._held: Applied | None = None
+
+    @property
+    def waiting(self) -> int:
+        """Samples that wait for the next."""
+        return 0 if self._held is None else 1
+
+    def take(self, samples: Applied) -> list[Applied]:
+        """Take samples in; return those that have all that they need."""
+        if not len(samples):
+            return []
+        ended = self._end(samples.cut(0, 1))
+        if not samples.moving:
+            self._before = None
+            return [*ended, samples]
+        count = len(samples)
+        self._held = samples.cut(count - 1, count)
+        sound = samples.cut(0, count - 1)
+        if count > 1:
+            ended.append(_freed(self._before, sound, self._held))
+            self._before = sound.cut(count - 2, count - 1)
+        return ended
+
+    def finish(self) -> list[Applied]:
+        """Return what waits: nothing follows."""
+        return self._end(None)
+
+    def _end(self, after: Applied | None) -> list[Applied]:
+        """Free the sample that waits."""
+        held, self._held = self._held, None
+        if held is None:
+            return []
+        freed = _freed(self._before, held, after)
+        self._before = held
+        return [freed]
+
+
+def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> Applied:
+    """Take off what motion adds to samples.
+
+    Args:
+        before: The sample before them, or None.
+        samples: The samples.
+        after: The sample after them, or None.
+
+    """
+    values, model = samples.values, samples.ready.calibration.model
+    changes = _Changes.of(before, samples, after)
+    spin, change = changes.of_each(lambda v: v.rate), changes.of_each(lambda v: v.force)
+    by_each = slopes(model, values.rate, spin, change)
+    force = values.force - (by_each * model.values(MOTION)).sum(axis=-1)
+    covariance = values.force_covariance + _doubt(samples, by_each, changes.seconds)
+    # Of a force that is unknown the first element says so.
+    unknown = values.force_covariance[:, 0] < 0
+    covariance[unknown] = values.force_covariance[unknown]
+    return replace(samples, values=replace(values, force=force, force_covariance=covariance))
+
+
+def _doubt(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
+    """Return what is added to the covariance of forces, (n, 9): by the parameters and by noise.
+
+    Noise of a difference of two samples, each by itself; the parameters' covariance with others is
+    left out.
+    """
+    calibration = samples.ready.calibration
+    own = of_motion(calibration.parameters)
+    index = [calibration.parameters.index(p) for p in own]
+    square = calibration.covariance[np.ix_(index, index)]
+    columns = by_each[:, :, [MOTION.index(p) for p in own]]
+    spread = (columns[:, :, :, None] * square).sum(axis=2)
+    found = (spread[:, :, None, :] * columns[:, None, :, :]).sum(axis=3)
+    noise = samples.ready.noise(samples.interval)
+    known = seconds > 0
+    twice = np.where(known, 2 / np.where(known, seconds, 1.0) ** 2, 0.0)
+    model = calibration.model
+    arms = model.values(MOTION[:-1]).reshape(3, 2)
+    late = float(model.values(MOTION[-1:])[0])
+    by_noise = (arms**2).sum(axis=1) * noise[:, :3].mean(axis=1)[:, None]
+    by_noise = by_noise + late**2 * noise[:, -3:]
+    found[:, range(len(AXES)), range(len(AXES))] += by_noise * twice[:, None]
+    return np.asarray(found.reshape(-1, 9))
+
+
+@dataclass(frozen=True, eq=False)
+class _Changes:
+    """Samples with the ones beside them.
+
+    Attributes:
+        all: Those before, themselves, those after.
+        earlier: (n,) index of the sample from which a change is counted.
+        later: (n,) to which.
+        seconds: (n,) between them; 0 where there is none beside.
+
+    """
+
+    all: list[Applied]
+    earlier: NDArray[np.intp]
+    later: NDArray[np.intp]
+    seconds: Floats
+
+    @classmethod
+    def of(cls, before: Applied | None, samples: Applied, after: Applied | None) -> _Changes:
+        """Find out which samples are next to each other."""
+        parts = [part for part in (before, samples, after) if part is not None]
+        stamp = np.concatenate([part.stamp for part in parts])
+        interval = np.concatenate([part.interval for part in parts])
+        values = np.concatenate(
+            [np.hstack([part.values.rate, part.values.force]) for part in parts]
+        )
+        sound = np.isfinite(values).all(axis=1)
+        near = np.diff(stamp) <= _NEXT * interval[1:] * 1e9
+        beside = np.concatenate([[False], near & sound[1:] & sound[:-1], [False]])
+        own = np.arange(len(samples)) + (0 if before is None else 1)
+        earlier, later = beside[own].astype(np.intp), beside[own + 1].astype(np.intp)
+        return cls(parts, own - earlier, own + later, (earlier + later) * samples.interval)
+
+    def of_each(self, which: Callable[[Compensated], Floats]) -> Floats:
+        """Return by how much rates or forces change, (n, 3) per s."""
+        values = np.concatenate([which(part.values) for part in self.all])
+        known = self.seconds > 0
+        seconds = np.where(known, self.seconds, 1.0)[:, None]
+        change = (values[self.later] - values[self.earlier]) / seconds
+        return np.where(known[:, None], change, 0.0)

@@ -1,0 +1,85 @@
+"""What only motion shows of accelerometers: that they are apart, and that they answer late.
+
+Accelerometer i is at r_i and feels, beyond the specific force f at the point where r_i is zero,
+
+    a_i = ([dw/dt] + [w][w]) r_i,      n_i(t) = [(I + M) (f + a_i)]_i (t - T) + d_i
+
+A common shift of all three places is a choice of that point. So the component of r_i along axis i
+is zero, and six are left.
+
+Source: Hung, Hunter, Stripling and White 1979, Size effect on navigation using a strapdown IMU, US
+Army T-79-73; IEEE Std 1559 (the words); docs/mathematics.md, 'Terms of motion'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..stream import Floats
+from .kinds import ParameterKind
+from .parameters import Parameter
+from .sensors import SensorModel
+from .terms import DELAY, SIZE_EFFECT, Term
+
+OF_MOTION = frozenset({ParameterKind.PLACE, ParameterKind.DELAY})
+"""Kinds of parameters that rests do not show, and whole turns do not tell."""
+
+
+MOTION = (*SIZE_EFFECT.parameters, *DELAY.parameters)
+"""The seven."""
+
+
+def of_motion(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """Return those that only motion shows."""
+    return tuple(p for p in parameters if p.kind in OF_MOTION)
+
+
+def moved(terms: Iterable[Term]) -> bool:
+    """Say whether any of the terms has such parameters."""
+    return any(term.kind in OF_MOTION for term in terms)
+
+
+def places(model: SensorModel) -> Floats:
+    """Return where the accelerometers are, (3, 3) m: row i is r_i."""
+    found = np.zeros((3, 3))
+    values = model.values(SIZE_EFFECT.parameters)
+    for parameter, value in zip(SIZE_EFFECT.parameters, values, strict=True):
+        found[parameter.row, parameter.column] = value
+    return found
+
+
+def delay(model: SensorModel) -> float:
+    """Return by how much later than the gyros the accelerometers answer, s."""
+    return float(model.values(DELAY.parameters)[0])
+
+
+def slopes(model: SensorModel, rate: Floats, spin: Floats, change: Floats) -> Floats:
+    """Return what places and delay add to the specific force that the outputs mean, per unit.
+
+    To the first order of the delay. Every sum has a fixed order: a sample has the same bits alone
+    as among others.
+
+    Args:
+        model: The sensors.
+        rate: (n, 3) rad/s.
+        spin: (n, 3) by how much that changes, rad/s^2.
+        change: (n, 3) by how much the specific force changes, m/s^3.
+
+    Returns:
+        (n, 3, 7) m/s^2, in the order of the terms' parameters (`MOTION`).
+
+    """
+    x, y, z = spin.T
+    nothing = np.zeros_like(x)
+    felt = np.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], axis=-1).reshape(-1, 3, 3)
+    felt += rate[:, :, None] * rate[:, None, :]
+    felt[:, range(3), range(3)] -= (rate**2).sum(axis=1)[:, None]
+    response = model.accel.response
+    answer = np.linalg.inv(response)
+    columns = []
+    for parameter in SIZE_EFFECT.parameters:
+        row = (felt[:, :, parameter.column] * response[parameter.row]).sum(axis=1)
+        columns.append(row[:, None] * answer[:, parameter.row])
+    return np.stack([*columns, -change], axis=-1)

@@ -1,0 +1,249 @@
+"""What the accelerometers of a model gained on a move, and its derivatives.
+
+With C_i the rotation from the middle of step i to the end of the move, f_i its specific force by
+the model and t_i its length, all in the body axes at the end,
+
+    v = sum of C_i f_i t_i,    V_i = the sum before step i and half of its own.
+
+Rotations and rates are those of the move's `Path`. What a term of specific force multiplies is that
+of gravity on the path, as everywhere: not what pulses and levers add to it.
+
+Source: docs/mathematics.md, 'Velocities of moves'; the strapdown equations of Savage 1998, J.
+Guidance 21, 208.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from ..model import PARAMETERS, Parameter, SensorModel, term
+from ..model.motion import delay, places
+from ..rotations import rotations
+from ..segmentation.segmented import Gained
+from ..stream import Floats
+from .path import Path
+
+_LINEAR = frozenset(p for p in PARAMETERS if p.triad == 'a' and p.column is not None)
+
+_EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
+"""Of each channel what a triad keeps of a vector: (3, 3, 3)."""
+
+CROSS = -np.array([np.cross(e, np.eye(3)) for e in np.eye(3)])
+"""[v] = CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
+
+_SQUARES = tuple(combinations_with_replacement(range(3), 2))
+"""Products of rates, each once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thrust:
+    """The specific force of a move by a model.
+
+    Attributes:
+        path: The rotation.
+        model: The sensors.
+        beside: (n, 3) what biases and terms add to the outputs, m/s^2.
+        felt: (n, 3) mean specific force of each step, m/s^2.
+        steps: (n, 3) what each step gained, body axes at the end, m/s.
+
+    """
+
+    path: Path
+    model: SensorModel
+    beside: Floats
+    felt: Floats
+    steps: Floats
+
+    @classmethod
+    def of_each(
+        cls, gained: Sequence[Gained], paths: Sequence[Path], model: SensorModel
+    ) -> tuple[Thrust, ...]:
+        """Follow several paths; all their steps are compensated at once.
+
+        Args:
+            gained: Of the steps, as the accelerometers gave it.
+            paths: Of the gyros.
+            model: The sensors.
+
+        """
+        if not gained:
+            return ()
+        rates, forces, axes, seconds = (
+            np.concatenate([getattr(path, name) for path in paths])
+            for name in ('rates', 'forces', 'axes', 'seconds')
+        )
+        velocity, means = (
+            np.concatenate([getattr(g, n) for g in gained]) for n in ('velocity', 'mean')
+        )
+        alone = {name: found for name, found in model.terms.items() if term(name).triad == 'a'}
+        terms = replace(model, terms=alone).extra(np.hstack([rates, forces]))[:, 3:]
+        beside = terms + model.accel.bias
+        outputs = velocity / seconds[:, None] - beside
+        felt = np.einsum('ij,nj->ni', np.linalg.inv(model.accel.response), outputs)
+        mean = np.einsum('ij,nj->ni', np.linalg.inv(model.gyro.response), means)
+        half_way = felt + np.cross(mean, felt + np.cross(mean, felt) / 2)
+        steps = np.einsum('nij,nj->ni', axes, half_way) * seconds[:, None]
+        ends = np.cumsum([len(path.seconds) for path in paths])[:-1]
+        parts = zip(paths, *(np.split(x, ends) for x in (beside, felt, steps)), strict=True)
+        return tuple(cls(path, model, *mine) for path, *mine in parts)
+
+    @cached_property
+    def whole(self) -> Floats:
+        """v, (3,) m/s."""
+        return np.asarray(self.steps.sum(axis=0))
+
+    @cached_property
+    def moved(self) -> Floats:
+        """What places and delay of the model's accelerometers add to v, (3,) m/s.
+
+        Linear in the places, and of the delay with the turning of the axes meanwhile: but for the
+        third order of how far the unit turns in it.
+        """
+        found = np.zeros(3)
+        if (apart := places(self.model)).any():
+            found += by_places([self])[0] @ apart.ravel()
+        if seconds := delay(self.model):
+            # The axes as long before, by the rate half way back.
+            back = self.path.rates - self._change * (seconds / 2)
+            turned = rotations(-back * seconds) - np.eye(3)
+            felt = np.einsum('nij,nj->ni', turned, self.felt) * self.path.seconds[:, None]
+            found += np.einsum('nij,nj->i', self.path.axes, felt)
+        return found
+
+    @cached_property
+    def lasting(self) -> Floats:
+        """(3,) the sum of V_i t_i, m: from the start to the end of the move."""
+        return np.asarray(self.path.seconds @ self._so_far)
+
+    @cached_property
+    def _so_far(self) -> Floats:
+        """V_i, (n, 3) m/s."""
+        return np.asarray(np.cumsum(self.steps, axis=0) - self.steps / 2)
+
+    def following(self, derivatives: Floats) -> Floats:
+        """Return the derivatives of v, less half of what the rotation at the end makes of it.
+
+        A rotation of the axes at step i turns what was gained before; one of half of all by half of
+        the whole rotation is taken off: v is told in axes half way between those that the ends
+        show.
+
+        Args:
+            derivatives: (n, 3, p) of the gyros' outputs at the path's rates.
+
+        Returns:
+            (3, p) m/s.
+
+        """
+        return _summed(self._turning, derivatives)
+
+    @cached_property
+    def _turning(self) -> Floats:
+        """What `following` makes of an output of the gyros during a step, (n, 3, 3)."""
+        beyond = np.einsum('ijk,nk->nij', CROSS, self.whole / 2 - self._so_far)
+        return np.asarray(beyond @ self.path.carried * self.path.seconds[:, None, None])
+
+    @cached_property
+    def _pushing(self) -> Floats:
+        """What v makes of an output of the accelerometers during a step, (n, 3, 3)."""
+        answer = self.path.axes @ np.linalg.inv(self.model.accel.response)
+        return np.asarray(answer * self.path.seconds[:, None, None])
+
+    def by_parameters(self, parameters: tuple[Parameter, ...], answers: Floats) -> Floats:
+        """Return the derivatives of the same by parameters of the sensors, (3, p) SI units.
+
+        Args:
+            parameters: By which.
+            answers: (n, 6, p) derivatives of the outputs at the path's rates and forces.
+
+        """
+        pushed = self._pushed(answers[:, 3:])
+        # Scale factors and misalignments answer to all that is felt.
+        felt = np.tensordot(self._pushing, self.felt, axes=(0, 0))
+        for k, parameter in enumerate(parameters):
+            if parameter in _LINEAR:
+                pushed[:, k] = felt[:, parameter.row, parameter.column]
+        return self.following(answers[:, :3]) - pushed
+
+    @cached_property
+    def by_seconds(self) -> Floats:
+        """The derivative of v by the lengths of the steps as shares of them, (3,) m/s.
+
+        The pulses stay, and what biases and terms take off them grows.
+        """
+        return -self._pushed(self.beside[:, :, None])[:, 0]
+
+    def _pushed(self, outputs: Floats) -> Floats:
+        """Return what (n, 3, p) outputs of the accelerometers gain, (3, p) m/s."""
+        return _summed(self._pushing, outputs)
+
+    @cached_property
+    def by_delay(self) -> Floats:
+        """Return the derivative of v by the delay of the accelerometers after the gyros, (3,).
+
+        f(t - s) is taken for f(t): over a move from rest to rest - sum of C (w x f) t, m/s per s.
+        """
+        crossed = np.cross(self.path.rates, self.felt) * self.path.seconds[:, None]
+        return -np.asarray(np.einsum('nij,nj->i', self.path.axes, crossed))
+
+    @cached_property
+    def _change(self) -> Floats:
+        return _change(self.path.rates, self.path.seconds)
+
+    @cached_property
+    def moments(self) -> Floats:
+        """Sums of C w_p w_q t over the steps, (3, 3 * 6): of each product once.
+
+        A rate that changes by d within a step has a mean square of w^2 + d^2 / 12.
+        """
+        path = self.path
+        change = self._change * path.seconds[:, None] / np.sqrt(12)
+        first, second = np.array(_SQUARES).T
+        squares = path.rates[:, first] * path.rates[:, second]
+        squares += change[:, first] * change[:, second]
+        timed = squares * path.seconds[:, None]
+        return np.asarray((path.axes.reshape(-1, 9).T @ timed).reshape(3, -1))
+
+
+def by_places(thrusts: Sequence[Thrust]) -> Floats:
+    """Return the derivatives of v by where the accelerometers are, (m, 3, 9) 1/s.
+
+    In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of
+    (I + M) a_i, a_i = ([alpha] + [w][w]) r_i. From rest to rest the integral by parts holds no
+    alpha: that of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i.
+
+    Args:
+        thrusts: m of one model.
+
+    """
+    kept = _kept(thrusts[0].model)
+    apart = np.einsum('mjp,klq,ijk->mpqil', CROSS, CROSS, kept, optimize=True)
+    apart -= np.einsum('kap,alq,ijk->jpqil', CROSS, CROSS, kept, optimize=True)
+    # Products of rates are the same either way round.
+    folded = [apart[:, p, q] + (apart[:, q, p] if p != q else 0.0) for p, q in _SQUARES]
+    matrix = np.stack(folded, axis=1).reshape(-1, 9)
+    return np.asarray(np.stack([thrust.moments for thrust in thrusts]) @ matrix)
+
+
+def _kept(model: SensorModel) -> Floats:
+    """Return P_i = (I + M)^-1 e_i e_i' (I + M): what accelerometer i alone makes of a force."""
+    response = model.accel.response
+    return np.asarray(np.linalg.inv(response) @ _EACH @ response)
+
+
+def _summed(matrices: Floats, columns: Floats) -> Floats:
+    """Return the sum of (n, 3, 3) matrices times (n, 3, p) columns, (3, p)."""
+    rows = np.moveaxis(matrices, 1, 0).reshape(3, -1)
+    return np.asarray(rows @ columns.reshape(rows.shape[1], -1))
+
+
+def _change(rates: Floats, seconds: Floats) -> Floats:
+    """Return by how much rates (n, 3) change, rad/s^2; before and after the unit stands."""
+    ends = np.cumsum(seconds)
+    middles = np.concatenate([[0.0], ends - seconds / 2, ends[-1:]])
+    known = np.vstack([np.zeros(3), rates, np.zeros(3)])
+    return np.asarray((known[2:] - known[:-2]) / (middles[2:] - middles[:-2])[:, None])
