@@ -75,7 +75,7 @@ def _terms(letter: str) -> list[Key]:
     for term in TERMS:
         if term.triad == letter:
             count = len(term.parameters) // len(AXES)
-            value = _row(3) if count == 1 else _matrix(3, count)
+            value = (number(), _row(3))[count] if count < 2 else _matrix(3, count)
             unit = term.kind.value.units[letter].si
             unit = '' if unit == '1' else f', {unit}'
             meaning = f'{term.kind.value.words}{unit}: to channel i add `{term.formula}`'
