@@ -462,7 +462,7 @@ def test_exports_carry_every_parameter_or_refuse_it(terms: tuple[Term, ...]) -> 
             assert exported.text
             # At rest files are right without what only motion shows, and the node takes it off.
             for term in (t for t in terms if t.moving and name != 'ros'):
-                assert f'The {term.kind.value.words} is left out.' in exported.left_out
+                assert f'The {term.kind.value.words} is left out.' in exported.findings
             continue
         with pytest.raises(InputError) as error:
             export(source)

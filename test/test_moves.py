@@ -450,7 +450,7 @@ def test_samples_lost_where_a_joint_starts_leave_what_is_said() -> None:
             samples = Samples(
                 (ends * 1e7).astype(np.int64), angle, np.zeros(6), period, np.zeros(6), filled=rows
             )
-            ratios.append((filled.sum() - gained.sum()) ** 2 / joined(samples).filled)
+            ratios.append((filled.sum() - gained.sum()) ** 2 / joined(samples).filled[0])
     # Uniform over the gap: their mean is one, and none is beyond h^2 / 8 of the slope.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.5)
     assert max(ratios) < 4.5**2

@@ -234,7 +234,7 @@ def _left_by_filling(samples: Samples, triad: slice) -> float:
     (Davis and Rabinowitz 1984, section 2.1); how the rate bends is told by the second differences
     of the samples beside the gap. A joint that starts or stops within it bends a rate at once,
     which no sample beside shows: slopes that differ by s leave s c (h - c) / 2 of a corner at c, in
-    the mean square s^2 h^4 / 120. Forces follow the angle, whose slope has no such corner.
+    the mean square s^2 h^4 / 120. Gravity follows the angle, whose slope has no such corner.
     """
     if samples.filled is None or not samples.filled.any():
         return 0.0

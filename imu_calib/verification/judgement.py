@@ -17,7 +17,9 @@ import scipy
 from ..calibration import Calibration
 from ..earth import Site
 from ..gravity import gravity_covariance, same_place, without_gravity
-from ..model import ParameterKind, positions
+from ..model import Parameter, ParameterKind, SensorModel, positions, terms_of
+from ..model.motion import moved
+from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..units import DEG
 from .comparison import Compared, compare
@@ -29,6 +31,9 @@ from .system import Fit, System, factor_of
 DOUBT, REJECTION = 1e-2, 1e-6
 """Chances of a false alarm in a session of sound data."""
 
+
+_Doubts = tuple[tuple[Parameter, float], ...]
+"""Parameters and standard deviations."""
 
 _TOO_WIDE = 5.0
 """Times the stated scatter: such limits would pass a wrong latitude."""
@@ -98,9 +103,11 @@ def verify(calibration: Calibration, observed: Observed) -> Verification:
     """
     # What has no inverse is refused here, in words.
     calibration.model.compensate(np.zeros((1, 3)), np.zeros((1, 3)))
-    trials = [_Trial.of(calibration, observed, gyros=True)]
+    gyros = _Trial.of(calibration, observed, gyros=True)
+    trials = [gyros]
     if calibration.has_accelerometers and observed.evidence.segments:
-        trials.append(_Trial.of(calibration, observed, gyros=False))
+        carried, doubts = _carried(calibration, observed, gyros)
+        trials.append(_Trial.of(calibration, carried, gyros=False, doubts=doubts))
     compared = [c for t in trials for c in compare(t.system, t.values, t.factor, t.fit)]
     limits = (_limit(DOUBT, len(compared)), _limit(REJECTION, len(compared)))
     return Verification(
@@ -154,9 +161,12 @@ class _Trial:
     fit: Fit
 
     @classmethod
-    def of(cls, calibration: Calibration, observed: Observed, *, gyros: bool) -> _Trial:
+    def of(
+        cls, calibration: Calibration, observed: Observed, *, gyros: bool, doubts: _Doubts = ()
+    ) -> _Trial:
         sensors = Sensors.of(calibration.parameters, gyros=gyros)
-        system = System(observed, sensors, observed.reading(calibration.imu)[0 if gyros else 1])
+        reading = observed.reading(calibration.imu)[0 if gyros else 1]
+        system = System(observed, sensors, reading, doubts=doubts)
         if not observed.with_attitudes:
             system = replace(system, up=_up(calibration, observed))
         system = with_true_noise(system)
@@ -194,6 +204,41 @@ class _Trial:
         if verdict is Verdict.FAIL:
             diagnosis = diagnose(self.system, self.values, self.factor)
         return Judged(self.system.gyros, verdict, self.fit.square, self.fit.freedom, diagnosis)
+
+
+def _carried(
+    calibration: Calibration, observed: Observed, gyros: _Trial
+) -> tuple[Observed, _Doubts]:
+    """Return the session for the accelerometers, and what the gyros leave open of it.
+
+    Gyros carry the axes of velocities: moves are turned by what they mean with the parameters that
+    explain the session. Where the calibration's do not, whatever their deviations allow, there are
+    no velocities: what is wrong with gyros is no fault of the accelerometers.
+    """
+    evidence = observed.evidence
+    if not evidence.moves:
+        return observed, ()
+    explained = gyros.fit.chance > REJECTION
+    parameters = gyros.system.sensors.parameters
+    model = calibration.model.with_values(parameters, gyros.values + gyros.fit.delta)
+    reading = np.repeat(observed.reading(calibration.imu), 3)
+    moves = tuple(
+        _meant(move, model, reading) if explained else replace(move, gained=None)
+        for move in evidence.moves
+    )
+    coarse = evidence.coarse or moved(terms_of(calibration.parameters))
+    carried = replace(observed, evidence=replace(evidence, moves=moves, coarse=coarse))
+    return carried, tuple(zip(parameters, gyros.fit.std.tolist(), strict=True))
+
+
+def _meant(move: Move, model: SensorModel, reading: Floats) -> Move:
+    """Return a move with the angles that its gyros' readings mean; velocities as they were read."""
+    if move.gained is None:
+        return move
+    seconds = move.seconds[:, None]
+    rate, force = move.turned * reading[:3], move.gained.velocity * reading[3:]
+    rate, _ = model.compensate(rate / seconds, force / seconds)
+    return replace(move, turned=rate * seconds)
 
 
 def _up(calibration: Calibration, observed: Observed) -> Up:

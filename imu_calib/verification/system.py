@@ -22,7 +22,7 @@ from ..earth import EARTH_RATE
 from ..errors import NotObservable
 from ..estimation.converge import least_squares
 from ..imu import TriadSpec
-from ..model import Triad
+from ..model import Parameter, Triad
 from ..observation.components import Component, Diagonal
 from ..observation.equations import Equations, Nuisance
 from ..observation.evidence import Evidence
@@ -87,6 +87,8 @@ class System:
         seen: The unknowns that the session shows whatever the parameters, to begin with; None
             before that is known.
         mount_free: Whether the unit may sit otherwise in its mount, by a small rotation.
+        doubts: Parameters of the other triad and their standard deviations: gyros carry the axes
+            of velocities.
 
     """
 
@@ -98,6 +100,7 @@ class System:
     wander: float = 0.0
     seen: Floats | None = None
     mount_free: bool = False
+    doubts: tuple[tuple[Parameter, float], ...] = ()
 
     @property
     def gyros(self) -> bool:
@@ -136,15 +139,18 @@ class System:
     @cached_property
     def equations(self) -> Equations:
         """Those of the joint estimate, where attitudes are known."""
-        biases = np.zeros(len(self.evidence.rows))
-        biases[self.evidence.rows.rest] = (self.wander * self.reading) ** 2
+        rows = self.evidence.rows
+        biases = np.zeros(len(rows))
+        biases[rows.rest] = (self.wander * self.reading) ** 2
         seconds = np.array([m.move.duration for m in self.evidence.led.links]).reshape(-1, 1)
-        biases[self.evidence.rows.move] = (self.wander * self.reading * seconds) ** 2
+        biases[rows.move] = (self.wander * self.reading * seconds) ** 2
+        biases[rows.velocity] = (self.wander * self.reading * seconds[list(rows.pushed)]) ** 2
         return Equations(
             self.evidence,
             self.sensors.parameters,
             levelled=None if self.gyros else _ANY_TILT,
             extra=(Component(Source.BIAS_STATED, Diagonal(biases)),),
+            doubts=self.doubts,
         )
 
     @cached_property
@@ -158,7 +164,7 @@ class System:
         if self.up is not None:
             return np.zeros(len(self.outputs) * (2 if self.gyros else 1), dtype=np.intp)
         rows = self.evidence.rows
-        of_moves = (rows.move.min(initial=len(rows)) <= self._mine) & self.gyros
+        of_moves = np.isin(self._mine, rows.moving)
         return np.where(self._mine < rows.rest.size, 0, np.where(of_moves, 2, 1))
 
     @property
