@@ -454,3 +454,31 @@ def test_samples_lost_where_a_joint_starts_leave_what_is_said() -> None:
     # Uniform over the gap: their mean is one, and none is beyond h^2 / 8 of the slope.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.5)
     assert max(ratios) < 4.5**2
+
+
+def test_samples_lost_where_a_joint_starts_leave_what_is_said_of_velocities() -> None:
+    """60 deg/s^2 half a metre off the axis begin anywhere within the gap, beside what rises."""
+    rng = np.random.default_rng(4)
+    period, first = 0.01, 40
+    jump, rise = 60 * DEG * 0.5, 2.0
+    ratios = []
+    for lost in (1, 2, 3):
+        for begins in rng.uniform(first, first + lost, 200):
+            # By hand: the velocity gained until t is a (t - begins), and b t^2 / 2 besides.
+            ends = np.arange(101.0)
+            until = jump * np.maximum(ends - begins, 0) * period + rise * (ends * period) ** 2 / 2
+            gained = np.diff(until)
+            known = np.delete(np.arange(100), first + np.arange(lost))
+            filled = np.interp(np.arange(100), known, gained[known])
+            sums = np.zeros((100, 6))
+            sums[:, 3] = filled
+            rows = ~np.isin(np.arange(100), known)
+            stamp = (ends[1:] * 1e7).astype(np.int64)
+            samples = Samples(stamp, sums, np.zeros(6), period, np.zeros(6), filled=rows)
+            assert joined(samples).filled[0] == 0
+            ratios.append((filled.sum() - gained.sum()) ** 2 / joined(samples).filled[1])
+    # Off by up to half of the samples lost; said is the mean square over one interval more.
+    assert np.mean(ratios) == pytest.approx(
+        np.mean([(k / (k + 1)) ** 2 for k in (1, 2, 3)]), abs=0.1
+    )
+    assert max(ratios) < 3

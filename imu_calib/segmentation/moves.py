@@ -234,7 +234,8 @@ def _left_by_filling(samples: Samples, triad: slice) -> float:
     (Davis and Rabinowitz 1984, section 2.1); how the rate bends is told by the second differences
     of the samples beside the gap. A joint that starts or stops within it bends a rate at once,
     which no sample beside shows: slopes that differ by s leave s c (h - c) / 2 of a corner at c, in
-    the mean square s^2 h^4 / 120. Gravity follows the angle, whose slope has no such corner.
+    the mean square s^2 h^4 / 120. The force off its axis jumps: by j beyond what the slopes beside
+    the gap explain, which leaves j (c - h / 2), in the mean square j^2 h^2 / 12.
     """
     if samples.filled is None or not samples.filled.any():
         return 0.0
@@ -249,8 +250,13 @@ def _left_by_filling(samples: Samples, triad: slice) -> float:
         square = float((bends**2).sum(axis=1).max(initial=0.0))
         h = stop - start + 1
         left = square * (h**3 / 12) ** 2
-        if triad == _GYROS and start >= 2 and stop + 2 <= len(sums):
-            turn = sums[stop + 1] - sums[stop] - sums[start - 1] + sums[start - 2]
-            left = max(left, float(turn @ turn) * h**4 / 120)
+        if start >= 2 and stop + 2 <= len(sums):
+            before, after = sums[start - 1] - sums[start - 2], sums[stop + 1] - sums[stop]
+            if triad == _GYROS:
+                apart, share = after - before, h**4 / 120
+            else:
+                apart = sums[stop] - sums[start - 1] - h * (before + after) / 2
+                share = h**2 / 12
+            left = max(left, float(apart @ apart) * share)
         total += left
     return total
