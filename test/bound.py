@@ -47,6 +47,8 @@ def bound(
     azimuth: float,
     at_rest: dict[str, float],
     table: Table | None,
+    *,
+    velocities: bool = True,
 ) -> Floats:
     """Standard deviations (24,) that no unbiased estimator falls below.
 
@@ -58,12 +60,14 @@ def bound(
         azimuth: Of the table, unknown to the estimator like the two tilts.
         at_rest: How long the unit stood at each position, s.
         table: What moves it from one to the next; None where nobody looks at the moves.
+        velocities: Whether anybody looks at what the accelerometers gain on them.
 
     """
     ways = moves(plan, table) if table is not None else []
     arms = 3 * sum(position.rate_test is not None for position in plan.positions)
     # Where the unit and each accelerometer are, and how late they answer.
-    unknown = arms + (13 if ways else 0)
+    apart = ways if velocities else []
+    unknown = arms + (13 if apart else 0)
     state = np.concatenate([model.vector(), [azimuth, 0.0, 0.0], np.zeros(unknown)])
     steps = np.concatenate([np.full(24, 1e-3), np.full(3, 1e-4), np.full(unknown, 1e-3)])
     jacobian = np.array(
@@ -73,11 +77,11 @@ def bound(
             for step in np.diag(steps)
         ]
     ).T
-    noise = block_diag(
-        np.diag(variances(plan, spec, at_rest)), *(noise_of(way, spec, site) for way in ways)
-    )
+    each = [noise_of(way, spec, site) for way in ways]
+    each = each if apart else [noise[:3, :3] for noise in each]
+    noise = block_diag(np.diag(variances(plan, spec, at_rest)), *each)
     information = jacobian.T @ np.linalg.solve(noise, jacobian)
-    priors = [_WITHIN] * arms + ([_WITHIN] * 3 + [_APART] * 9 + [_LATE] if ways else [])
+    priors = [_WITHIN] * arms + ([_WITHIN] * 3 + [_APART] * 9 + [_LATE] if apart else [])
     information += np.diag([*[0.0] * 25, *np.array([_LEVELLED] * 2 + priors) ** -2.0])
     scale = 1 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
@@ -158,7 +162,11 @@ def travel(
 
 
 def read(plan: Plan, site: Site, state: Floats, ways: list[Way]) -> Floats:
-    """What all stretches and turns (six each) read, and moves (six each) sum to."""
+    """What all stretches and turns (six each) read, and moves sum to.
+
+    These are six each where the state goes on with what velocities need: where the unit and each
+    accelerometer are, and how late they answer; else the three of the gyros.
+    """
     model = SensorModel.from_vector(state[:24])
     azimuth, east, north = state[24:27]
     turned = sum(position.rate_test is not None for position in plan.positions)
@@ -188,18 +196,21 @@ def summed(way: Way, model: SensorModel, site: Site, base: Floats, besides: Floa
     beyond the truth. Where the unit is enters by the Coriolis force alone, but what the places of
     the accelerometers differ by in full.
     """
-    unit, places, late = besides[:3], besides[3:12].reshape(3, 3), besides[12]
     first, last, gravity = way.attitudes[0], way.attitudes[-1], base.T @ site.specific_force
     # (base @ attitude)' earth, and the attitude's transpose by gravity.
     rates = way.spins + way.at.transpose(0, 2, 1) @ (base.T @ site.earth_rate)
     gyro, accel = model.predict(rates, way.at.transpose(0, 2, 1) @ gravity)
+    to_end = last.T @ way.at * way.lasting[:, None, None]
+    read = np.einsum('nij,nj->ni', to_end, gyro)
+    if not len(besides):
+        return np.asarray(read.sum(axis=0))
+    unit, places, late = besides[:3], besides[3:12].reshape(3, 3), besides[12]
     for c, place in enumerate(places):
         felt = np.cross(way.faster, place) + np.cross(way.spins, np.cross(way.spins, place))
         accel[:, c] += felt @ model.accel.response[c]
     changing = np.diff(way.attitudes.transpose(0, 2, 1) @ gravity, axis=0) / way.step
     accel[1:-1] -= late * changing @ model.accel.response.T
-    to_end = last.T @ way.at * way.lasting[:, None, None]
-    read, gained = (np.einsum('nij,nj->ni', to_end, x) for x in (gyro, accel))
+    gained = np.einsum('nij,nj->ni', to_end, accel)
     # What is read here turns what was gained before, and half of what is gained meanwhile.
     so_far = np.cumsum(way.lasting) - way.lasting / 2
     before = np.outer(so_far, last.T @ site.specific_force)

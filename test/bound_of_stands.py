@@ -109,7 +109,10 @@ class Course:
 def bound_of(
     plan: Plan, spec: ImuSpec, model: SensorModel, site: Site, table: Table, stand: Stand
 ) -> Floats:
-    """Standard deviations (24,) that no unbiased estimator falls below, moves included.
+    """Standard deviations (24,) that no unbiased estimator falls below.
+
+    Rotations of moves are in it, and velocities are not: beside rests of the units that it is for
+    they tell nothing.
 
     Args:
         plan: Its positions and whole turns about the outer axis.

@@ -22,7 +22,7 @@ def of(stand: Stand) -> Floats:
 
 def test_on_a_perfect_stand_it_is_the_bound() -> None:
     at_rest = {position.id: 41.0 for position in PLAN.positions}
-    floor = bound(PLAN, SPEC, truth().model, SITE, 0.0, at_rest, TABLE)
+    floor = bound(PLAN, SPEC, truth().model, SITE, 0.0, at_rest, TABLE, velocities=False)
     assert of(Stand()) == pytest.approx(floor, rel=1e-6)
 
 
