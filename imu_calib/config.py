@@ -212,7 +212,8 @@ class Section:
 def as_number(value: object) -> float | None:
     """Return a number, None for anything else.
 
-    YAML 1.1, which PyYAML reads, takes 1e-5 for a text: its exponents need a point before them.
+    YAML 1.1, which PyYAML reads, takes 1e-5 for a text: its exponents need a point before
+    them and a sign.
     """
     if isinstance(value, str) and _EXPONENTIAL.fullmatch(value):
         return float(value)

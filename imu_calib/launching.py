@@ -12,6 +12,7 @@ from typing import Any
 
 import yaml
 
+from . import lifetime
 from .devices import check_port, load_format
 from .errors import ImuCalibError, InputError
 from .imu import load_imu
@@ -32,19 +33,23 @@ _MODULES = {
 """Python modules that the nodes need, and the packages of Ubuntu that hold them."""
 
 
+BECOMING = (sys.executable, '-m', lifetime.__name__)
+"""What a program that is not of this package is started by, so that it ends with its launcher."""
+
+
 def node(*, foreign: bool = False, **options: Any) -> Any:
     """Return a launch_ros Node that ends with its launcher, even if that one is killed.
 
     Args:
-        foreign: Not of this package: it is started through this package's `parent`, which asks the
-            kernel for the signal in its place.
+        foreign: Not of this package: it is started through this package's `lifetime`, which asks
+            the kernel for the signal in its place.
         **options: Of the Node.
 
     """
     from launch_ros.actions import Node
 
     if foreign:
-        options['prefix'] = f'{sys.executable} -m imu_calib.parent'
+        options['prefix'] = ' '.join(BECOMING)
     return Node(additional_env={ENDS_WITH: str(os.getpid())}, **options)
 
 

@@ -11,7 +11,6 @@ from .channel_noise import TRIADS
 from .extras import require
 from .model import Parameter
 from .stream import Floats, Stamps
-from .units import DEG_H, MICRO_G
 
 if TYPE_CHECKING:
     import pandas
@@ -25,11 +24,8 @@ _TRIADS = {'g': 'gyros', 'a': 'accelerometers'}
 _BAR = 2.0
 """Standard deviations that a bar reaches to either side: 95 percent."""
 
-_QUARTILES_TO_95 = (2.5, 97.5)
+_WHISKERS_95 = (2.5, 97.5)
 _NORMAL_95 = 1.96
-_RATES = {'g': ('deg/h', DEG_H), 'a': ('ug', MICRO_G)}
-"""Units of noise and residuals."""
-
 _POINTS = 1000
 """Of a line: as many as a picture has places."""
 
@@ -49,7 +45,12 @@ def parameter_frame(calibration: Calibration) -> pandas.DataFrame:
 
 
 def compared_frame(
-    names: Sequence[str], parameters: Sequence[Parameter], values: Floats, std: Floats
+    names: Sequence[str],
+    parameters: Sequence[Parameter],
+    values: Floats,
+    difference: Floats,
+    std: Floats,
+    normalised: Floats,
 ) -> pandas.DataFrame:
     """Return two sets of parameters, their difference, and that over its standard deviation.
 
@@ -57,16 +58,16 @@ def compared_frame(
         names: Of the two.
         parameters: n of them.
         values: (2, n), SI units.
+        difference: (n,) of the two.
         std: (n,) of the difference.
+        normalised: (n,) one over the other.
 
     Raises:
         InputError: pandas is not installed.
 
     """
-    difference = values[0] - values[1]
-    ratio = np.divide(difference, std, out=np.full(len(std), np.nan), where=std > 0)
     columns = {names[0]: values[0], names[1]: values[1], 'difference': difference, 'std': std}
-    return _frame(parameters, columns, {'difference/std': ratio})
+    return _frame(parameters, columns, {'difference/std': normalised})
 
 
 def repeated_frame(outcome: Outcome) -> pandas.DataFrame:
@@ -150,16 +151,16 @@ def draw_residuals(calibration: Calibration) -> Picture:
     """
     rows = calibration.residuals
     figure = empty_figure(2 * _HEIGHT, _HEIGHT)
-    for letter, axes in zip(_TRIADS, figure.subplots(1, 2), strict=True):
-        unit, scale = _RATES[letter]
-        left = np.array([r.gyro if letter == 'g' else r.accel for r in rows]).reshape(-1, 3)
+    for triad, axes in zip(TRIADS, figure.subplots(1, 2), strict=True):
+        found = [r.gyro if triad.name == 'gyro' else r.accel for r in rows]
+        left = np.array(found).reshape(-1, 3) / triad.rate_scale
         axes.axhline(0.0, color='0.7', linewidth=0.8)
         for channel, column in zip('xyz', left.T, strict=True):
-            axes.plot(column / scale, 'o', markersize=4, label=channel)
+            axes.plot(column, 'o', markersize=4, label=channel)
         _name(axes, [r.position for r in rows])
         axes.set_xlabel('position')
-        axes.set_ylabel(f'residual, {unit}')
-        axes.set_title(_TRIADS[letter])
+        axes.set_ylabel(f'residual, {triad.rate}')
+        axes.set_title(f'{triad.name}s')
         axes.legend()
     figure.suptitle(f'{_unit_of(calibration)}: residuals of the static dwells')
     return figure
@@ -269,7 +270,7 @@ def draw_normalised(title: str, outcome: Outcome) -> Picture:
     axes = figure.subplots()
     _beside_normal(axes)
     # A box from quartile to quartile of a normal law reaches to 0.67, its whiskers to 1.96.
-    axes.boxplot(outcome.normalised[:, known], whis=_QUARTILES_TO_95, sym='.')
+    axes.boxplot(outcome.normalised[:, known], whis=_WHISKERS_95, sym='.')
     _name(axes, names, first=1)
     axes.set_ylabel('error / standard deviation stated')
     axes.set_title(title)

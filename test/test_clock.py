@@ -188,3 +188,24 @@ def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
         process.communicate()
         peer.destroy_node()
         ros.try_shutdown()
+
+
+def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_path):
+    with Bench(monkeypatch, tmp_path) as bench:
+        bench.tell(1)
+        before = bench.node._session
+        # What an earlier start of the node ended with.
+        finished = Journal(tmp_path / 'journal_2', bench.node._description, {TOPIC: Kind.IMU})
+        finished.write(TOPIC, Kind.IMU.type_name, samples(EPOCH), EPOCH * NS)
+        finished.close(finished=True)
+        answer = bench.node._on_reset(None, ros.Trigger.Response())
+        assert not answer.success
+        assert 'finished' in answer.message
+        assert bench.node._session is before
+        # It takes samples in, is secured, and solves.
+        assert bench.until(bench.send(1))
+        bench.node._on_second()
+        assert bench.until(lambda: before.review is not None or before.poll())
+        # The next folder is free.
+        assert bench.node._on_reset(None, ros.Trigger.Response()).success
+        assert bench.node._session.journal.path.name == 'journal_3'

@@ -134,7 +134,7 @@ PROGRAM = 'import time; print(1, flush=True); time.sleep(1000)'
         ['sh', '-c', '"$0" "$@"; :', *NODE],
         ['sh', '-c', '"$0" "$@"; :', sys.executable, '-c', f'{OLD_KERNEL} {NODE[2]}'],
         # A program that is not ours becomes it.
-        [sys.executable, '-m', 'imu_calib.lifetime', sys.executable, '-c', PROGRAM],
+        [*launching.BECOMING, sys.executable, '-c', PROGRAM],
     ],
 )
 @pytest.mark.skipif(not sys.platform.startswith('linux'), reason='the kernel is to tell')

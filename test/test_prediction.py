@@ -371,11 +371,12 @@ def test_a_plan_is_optimised_for_a_time_and_written(
 ) -> None:
     for name, value in {'sizes': (6,), 'turns': (4,)}.items():
         monkeypatch.setitem(optimise.__kwdefaults__, name, value)
-    written = tmp_path / 'short.yaml'
+    # A name that YAML would take for something else.
+    written = tmp_path / 'no.yaml'
     ask = ['plans', '--imu', 'fog_medium', '-o', str(written)]
     assert main([*ask, '--optimise', '20', '--rate', '30']) == 0
     found, table = load_plan(written), load_table('three_axis')
-    assert found.name == 'short'
+    assert found.name == 'no'
     assert 19 * 60 < duration(found.steps(table), table) <= 20 * 60
     rates = [r for p in found.positions if p.rate_test for r in p.rate_test.rates]
     assert rates == pytest.approx([30 * DEG, -30 * DEG] * 3)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ..calibration import Calibration
 from ..compensation.thermal import ThermalCalibration
-from ..compensation.thermal import combine as by_temperature
+from ..compensation.thermal import combine as of_temperatures
 from .named import Named, as_calibration, name_of
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def combine(
 
     """
     names = [name_of(one, f'calibration {k + 1}') for k, one in enumerate(calibrations)]
-    combined = by_temperature([as_calibration(one) for one in calibrations], names, order)
+    combined = of_temperatures([as_calibration(one) for one in calibrations], names, order)
     if output is not None:
         combined.save(output)
     return combined

@@ -74,7 +74,9 @@ class Compared:
             InputError: pandas is not installed.
 
         """
-        return compared_frame(self.names, self.parameters, self.values, self.std)
+        return compared_frame(
+            self.names, self.parameters, self.values, self.difference, self.std, self.normalised
+        )
 
     def plot(self) -> Figure:
         """Draw the differences over their standard deviations; return the matplotlib Figure.

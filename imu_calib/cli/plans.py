@@ -11,6 +11,7 @@ from rich.table import Table as Rows
 
 from ..api.named import as_truth
 from ..api.predicting import optimised, predicted, setup_of, shortest
+from ..calibration import write_whole
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
 from ..methods import METHODS, free_positions
@@ -134,7 +135,7 @@ def _optimise(arguments: argparse.Namespace) -> None:
     arguments.plan = _ANY_PLAN
     setup, truth = setup_of(options.stated(arguments)), as_truth(arguments.truth).model
     found = optimised(setup, truth, arguments.optimise, arguments.rate, progress_bar)
-    target.write_text(found.text(target.stem), encoding='utf-8')
+    write_whole(target, found.text(target.stem))
     arguments.plan = str(target)
     _predict(arguments)
     OUTPUT.print(f'written to {target}', markup=False, highlight=False)

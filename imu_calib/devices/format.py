@@ -28,7 +28,7 @@ _BITS_OF_A_BYTE = 10
 BAUD = (50, 100_000_000)
 """The slowest rate that POSIX names, and more than any UART runs at."""
 _MOST_FAULTS = 62
-"""Bits of a signed number of 64 bits, less two that mean something else."""
+"""Bits of a mask of 64 that stay clear of its sign, and one to spare."""
 COUNTLESS = 2**62
 """No frame counter comes that far; differences modulo this fit 64 bits."""
 

@@ -98,9 +98,9 @@ class CalibratorNode(ros.Node):
         journal = Journal(path, self._description, {t: kind for kind, t in topics.items()})
         if self._setup.table is not None:
             journal.add_latched_topic(self._state_topic, _STATE_TYPE)
+        session = LiveSession(self._setup, journal, topics)
         self._hearing.begin()
         self._shown: Calibration | None = None
-        session = LiveSession(self._setup, journal, topics)
         held = sum(intake.count for intake in session.intakes.values())
         resumed = f'The session goes on from {path}, which holds {held} messages.'
         if held:
@@ -278,12 +278,14 @@ class CalibratorNode(ros.Node):
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         """Begin a new session, with a journal of its own."""
-        self._session.close()
+        before = self._session
         try:
             self._session = self._new_session()
         except InputError as error:
+            # The one that runs goes on.
             response.success, response.message = False, str(error)
         else:
+            before.close()
             response.success = True
             response.message = f'A new session is written to {self._session.journal.path}.'
         self._publish_progress()

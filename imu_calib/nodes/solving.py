@@ -1,4 +1,4 @@
-"""Reviews of a session in a thread of their own, one at a time, with a rest after each."""
+"""Reviews of a session in a thread of their own, one at a time."""
 
 from __future__ import annotations
 
@@ -10,16 +10,8 @@ from ..calibrator import Calibrator, HandCalibrator, Review
 
 
 @dataclass(frozen=True, eq=False)
-class _Work:
-    future: Future[Review]
-    final: bool
-    until: int
-    since: float
-
-
-@dataclass(frozen=True, eq=False)
 class Solved:
-    """A review that has come to its end.
+    """A review: one that is being made, or has come to its end.
 
     Attributes:
         future: What it found, or the error that it raised.
@@ -38,7 +30,8 @@ class Solver:
 
     def __init__(self) -> None:
         self._threads = ThreadPoolExecutor(1, 'solver')
-        self._work: _Work | None = None
+        self._work: Solved | None = None
+        self._since = 0.0
         self._rested_at = 0.0
 
     @property
@@ -60,11 +53,12 @@ class Solver:
         return time.monotonic() >= self._rested_at
 
     def begin(self, calibrator: Calibrator | HandCalibrator, until: int, *, final: bool) -> None:
-        """Begin to solve what a calibrator has taken in, up to a stamp in ns."""
-        since = time.monotonic()
+        """Begin to solve what a calibrator has taken in, up to a stamp in ns; not while busy."""
+        assert self._work is None, 'one at a time'
+        self._since = time.monotonic()
         snapshot = calibrator.snapshot()
         work = snapshot.conclude if final else snapshot.review
-        self._work = _Work(self._threads.submit(work), final, until, since)
+        self._work = Solved(self._threads.submit(work), final, until)
 
     def poll(self) -> Solved | None:
         """Return what came to its end since; None where nothing did."""
@@ -73,8 +67,8 @@ class Solver:
             return None
         self._work = None
         now = time.monotonic()
-        self._rested_at = now + (now - work.since)
-        return Solved(work.future, work.final, work.until)
+        self._rested_at = now + (now - self._since)
+        return work
 
     def close(self) -> None:
         """Begin nothing more; what is under way is waited for by nobody."""

@@ -24,13 +24,13 @@ import numpy as np
 
 from ..model import Parameter, ParameterKind, SensorModel, positions
 from ..model.motion import of_motion
-from ..rotations import rotation_vector, rotations
+from ..rotations import crossing, rotation_vector, rotations
 from ..segmentation.segment import Segment, Turn
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from .arms import APART, LONGEST
 from .path import Path
-from .thrust import CROSS, Thrust, by_places
+from .thrust import Thrust, by_places
 
 _EDGES = 1 / 6
 """Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12."""
@@ -201,7 +201,7 @@ class Moves:
         half_way = rotations(-np.einsum('mij,mj->mi', self.attitudes[ends], found[:, :3]) / 2)
         for k, link, attitude, thrust in self._pushes(model):
             # The Earth turns the frame meanwhile.
-            lasting = (CROSS @ rates[link.second]) @ attitude @ thrust.lasting
+            lasting = crossing(rates[link.second]) @ attitude @ thrust.lasting
             gained = attitude @ (thrust.whole + thrust.moved) + lasting
             found[k, 3:] = half_way[k] @ gained - force * link.move.duration
         return found
@@ -317,7 +317,7 @@ class Moves:
         pushes = self._pushes(model)
         if not pushes:
             return arms, delays
-        coriolis = -2 * LONGEST * CROSS @ earth_rate
+        coriolis = -2 * LONGEST * crossing(earth_rate)
         for k, link, attitude, thrust in pushes:
             # The unit ends elsewhere than it began.
             arms[k, 3:, :3] = coriolis @ (attitude - self.attitudes[link.first])

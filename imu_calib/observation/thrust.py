@@ -23,7 +23,7 @@ import numpy as np
 
 from ..model import PARAMETERS, Parameter, SensorModel, term
 from ..model.motion import delay, places
-from ..rotations import rotations
+from ..rotations import GENERATORS, rotations
 from ..segmentation.segmented import Gained
 from ..stream import Floats
 from .path import Path
@@ -33,8 +33,8 @@ _LINEAR = frozenset(p for p in PARAMETERS if p.triad == 'a' and p.column is not 
 _EACH = np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
 """Of each channel what a triad keeps of a vector: (3, 3, 3)."""
 
-CROSS = -np.array([np.cross(e, np.eye(3)) for e in np.eye(3)])
-"""[v] = CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
+_CROSS = np.ascontiguousarray(np.moveaxis(GENERATORS, 0, -1))
+"""[v] = _CROSS @ v, the cross product by a vector from the left: (3, 3, 3)."""
 
 _SQUARES = tuple(combinations_with_replacement(range(3), 2))
 """Products of rates, each once."""
@@ -144,7 +144,7 @@ class Thrust:
     @cached_property
     def _turning(self) -> Floats:
         """What `following` makes of an output of the gyros during a step, (n, 3, 3)."""
-        beyond = np.einsum('ijk,nk->nij', CROSS, self.whole / 2 - self._so_far)
+        beyond = np.einsum('ijk,nk->nij', _CROSS, self.whole / 2 - self._so_far)
         return np.asarray(beyond @ self.path.carried * self.path.seconds[:, None, None])
 
     @cached_property
@@ -221,8 +221,8 @@ def by_places(thrusts: Sequence[Thrust]) -> Floats:
 
     """
     kept = _kept(thrusts[0].model)
-    apart = np.einsum('mjp,klq,ijk->mpqil', CROSS, CROSS, kept, optimize=True)
-    apart -= np.einsum('kap,alq,ijk->jpqil', CROSS, CROSS, kept, optimize=True)
+    apart = np.einsum('mjp,klq,ijk->mpqil', _CROSS, _CROSS, kept, optimize=True)
+    apart -= np.einsum('kap,alq,ijk->jpqil', _CROSS, _CROSS, kept, optimize=True)
     # Products of rates are the same either way round.
     folded = [apart[:, p, q] + (apart[:, q, p] if p != q else 0.0) for p, q in _SQUARES]
     matrix = np.stack(folded, axis=1).reshape(-1, 9)

@@ -8,6 +8,7 @@ turns is tried out, and what of the time is left goes to the dwells.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
@@ -35,7 +36,7 @@ _AXES = dict(zip('XYZ', np.eye(3), strict=True))
 _TRIAL_DWELL = 60.0
 """s, while attitudes are compared; the dwells follow."""
 _SHORTEST_DWELL = 20.0
-"""s: shorter ones are mostly settling."""
+"""s: shorter ones cost more of the session in motions than they tell; a choice."""
 _SWEEPS = 20
 """Rounds of exchanges; a cap."""
 _GAINED = 1e-9
@@ -90,7 +91,7 @@ class Optimum:
         rates = ', '.join(f'{rate / DEG:g} deg/s' for rate in test.rates)
         count, minutes = len(self.plan.positions), self.seconds / 60
         lines = [
-            f'name: {name}',
+            f'name: {json.dumps(name)}',
             f'title: {count} attitudes chosen to tell most in {minutes:.1f} min, any azimuth',
             'source: D-optimal exchange, Fedorov 1972; docs/optimised_plan.md',
             'method: joint',

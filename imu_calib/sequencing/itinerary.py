@@ -42,7 +42,7 @@ class Itinerary:
 
     @property
     def goes_home(self) -> bool:
-        """Whether the current step is the way back."""
+        """Whether the current step is the way back, or nothing is laid out yet."""
         return self.current is self._home
 
     @property

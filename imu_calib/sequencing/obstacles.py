@@ -41,7 +41,7 @@ class Reasons:
     """Why the table stands, and what has happened to it since.
 
     Attributes:
-        reason: Why it stands; empty while it is led.
+        reason: Why it stands, or goes home without the calibrator's word; else empty.
         fault: Whether something went wrong since the last start, and nobody asked for the stop.
 
     """
