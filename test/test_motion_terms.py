@@ -232,6 +232,19 @@ def test_compensation_takes_off_what_motion_adds() -> None:
     assert np.sqrt(more[20]).max() < 1e-6
 
 
+def test_a_force_is_as_unknown_as_the_rate_that_places_make_of_it() -> None:
+    whole = known(terms=True)
+    narrow = replace(whole, imu=replace(whole.imu, gyro=replace(whole.imu.gyro, range=20 * DEG)))
+    found, sound = compensated(QUIET, narrow).values, compensated(QUIET, whole).values
+    clipped = found.rate_covariance[:, 0] < 0
+    assert 0.1 < clipped.mean() < 0.9
+    assert (found.force_covariance[clipped, 0] == -1).all()
+    assert (found.force_covariance[~clipped, 0] >= 0).all()
+    # Those beside an unknown rate change by the other side, or not at all.
+    inner = ~(clipped | np.roll(clipped, 1) | np.roll(clipped, -1))
+    assert np.array_equal(found.force[inner], sound.force[inner])
+
+
 def test_samples_have_the_same_bits_however_they_come() -> None:
     whole = compensated(QUIET, known(terms=True))
     pieces = compensated(QUIET, known(terms=True), (1, 7, 1, 1, 300, 2))

@@ -21,7 +21,7 @@ from ..methods import (
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import AXES, Parameter, SensorModel
-from ..model.motion import moved
+from ..model.motion import any_of_motion
 from ..observation.evidence import Evidence
 from ..observation.information import reached
 from ..segmentation.labelling import Labelled, label
@@ -168,7 +168,7 @@ class Calibrator:
         setup, parts = self._setup, (labelled.segments, labelled.turns, session)
         if self._gathered is None or self._gathered[0] != parts:
             found = Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
-            self._gathered = parts, replace(found, coarse=moved(setup.terms))
+            self._gathered = parts, replace(found, coarse=any_of_motion(setup.terms))
         return self._gathered[1]
 
     def _estimate(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model import AXES, terms_of
-from ..model.motion import MOTION, moved, of_motion, slopes
+from ..model.motion import MOTION, any_of_motion, delay, of_motion, places, slopes
 from ..stream import Floats, Stamps
 from .apply import Compensated, Compensation
 
@@ -48,7 +48,7 @@ class Applied:
     @property
     def moving(self) -> bool:
         """Whether motion adds anything by the calibration."""
-        return moved(terms_of(self.ready.calibration.model.parameters))
+        return any_of_motion(terms_of(self.ready.calibration.model.parameters))
 
     def cut(self, start: int, stop: int) -> Applied:
         """Return some of the samples."""
@@ -124,9 +124,11 @@ def _freed(before: Applied | None, samples: Applied, after: Applied | None) -> A
     by_each = slopes(model, values.rate, spin, change)
     force = values.force - (by_each * model.values(MOTION)).sum(axis=-1)
     covariance = values.force_covariance + _doubt(samples, by_each, changes.seconds)
-    # Of a force that is unknown the first element says so.
+    # Of a force that is unknown the first element says so; what an unknown rate makes of it is so.
     unknown = values.force_covariance[:, 0] < 0
     covariance[unknown] = values.force_covariance[unknown]
+    if places(model).any():
+        covariance[values.rate_covariance[:, 0] < 0, 0] = -1.0
     return replace(samples, values=replace(values, force=force, force_covariance=covariance))
 
 
@@ -147,10 +149,8 @@ def _doubt(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
     known = seconds > 0
     twice = np.where(known, 2 / np.where(known, seconds, 1.0) ** 2, 0.0)
     model = calibration.model
-    arms = model.values(MOTION[:-1]).reshape(3, 2)
-    late = float(model.values(MOTION[-1:])[0])
-    by_noise = (arms**2).sum(axis=1) * noise[:, :3].mean(axis=1)[:, None]
-    by_noise = by_noise + late**2 * noise[:, -3:]
+    arms = (places(model) ** 2).sum(axis=1)
+    by_noise = arms * noise[:, :3].mean(axis=1)[:, None] + delay(model) ** 2 * noise[:, -3:]
     found[:, range(len(AXES)), range(len(AXES))] += by_noise * twice[:, None]
     return np.asarray(found.reshape(-1, 9))
 
@@ -182,6 +182,9 @@ class _Changes:
             [np.hstack([part.values.rate, part.values.force]) for part in parts]
         )
         sound = np.isfinite(values).all(axis=1)
+        for which in ('rate_covariance', 'force_covariance'):
+            known = np.concatenate([getattr(part.values, which)[:, 0] for part in parts])
+            sound &= known >= 0
         near = np.diff(stamp) <= _NEXT * interval[1:] * 1e9
         beside = np.concatenate([[False], near & sound[1:] & sound[:-1], [False]])
         own = np.arange(len(samples)) + (0 if before is None else 1)

@@ -35,7 +35,7 @@ from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..stream import Floats
 from .likelihood import along_columns, beside, fixed
-from .wandering import Wandering
+from .wandering import STATED_TIME, Wandering
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
@@ -131,7 +131,7 @@ class Excess:
         spared: What of the wandering that the data sheet states the session seems to be without.
         missed: Probability that arrivals miss beyond what the table states.
         swift: Of gyros and accelerometers, whether what they show beyond the data sheet comes and
-            goes within a rest, as no drift does.
+            goes within a thirtieth of the session, and sooner than biases drift by the data sheet.
 
     """
 
@@ -328,6 +328,8 @@ def _spread_out(
         parts.append(Component(Source.BIAS_FOUND, Dense(triad.rows, found)))
     spared = Component(Source.BIAS_STATED, Dense(triad.rows, (1 - calm) * stated))
     swift = bool(by_ratio.any()) and int(by_ratio.sum(axis=1).argmax()) == 0
+    # In a session of five hours the first of the times is nearest to that of the data sheet.
+    swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * triad.wandering.span < STATED_TIME
     return math.sqrt(total), tuple(parts), (spared,) if triad.stated else (), swift
 
 

@@ -13,7 +13,7 @@ Source: docs/mathematics.md, 'Terms that are missing'; Holm 1979, Scand. J. Stat
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -90,6 +90,7 @@ class Search:
         leverage: How parameters (n,) move by each coefficient (k,) of a term that is off, (n, k),
             SI units.
         probability: Of drifts that are off, each; empty where nothing was looked for.
+        by_drifts: (n, n) what of `doubt` is of drifts that are not shown.
 
     """
 
@@ -99,7 +100,8 @@ class Search:
     alpha: float
     doubt: Floats
     leverage: Mapping[Family, Floats]
-    probability: Mapping[Family, float] = field(default_factory=dict)
+    probability: Mapping[Family, float]
+    by_drifts: Floats
 
     def shares(self) -> dict[Source, Share]:
         """Return the covariance of the parameters by source, rivals included."""
@@ -357,8 +359,10 @@ def _concluded(current: Estimate, found: tuple[Found, ...], *, weigh: bool) -> S
     if of_session and current.scatter.spared:
         beside = Residuals.of(of_session[0].weighed(equations, current.scatter), state)
     drifting = {f: beside.scores(f, columns[f]) for f in of_session}
-    scores = scores_of(columns, equations, state)
+    others = {f: columns[f] for f in off if f not in of_session}
+    scores = scores_of(others, equations, state)
     scores |= {f: most_significant(its) for f, its in drifting.items()}
+    scores = {f: scores[f] for f in off}
     m, n = len(equations.outputs), equations.sensors
     gain = current.gain[:n, :m]
 
@@ -378,7 +382,16 @@ def _concluded(current: Estimate, found: tuple[Found, ...], *, weigh: bool) -> S
             f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in of_session
         }
         drifts = undecided(possible, n)
-    return Search(current, found, scores, alpha, doubt + drifts.doubt, leverage, drifts.probability)
+    return Search(
+        current,
+        found,
+        scores,
+        alpha,
+        doubt + drifts.doubt,
+        leverage,
+        drifts.probability,
+        drifts.doubt,
+    )
 
 
 def _by_rivals(current: Estimate, found: Found) -> Floats:

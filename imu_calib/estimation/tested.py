@@ -180,15 +180,16 @@ def _likely(search: Search) -> list[str]:
     )
     n = search.estimate.equations.sensors
     variances = np.diag(search.estimate.covariance)[:n]
-    wider = np.sqrt(1 + np.diag(search.doubt) / variances) > 1 + _WIDER
+    wider = np.sqrt(1 + np.diag(search.by_drifts) / variances) > 1 + _WIDER
     names = [
         p.name for p, yes in zip(search.estimate.equations.parameters, wider, strict=True) if yes
     ]
+    allowed = f': the standard deviations of {", ".join(names)} allow for it' if names else ''
     return [
         f'The session hints at {words}, with a probability of {min(total, 0.99):.2g}, and does not '
-        f'show it well enough to estimate it: the standard deviations of {", ".join(names)} allow '
-        'for it. To tell, record the temperature (imu/temperature) and calibrate with --terms '
-        'thermal, or let the unit run for an hour before the session.'
+        f'show it well enough to estimate it{allowed}. To tell, record the temperature '
+        '(imu/temperature) and calibrate with --terms thermal, or let the unit run for an hour '
+        'before the session.'
     ]
 
 

@@ -63,7 +63,7 @@ def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undec
         if not tested:
             continue
         each = np.array([log_bayes_factor(*_square(score)) for score, _ in tested])
-        total = float(scipy.special.logsumexp(each))
+        total = float(np.logaddexp.reduce(each))
         logs[family] = float(np.log(_ODDS / len(every))) + total
         doubts[family] = sum(
             (np.exp(one - total) * _doubt(*it) for one, it in zip(each, tested, strict=True)),

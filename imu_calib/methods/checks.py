@@ -36,9 +36,10 @@ _FAR_SCALE = 0.1
 _WELL_KNOWN_CLOCKS = 5e-6
 """Of the rate: below it, K_g is known to 5 ppm all the same."""
 _OFF_POSITION = 0.02 * DEG
-"""rad: tables position to arcseconds; a plan rounds to hundredths of a degree."""
+"""rad: a plan rounds to hundredths of a degree, and tables position better; a judgement."""
 _OUTSTANDING = 5.0
-"""Times the usual residual: false in 6e-7 of Gaussian ones."""
+"""Times 1.5 of the usual worst channel of a position: of Gaussian residuals in six channels some
+12 standard deviations."""
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 """rad/s: what a latitude that is wrong by some hundredths of a degree changes."""
 _LEAST_AZIMUTH = 0.05 * DEG

@@ -36,7 +36,7 @@ def of_motion(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     return tuple(p for p in parameters if p.kind in OF_MOTION)
 
 
-def moved(terms: Iterable[Term]) -> bool:
+def any_of_motion(terms: Iterable[Term]) -> bool:
     """Say whether any of the terms has such parameters."""
     return any(term.kind in OF_MOTION for term in terms)
 

@@ -99,7 +99,7 @@ class Thrust:
 
     @cached_property
     def moved(self) -> Floats:
-        """What places and delay of the model's accelerometers add to v, (3,) m/s.
+        """What it adds to v that places and delay of the accelerometers are taken off, (3,) m/s.
 
         Linear in the places, and of the delay with the turning of the axes meanwhile: but for the
         third order of how far the unit turns in it.
@@ -183,9 +183,10 @@ class Thrust:
 
     @cached_property
     def by_delay(self) -> Floats:
-        """Return the derivative of v by the delay of the accelerometers after the gyros, (3,).
+        """What taking a delay s of the accelerometers off adds to v, per s, (3,) m/s^2.
 
-        f(t - s) is taken for f(t): over a move from rest to rest - sum of C (w x f) t, m/s per s.
+        They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest
+        to rest; this is minus that.
         """
         crossed = np.cross(self.path.rates, self.felt) * self.path.seconds[:, None]
         return -np.asarray(np.einsum('nij,nj->i', self.path.axes, crossed))
@@ -210,11 +211,11 @@ class Thrust:
 
 
 def by_places(thrusts: Sequence[Thrust]) -> Floats:
-    """Return the derivatives of v by where the accelerometers are, (m, 3, 9) 1/s.
+    """Return what taking off where the accelerometers are adds to v, per m, (m, 3, 9) 1/s.
 
     In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of
     (I + M) a_i, a_i = ([alpha] + [w][w]) r_i. From rest to rest the integral by parts holds no
-    alpha: that of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i.
+    alpha: that of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i, of which this is minus.
 
     Args:
         thrusts: m of one model.

@@ -69,6 +69,6 @@ def _move(move: Move, faster: float, pulses: bool) -> Move:
     less = 1.0 if pulses else 1 / faster
     gained = move.gained
     if gained is not None:
-        gained = replace(gained, velocity=gained.velocity * less)
+        gained = replace(gained, velocity=gained.velocity * less, mean=gained.mean * less)
     turned, seconds = move.turned * less, move.seconds / faster
     return replace(move, turned=turned, seconds=seconds, gained=gained)

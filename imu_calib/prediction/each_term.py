@@ -9,7 +9,7 @@ import numpy as np
 from ..calibrator import Setup
 from ..methods import JOINT
 from ..model import TERMS, Parameter, SensorModel, Term, terms_of
-from ..model.motion import moved
+from ..model.motion import any_of_motion
 from ..stream import Floats
 from .forecast import Forecast, listed, with_parameters
 
@@ -60,7 +60,7 @@ def of_each_term(
 
 def _of_term(term: Term, found: Forecast, setup: Setup, truth: SensorModel, wander: bool) -> OfTerm:
     more = replace(setup, terms=(*setup.terms, term))
-    evidence = replace(found.evidence, coarse=moved(more.terms))
+    evidence = replace(found.evidence, coarse=any_of_motion(more.terms))
     parameters = listed(more)
     std = dict(
         zip(

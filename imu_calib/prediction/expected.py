@@ -19,7 +19,7 @@ from ..estimation.wandering import STATED_TIME, Wandering
 from ..imu import ImuSpec, TriadSpec
 from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
-from ..model.motion import moved
+from ..model.motion import any_of_motion
 from ..observation.evidence import UP, Evidence
 from ..observation.headings import headings, whole
 from ..observation.ways import (
@@ -182,7 +182,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         moves=tuple(moves),
         table=setup.table,
         free=free,
-        coarse=moved(setup.terms),
+        coarse=any_of_motion(setup.terms),
     )
 
 

@@ -19,7 +19,7 @@ _OUTLIER = 7.0
 _KNOCK = 5.0
 """Standard deviations of the angle through which a mount must have turned: false in 6e-7."""
 _LEAST_KNOCK = 0.005 * DEG
-"""rad: 18 arcsec; smaller shifts are within what tables position to."""
+"""rad: 18 arcsec, three times what a table is assumed to position to (table_errors)."""
 _PULSES = 2.5
 """Pulses that a window's sum may be off by for their edges alone."""
 _SPREAD_RATIO = 3.0

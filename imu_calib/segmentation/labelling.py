@@ -24,7 +24,7 @@ from .segmented import Rejected, Segmented, Slip
 from .statistics import BLOCK_SECONDS
 
 _ARRIVAL_TOLERANCE = 0.2 * DEG
-"""rad: tables arrive to hundredths of a degree; at another position it is tens."""
+"""rad: far more than tables position to (table_errors); another position is tens of degrees off."""
 _ATTITUDE_TOLERANCE = 1.0 * DEG
 """rad: plans have nothing nearer to each other."""
 _PART = ('', 'what lies after it is', 'what lies before it is', 'what lies between is')

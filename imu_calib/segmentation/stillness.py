@@ -14,7 +14,7 @@ from .offset import GyroOffset
 from .unrest import Tolerance
 
 WINDOW_SECONDS = 0.1
-"""s: shorter than any hold, longer than the period of a tremor."""
+"""s: shorter than any hold, and about one period of a tremor."""
 _WINDOWS_TO_SETTLE = 3
 """In a row."""
 _WINDOWS_AHEAD = 300

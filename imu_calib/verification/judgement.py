@@ -18,7 +18,7 @@ from ..calibration import Calibration
 from ..earth import Site
 from ..gravity import gravity_covariance, same_place, without_gravity
 from ..model import Parameter, ParameterKind, SensorModel, positions, terms_of
-from ..model.motion import moved
+from ..model.motion import any_of_motion
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..units import DEG
@@ -226,7 +226,7 @@ def _carried(
         _meant(move, model, reading) if explained else replace(move, gained=None)
         for move in evidence.moves
     )
-    coarse = evidence.coarse or moved(terms_of(calibration.parameters))
+    coarse = evidence.coarse or any_of_motion(terms_of(calibration.parameters))
     carried = replace(observed, evidence=replace(evidence, moves=moves, coarse=coarse))
     return carried, tuple(zip(parameters, gyros.fit.std.tolist(), strict=True))
 
@@ -236,9 +236,10 @@ def _meant(move: Move, model: SensorModel, reading: Floats) -> Move:
     if move.gained is None:
         return move
     seconds = move.seconds[:, None]
-    rate, force = move.turned * reading[:3], move.gained.velocity * reading[3:]
-    rate, _ = model.compensate(rate / seconds, force / seconds)
-    return replace(move, turned=rate * seconds)
+    angle, velocity = move.turned * reading[:3], move.gained.velocity * reading[3:]
+    rate, _ = model.compensate(angle / seconds, velocity / seconds)
+    gained = replace(move.gained, mean=move.gained.mean * reading[:3])
+    return replace(move, turned=rate * seconds, gained=gained)
 
 
 def _up(calibration: Calibration, observed: Observed) -> Up:
