@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -390,6 +391,8 @@ def write_whole(path: Path, text: str) -> None:
         temporary.write_text(text, encoding='utf-8')
         temporary.replace(path)
     except OSError as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
         raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
 
 

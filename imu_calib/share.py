@@ -56,15 +56,23 @@ def named_file(kind: str, name: str | Path) -> Path:
         InputError: Neither exists; the message lists the shipped names.
 
     """
+    if not isinstance(name, str | Path):
+        raise InputError(f'found {name!r}, expected the name or the path of a file ({kind}).')
     path = Path(name).expanduser()
     if path.suffix in {'.yaml', '.yml'} or path.parent != Path():
         if path.is_file():
             return path
-        raise InputError(f'{path}: no such file.')
+        what = 'a folder, expected a file' if path.is_dir() else 'no such file'
+        raise InputError(f'{path}: {what}.')
     file = share_folder() / 'config' / kind / f'{path.name}.yaml'
     if file.is_file():
         return file
-    raise InputError(f'No {kind.rstrip("s")} is called {str(name)!r}; there are: {shipped(kind)}.')
+    meant = ''
+    if path.exists():
+        meant = f' A file of yours ends in .yaml, or has a folder in its path: ./{path}.'
+    raise InputError(
+        f'No {kind.rstrip("s")} is called {str(name)!r}; there are: {shipped(kind)}.{meant}'
+    )
 
 
 def shipped(kind: str) -> str:

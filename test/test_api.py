@@ -375,7 +375,7 @@ def test_repeated_sessions_are_those_of_the_command(
     assert main([*words, '--terms', 'none']) == 0
     shown = capsys.readouterr().out
     assert f'{frame.loc["D_gz", "normalised"]:.3f}' in shown
-    with pytest.raises(InputError, match='expected a whole number above 0'):
+    with pytest.raises(InputError, match='expected a whole number from 1 on'):
         imu_calib.montecarlo(folder / 'brief.yaml', runs=0)
 
 
@@ -425,3 +425,20 @@ def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(
     assert isinstance(loaded, imu_calib.ThermalCalibration)
     assert name == f'calibration of {mine.imu.id}'
     assert as_applied(replace(result, calibration=mine))[0] is mine
+
+
+@pytest.mark.parametrize(
+    ('ask', 'words'),
+    [
+        (lambda: imu_calib.compare(None, None), 'found None, expected calibration.yaml'),
+        (lambda: imu_calib.load_imu(None), 'found None, expected the name or the path'),
+        (lambda: imu_calib.calibrate(None), 'found None, expected the path of a recording'),
+        (lambda: imu_calib.calibrate(''), "found '', expected the path of a recording"),
+        (lambda: imu_calib.montecarlo('twelve_position', runs=2.5), 'runs: found 2.5'),
+        (lambda: imu_calib.simulate('six_position', 'there', seed=-1), 'seed: found -1'),
+    ],
+)
+def test_what_is_none_of_what_is_expected_gets_a_sentence(ask, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=words):
+        ask()

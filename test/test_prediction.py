@@ -385,6 +385,10 @@ def test_a_plan_is_optimised_for_a_time_and_written(
         (['--optimise', '2'], 'too short'),
         (['--optimise', '20', '--rate', '900'], 'slowest joint'),
         (['--rate', '30'], 'for --optimise'),
+        (['--optimise', 'nan'], 'expected more than 0'),
+        (['--optimise', '1e9'], 'no more than 1440'),
+        (['--optimise', '20', '--rate', '0'], 'expected more than 0'),
+        (['--optimise', '20', '-o', 'mine'], 'ends in .yaml'),
         (['--optimise', '20', '--table', 'two_axis'], 'nineteen_position'),
     ):
         assert main([*ask, *wrong]) == 2

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..bags import Recording, open_recording
 from ..calibrator import Result, Setup, calibrator_of
-from ..errors import NotObservable
+from ..errors import InputError, NotObservable
 from ..imu import ImuSpec
 from ..plan import Plan
 from ..stream import Block
@@ -135,6 +135,8 @@ def open_session(bag: Named, stated: Stated) -> Opened:
         InputError: Something is missing, ambiguous or unreadable.
 
     """
+    if not isinstance(bag, str | Path) or bag == '':
+        raise InputError(f'found {bag!r}, expected the path of a recording.')
     recording = open_recording(Path(bag))
     streams = streams_of(stated, recording)
     table = table_of(stated, recording)

@@ -46,7 +46,13 @@ def as_calibration(calibration: Result | Calibration | Named) -> Calibration:
     """Return a calibration: the one that a file or a result holds, or that is given."""
     if isinstance(calibration, str | Path):
         return Calibration.load(calibration)
-    return calibration if isinstance(calibration, Calibration) else calibration.calibration
+    found = getattr(calibration, 'calibration', calibration)
+    if not isinstance(found, Calibration):
+        raise InputError(
+            f'found {calibration!r}, expected calibration.yaml, a Calibration, or what calibrate '
+            'returned.'
+        )
+    return found
 
 
 def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibration, str]:

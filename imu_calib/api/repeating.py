@@ -117,8 +117,9 @@ def montecarlo(
         NotObservable: No run gave an estimate; says why.
 
     """
-    if runs < 1 or jobs < 1:
-        raise InputError('--runs and --jobs: expected a whole number above 0.')
+    for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
+        if not isinstance(value, int) or value < least:
+            raise InputError(f'--{name}: found {value}, expected a whole number from {least} on.')
     stated = Stated(
         plan=plan,
         imu=imu,

@@ -101,6 +101,8 @@ def simulate(
         NotObservable: The plan cannot give its method the parameters, however it is run.
 
     """
+    if seed < 0:
+        raise InputError(f'--seed: found {seed}, expected 0 or more.')
     site = Stated(
         latitude=latitude,
         latitude_std=latitude_std,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from rich.table import Table as Rows
@@ -125,8 +126,13 @@ def _check_optimise(arguments: argparse.Namespace) -> None:
         if arguments.output is not None or arguments.rate is not None:
             raise InputError('--output and --rate are for --optimise MINUTES.')
         return
-    if arguments.plan is not None or arguments.imu is None or arguments.output is None:
-        raise InputError('--optimise finds a plan: give --imu and -o FILE, and no PLAN.')
+    if arguments.plan is not None:
+        raise InputError(f'--optimise finds a plan: found {arguments.plan!r}, expected no PLAN.')
+    if arguments.imu is None or arguments.output is None:
+        lacking = '--imu NAME|FILE' if arguments.imu is None else '-o FILE'
+        raise InputError(f'--optimise needs {lacking}.')
+    if Path(arguments.output).suffix != '.yaml':
+        raise InputError(f'-o {arguments.output}: expected a file that ends in .yaml.')
 
 
 def _optimise(arguments: argparse.Namespace) -> None:

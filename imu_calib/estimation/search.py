@@ -90,6 +90,7 @@ class Search:
         leverage: How parameters (n,) move by each coefficient (k,) of a term that is off, (n, k),
             SI units.
         probability: Of drifts that are off, each; empty where nothing was looked for.
+        plain: The estimate before anything was found.
         by_drifts: (n, n) what of `doubt` is of drifts that are not shown.
 
     """
@@ -101,6 +102,7 @@ class Search:
     doubt: Floats
     leverage: Mapping[Family, Floats]
     probability: Mapping[Family, float]
+    plain: Estimate
     by_drifts: Floats
 
     def shares(self) -> dict[Source, Share]:
@@ -207,9 +209,9 @@ def searched(
             continue
         kept = _confirmed(start, first, trial, found)
         if len(kept) == len(found):
-            return _concluded(trial, kept, weigh=True)
+            return _concluded(trial, kept, first, weigh=True)
         rejected |= {one.family for one in found} - {one.family for one in kept}
-    return _concluded(first, (), weigh=look and noisy)
+    return _concluded(first, (), first, weigh=look and noisy)
 
 
 def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
@@ -340,12 +342,15 @@ def _size(
     return tuple((p, size) for p in family.parameters), size if family.term is None else 0.0
 
 
-def _concluded(current: Estimate, found: tuple[Found, ...], *, weigh: bool) -> Search:
+def _concluded(
+    current: Estimate, found: tuple[Found, ...], plain: Estimate, *, weigh: bool
+) -> Search:
     """Say what is left to be said of what is off, under the weights that count.
 
     Args:
         current: The last estimate.
         found: What is on in it.
+        plain: The first.
         weigh: Whether drifts that are not shown widen the covariance.
 
     """
@@ -390,6 +395,7 @@ def _concluded(current: Estimate, found: tuple[Found, ...], *, weigh: bool) -> S
         doubt + drifts.doubt,
         leverage,
         drifts.probability,
+        plain,
         drifts.doubt,
     )
 

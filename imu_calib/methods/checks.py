@@ -44,6 +44,8 @@ _LEAST_EARTH_RATE = 0.01 * DEG_H
 """rad/s: what a latitude that is wrong by some hundredths of a degree changes."""
 _LEAST_AZIMUTH = 0.05 * DEG
 """rad: nobody sets a table's zero to north better in passing; a judgement."""
+_TOLD = 0.2
+"""Of the Earth's rate: known worse, it tells a latitude to no better than ten degrees."""
 _SAME_UP = 0.99
 """Cosine: 8 degrees, far less than positions of a plan differ by."""
 _ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
@@ -411,6 +413,21 @@ def _off_positions(evidence: Evidence) -> list[str]:
     ]
 
 
+class WrongLatitude(Contradiction):
+    """The gyros see the Earth turn as it does at another latitude.
+
+    Attributes:
+        seen: That latitude, rad.
+        misfit: By how many standard deviations the whole rate differs from the Earth's.
+
+    """
+
+    def __init__(self, text: str, seen: float, misfit: float) -> None:
+        super().__init__(text)
+        self.seen = seen
+        self.misfit = misfit
+
+
 def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> None:
     """Refuse a latitude that the gyros contradict: gravity and the biases would rest on it.
 
@@ -420,7 +437,8 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
         covariance: (3, 3) its covariance.
 
     Raises:
-        NotObservable: Says what is seen and what was expected, and which latitude would fit.
+        WrongLatitude: Says what is seen and what was expected, and which latitude would fit.
+        Contradiction: No latitude does.
 
     """
     site = evidence.site
@@ -445,9 +463,13 @@ def check_latitude(evidence: Evidence, earth: Floats, covariance: Floats) -> Non
             f'Earth turns at {EARTH_RATE / DEG_H:.2f} deg/h at any latitude. The rate test does '
             'not fit the static dwells (saturated turns, clocks that differ, drift).'
         )
-    raise Contradiction(
-        f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}. It fits a '
-        f'latitude of {seen / DEG:.1f} +- {total_std / total / DEG:.1f} deg.'
+    fits = ''
+    if total_std < _TOLD * EARTH_RATE:
+        fits = f' It fits a latitude of {seen / DEG:.1f} +- {total_std / total / DEG:.1f} deg.'
+    raise WrongLatitude(
+        f'The data contradicts the latitude {site.latitude / DEG:.2f} deg: {text}.{fits}',
+        seen,
+        abs(total - EARTH_RATE) / total_std,
     )
 
 

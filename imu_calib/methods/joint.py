@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from ..changes import Changes
+from ..errors import Contradiction
 from ..estimation.fit import Astray, Estimate, Outlier, estimate
 from ..estimation.search import searched
 from ..estimation.tested import findings, tested
@@ -26,7 +27,7 @@ from ..observation.evidence import Evidence
 from ..observation.modulation import spans
 from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
-from .checks import check_axes, check_latitude, clocks, far_scales, turns_scatter
+from .checks import WrongLatitude, check_axes, check_latitude, clocks, far_scales, turns_scatter
 from .solution import Residual, Solution
 
 _TELLING = 0.1
@@ -38,6 +39,10 @@ _EVEN = 0.5
 
 _OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
 """The largest of the terms that change with the attitude, for each triad."""
+
+_NEAR = 2.0
+"""Standard deviations within which what turns the gyros at rest is as fast as the Earth: 19 of 20
+sessions at a wrong latitude."""
 
 _NAMED = 3
 """Moves that a sentence names; a person looks into the first."""
@@ -64,6 +69,8 @@ def solve(
 
     """
     search = searched(evidence, parameters_of(terms), changes, look=look)
+    if search.found and not evidence.plan.by_hand:
+        _check_that_no_latitude_explains(search.plain)
     found = _concluded(search.estimate)
     return replace(
         found,
@@ -91,6 +98,29 @@ def provisional(
     """
     found = estimate(evidence, parameters_of(terms), changes)
     return replace(_concluded(found), shares=found.shares())
+
+
+def _check_that_no_latitude_explains(plain: Estimate) -> None:
+    """Refuse to take for terms what another latitude explains alone, without any.
+
+    Args:
+        plain: The estimate without what was found.
+
+    Raises:
+        WrongLatitude: Says which latitude it is.
+
+    """
+    equations, evidence = plain.equations, plain.equations.evidence
+    try:
+        check_latitude(evidence, *seen_earth(plain))
+    except WrongLatitude as error:
+        if error.misfit > _NEAR:
+            return
+        there = replace(evidence, site=replace(evidence.site, latitude=error.seen))
+        if not searched(there, equations.parameters, equations.changes).found:
+            raise
+    except Contradiction:
+        return
 
 
 def _concluded(found: Estimate) -> Solution:

@@ -37,6 +37,8 @@ _TRIAL_DWELL = 60.0
 """s, while attitudes are compared; the dwells follow."""
 _SHORTEST_DWELL = 20.0
 """s: shorter ones cost more of the session in motions than they tell; a choice."""
+_LONGEST = 24 * 3600.0
+"""s: a longer session is a slip of the keyboard."""
 _SWEEPS = 20
 """Rounds of exchanges; a cap."""
 _GAINED = 1e-9
@@ -153,10 +155,15 @@ def optimise(
         InputError: The table reaches too few attitudes, or the time is too short for any.
 
     """
+    if not 0 < seconds <= _LONGEST:
+        raise InputError(
+            f'{seconds / 60:g} minutes: expected more than 0 and no more than {_LONGEST / 60:g}.'
+        )
     table = setup.table
     if table is None:
         raise InputError('A plan is optimised for a table: there is none.')
-    if not 0 < rate <= (highest := min(joint.max_rate for joint in table.joints)):
+    highest = min(joint.max_rate for joint in table.joints)
+    if not 0 < rate <= highest:
         raise InputError(
             f'Turns at {rate / DEG:g} deg/s: expected more than 0 and no more than the '
             f'{highest / DEG:g} deg/s of the slowest joint of table {table.name}.'
@@ -179,7 +186,9 @@ def optimise(
                 best = found
             show(k * len(turns) + m + 1, len(sizes) * len(turns))
     if best is None:
-        raise InputError(f'{seconds:g} s on table {table.name} are too short for a calibration.')
+        raise InputError(
+            f'{seconds / 60:g} minutes on table {table.name} are too short for a calibration.'
+        )
     return best
 
 
