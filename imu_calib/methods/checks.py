@@ -422,7 +422,7 @@ class WrongLatitude(Contradiction):
 
     """
 
-    def __init__(self, text: str, seen: float, misfit: float) -> None:
+    def __init__(self, text: str, seen: float = float('nan'), misfit: float = float('inf')) -> None:
         super().__init__(text)
         self.seen = seen
         self.misfit = misfit
