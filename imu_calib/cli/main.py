@@ -70,7 +70,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     0: done. 1: the data cannot give the answer. 2: wrong usage or unreadable input.
     """
     argv = sys.argv[1:] if argv is None else argv
-    arguments = build_parser(argv).parse_args(argv)
+    try:
+        arguments = build_parser(argv).parse_args(argv)
+    except KeyboardInterrupt:
+        ERRORS.print('imu-calib: interrupted')
+        return _INTERRUPTED
     try:
         arguments.run(arguments)
     except ImuCalibError as error:
