@@ -22,6 +22,7 @@ from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import ThermalCalibration, by_temperature, load_calibration
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.estimation.fit import Estimate, estimate
+from imu_calib.estimation.score import families
 from imu_calib.estimation.tested import State, summary
 from imu_calib.imu import load_imu
 from imu_calib.methods import method
@@ -31,6 +32,7 @@ from imu_calib.model.session_terms import Course, parted
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.modulation import rates, spans
+from imu_calib.segmentation.thermometer import Temperature
 from imu_calib.share import named_file
 from imu_calib.simulation import WarmUp
 from imu_calib.stream import Floats, TemperatureBlock
@@ -295,7 +297,7 @@ BLAMED = ('drift by', 'scatter', 'not fit', 'elsewhere', 'counts for less')
 
 
 def test_a_drift_that_nobody_asked_for_is_found_and_named(drifting: Evidence) -> None:
-    found = solve(drifting, look=True)
+    found = solve(replace(drifting, temperature=None), look=True)
     assert found.changes is not None
     assert {c.course for c in found.changes.changes} == {Course.TREND}
     told = [f for f in found.findings if 'The session shows' in f]
@@ -308,6 +310,41 @@ def test_a_drift_that_nobody_asked_for_is_found_and_named(drifting: Evidence) ->
     states = {test.name: test for test in found.tests}
     assert states['trend'].state is State.FOUND
     assert states['trend'].document()['state'] == 'found'
+
+
+def test_what_follows_a_recorded_temperature_is_found_and_holds_beyond_the_session(
+    drifting: Evidence,
+) -> None:
+    """A drift with time would do as well where the temperature rises evenly: it is its rival."""
+    found = solve(drifting, look=True)
+    assert found.changes is not None
+    assert {c.course for c in found.changes.changes} == {Course.THERMAL}
+    told = [f for f in found.findings if 'The session shows' in f]
+    assert len(told) == 1
+    assert 'parameters that follow the temperature (thermal' in told[0]
+    assert 'trend' in told[0]
+    assert 'let the temperature rise and fall' in told[0]
+    assert not [f for f in found.findings if 'as if they did not follow it' in f]
+    assert drifting.temperature is not None
+    std = np.sqrt(np.diag(found.covariance)[:24])
+    wanted = truth_at((drifting.temperature.mean - 20.0) / RISE)
+    wrong = (found.model.values(PARAMETERS) - wanted) / std
+    assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
+    assert {test.name: test for test in found.tests}['thermal'].state is State.FOUND
+
+
+def test_a_temperature_that_stays_is_no_candidate(drifting: Evidence) -> None:
+    """Half a kelvin is what thermometers resolve."""
+    assert drifting.temperature is not None
+    course = drifting.temperature.course
+    for rise, there in ((0.7, True), (0.3, False)):
+        celsius = np.linspace(20.0, 20.0 + rise, len(course))
+        seen = Temperature(
+            20.0 + rise / 2, 20.0, 20.0 + rise, np.column_stack([course[:, 0], celsius])
+        )
+        equations = Equations(replace(drifting, temperature=seen))
+        names = {family.name for family in families(equations)}
+        assert ('thermal' in names) is there
 
 
 def test_a_warm_up_that_nobody_asked_for_is_told_from_a_drift(

@@ -33,7 +33,7 @@ from ..model.motion import of_motion
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..observation.equations import Equations
 from ..observation.information import Information, meant, useful
-from ..observation.modulation import TIME_CONSTANTS
+from ..observation.modulation import TIME_CONSTANTS, warms
 from ..observation.modulation import columns as modulated
 from ..stream import Floats
 from ..table_errors import TableErrors
@@ -208,9 +208,11 @@ def families(equations: Equations) -> tuple[Family, ...]:
     found = [Family(term.name, term) for term in TERMS if term not in on]
     if not equations.rows.pushed:
         found = [family for family in found if not family.held]
-    if not equations.changes:
-        found += [Family(course.value, course=course) for course in LOOKED_FOR]
     evidence = equations.evidence
+    if not equations.changes:
+        recorded = (Course.THERMAL,) if warms(evidence) else ()
+        courses = (*recorded, *LOOKED_FOR)
+        found += [Family(course.value, course=course) for course in courses]
     angles = [*(s.angles for s in evidence.segments), *(t.angles for t in evidence.turns)]
     if evidence.table is not None and all(one is not None for one in angles):
         errors = evidence.table.errors

@@ -21,7 +21,7 @@ import scipy
 from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, parameters_of, positions, terms_of
-from ..model.session_terms import Change
+from ..model.session_terms import Change, Course
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import before, told
@@ -234,8 +234,7 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
         shown = [f for f in open_ones if best[f] < limit]
         if not shown:
             return tuple(found)
-        # Those that are the same to the session come in the order of the terms.
-        family = min(shown, key=lambda f: round(best[f]))
+        family = _likeliest(shown, best)
         score = min((one[family] for one in scores), key=lambda score: score.log_p)
         spares = 0 if scores[-1][family].log_p < limit else score.rank
         found.append(Found(family, score.log_p, *_size(model, family, score), spares))
@@ -248,6 +247,26 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
             rejected.add(family)
             continue
         views = [(equations, fit(equations, state)) for equations, state in views]
+
+
+def _likeliest(shown: Sequence[Family], chances: Mapping[Family, float]) -> Family:
+    """Return the most significant; of those that are the same to the session the first of all.
+
+    What follows a temperature that was recorded is not taken for a drift with time that explains
+    the session alike: it holds in other sessions, too.
+
+    Args:
+        shown: In the order of the terms.
+        chances: Natural logarithms.
+
+    """
+    family = min(shown, key=lambda f: round(chances[f]))
+    if family.course is not None:
+        for other in shown:
+            near = chances[other] < chances[family] + _APART / 2
+            if other.course is Course.THERMAL and near:
+                return other
+    return family
 
 
 def _limit(open_ones: Sequence[Family]) -> float:

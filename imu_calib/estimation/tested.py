@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from ..model import Parameter, Term
-from ..model.session_terms import Change, largest, names_of
+from ..model.session_terms import Change, Course, largest, names_of
 from ..stream import Floats
 from ..units import ARCSEC
 from .search import Found, Search
@@ -31,6 +31,17 @@ _WORTH_NAMING = 0.1
 
 _WIDER = 0.1
 """Share by which a standard deviation must grow to be named."""
+
+_RECORD = (
+    'record the temperature (imu/temperature), or let the unit run for an hour before the session'
+)
+"""What tells drifts from what follows the temperature."""
+
+_TEMPERATURE_TELLS = (
+    'let the temperature rise and fall during the session, or let the unit run for an hour before '
+    'it where the temperature stays'
+)
+"""What does where it was recorded."""
 
 _LN10 = float(np.log(10.0))
 
@@ -185,11 +196,11 @@ def _likely(search: Search) -> list[str]:
         p.name for p, yes in zip(search.estimate.equations.parameters, wider, strict=True) if yes
     ]
     allowed = f': the standard deviations of {", ".join(names)} allow for it' if names else ''
+    recorded = any(family.course is Course.THERMAL for family in search.probability)
+    tell = _TEMPERATURE_TELLS if recorded else _RECORD
     return [
         f'The session hints at {words}, with a probability of {min(total, 0.99):.2g}, and does not '
-        f'show it well enough to estimate it{allowed}. To tell, record the temperature '
-        '(imu/temperature) and calibrate with --terms thermal, or let the unit run for an hour '
-        'before the session.'
+        f'show it well enough to estimate it{allowed}. To tell, {tell}.'
     ]
 
 
@@ -208,9 +219,11 @@ def _found(found: Found) -> str:
         text = f'The session shows {words} ({family.name}, {chance}): it is estimated.'
         if found.rivals:
             names = ' or '.join(rival.name for rival in found.rivals)
+            courses = {family.course, *(rival.course for rival in found.rivals)}
+            tell = _TEMPERATURE_TELLS if Course.THERMAL in courses else _RECORD
             text += (
                 f' {names} would explain it as well, and the standard deviations allow for that. '
-                'Let the unit run for an hour before the session, or record its temperature.'
+                f'To tell, {tell}.'
             )
         return text
     assert family.term is not None

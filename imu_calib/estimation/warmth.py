@@ -7,7 +7,7 @@ import scipy
 
 from ..model import TRIADS, ParameterKind
 from ..model.session_terms import Course, change
-from ..observation.modulation import LEAST_RISE, temperatures
+from ..observation.modulation import temperatures, warms
 from ..units import PPM
 from .fit import Estimate
 
@@ -24,11 +24,9 @@ def moved_temperature(found: Estimate) -> list[str]:
 
     """
     equations, evidence = found.equations, found.equations.evidence
-    if evidence.temperature is None or any(c.of_scale_factor for c in equations.changes):
+    if not warms(evidence) or any(c.of_scale_factor for c in equations.changes):
         return []
     seen = temperatures(evidence)
-    if np.ptp(seen) < LEAST_RISE:
-        return []
     known, unknown = [], []
     for letter, words in TRIADS.items():
         stated = float(evidence.thermal['ga'.index(letter), 0])

@@ -91,7 +91,10 @@ class Change:
 
 
 LOOKED_FOR = (Course.TREND, Course.WARM_UP)
-"""Courses that every session has, and that are looked for; the two of them at once are refused."""
+"""Courses that every session has, and that are looked for; the two of them at once are refused.
+
+The temperature is looked for besides where a session records one that moves.
+"""
 
 SESSION_TERMS = tuple(course.value for course in Course)
 """Names of all terms of a session."""

@@ -111,6 +111,11 @@ def reference(evidence: Evidence) -> float:
     return evidence.temperature.mean
 
 
+def warms(evidence: Evidence) -> bool:
+    """Say whether the session has a temperature, and one that moves enough to tell what follows."""
+    return evidence.temperature is not None and bool(np.ptp(temperatures(evidence)) >= LEAST_RISE)
+
+
 def check_temperature(evidence: Evidence) -> None:
     """Refuse a session whose temperature does not move, or is not known.
 
@@ -119,7 +124,7 @@ def check_temperature(evidence: Evidence) -> None:
 
     """
     seen = temperatures(evidence)
-    if np.ptp(seen) < LEAST_RISE:
+    if not warms(evidence):
         raise NotObservable(
             f'Term thermal: the temperature of the outputs moves by {np.ptp(seen):.2f} K (from '
             f'{seen.min():.2f} to {seen.max():.2f} degC), expected {LEAST_RISE:g} K or more: '
