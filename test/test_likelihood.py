@@ -6,9 +6,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
-from imu_calib.estimation.likelihood import along_columns, beside, fixed
+from imu_calib.estimation.likelihood import along_columns, beside, fixed, gained_by_noise
 from imu_calib.estimation.wandering import Wandering
 from imu_calib.stream import Floats
 
@@ -84,3 +84,29 @@ def test_a_wandering_is_seen_by_stretches_as_its_instants_make_it() -> None:
         apart = np.abs(instants[i][:, None] - instants[j])
         exact = one @ np.exp(-apart / time) @ other * (of_three[i] @ of_three[j].T)
         assert kernel[i, :, j] == pytest.approx(exact, rel=1e-12, abs=1e-14)
+
+
+def test_noise_that_few_blocks_know_may_be_larger_than_it_seems() -> None:
+    """Residuals and the blocks' variances are likeliest together, by densities on a grid."""
+    rng = np.random.default_rng(3)
+    parts = rng.standard_normal((2, 12, 9)) / 3
+    covariance = np.eye(12) * 0.2 + sum(n @ n.T for n in parts)
+    left = 2.5 * rng.standard_normal(12)
+    freedoms = (6.0, 15.0)
+
+    def together(factors: tuple[float, ...]) -> float:
+        """Of what is left, and of estimates of ones where the variances are these factors."""
+        grown = covariance + sum((f - 1) * n @ n.T for f, n in zip(factors, parts, strict=True))
+        blocks = sum(
+            chi2.logpdf(nu / f, nu) - np.log(f) for f, nu in zip(factors, freedoms, strict=True)
+        )
+        return normal(left, grown) + float(blocks)
+
+    grid = np.exp(np.linspace(-1, 2, 121))
+    best = max(together(pair) for pair in product(grid, grid))
+    found = gained_by_noise(covariance, left, list(zip(parts, freedoms, strict=True)))
+    assert found > 1.0
+    # Steps of the grid of 2.5 %: far below what thousandths of a likelihood resolve.
+    assert found == pytest.approx(best - together((1.0, 1.0)), abs=2e-3)
+    # What is known exactly gains nothing.
+    assert gained_by_noise(covariance, left, [(n, np.inf) for n in parts]) == 0.0

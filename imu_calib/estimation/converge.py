@@ -54,6 +54,10 @@ _STRONGEST = 1e12
 State = TypeVar('State')
 
 
+class NotConverged(NotObservable):
+    """The steps of a least squares do not come to an end."""
+
+
 def least_squares(
     state: State,
     system: Callable[[State], tuple[Floats, Floats]],
@@ -77,7 +81,7 @@ def least_squares(
         rounds: Most steps.
 
     Raises:
-        NotObservable: The steps do not come to an end.
+        NotConverged: The steps do not come to an end.
 
     """
     jacobian, left = system(state)
@@ -107,7 +111,7 @@ def least_squares(
             damping = max(_DAMPING, damping * _STRONGER)
             if damping > _STRONGEST:
                 break
-    raise NotObservable(
+    raise NotConverged(
         f'The least squares did not converge in {rounds} steps (the last would still move the '
         f'outputs by {change / np.sqrt(len(left)):.2g} of their standard deviations): no '
         'parameter can be stated. The data contradicts the model, or starts too far from it: '

@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 from ..budget import Source
 from ..model import BIASES, positions
 from ..observation.arrivals import NO_ARRIVALS, Arrivals
-from ..observation.components import Component, Dense
+from ..observation.components import Component, Dense, Diagonal
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..stream import Floats
-from .likelihood import along_columns, beside, fixed
+from .likelihood import along_columns, beside, fixed, gained_by_noise
 from .wandering import STATED_TIME, Wandering
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
@@ -65,6 +65,8 @@ class _Triad:
         calm: (r, r) covariance by the wandering that the data sheet states.
         beyond: (r, r) covariances by wandering of each time of `_TIMES`, for unit ratios.
         arrivals: (r, e) what joints that stop and what stops do, for one rad.
+        noise: Columns (r, k) of the random walk of each channel, and the degrees of freedom by
+            which its size is known.
         wandering: Where the bias is looked at.
         typical: What a ratio of one stands for, SI units squared.
         stated: Variance of the wandering stated, SI units squared.
@@ -76,6 +78,7 @@ class _Triad:
     calm: Floats
     beyond: tuple[Floats, ...]
     arrivals: tuple[Floats, Floats]
+    noise: tuple[tuple[Floats, float], ...]
     wandering: Wandering
     typical: float
     stated: float
@@ -104,6 +107,13 @@ class _Triad:
         """Return the covariance by a share of the wandering stated and one beyond it."""
         found = share * self.calm
         return found + ratio * self.beyond[time] if ratio else found
+
+    def by_noise(self, wander: Floats, joints: float = 0.0, stops: float = 0.0) -> float:
+        """Return what the log likelihood gains beside a wandering (r, r) and arrivals, rad^2.
+
+        By the size of the noise, which blocks at rest tell no better than they are many.
+        """
+        return gained_by_noise(self.arriving(joints, stops) + wander, self.left, self.noise)
 
     def lines(self, wander: Floats, variances: Floats) -> Floats:
         """Return the log likelihoods of arrivals, (kinds, v), beside a wandering (r, r).
@@ -164,12 +174,12 @@ def excess(equations: Equations, state: Floats) -> Excess:
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
         return Excess(NO_ARRIVALS, np.zeros(6))
     triads = _triads(plain, state)
-    still = [_Wander.of(*triad.weigh()) for triad in triads]
+    still = [_Wander.of(triad) for triad in triads]
     share, joints, stops = _arrivals(triads, still, _variances(plain))
     found = [[(1 - share, wander)] for wander in still]
     if share:
         for mixture, triad in zip(found, triads, strict=True):
-            mixture.append((share, _Wander.of(*triad.weigh(joints, stops))))
+            mixture.append((share, _Wander.of(triad, joints, stops)))
     spread = [_spread_out(triad, mixture) for triad, mixture in zip(triads, found, strict=True)]
     return Excess(
         Arrivals(math.sqrt(share * joints), math.sqrt(share * stops)),
@@ -195,9 +205,20 @@ class _Wander:
     beyond: Floats
 
     @classmethod
-    def of(cls, calm: Floats, beyond: Floats) -> _Wander:
-        """Weigh what `_Triad.weigh` returns."""
-        return cls(calm + _LOG_ODDS, beyond - np.log(beyond.size))
+    def of(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Wander:
+        """Weigh wanderings beside arrivals of these variances, rad^2.
+
+        Noise whose size is known from few blocks may be larger than it seems. Where wandering is
+        called for, what that explains is taken off.
+        """
+        calm, beyond = triad.weigh(joints, stops)
+        found = cls(calm + _LOG_ODDS, beyond - np.log(beyond.size))
+        if not found.called_for:
+            return found
+        known, more = (
+            triad.by_noise(wander, joints, stops) for _, wander in found.hypotheses(triad)
+        )
+        return replace(found, beyond=found.beyond - (known - more))
 
     @property
     def known(self) -> float:
@@ -269,18 +290,18 @@ def _arrivals(
         [weight + triad.lines(wander, variances) for weight, wander in its]
         for triad, its in zip(triads, hypotheses, strict=True)
     ]
-    found = _pooled(lines)
-    kind, size = divmod(int(found.argmax()), len(variances))
-    joints = (1 - float(_KINDS[kind])) * float(variances[size])
-    stops = float(_KINDS[kind]) * float(variances[size])
-    for triad, its in zip(triads, lines, strict=True):
-        weight, wander = _Wander.of(*triad.weigh(joints, stops)).hypotheses(triad)[1]
+    joints, stops = _likeliest(_pooled(lines), variances)
+    for triad, its, mine in zip(triads, lines, hypotheses, strict=True):
+        weight, wander = _Wander.of(triad, joints, stops).hypotheses(triad)[1]
+        mine.append((weight, wander))
         its.append(weight + triad.lines(wander, variances))
     found = _pooled(lines)
     known = sum(wander.known for wander in still)
     # Wanderings of gyros and accelerometers are asked for one by one: half of the cause in each is
     # none.
     asked_for = any(wander.called_for for wander in still)
+    if asked_for or float(found.max()) >= known + _CALLED_FOR:
+        found += _by_noise(triads, hypotheses, lines, variances)
     if not asked_for and float(found.max()) < known + _CALLED_FOR:
         return 0.0, 0.0, 0.0
     either = sum(float(np.logaddexp(wander.known, wander.unknown)) for wander in still)
@@ -295,6 +316,37 @@ def _arrivals(
     joints = float((weights * np.outer(1 - _KINDS, variances)).sum())
     stops = float((weights * np.outer(_KINDS, variances)).sum())
     return share, joints, stops
+
+
+def _likeliest(found: Floats, variances: Floats) -> tuple[float, float]:
+    """Return the variances of joints and of stops where log likelihoods (kinds, v) are largest."""
+    kind, size = divmod(int(found.argmax()), len(variances))
+    share = float(_KINDS[kind])
+    return (1 - share) * float(variances[size]), share * float(variances[size])
+
+
+def _by_noise(
+    triads: Sequence[_Triad],
+    hypotheses: Sequence[Sequence[tuple[float, Floats]]],
+    lines: Sequence[Sequence[Floats]],
+    variances: Floats,
+) -> float:
+    """Return what the size of the noise gains beside the likeliest arrivals, less that beside none.
+
+    Args:
+        triads: Gyros and accelerometers.
+        hypotheses: Of each, wanderings; the first is what is known beforehand.
+        lines: Log likelihoods of arrivals beside each of them.
+        variances: (v,) of arrivals.
+
+    """
+    found = _pooled(lines)
+    joints, stops = _likeliest(found, variances)
+    gained = 0.0
+    for triad, mine, its in zip(triads, hypotheses, lines, strict=True):
+        best = int(np.argmax([line.flat[found.argmax()] for line in its]))
+        gained += triad.by_noise(mine[best][1], joints, stops) - triad.by_noise(mine[0][1])
+    return gained
 
 
 def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
@@ -374,12 +426,13 @@ def _triad(
     drifts = np.array([x.drift[first : first + 3] for x in sloped]).reshape(-1, 3)
     explained = rising[rows].reshape(-1, 3)[np.flatnonzero(with_slope)]
     slope_left = (drifts - explained).ravel()
-    slope_variances = np.array(
+    of_slopes = np.array(
         [
             [_slope_variance(x.blocks[c], evidence.walk[c]) for c in range(first, first + 3)]
             for x in sloped
         ]
-    ).ravel()
+    ).reshape(-1, 3, 2)
+    slope_variances = of_slopes[..., 1].ravel()
     wandering = Wandering.over(
         (starts - starts.min()) * 1e-9,
         durations,
@@ -403,12 +456,20 @@ def _triad(
     moved = [
         np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in arrivals
     ]
+    noise = []
+    for c, own in enumerate(equations.own[first : first + 3]):
+        assert isinstance(own.part, Diagonal)
+        walk = np.zeros_like(of_slopes[..., 0])
+        walk[:, c] = of_slopes[:, c, 0]
+        deviations = np.sqrt(np.concatenate([own.part.variances[rows], walk.ravel()]))
+        noise.append((both.T[:, deviations > 0] * deviations[deviations > 0], own.freedom))
     return _Triad(
         rows,
         np.concatenate([z, slope_left * slopes]),
         seen_by(wandering.stated_kernel(), stated),
         tuple(seen_by(wandering.kernel(time), typical) for time in _TIMES),
         (moved[0], moved[1]),
+        tuple(noise),
         wandering,
         typical,
         stated,
@@ -442,9 +503,13 @@ def _restricted(
     return np.asarray(project), np.asarray(free.T @ columns[:, -1])
 
 
-def _slope_variance(blocks: Floats, walk: float) -> float:
-    """Return the variance of the line through block means that `Statistics.drift` is."""
+def _slope_variance(blocks: Floats, walk: float) -> tuple[float, float]:
+    """Return the variance of the line through block means that `Statistics.drift` is.
+
+    That by random walk, and all of it.
+    """
     centred = blocks[:, 3] - blocks[:, 3].mean()
     weights = centred / (centred @ centred)
-    own = np.maximum(walk**2 * blocks[:, 1] + blocks[:, 2], SMALLEST_VARIANCE)
-    return float(weights**2 @ own)
+    noise = walk**2 * blocks[:, 1]
+    own = np.maximum(noise + blocks[:, 2], SMALLEST_VARIANCE)
+    return float(weights**2 @ noise), float(weights**2 @ own)

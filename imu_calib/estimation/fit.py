@@ -463,7 +463,10 @@ def _headed(equations: Equations, state: Floats) -> Equations:
     free = replace(equations, any_heading=True)
     azimuth = equations.sensors + Nuisance.AZIMUTH
     state = fit(free, state)
-    covariance = Information.of(free.whitened(state)[0]).covariance
+    # Biases that drift see north elsewhere: of cheap gyros by as much as their noise.
+    drifting = with_scatter(free, excess(free, state))
+    state = fit(drifting, state)
+    covariance = Information.of(drifting.whitened(state)[0]).covariance
     far = max(_CONTRADICTION * float(np.sqrt(covariance[azimuth, azimuth])), _LEAST_AZIMUTH)
     return free if abs(state[azimuth]) > far else equations
 

@@ -5,7 +5,8 @@ tridiagonal by rotations that leave this axis alone: for each r one factorisatio
 matrix from its far end gives the determinant, and its last pivot the quadratic form. That is a
 third of the work of eigenvectors, and a covariance of each size costs next to nothing.
 
-Source: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6.
+Sources: Golub and Van Loan 2013, Matrix Computations, 5.1.2, 8.3.1 and 4.3.6; for noise of unknown
+size docs/mathematics.md, 'Joint estimate'.
 """
 
 from __future__ import annotations
@@ -20,11 +21,54 @@ from ..stream import Floats
 _BLOCK = 32
 """Columns that are reduced at once; see LAPACK's ILAENV."""
 
+_LARGEST = float(np.log(8.0))
+"""Logarithm of the largest factor on a variance of noise: what a single degree of freedom leaves of
+it is larger once in four times, and channels that are eight times off are no noise."""
+
 
 def fixed(covariance: Floats, left: Floats) -> float:
     """Return the log likelihood of what is left, (r,), with a covariance (r, r)."""
     _, z, size = _rooted(covariance, left)
     return -0.5 * float(z @ z) - size
+
+
+def gained_by_noise(
+    covariance: Floats, left: Floats, parts: Sequence[tuple[Floats, float]]
+) -> float:
+    """Return by how much the log likelihood rises where noise is known by its estimate alone.
+
+    A factor f on the variance of each part goes where what is left and the blocks from which the
+    part was estimated are likeliest together: these have -freedom / 2 (log f + 1 / f - 1), of which
+    f = 1 is the largest.
+
+    Args:
+        covariance: (r, r), the noise as estimated.
+        left: (r,).
+        parts: Columns (r, m) whose product with their transpose is a part of the noise, and
+            degrees of freedom of its estimate.
+
+    Source: docs/mathematics.md, 'Joint estimate'.
+    """
+    known = [(columns, columns @ columns.T, nu) for columns, nu in parts if np.isfinite(nu)]
+    if not known:
+        return 0.0
+
+    def off(logs: Floats) -> tuple[float, Floats]:
+        factors = np.exp(logs)
+        total = covariance + sum((f - 1) * k for f, (_, k, _) in zip(factors, known, strict=True))
+        root, z, size = _rooted(total, left)
+        value, slopes = 0.5 * float(z @ z) + size, np.empty(len(known))
+        for c, (f, (columns, _, nu)) in enumerate(zip(factors, known, strict=True)):
+            white = _whitened(root, columns)
+            value += 0.5 * nu * float(logs[c] + 1 / f - 1)
+            slopes[c] = 0.5 * f * ((white**2).sum() - ((z @ white) ** 2).sum())
+            slopes[c] += 0.5 * nu * (1 - 1 / f)
+        return value, slopes
+
+    bounds = [(-_LARGEST, _LARGEST)] * len(known)
+    start = np.zeros(len(known))
+    found = scipy.optimize.minimize(off, start, jac=True, method='L-BFGS-B', bounds=bounds)
+    return max(0.0, off(start)[0] - float(found.fun))
 
 
 def beside(base: Floats, kernels: Sequence[Floats], left: Floats, ratios: Floats) -> Floats:

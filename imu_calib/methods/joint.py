@@ -15,14 +15,15 @@ import numpy as np
 import scipy
 
 from ..changes import Changes
-from ..errors import Contradiction
+from ..errors import Contradiction, NotObservable
+from ..estimation.converge import NotConverged
 from ..estimation.fit import Astray, Estimate, Outlier, estimate
 from ..estimation.search import searched
 from ..estimation.tested import findings, tested
 from ..estimation.warmth import moved_temperature
 from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course, names_of
-from ..observation.equations import Nuisance
+from ..observation.equations import Equations, Nuisance
 from ..observation.evidence import Evidence
 from ..observation.modulation import spans
 from ..stream import Floats
@@ -34,8 +35,9 @@ _TELLING = 0.1
 """Of what is stated anyway: arrivals below it change no deviation by more than half a percent,
 biases that drift by so much more by no more than a tenth."""
 
-_EVEN = 0.5
-"""Probability from which on arrivals that miss are more likely than not, and said."""
+_SAID = 0.99
+"""Probability, at even odds, from which on arrivals that miss are said: of sessions without any at
+most one in a hundred comes to it, since the mean of their likelihood ratio is one (Markov)."""
 
 _OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
 """The largest of the terms that change with the attitude, for each triad."""
@@ -68,7 +70,12 @@ def solve(
         InputError: The outputs are not in the units that the IMU's description states.
 
     """
-    search = searched(evidence, parameters_of(terms), changes, look=look)
+    try:
+        search = searched(evidence, parameters_of(terms), changes, look=look)
+    except NotConverged:
+        if not evidence.plan.by_hand:
+            _check_that_no_latitude_converges(evidence)
+        raise
     if search.found and not evidence.plan.by_hand:
         _check_that_no_latitude_explains(search.plain)
     found = _concluded(search.estimate)
@@ -120,6 +127,31 @@ def _check_that_no_latitude_explains(plain: Estimate) -> None:
         if not searched(there, equations.parameters, equations.changes).found:
             raise
     except Contradiction:
+        return
+
+
+def _check_that_no_latitude_converges(evidence: Evidence) -> None:
+    """Refuse a latitude at which nothing converges where the one that the gyros see does.
+
+    Gyros that turn with the Earth of another latitude leave residuals of hundreds of deviations,
+    about which the least squares need not converge.
+
+    Args:
+        evidence: The session, with the site that was given.
+
+    Raises:
+        WrongLatitude: Says which latitude it is.
+
+    """
+    equations = Equations(evidence)
+    rate, _ = _free_earth(equations, equations.nominal())
+    latitude = float(np.arctan2(rate[2], np.hypot(rate[0], rate[1])))
+    try:
+        there = estimate(replace(evidence, site=replace(evidence.site, latitude=latitude)))
+        check_latitude(evidence, *seen_earth(there))
+    except WrongLatitude:
+        raise
+    except NotObservable:
         return
 
 
@@ -187,8 +219,12 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
         (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
 
     """
-    plain = found.calm
-    state, sensors = found.state, found.equations.sensors
+    return _free_earth(found.calm, found.state)
+
+
+def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
+    """Return `seen_earth` about a state (n,), by the covariance of `plain`."""
+    sensors = plain.sensors
     free = scipy.linalg.solve_triangular(plain.factor(state), plain.by_rate(state), lower=True)
     jacobian, left = plain.whitened(state)
     # The heading is one of the three that are now free.
@@ -305,7 +341,7 @@ def _scattering(found: Estimate) -> list[str]:
     if evidence.table is not None and 'positioning' in evidence.table.assumed:
         known = f'{stated} are assumed of the table'
     joints, stops = scatter.arriving.joints, scatter.arriving.stops
-    if scatter.missed < _EVEN:
+    if scatter.missed < _SAID:
         # The deviations allow for it by its probability; it is not what happened.
         joints = stops = 0.0
     if joints > _TELLING * evidence.positioning:

@@ -22,6 +22,8 @@ _ANGLES, _VELOCITIES = np.repeat(np.eye(2), 3, axis=1)
 def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, ...]:
     """Return what each output has for itself: noise, quantisation, the encoders' noise.
 
+    The first six are the random walk of the channels.
+
     Args:
         evidence: The session.
         inflation: (m,) factors on these variances, or None.
