@@ -68,6 +68,8 @@ SIZES = {
     'accel_cubic': (20.0, 50.0, 1000.0),
     'accel_cross': (20.0, 50.0, 1000.0),
     'gyro_g2': (0.02, 0.1, 70.0),
+    'size_effect': (30.0, 30.0, 5.0),
+    'delay': (1.0, 1.0, 5.0),
 }
 """Largest coefficients of terms, in their units, for each grade."""
 

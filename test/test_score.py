@@ -291,6 +291,13 @@ def test_the_screen_says_what_a_session_cannot_show() -> None:
         'K_ax, K_ay, K_az hold for accel_cubic = 0, which this session does not show: 10 ug/g^3 '
         'would move K_ax by 10 ppm'
     ]
+    # And in the file, SI: 1 / (9.80665 m/s^2)^-2.
+    kept = {test.name: test for test in found.tests}['accel_cubic'].document()
+    assert kept['state'] == 'not tested'
+    moved = kept['would_move']
+    assert isinstance(moved, dict)
+    assert moved['K3_ax']['parameter'] == 'K_ax'
+    assert moved['K3_ax']['by'] == pytest.approx(SITE.gravity**2, rel=1e-3)
 
 
 INSTABILITY = np.repeat([0.05 * DEG / 3600, 10 * MICRO_G], 3)

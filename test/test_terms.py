@@ -43,7 +43,7 @@ def asked(truth: str) -> str:
     return found[1]
 
 
-SHIPPED = ['fog_navigation_terms', 'mems_counts_terms']
+SHIPPED = ['fog_navigation_terms', 'mems_counts_terms', 'mems_counts_motion']
 
 
 @pytest.mark.parametrize('truth', SHIPPED)
