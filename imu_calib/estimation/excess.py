@@ -153,12 +153,17 @@ class Excess:
     swift: tuple[bool, bool] = (False, False)
 
     @property
+    def shown(self) -> bool:
+        """Whether the session shows any that is not known beforehand."""
+        return self.missed > 0 or any(c.source is Source.BIAS_FOUND for c in self.extra)
+
+    @property
     def stated(self) -> tuple[Component, ...]:
         """The part of `extra` that the data sheet states."""
         return tuple(c for c in self.extra if c.source is Source.BIAS_STATED)
 
 
-def excess(equations: Equations, state: Floats) -> Excess:
+def excess(equations: Equations, state: Floats, *, doubted: bool = False) -> Excess:
     """Estimate the excess scatter of a session about a solution.
 
     What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
@@ -168,12 +173,16 @@ def excess(equations: Equations, state: Floats) -> Excess:
     Args:
         equations: The session, any earlier excess is ignored.
         state: (n,) a solution close to the final one.
+        doubted: Whether the size of the noise is in doubt as far as blocks leave it so. Next to
+            outputs that do not fit noise seems larger than it is: these are to be found before.
 
     """
     plain = replace(equations, extra=(), arriving=NO_ARRIVALS)
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
         return Excess(NO_ARRIVALS, np.zeros(6))
     triads = _triads(plain, state)
+    if not doubted:
+        triads = [replace(triad, noise=()) for triad in triads]
     still = [_Wander.of(triad) for triad in triads]
     share, joints, stops = _arrivals(triads, still, _variances(plain))
     found = [[(1 - share, wander)] for wander in still]

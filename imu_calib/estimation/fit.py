@@ -304,6 +304,9 @@ def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Es
         plain = fit(equations, state)
         scatter = excess(equations, plain)
         weighted = with_scatter(equations, scatter)
+    if scatter.shown:
+        scatter = excess(equations, plain, doubted=True)
+        weighted = with_scatter(equations, scatter)
     state = fit(weighted, state)
     information = Information.of(weighted.whitened(state)[0])
     return Estimate(

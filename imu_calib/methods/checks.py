@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -13,6 +13,7 @@ from ..budget import Share, Shares, Source, total
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel
+from ..observation.equations import Equations, Nuisance
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.level import Accelerometers, Tilt, widened_for_tilt
 from ..rotations import angle_between
@@ -29,8 +30,9 @@ _SCALE_LIMIT = 2.0
 """Times: what differs by more is stated in other units; sensors differ by percents."""
 _AXIS_LIMIT = 0.5
 """Of an axis's largest response: beyond, the axes are exchanged, not misaligned."""
-_ALTERNATIONS = 8
-"""Rounds of the alternation; a cap."""
+_RANK = 1e-3
+"""Of the largest singular value, columns of one length: what attitudes show by no more is the last
+digits of an encoder. Six positions show one tilt, and not the other beside the misalignments."""
 _FAR_SCALE = 0.1
 """Share: data sheets allow percents."""
 _WELL_KNOWN_CLOCKS = 5e-6
@@ -298,7 +300,7 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     scatter, significant, freedom = 1.0, False, np.inf
     tested = left
     if channels.start == 3:
-        tested = _left_by_weighted_fit(evidence, outputs, variances, solution[:3])
+        tested = _left_by_weighted_fit(evidence, model, variances)
     for groups in (np.arange(s), _arrivals(evidence)):
         ratio, plain, free = _scatter(tested, variances, groups, estimated)
         if noisy and plain and ratio > scatter:
@@ -306,9 +308,7 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     return _Fit(solution[:3], covariance[:3, :3], left, scatter, significant, freedom)
 
 
-def _left_by_weighted_fit(
-    evidence: Evidence, outputs: Floats, variances: Floats, force: Floats
-) -> Floats:
+def _left_by_weighted_fit(evidence: Evidence, model: SensorModel, variances: Floats) -> Floats:
     """Return what responses, biases and tilt leave when fitted together, each output by its noise.
 
     The closed forms weigh all positions alike. What a position of few pulses does to them through
@@ -316,28 +316,27 @@ def _left_by_weighted_fit(
 
     Args:
         evidence: The session.
-        outputs: (s, 3) mean outputs.
-        variances: (s, 3) theirs.
-        force: (3,) specific force in the frame of the attitudes, to begin with.
+        model: What a closed form made of it, to begin with.
+        variances: (s, 3) of the outputs of the accelerometers.
 
     Returns:
         (s, 3)
 
     """
-    attitudes, weights = evidence.attitudes(), 1 / np.sqrt(variances)
-    force = force.copy()
-    left = outputs
-    for _ in range(_ALTERNATIONS):
-        felt = np.column_stack([np.einsum('skj,k->sj', attitudes, force), np.ones(len(outputs))])
-        channels = [
-            np.linalg.lstsq(felt * w[:, None], y * w, rcond=None)[0]
-            for y, w in zip(outputs.T, weights.T, strict=True)
-        ]
-        left = outputs - felt @ np.array(channels).T
-        level = np.einsum('ij,skj->sik', np.array(channels)[:, :3], attitudes)[:, :, :2]
-        design = (level * weights[:, :, None]).reshape(-1, 2)
-        force[:2] += np.linalg.lstsq(design, (left * weights).reshape(-1), rcond=None)[0]
-    return np.asarray(left)
+    equations = Equations(replace(evidence, turns=(), moves=()))
+    state, rows = equations.nominal(), equations.rows.rest[:, 3:].ravel()
+    state[: equations.sensors] = model.values(PARAMETERS)
+    tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
+    free = [k for k, p in enumerate(PARAMETERS) if p.triad == 'a'] + tilts
+    weights = 1 / np.sqrt(variances.ravel())
+    # The second step is for what is of second order: tilts times errors of the closed form.
+    for _ in range(2):
+        left = (equations.outputs - equations.predict(state))[rows]
+        columns = equations.jacobian(state)[np.ix_(rows, free)] * weights[:, None]
+        scale = np.linalg.norm(columns, axis=0)
+        step = np.linalg.lstsq(columns / scale, left * weights, rcond=_RANK)[0] / scale
+        state[free] += step
+    return (equations.outputs - equations.predict(state))[rows].reshape(-1, 3)
 
 
 def _arrivals(evidence: Evidence) -> NDArray[np.intp]:
