@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from .api.compensating import Compensated, compensate
     from .api.converting import Converted, convert
     from .api.exporting import export
-    from .api.predicting import Prediction, predict, reach
+    from .api.predicting import Prediction, optimise, predict, reach
     from .api.repeating import Repeated, montecarlo
     from .api.reporting import report
     from .api.simulating import Simulated, simulate
+    from .api.standing import Stood, stand
     from .api.verifying import verify
     from .calibration import Calibration
     from .calibrator import Result
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from .imu import ImuSpec, load_imu
     from .plan import Plan, load_plan
     from .prediction import Reached
+    from .prediction.optimise import Optimum
     from .turntable import Table, load_table
     from .verification import Verdict, Verification
 
@@ -48,12 +50,14 @@ _WHERE = {
     'ImuSpec': 'imu',
     'InputError': 'errors',
     'NotObservable': 'errors',
+    'Optimum': 'prediction.optimise',
     'Plan': 'plan',
     'Prediction': 'api.predicting',
     'Reached': 'prediction',
     'Repeated': 'api.repeating',
     'Result': 'calibrator',
     'Simulated': 'api.simulating',
+    'Stood': 'api.standing',
     'Table': 'turntable',
     'ThermalCalibration': 'compensation.thermal',
     'Verdict': 'verification',
@@ -68,11 +72,13 @@ _WHERE = {
     'load_plan': 'plan',
     'load_table': 'turntable',
     'montecarlo': 'api.repeating',
+    'optimise': 'api.predicting',
     'predict': 'api.predicting',
     'reach': 'api.predicting',
     'read': 'api.columns',
     'report': 'api.reporting',
     'simulate': 'api.simulating',
+    'stand': 'api.standing',
     'verify': 'api.verifying',
 }
 """Loaded when they are asked for: nodes and commands need few of them, and start in less time."""
@@ -88,12 +94,14 @@ __all__ = [
     'ImuSpec',
     'InputError',
     'NotObservable',
+    'Optimum',
     'Plan',
     'Prediction',
     'Reached',
     'Repeated',
     'Result',
     'Simulated',
+    'Stood',
     'Table',
     'ThermalCalibration',
     'Verdict',
@@ -108,11 +116,13 @@ __all__ = [
     'load_plan',
     'load_table',
     'montecarlo',
+    'optimise',
     'predict',
     'reach',
     'read',
     'report',
     'simulate',
+    'stand',
     'verify',
 ]
 

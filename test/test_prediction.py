@@ -9,6 +9,7 @@ from bound import bound
 from scipy.stats import chi2
 from sessions import LATITUDE, SITE, fed, gathered, paper_imu, quick_plan, session, stand, truth
 
+import imu_calib
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.cli.main import main
@@ -381,6 +382,14 @@ def test_a_plan_is_optimised_for_a_time_and_written(
     rates = [r for p in found.positions if p.rate_test for r in p.rate_test.rates]
     assert rates == pytest.approx([30 * DEG, -30 * DEG] * 3)
     assert 'K_gx' in capsys.readouterr().out
+    by_api = imu_calib.optimise(load_imu('fog_medium'), 20, rate=30, output=tmp_path / 'yes.yaml')
+    assert by_api.text('no') == written.read_text()
+    assert load_plan(tmp_path / 'yes.yaml').name == 'yes'
+    assert by_api.seconds == duration(by_api.plan.steps(table), table)
+    with pytest.raises(InputError, match=r'mine: expected a file that ends in \.yaml'):
+        imu_calib.optimise('fog_medium', 20, output='mine')
+    with pytest.raises(InputError, match='too short'):
+        imu_calib.optimise('fog_medium', 2)
     for wrong, words in (
         (['--optimise', '2'], 'too short'),
         (['--optimise', '20', '--rate', '900'], 'slowest joint'),

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..calibration import Calibration
+from ..calibration import Calibration, write_whole
 from ..calibrator import Setup
 from ..earth import LUOYANG
 from ..errors import InputError
@@ -17,16 +18,20 @@ from ..model import Parameter, SensorModel
 from ..plan import Plan
 from ..prediction import Forecast, OfTerm, Reached, duration, forecast, listed, of_each_term
 from ..prediction import reach as shortest_dwells
-from ..prediction.optimise import Optimum, optimise
+from ..prediction.optimise import Optimum
+from ..prediction.optimise import optimise as best_plan
 from ..turntable import Table
 from ..units import DEG, parse
 from ..views import predicted_frame
-from .named import Named, as_imu, as_plan, as_truth
+from .named import Named, as_imu, as_plan, as_truth, writable
 from .progress import Progress, silent
 from .stated import Stated
 
 if TYPE_CHECKING:
     import pandas
+
+_ANY_PLAN = 'twelve_position'
+"""What a search for a plan begins from: nothing of it counts."""
 
 _USUAL_RATE = 60.0
 """deg/s; a choice: every shipped table turns as fast, in 6 s a turn."""
@@ -128,32 +133,92 @@ def predict(
     return predicted(setup_of(stated), as_truth(truth).model, wander=bias_instability)
 
 
-def optimised(
-    setup: Setup,
-    truth: SensorModel,
+def optimise(
+    imu: ImuSpec | Named,
     minutes: float,
-    rate: float | None,
+    *,
+    output: Named | None = None,
+    table: Table | Named = 'three_axis',
+    truth: Calibration | Named = 'cao2022_table1',
+    rate: float | None = None,
+    azimuth: float | None = None,
+    latitude: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
     progress: Progress = silent,
 ) -> Optimum:
     """Find the plan that tells most in a time on a table.
 
     Args:
-        setup: As `setup_of` returns it; its plan does not count.
-        truth: What the unit is thought to be.
+        imu: Name, file or value; its noise and the size of its pulses count.
         minutes: Time on the table.
-        rate: Of turns, deg/s; None for 60, or what the slowest joint of the table can.
+        output: File to write the plan to, which is then named after it; None to write none.
+        table: Name, file or value.
+        truth: What the unit is thought to be: its counters run by it.
+        rate: Of the turns, deg/s; None for 60, or what the slowest joint of the table can.
+        azimuth: Heading of the table's zero, where it is known, deg.
+        latitude: deg; None for Luoyang's.
+        height: Above the ellipsoid, m.
+        height_std: m.
+        gravity: As measured, m/s^2.
+        gravity_std: m/s^2.
         progress: Told how far it is.
 
+    Returns:
+        The plan, and its information on the 24 parameters.
+
     Raises:
-        InputError: The time is too short for any plan, the table reaches too few attitudes, or
-            cannot turn that fast.
+        InputError: A file is missing or broken, `output` is no name of a plan's file, the time is
+            too short for any plan, the table reaches too few attitudes, or cannot turn that fast.
 
     """
+    stated = Stated(
+        imu=imu,
+        table=table,
+        azimuth=azimuth,
+        latitude=latitude,
+        height=height,
+        height_std=height_std,
+        gravity=gravity,
+        gravity_std=gravity_std,
+    )
+    return optimised(stated, truth, minutes, rate, output, progress)
+
+
+def optimised(
+    stated: Stated,
+    truth: Calibration | Named,
+    minutes: float,
+    rate: float | None = None,
+    output: Named | None = None,
+    progress: Progress = silent,
+) -> Optimum:
+    """Find a plan; as `optimise`, with what is stated as one value, whose plan does not count."""
+    target = None if output is None else plan_file(output)
+    setup, model = setup_of(replace(stated, plan=_ANY_PLAN)), as_truth(truth).model
     if rate is None:
         slowest = () if setup.table is None else (j.max_rate / DEG for j in setup.table.joints)
         rate = min((_USUAL_RATE, *slowest))
     with progress('Exchanging attitudes') as show:
-        return optimise(setup, truth, minutes * 60, rate * DEG, show=show)
+        found = best_plan(setup, model, minutes * 60, rate * DEG, show=show)
+    if target is not None:
+        write_whole(target, found.text(target.stem))
+    return found
+
+
+def plan_file(output: Named) -> Path:
+    """Return where to write a plan.
+
+    Raises:
+        InputError: Its name does not end as a plan's has to, or its folder does not exist.
+
+    """
+    path = Path(output).expanduser()
+    if path.suffix != '.yaml':
+        raise InputError(f'-o {output}: expected a file that ends in .yaml.')
+    return writable(path)
 
 
 def reach(

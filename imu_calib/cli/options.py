@@ -9,9 +9,9 @@ from inspect import Parameter, signature
 from pathlib import Path
 from typing import Any
 
+from ..api.named import writable
 from ..api.stated import NO_PLAN, TRUE_TABLE, Stated
 from ..earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
-from ..errors import InputError
 from ..model import AUTO_TERMS, NO_TERMS, TERMS
 from ..model.session_terms import SESSION_TERMS
 from ..share import shipped
@@ -143,12 +143,7 @@ def output_path(text: str) -> Path:
     """Return the path of a file to be written.
 
     Raises:
-        InputError: Its folder does not exist.
+        InputError: Its folder does not exist, or it is a folder.
 
     """
-    path = Path(text).expanduser()
-    if not path.parent.is_dir():
-        raise InputError(f'{path}: the folder {path.parent} does not exist.')
-    if path.is_dir():
-        raise InputError(f'{path}: is a folder, expected the name of a file.')
-    return path
+    return writable(Path(text).expanduser())

@@ -5,14 +5,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from rich.table import Table as Rows
 
 from ..api.named import as_truth
-from ..api.predicting import optimised, predicted, setup_of, shortest
-from ..calibration import write_whole
+from ..api.predicting import optimised, plan_file, predicted, setup_of, shortest
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
 from ..methods import METHODS, free_positions
@@ -45,9 +43,6 @@ _ON_A_TABLE = (
 _IN_THE_HAND = (
     'Predicted standard deviations by the noise, for turns of two seconds about one axis each.'
 )
-_ANY_PLAN = 'twelve_position'
-"""What a search for a plan begins from: nothing of it counts."""
-
 _LEANING = 'The tilt of a hold comes on top: E_a errs by half of it, D_a by g times a sixth.'
 
 
@@ -131,17 +126,12 @@ def _check_optimise(arguments: argparse.Namespace) -> None:
     if arguments.imu is None or arguments.output is None:
         lacking = '--imu NAME|FILE' if arguments.imu is None else '-o FILE'
         raise InputError(f'--optimise needs {lacking}.')
-    if Path(arguments.output).suffix != '.yaml':
-        raise InputError(f'-o {arguments.output}: expected a file that ends in .yaml.')
 
 
 def _optimise(arguments: argparse.Namespace) -> None:
     """Find a plan, write it, and show what it gives."""
-    target = options.output_path(arguments.output)
-    arguments.plan = _ANY_PLAN
-    setup, truth = setup_of(options.stated(arguments)), as_truth(arguments.truth).model
-    found = optimised(setup, truth, arguments.optimise, arguments.rate, progress_bar)
-    write_whole(target, found.text(target.stem))
+    target, stated = plan_file(arguments.output), options.stated(arguments)
+    optimised(stated, arguments.truth, arguments.optimise, arguments.rate, target, progress_bar)
     arguments.plan = str(target)
     _predict(arguments)
     OUTPUT.print(f'written to {target}', markup=False, highlight=False)

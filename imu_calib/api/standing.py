@@ -1,0 +1,157 @@
+"""A stand that is run live, with simulated hardware, by the nodes that would run a real one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..calibration import Calibration
+from ..errors import ImuCalibError, InputError, NotObservable
+from ..lifetime import ENDS_WITH
+from .named import Named
+from .stated import TRUE_TABLE
+
+_COMMAND = 'imu_calib.cli.main'
+_ERRORS = {error.exit_code: error for error in (InputError, NotObservable)}
+
+
+@dataclass(frozen=True, eq=False)
+class Stood:
+    """A simulated stand that was run to its end.
+
+    Attributes:
+        path: Its folder.
+        recording: What was recorded, and calibrated from.
+        calibration: What came of it, as in calibration.yaml of the folder.
+        truth: The unit's true parameters.
+        true_table: File of how the table truly is; None where it is as described.
+
+    """
+
+    path: Path
+    recording: Path
+    calibration: Calibration
+    truth: Calibration
+    true_table: Path | None
+
+
+def stand(
+    plan: Named,
+    output: Named = 'stand',
+    *,
+    imu: Named | None = None,
+    table: Named = 'three_axis',
+    truth: Named | None = None,
+    azimuth: float = 0.0,
+    method: str | None = None,
+    terms: str | None = None,
+    serial: str | None = None,
+    sample_rate: float | None = None,
+    imperfections: Named | None = None,
+    seed: int = 0,
+    speed: float | None = None,
+    latitude: float | None = None,
+    latitude_std: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+) -> Stood:
+    """Run a plan on a simulated stand, live: nodes in processes of their own, which talk by DDS.
+
+    `simulate` and `calibrate` give the same much sooner. This tries the nodes, as they would run
+    a real stand; that one is the command's alone (`imu-calib stand --port`).
+
+    Args:
+        plan: Name or file; so are `imu`, `table`, `truth` and `imperfections`.
+        output: Folder to create.
+        imu: None for fog_medium, or mems_counts where the plan is run by hand.
+        table: The turntable.
+        truth: The unit's true parameters; None for those of the default IMU.
+        azimuth: True heading of the table's zero, deg.
+        method: The estimator; None for the joint estimate where it applies, else the plan's own.
+        terms: To be estimated too: names with commas between.
+        serial: Serial number of the unit.
+        sample_rate: Hz; None for the IMU's own.
+        imperfections: What is wrong with the stand; None for nothing.
+        seed: Same seed, same errors.
+        speed: Times real time at most; None for as fast as the nodes follow.
+        latitude: deg; None for Luoyang's.
+        latitude_std: deg.
+        height: Above the ellipsoid, m.
+        height_std: m.
+        gravity: As measured, m/s^2.
+        gravity_std: m/s^2.
+
+    Raises:
+        InputError: A file is missing or broken, the folder exists already, they do not fit each
+            other, or a node does not start.
+        NotObservable: The session gives no calibration; says why.
+        ImuCalibError: There is no middleware for the nodes.
+
+    """
+    options = {
+        'imu': imu,
+        'table': table,
+        'truth': truth,
+        'azimuth': azimuth,
+        'method': method,
+        'terms': terms,
+        'serial': serial,
+        'sample-rate': sample_rate,
+        'imperfections': imperfections,
+        'seed': seed,
+        'speed': speed,
+        'latitude': latitude,
+        'latitude-std': latitude_std,
+        'height': height,
+        'height-std': height_std,
+        'gravity': gravity,
+        'gravity-std': gravity_std,
+    }
+    folder = Path(output).expanduser()
+    words = [f'--{name}={value}' for name, value in options.items() if value is not None]
+    _run(['stand', f'--output={folder}', *words, '--', str(plan)])
+    drawn = folder / TRUE_TABLE
+    return Stood(
+        folder,
+        folder / 'journal',
+        Calibration.load(folder / 'calibration.yaml'),
+        Calibration.load(folder / 'truth.yaml'),
+        drawn if drawn.exists() else None,
+    )
+
+
+def _run(words: list[str]) -> None:
+    """Run a command line to its end, in a process that ends with this one.
+
+    Raises:
+        ImuCalibError: What the command says, as the error of its exit code.
+        KeyboardInterrupt: It was interrupted.
+
+    """
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'imu_calib.lifetime', sys.executable, '-m', _COMMAND, *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env={**os.environ, ENDS_WITH: str(os.getpid())},
+        text=True,
+    )
+    try:
+        _, said = process.communicate()
+    finally:
+        if process.poll() is None:
+            # It stops the table first.
+            process.send_signal(signal.SIGTERM)
+            process.communicate()
+    if process.returncode == 0:
+        return
+    if process.returncode == 128 + signal.SIGINT:
+        raise KeyboardInterrupt
+    text = said.rpartition('imu-calib stand: ')[2].strip()
+    raise _ERRORS.get(process.returncode, ImuCalibError)(text)

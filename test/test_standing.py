@@ -1,0 +1,54 @@
+"""`imu_calib.stand`: a simulated stand from Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imu_calib
+from imu_calib import ImuCalibError, InputError, NotObservable
+from imu_calib.cli import resume
+from imu_calib.cli.main import main
+
+try:
+    from live import LIMIT, short_plan
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+
+def test_a_stand_is_run_to_its_calibration(tmp_path: Path) -> None:
+    folder, file = tmp_path / 'a stand', tmp_path / 'table.yaml'
+    file.write_text('table: {zeros: 3 arcsec}')
+    # Below zero and with a blank: neither is taken for an option, or for two.
+    found = imu_calib.stand(
+        short_plan(tmp_path, dwell=3.0),
+        folder,
+        latitude=-34.0,
+        serial='unit 7',
+        imperfections=file,
+        seed=3,
+    )
+    assert found.path == folder
+    assert found.recording == folder / resume.JOURNAL
+    assert found.calibration.to_yaml() == (folder / resume.RESULT).read_text()
+    assert found.calibration.serial_number == 'unit 7'
+    assert found.calibration.provenance['latitude_deg'] == -34.0
+    assert found.true_table is not None
+    assert found.true_table.is_file()
+    # Zeros of joints are in the misalignments, and in no scale factor.
+    off = found.calibration.values[:3] - found.truth.values[:3]
+    assert (np.abs(off) < LIMIT * found.calibration.std[:3]).all()
+    with pytest.raises(InputError, match='exists already; recordings are not overwritten'):
+        imu_calib.stand('twelve_position', folder)
+
+
+def test_it_says_what_the_command_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(NotObservable) as refused:
+        imu_calib.stand('six_position', tmp_path / 'stand', method='six_position')
+    words = ['six_position', '--method', 'six_position', '-o', str(tmp_path / 'stand')]
+    assert main(['stand', *words]) == 1
+    assert capsys.readouterr().err == f'imu-calib stand: {refused.value}\n'
+    assert 'need north' in str(refused.value)
+    assert not (tmp_path / 'stand').exists()
