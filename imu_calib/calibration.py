@@ -138,8 +138,8 @@ class Calibration:
         of_accels = np.array([p.triad == 'a' for p in self.parameters])
         return bool(np.isfinite(self.std[of_accels]).all())
 
-    def to_yaml(self) -> str:
-        """Return the file's text: SI units, readable by a person and by yaml.safe_load.
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the file holds, by its keys (docs/files/calibration.md): plain values, SI.
 
         A triad that was not estimated has no numbers there: nobody can take zeros for a result.
 
@@ -154,7 +154,7 @@ class Calibration:
         if lost.any():
             names = [p.name for p, gone in zip(self.parameters, lost, strict=True) if gone]
             raise InputError(f'No calibration to be written: {", ".join(names)} is no number.')
-        document = {
+        return {
             'format': _FORMAT,
             'imu': self.imu.id,
             'serial_number': self.serial_number,
@@ -178,12 +178,20 @@ class Calibration:
             'findings': list(self.findings),
             'provenance': self.provenance,
         }
+
+    def to_yaml(self) -> str:
+        """Return the file's text: SI units, readable by a person and by yaml.safe_load.
+
+        Raises:
+            InputError: A parameter that counts as estimated is no finite number.
+
+        """
         head = (
             '# Calibration of an IMU, SI units: rad, m, s.\n'
             '# Outputs times scale_factor = (I + error_matrix) input + bias.\n'
             + self._head_of_further()
         )
-        return head + dump(document, _Dumper, width=200)
+        return head + dump(self.to_dict(), _Dumper, width=200)
 
     def _free_document(self) -> dict[str, Any]:
         """Return the angles between input axes: for who reads the file, `read` finds them anew."""

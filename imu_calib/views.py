@@ -45,29 +45,20 @@ def parameter_frame(calibration: Calibration) -> pandas.DataFrame:
 
 
 def compared_frame(
-    names: Sequence[str],
-    parameters: Sequence[Parameter],
-    values: Floats,
-    difference: Floats,
-    std: Floats,
-    normalised: Floats,
+    parameters: Sequence[Parameter], shown: dict[str, Floats], plain: dict[str, Floats]
 ) -> pandas.DataFrame:
-    """Return two sets of parameters, their difference, and that over its standard deviation.
+    """Return sets of parameters and what is between them, by parameter.
 
     Args:
-        names: Of the two.
         parameters: n of them.
-        values: (2, n), SI units.
-        difference: (n,) of the two.
-        std: (n,) of the difference.
-        normalised: (n,) one over the other.
+        shown: (n,) by the heading of the column, SI units.
+        plain: (n,) without a unit.
 
     Raises:
         InputError: pandas is not installed.
 
     """
-    columns = {names[0]: values[0], names[1]: values[1], 'difference': difference, 'std': std}
-    return _frame(parameters, columns, {'difference/std': normalised})
+    return _frame(parameters, shown, plain)
 
 
 def repeated_frame(outcome: Outcome) -> pandas.DataFrame:

@@ -13,6 +13,7 @@ from ..imu import ImuSpec
 from ..plan import Plan
 from ..stream import Block
 from ..turntable import Table
+from .conforming import specification_of
 from .named import Named
 from .progress import Progress, silent
 from .stated import (
@@ -121,10 +122,22 @@ def calibrate(
     return calibrated(bag, stated, progress)
 
 
-def calibrated(bag: Named, stated: Stated, progress: Progress = silent) -> Result:
-    """Calibrate from a recording, with what is stated of it as one value; as `calibrate`."""
+def calibrated(
+    bag: Named, stated: Stated, progress: Progress = silent, *, to_be_judged: bool = False
+) -> Result:
+    """Calibrate from a recording, with what is stated of it as one value; as `calibrate`.
+
+    Args:
+        bag: As for `calibrate`.
+        stated: What is known of the session.
+        progress: Shows how far it is.
+        to_be_judged: Refuse a unit without a specification before anything is computed.
+
+    """
     opened = open_session(bag, stated)
     with opened.recording:
+        if to_be_judged:
+            specification_of(opened.setup.imu)
         return solve(opened, progress)
 
 

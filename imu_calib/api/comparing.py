@@ -1,17 +1,19 @@
-"""Two calibrations of a unit, or one and the truth, side by side."""
+"""Calibrations of a unit, or one and the truth, side by side."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..agreement import FALSE_ALARM, Agreement, agreement
 from ..calibration import Calibration
 from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..errors import InputError
-from ..model import Parameter, positions
+from ..model import Parameter
 from ..reports.parameter_table import in_scale_of, unmatched
 from ..stream import Floats
 from ..views import compared_frame, draw_differences
@@ -23,104 +25,159 @@ if TYPE_CHECKING:
 
     from ..calibrator import Result
 
+_FEWEST = 2
+
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Two calibrations, the second as it reads with the nominal scale factors of the first.
+    """Calibrations as they read with the nominal scale factors of the first.
 
     Attributes:
         names: What they are called: the names of their files, or of the units.
-        calibrations: The first and the second.
-        parameters: Those that both have.
-        only: Names of the parameters that only the first has, and that only the second has.
+        calibrations: k of them.
+        parameters: n that all of them have.
+        agreement: Which of these differ by more than the covariances explain.
+        only: For each calibration the names of parameters that it has, and not all others.
         findings: What a person should know, in sentences.
+        std: (k - 1, n) standard deviations of the differences from the first, SI units; sessions
+            are taken to be independent but for the gravity of one place. (n,) of two.
 
     """
 
-    names: tuple[str, str]
-    calibrations: tuple[Calibration, Calibration]
+    names: tuple[str, ...]
+    calibrations: tuple[Calibration, ...]
     parameters: tuple[Parameter, ...]
-    only: tuple[tuple[str, ...], tuple[str, ...]]
+    agreement: Agreement
+    only: tuple[tuple[str, ...], ...]
     findings: tuple[str, ...]
+    std: Floats
 
     @property
     def values(self) -> Floats:
-        """Of both, (2, n) in the order of `parameters`, SI units."""
+        """Of each, (k, n) in the order of `parameters`, SI units."""
         return np.array([c.model.values(self.parameters) for c in self.calibrations])
 
     @property
     def difference(self) -> Floats:
-        """First less second, (n,) SI units."""
-        first, second = self.values
-        return np.asarray(first - second)
-
-    @property
-    def std(self) -> Floats:
-        """Standard deviation of the difference, (n,) SI units; they are taken to be independent."""
-        both = [c.std[positions(self.parameters, c.parameters)] for c in self.calibrations]
-        return np.asarray(np.hypot(*both))
+        """First less each other, (k - 1, n) SI units; (n,) of two."""
+        values = self.values
+        return np.asarray((values[0] - values[1:]).reshape(self.std.shape))
 
     @property
     def normalised(self) -> Floats:
-        """Difference over its standard deviation, (n,); NaN where both are exact."""
-        std = self.std
-        unknown = np.full(len(std), np.nan)
-        return np.asarray(np.divide(self.difference, std, out=unknown, where=std > 0))
+        """Difference over its standard deviation, of its shape; NaN where both are exact."""
+        unknown = np.full(self.std.shape, np.nan)
+        return np.asarray(np.divide(self.difference, self.std, out=unknown, where=self.std > 0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units, by the keys of docs/files/output.md."""
+        found, values = self.agreement, self.values.tolist()
+        stds = [
+            dict(zip((p.name for p in c.parameters), c.std.tolist(), strict=True))
+            for c in self.calibrations
+        ]
+        return {
+            'names': list(self.names),
+            'parameters': [
+                {
+                    'name': parameter.name,
+                    'unit': parameter.unit.si,
+                    'values': [row[k] for row in values],
+                    'std': [std[parameter.name] for std in stds],
+                    'chi_square': float(found.chi_square[k]),
+                    'degrees_of_freedom': int(found.freedom[k]),
+                    'chance': float(found.chance[k]),
+                    'differs': bool(found.differ[k]),
+                }
+                for k, parameter in enumerate(self.parameters)
+            ],
+            'differing': list(found.names),
+            'false_alarm': FALSE_ALARM,
+            'all': {
+                'chi_square': found.total,
+                'degrees_of_freedom': found.total_freedom,
+                'chance': found.total_chance,
+                'consistent': found.consistent,
+            },
+            'only': [list(names) for names in self.only],
+            'findings': list(self.findings),
+        }
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return both values, difference, std, difference/std and unit, by parameter.
+        """Return the values and the unit by parameter; of two difference, std and their ratio too.
 
         Raises:
             InputError: pandas is not installed.
 
         """
-        return compared_frame(
-            self.names, self.parameters, self.values, self.difference, self.std, self.normalised
-        )
+        shown = [*self.names, *([] if self.std.ndim > 1 else ['difference', 'std'])]
+        columns = [*self.values, *([] if self.std.ndim > 1 else [self.difference, self.std])]
+        plain = {'chance': self.agreement.chance}
+        if self.std.ndim == 1:
+            plain = {'difference/std': self.normalised, **plain}
+        return compared_frame(self.parameters, dict(zip(shown, columns, strict=True)), plain)
 
     def plot(self) -> Figure:
-        """Draw the differences over their standard deviations; return the matplotlib Figure.
+        """Draw the differences of two over their standard deviations; return the Figure.
 
         Raises:
-            InputError: matplotlib is not installed.
+            InputError: matplotlib is not installed, or there are more than two.
 
         """
+        if self.std.ndim > 1:
+            raise InputError(f'found {len(self.names)} calibrations, expected two to draw.')
         title = f'{self.names[0]} less {self.names[1]}'
         return draw_differences(title, self.parameters, self.normalised)
 
 
 def compare(
-    first: Result | AnyCalibration | Named,
-    second: Result | AnyCalibration | Named,
-    *,
-    names: tuple[str, str] | None = None,
+    *calibrations: Result | AnyCalibration | Named, names: Sequence[str] | None = None
 ) -> Compared:
-    """Set two calibrations side by side: two of a unit, or one and the truth of a simulation.
+    """Set calibrations side by side: of one unit, or one and the truth of a simulation.
 
     Args:
-        first: calibration.yaml, what was read from one, or what `calibrate` returned.
-        second: Likewise.
-        names: What to call them; None: as their files are called, else first and second.
+        calibrations: Two or more: calibration.yaml, what was read from one, or what `calibrate`
+            returned.
+        names: What to call them; None: as their files are called, else first, second and so on.
 
     Raises:
-        InputError: A file cannot be read, is of several temperatures, or the streams of the two are
-            not of the same units.
+        InputError: There are fewer than two, a file cannot be read or is of several temperatures,
+            or the streams are not of the same units.
 
     """
-    mine, its = _single(first), _single(second)
-    in_scale = in_scale_of(its, mine)
-    only = unmatched(mine, in_scale)
-    known = [p for p, std in zip(mine.parameters, mine.std, strict=True) if np.isfinite(std)]
-    names = names or _names(first, second)
+    if len(calibrations) < _FEWEST:
+        raise InputError(f'found {len(calibrations)} calibration, expected two or more.')
+    called = tuple(names or _names(calibrations))
+    if len(called) != len(calibrations):
+        raise InputError(
+            f'names: found {len(called)}, expected {len(calibrations)}, one for each calibration.'
+        )
+    own = [_single(one) for one in calibrations]
+    mine = own[0]
+    in_scale = (mine, *(in_scale_of(one, mine) for one in own[1:]))
+    only = unmatched(in_scale)
+    common = tuple(
+        p
+        for p, std in zip(mine.parameters, mine.std, strict=True)
+        if np.isfinite(std) and p.name not in only[0]
+    )
+    found, std = agreement(in_scale, common)
     findings = []
-    if in_scale is not its:
-        findings.append(f'Shown with the nominal scale factors of {names[0]}.')
+    if any(shown is not one for shown, one in zip(in_scale, own, strict=True)):
+        findings.append(f'Shown with the nominal scale factors of {called[0]}.')
+    if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
+        findings.append(
+            'Not all are in the same frame: a calibration in the hand is in the axes of its '
+            'accelerometers, one from a table in those of the table; E and K differ by that alone.'
+        )
     return Compared(
-        names,
-        (mine, in_scale),
-        tuple(p for p in known if p.name not in only[0]),
-        (tuple(only[0]), tuple(only[1])),
+        called,
+        in_scale,
+        common,
+        found,
+        tuple(tuple(one) for one in only),
         tuple(findings),
+        std[0] if len(own) == _FEWEST else std,
     )
 
 
@@ -131,17 +188,16 @@ def _single(calibration: Result | AnyCalibration | Named) -> Calibration:
     return first_of(loaded)
 
 
-def _names(
-    first: Result | AnyCalibration | Named, second: Result | AnyCalibration | Named
-) -> tuple[str, str]:
-    """Return what to call the two: short names of files where these tell them apart."""
-    both = [Path(one) if isinstance(one, str | Path) else None for one in (first, second)]
-    paths = [path for path in both if path is not None]
-    if len({path.stem for path in paths}) < len(paths):
-        short, long = (str(path) for path in paths)
-        return short, long
-    mine, its = (
-        place if path is None else path.stem
-        for path, place in zip(both, ('first', 'second'), strict=True)
+_PLACES = ('first', 'second', 'third')
+
+
+def _names(calibrations: Sequence[Result | AnyCalibration | Named]) -> tuple[str, ...]:
+    """Return what to call them: short names of files where these tell them apart."""
+    paths = [Path(one) if isinstance(one, str | Path) else None for one in calibrations]
+    stems = [path.stem for path in paths if path is not None]
+    alone = len(set(stems)) == len(stems)
+    places = [*_PLACES, *(f'{k}th' for k in range(len(_PLACES) + 1, len(paths) + 1))]
+    return tuple(
+        place if path is None else path.stem if alone else str(path)
+        for path, place in zip(paths, places, strict=False)
     )
-    return mine, its

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from ..calibration import Calibration
 from ..estimation.tested import summary
@@ -37,6 +40,27 @@ class Result:
     def terms(self) -> tuple[str, ...]:
         """Sentences on each term, estimated or off, and from which size on it would be found."""
         return tuple(summary(self.solution.tests))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units, by the keys of docs/files/output.md.
+
+        Raises:
+            InputError: A parameter that counts as estimated is no finite number.
+
+        """
+        found = self.calibration
+        rows = zip(found.parameters, found.values, found.std, strict=True)
+        return {
+            'calibration': found.to_dict(),
+            'parameters': [
+                {'name': p.name, 'value': float(value), 'std': float(std), 'unit': p.unit.si}
+                for p, value, std in rows
+                if np.isfinite(std)
+            ],
+            'terms': list(self.terms),
+            'duration': float(self.session.duration),
+            'samples': int(self.session.samples),
+        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,15 +7,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..api.calibrating import calibrated
+from ..api.conforming import conformity
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..earth import MEASURED
 from ..methods import METHODS
+from ..reports.assessment import summary
 from ..reports.budget import budget_tables
 from ..reports.noise import noise_lines
 from ..reports.parameter_table import change_note, change_table, parameter_tables
 from ..units import DEG, DEG_H, MICRO_G, PPM
 from . import options
+from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 
@@ -29,21 +32,38 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--budget', action='store_true', help='show where the uncertainty of each parameter is from'
     )
-    parser.epilog = f'Methods: {", ".join(sorted(METHODS))}.'
+    parser.add_argument(
+        '--specification',
+        action='store_true',
+        help="hold the unit against the specification in the IMU's file: exit code 3 where a "
+        'parameter is outside, uncertainty and all',
+    )
+    add_json_option(parser)
+    parser.epilog = f'{EXIT_CODES} Methods: {", ".join(sorted(METHODS))}.'
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> None:
+def run(arguments: argparse.Namespace) -> Outcome:
     """Calibrate and print."""
     path = options.output_path(arguments.output)
-    result = calibrated(arguments.bag, options.stated(arguments), progress_bar)
+    judged = arguments.specification
+    result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)
     show(result)
     if arguments.budget:
         OUTPUT.print('\nUncertainty budget', style='bold')
         for part in budget_tables(result.calibration):
             OUTPUT.print(part, markup=False)
+    found = conformity(result) if judged else None
+    if found is not None:
+        OUTPUT.print(f'\n{summary(found.assessed)}')
     OUTPUT.print(f'\nwritten to {path}')
+    document = {
+        **result.to_dict(),
+        'specification': None if found is None else found.to_dict(),
+        'file': str(path),
+    }
+    return judged_outcome(document, found)
 
 
 def show(result: Result, truth: Calibration | None = None) -> None:

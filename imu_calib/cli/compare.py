@@ -1,28 +1,38 @@
-"""imu-calib compare: two calibrations side by side, as Cao 2022's Table 1 prints them."""
+"""imu-calib compare: calibrations side by side as in Cao 2022's Table 1, and what differs."""
 
 from __future__ import annotations
 
 import argparse
 
-from ..api.comparing import compare
-from ..reports.parameter_table import comparison_table
-from .terminal import OUTPUT
+from ..api.comparing import Compared, compare
+from ..reports.parameter_table import agreement_lines, comparison_table
+from .outcome import Outcome, add_json_option
+from .terminal import OUTPUT, print_whole
+
+_LONG = 10
+"""Letters of a name above a column of numbers, which have as many; longer ones get a letter."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
-    parser.add_argument('first', help='calibration.yaml')
-    parser.add_argument('second', help='calibration.yaml')
+    parser.add_argument('files', nargs='+', metavar='FILE', help='calibration.yaml, two or more')
+    add_json_option(parser)
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Print the table."""
-    compared = compare(arguments.first, arguments.second)
-    OUTPUT.print(comparison_table(compared.calibrations, compared.names))
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Print the table, and what differs significantly."""
+    compared = compare(*arguments.files)
+    heads = _heads(compared)
+    found = compared.agreement
+    print_whole(comparison_table(compared.calibrations, heads, found, compared.std))
+    for line in ('', *agreement_lines(found, len(compared.names))):
+        OUTPUT.print(line, markup=False)
+    two = len(compared.names) == 2
     for name, only in zip(compared.names, compared.only, strict=True):
         if only:
-            OUTPUT.print(f'\nOnly in {name}: {", ".join(only)}.', markup=False)
+            where = f'Only in {name}' if two else f'In {name}, and not in all'
+            OUTPUT.print(f'\n{where}: {", ".join(only)}.', markup=False)
     for finding in compared.findings:
         OUTPUT.print(f'\n{finding}', markup=False)
     OUTPUT.print(
@@ -30,3 +40,15 @@ def run(arguments: argparse.Namespace) -> None:
         '\nare the transpose of ours: by its eq. (18) for the accelerometers, by our reading for '
         'the gyros.'
     )
+    return Outcome(compared.to_dict())
+
+
+def _heads(compared: Compared) -> list[str]:
+    """Return what stands above the columns: numbers, and what they mean, where names are long."""
+    if max(map(len, compared.names)) <= _LONG:
+        return list(compared.names)
+    heads = [f'({k + 1})' for k in range(len(compared.names))]
+    for head, name in zip(heads, compared.names, strict=True):
+        OUTPUT.print(f'{head} {name}', markup=False)
+    OUTPUT.print()
+    return heads

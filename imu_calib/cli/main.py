@@ -7,10 +7,12 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from typing import NoReturn
 
 from ..errors import ImuCalibError, InputError
 from ..version import version
-from .terminal import ERRORS
+from .outcome import Outcome, error_document, kind_of, write_document
+from .terminal import ERRORS, OUTPUT
 
 _INTERRUPTED = 130
 """Exit code of a shell for SIGINT: 128 + 2."""
@@ -24,7 +26,7 @@ COMMANDS = {
     'compensate': 'apply a calibration to a recording',
     'export': 'a calibration for other software',
     'combine': 'several temperatures to one calibration',
-    'compare': 'two calibrations side by side',
+    'compare': 'calibrations side by side, and what differs',
     'plans': 'list plans, lay one out, predict what it gives',
     'montecarlo': 'repeat a simulated session with seeds',
     'info': 'what is in a recording',
@@ -32,6 +34,31 @@ COMMANDS = {
     'schema': 'the JSON Schema of a file that you write',
 }
 """What each does; the module of its name does it."""
+
+
+_JSON = '--json'
+
+
+class _WrongUsage(Exception):
+    """A command line that its parser does not take: with what it says, its usage was printed."""
+
+    def __init__(self, command: str, text: str) -> None:
+        super().__init__(text)
+        self.command = command
+
+
+class _Parser(argparse.ArgumentParser):
+    """Hands wrong usage to `main`, which says it as all other errors."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage, and raise what was wrong.
+
+        Raises:
+            _WrongUsage: Always.
+
+        """
+        self.print_usage(sys.stderr)
+        raise _WrongUsage(self.prog.removeprefix('imu-calib').strip(), message)
 
 
 class _Version(argparse.Action):
@@ -50,9 +77,7 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
         argv: The command line; None adds the options of every subcommand.
 
     """
-    parser = argparse.ArgumentParser(
-        prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.'
-    )
+    parser = _Parser(prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.')
     parser.add_argument('--version', action=_Version, nargs=0, help='print the version, and end')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, words in COMMANDS.items():
@@ -65,43 +90,55 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command line; return its exit code.
-
-    0: done. 1: the data cannot give the answer. 2: wrong usage or unreadable input.
-    """
+    """Run a command line; return its exit code (`outcome.EXIT_CODES`)."""
     argv = sys.argv[1:] if argv is None else argv
+    # A wrong option is found before it is known which ones are there.
+    as_json = _JSON in argv
+    OUTPUT.stderr = as_json
     try:
         arguments = build_parser(argv).parse_args(argv)
     except KeyboardInterrupt:
-        ERRORS.print('imu-calib: interrupted')
-        return _INTERRUPTED
+        return _ended('', as_json, _INTERRUPTED, 'interrupted', 'interrupted')
+    except _WrongUsage as error:
+        return _ended(error.command, as_json, InputError.exit_code, str(error), 'input')
+    as_json = getattr(arguments, 'json', False)
+    command = arguments.command
     try:
-        arguments.run(arguments)
+        outcome = arguments.run(arguments) or Outcome()
+        if as_json:
+            write_document(command, outcome)
+            sys.stdout.flush()
     except ImuCalibError as error:
-        ERRORS.print(
-            f'imu-calib {arguments.command}: {error}', style='red', markup=False, highlight=False
-        )
-        _last_word(arguments)
-        return error.exit_code
+        code = _ended(command, as_json, error.exit_code, str(error), kind_of(error))
     except KeyboardInterrupt:
-        ERRORS.print(f'imu-calib {arguments.command}: interrupted')
-        _last_word(arguments)
-        return _INTERRUPTED
+        code = _ended(command, as_json, _INTERRUPTED, 'interrupted', 'interrupted')
     except BrokenPipeError:
         # Whoever read our output has seen enough; keep the interpreter from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
         where = f'{error.filename}: ' if error.filename else ''
-        ERRORS.print(
-            f'imu-calib {arguments.command}: {where}{error.strerror or error}.',
-            style='red',
-            markup=False,
-            highlight=False,
-        )
-        _last_word(arguments)
-        return InputError.exit_code
-    return 0
+        said = f'{where}{error.strerror or error}.'
+        code = _ended(command, as_json, InputError.exit_code, said, 'input')
+    else:
+        if outcome.message:
+            _say(command, outcome.message, style='red')
+        return outcome.exit_code
+    _last_word(arguments)
+    return code
+
+
+def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
+    """Say why a command has ended without a result, on the screen and in its document."""
+    _say(command, text, style='' if code == _INTERRUPTED else 'red')
+    if as_json:
+        write_document(command, Outcome(exit_code=code), error_document(text, kind))
+    return code
+
+
+def _say(command: str, text: str, style: str) -> None:
+    name = f'imu-calib {command}' if command else 'imu-calib'
+    ERRORS.print(f'{name}: {text}', style=style, markup=False, highlight=False)
 
 
 def _last_word(arguments: argparse.Namespace) -> None:

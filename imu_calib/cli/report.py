@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 
+from ..api.conforming import Conformity, conformity
 from ..api.reporting import written
+from ..reports.assessment import summary
 from . import options
+from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar
 
 
@@ -29,10 +32,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '-o', '--output', default='report.html', metavar='FILE', help='default: %(default)s'
     )
+    add_json_option(parser)
+    parser.epilog = EXIT_CODES
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> None:
+def run(arguments: argparse.Namespace) -> Outcome:
     """Write the report, and say why it has no verdicts."""
     path, imu = written(
         arguments.calibration,
@@ -44,9 +49,18 @@ def run(arguments: argparse.Namespace) -> None:
         progress_bar,
     )
     OUTPUT.print(f'written to {path}', markup=False)
-    if imu is None or imu.specification is None:
+    found: Conformity | None = None
+    if imu is not None and imu.specification is not None:
+        found = conformity(arguments.calibration, imu)
+        OUTPUT.print(summary(found.assessed))
+    else:
         OUTPUT.print(
             "no verdicts: the IMU's file has no specification (docs/report.md)"
             if imu is not None
             else "no verdicts: give the IMU's file with --imu, or the recording"
         )
+    document = {
+        'file': str(path),
+        'specification': None if found is None else found.to_dict(),
+    }
+    return judged_outcome(document, found)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from ..api.progress import Show
 
@@ -15,6 +16,8 @@ _WIDTH_OF_A_FILE = 160
 OUTPUT = Console(soft_wrap=True, highlight=False)
 if not OUTPUT.is_terminal:
     OUTPUT.width = _WIDTH_OF_A_FILE
+_WIDEST = 10_000
+"""Letters of a line, more than any table has."""
 ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
 
 
@@ -39,6 +42,18 @@ def progress_bar(text: str) -> Iterator[Show]:
             bar.update(task, completed=done, total=total, description=changed)
 
         yield show
+
+
+def print_whole(table: Table) -> None:
+    """Print a table at its own width: a terminal that is narrower wraps it, and cuts no cell."""
+    wide = Console(
+        file=OUTPUT.file,
+        width=_WIDEST,
+        soft_wrap=True,
+        highlight=False,
+        force_terminal=OUTPUT.is_terminal,
+    )
+    wide.print(table)
 
 
 def sentence_list(title: str, sentences: tuple[str, ...] | list[str]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 
 from ..api.verifying import verified
-from ..errors import NotObservable
 from ..reports.verification import (
     limits_line,
     moved_table,
@@ -16,12 +15,16 @@ from ..reports.verification import (
 )
 from ..verification import Verdict, Verification
 from . import options
+from .outcome import NO_ANSWER, Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
-    parser.epilog = 'Exit codes: 0 accepted, 1 rejected, 2 wrong usage or unreadable input.'
+    parser.epilog = (
+        'Exit codes: 0 accepted, 1 rejected or not to be judged, 2 wrong usage or unreadable '
+        'input, 130 interrupted.'
+    )
     parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
@@ -33,14 +36,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='compare all the same where calibration and recording name different units',
     )
+    add_json_option(parser)
     parser.set_defaults(run=run)
 
 
-def run(arguments: argparse.Namespace) -> None:
+def run(arguments: argparse.Namespace) -> Outcome:
     """Verify and print.
 
     Raises:
-        NotObservable: The calibration is rejected, or cannot be judged.
+        NotObservable: The calibration cannot be judged.
 
     """
     verification = verified(
@@ -52,7 +56,9 @@ def run(arguments: argparse.Namespace) -> None:
     )
     _show(verification)
     if verification.verdict is Verdict.FAIL:
-        raise NotObservable(f'{arguments.calibration} is rejected by {arguments.bag}.')
+        message = f'{arguments.calibration} is rejected by {arguments.bag}.'
+        return Outcome(verification.to_dict(), NO_ANSWER, message)
+    return Outcome(verification.to_dict())
 
 
 def _show(verification: Verification) -> None:

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from rich.table import Table
 
+from ..agreement import Agreement
 from ..alignment import SCALE, SHOWN
 from ..calibration import Calibration
 from ..errors import InputError
-from ..model import AXES, PARAMETERS, TERMS, Parameter, ParameterKind, positions
-from ..stream import Units
+from ..model import AXES, PARAMETERS, TERMS, Parameter, ParameterKind
+from ..stream import Floats, Units
 from ..units import ARCSEC, PPM, STANDARD_GRAVITY
 
 _OF_TERMS = {term.kind for term in TERMS}
@@ -174,70 +175,77 @@ def _section(parameter: Parameter) -> tuple[object, ...]:
     return parameter.triad, parameter.row >= len(AXES), kind
 
 
-def comparison_table(calibrations: Sequence[Calibration], names: Sequence[str]) -> Table:
-    """Return two calibrations side by side, in the units and the order of Cao 2022's Table 1.
+def comparison_table(
+    calibrations: Sequence[Calibration], names: Sequence[str], found: Agreement, std: Floats
+) -> Table:
+    """Return calibrations side by side, in the units and the order of Cao 2022's Table 1.
 
     That table gives K as a deviation of the scale factor, S - S0 = -S0 K / (1 + K), and names
     misalignments by the transpose of the matrix in its eqs. (1)-(2) (its E_AXY is the response of
     the Y channel to an input along X, eq. 18; that its gyro names follow suit is our reading). Both
     names are printed.
+
+    Args:
+        calibrations: With the nominal scale factors of the first.
+        names: What to call them.
+        found: Their agreement, which says of which parameters there are rows.
+        std: Standard deviations of the differences from the first: (n,) of two, (k - 1, n) of more.
+
     """
+    two = std.ndim == 1
     table = Table(box=None, pad_edge=False, header_style='bold')
-    for heading in ('Table 1', 'here', *names, 'difference', 'in std', 'unit'):
-        left = heading in {'Table 1', 'here', 'unit'}
-        table.add_column(heading, justify='left' if left else 'right')
-    first, second = calibrations = [calibrations[0], in_scale_of(calibrations[1], calibrations[0])]
-    deviations = np.hypot(*(c.std[positions(PARAMETERS, c.parameters)] for c in calibrations))
-    rows = sorted(
-        range(len(PARAMETERS)),
-        key=lambda k: (PARAMETERS[k].triad != 'g', _table_order(PARAMETERS[k])),
-    )
-    for k in rows:
-        if not np.isfinite(deviations[k]):
-            continue
-        parameter = PARAMETERS[k]
-        shown, values = _as_table_1(parameter, k, calibrations)
-        difference = first.model.vector()[k] - second.model.vector()[k]
-        ratio = difference / deviations[k] if deviations[k] > 0 else np.nan
-        places = _table_decimals(shown)
+    between = ('difference', 'in std') if two else ('chi-square',)
+    for heading in ('Table 1', 'here', *names, *between, 'unit', ''):
+        left = heading in {'Table 1', 'here', 'unit', ''}
+        # What does not fit into a line goes on in the next: no number and no unit is cut.
+        table.add_column(heading, justify='left' if left else 'right', no_wrap=True)
+    differ = dict(zip(found.parameters, found.differ, strict=True))
+    last = None
+    for parameter in sorted(found.parameters, key=_table_order):
+        if last is not None and _section(parameter) != _section(last):
+            table.add_section()
+        last = parameter
+        k = found.parameters.index(parameter)
+        shown, values = _as_table_1(parameter, calibrations)
+        places = _table_decimals(parameter, shown, float(np.min(std[..., k])))
+        rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
+        if two:
+            one, other = (float(c.model.values((parameter,))[0]) for c in calibrations)
+            ratio = f'{(one - other) / std[k]:+.1f}' if std[k] > 0 else '-'
+            rest = [f'{values[0] - values[1]:+.{places}f}', ratio]
         table.add_row(
             _table_name(parameter),
             parameter.name,
             *(f'{v:.{places}f}' for v in values),
-            f'{values[0] - values[1]:+.{places}f}',
-            '-' if np.isnan(ratio) else f'{ratio:+.1f}',
+            *rest,
             shown.unit,
+            'differs' if differ[parameter] else '',
         )
-        if k == _last_gyro(rows):
-            table.add_section()
-    _add_further(table, first, second)
     return table
 
 
-def _add_further(table: Table, first: Calibration, second: Calibration) -> None:
-    """Add the terms and the skewed gyros that both have."""
-    values = [dict(zip(c.parameters, c.values, strict=True)) for c in (first, second)]
-    stds = [dict(zip(c.parameters, c.std, strict=True)) for c in (first, second)]
-    last = PARAMETERS[-1]
-    for parameter in first.parameters:
-        if parameter in PARAMETERS or parameter not in values[1]:
-            continue
-        if _section(parameter) != _section(last):
-            table.add_section()
-        last = parameter
-        shown = engineering(parameter)
-        deviation = float(np.hypot(stds[0][parameter], stds[1][parameter]))
-        places = decimals(deviation / shown.scale)
-        mine = [v[parameter] / shown.scale for v in values]
-        difference = mine[0] - mine[1]
-        table.add_row(
-            '-',
-            parameter.name,
-            *(f'{v:.{places}f}' for v in mine),
-            f'{difference:+.{places}f}',
-            f'{difference * shown.scale / deviation:+.1f}' if deviation > 0 else '-',
-            shown.unit,
-        )
+def agreement_lines(found: Agreement, count: int) -> list[str]:
+    """Say what of some calibrations differs significantly, and by which rule.
+
+    Args:
+        found: Their agreement.
+        count: How many there are.
+
+    """
+    if not found.total_freedom:
+        return ['None of them states a deviation: nothing says which difference is significant.']
+    rule = (
+        f'A parameter differs where its chi-square ({count - 1} degree{"s" * (count > 2)} of '
+        f'freedom) comes by chance less often than once in {1 / found.limit:.0f}: of a hundred '
+        'comparisons of a unit that has not changed, one marks a parameter.'
+    )
+    every = (
+        f'All parameters together: chi-square {found.total:.1f} with {found.total_freedom} degrees '
+        f'of freedom, chance {found.total_chance:.2g}: '
+        + ('they agree.' if found.consistent else 'they do not agree.')
+    )
+    names = ', '.join(found.names)
+    return [f'Significantly different: {names or "none"}.', rule, every]
 
 
 def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
@@ -280,55 +288,62 @@ def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) 
     return askew if parameter.row >= len(AXES) else triads[parameter.triad]
 
 
-def unmatched(first: Calibration, second: Calibration) -> tuple[list[str], list[str]]:
-    """Return the names of what only the first has, and of what only the second has."""
+def unmatched(calibrations: Sequence[Calibration]) -> tuple[list[str], ...]:
+    """Return for each calibration the names of what it has, and not all others."""
     known = [
         {p.name for p, s in zip(c.parameters, c.std, strict=True) if np.isfinite(s)}
-        for c in (first, second)
+        for c in calibrations
     ]
-    mine, others = (
-        [p.name for p in c.parameters if p.name in known[k] - known[1 - k]]
-        for k, c in enumerate((first, second))
+    common = set.intersection(*known)
+    return tuple(
+        [p.name for p in c.parameters if p.name in mine - common]
+        for c, mine in zip(calibrations, known, strict=True)
     )
-    return mine, others
-
-
-def _last_gyro(rows: Sequence[int]) -> int:
-    return [k for k in rows if PARAMETERS[k].triad == 'g'][-1]
 
 
 def _table_name(parameter: Parameter) -> str:
+    """Return the name that Table 1 has for a parameter; it knows the 24 alone."""
+    if parameter not in PARAMETERS:
+        return '-'
     name = parameter.name.upper()
     if parameter.kind is ParameterKind.MISALIGNMENT:
         return name[:-2] + name[-1] + name[-2]
     return name
 
 
-def _table_order(parameter: Parameter) -> tuple[int, str]:
+def _table_order(parameter: Parameter) -> tuple[bool, bool, int, str]:
+    """Return what sorts the 24 as Table 1 does, and leaves the others in their order behind."""
+    if parameter not in PARAMETERS:
+        return True, False, 0, ''
     kinds = [ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT, ParameterKind.BIAS]
-    return kinds.index(parameter.kind), _table_name(parameter)
+    return False, parameter.triad != 'g', kinds.index(parameter.kind), _table_name(parameter)
 
 
 def _as_table_1(
-    parameter: Parameter, index: int, calibrations: Sequence[Calibration]
+    parameter: Parameter, calibrations: Sequence[Calibration]
 ) -> tuple[Shown, list[float]]:
-    values = [float(c.model.vector()[index]) for c in calibrations]
-    if parameter.kind is ParameterKind.SCALE_FACTOR_ERROR:
-        if calibrations[0].imu.units is not Units.PULSES:
-            return Shown('ppm', PPM), [v / PPM for v in values]
-        gyro = parameter.triad == 'g'
-        shown = Shown('arcsec/p', ARCSEC) if gyro else Shown('(m/s)/p', 1.0)
-        nominal = [
-            c.imu.gyro.scale_factor if gyro else c.imu.accel.scale_factor for c in calibrations
-        ]
-        return shown, [-s * v / (1 + v) / shown.scale for s, v in zip(nominal, values, strict=True)]
+    """Return how a parameter is shown, and its values; a deviation has the same scale."""
+    values = [float(c.model.values((parameter,))[0]) for c in calibrations]
     shown = engineering(parameter)
-    if shown.unit == 'ug':
-        shown = Shown('g', STANDARD_GRAVITY)
-    return shown, [v / shown.scale for v in values]
+    if parameter not in PARAMETERS:
+        return shown, [v / shown.scale for v in values]
+    if parameter.kind is not ParameterKind.SCALE_FACTOR_ERROR:
+        if shown.unit == 'ug':
+            shown = Shown('g', STANDARD_GRAVITY)
+        return shown, [v / shown.scale for v in values]
+    imu = calibrations[0].imu
+    if imu.units is not Units.PULSES:
+        return Shown('ppm', PPM), [v / PPM for v in values]
+    gyro = parameter.triad == 'g'
+    nominal = imu.gyro.scale_factor if gyro else imu.accel.scale_factor
+    unit = Shown('arcsec/p', ARCSEC / nominal) if gyro else Shown('(m/s)/p', 1 / nominal)
+    return unit, [-v / (1 + v) / unit.scale for v in values]
 
 
-def _table_decimals(shown: Shown) -> int:
-    """Two digits more than the paper prints."""
+def _table_decimals(parameter: Parameter, shown: Shown, std: float) -> int:
+    """Return as many as a deviation says, and two more than the paper prints at least."""
+    if parameter not in PARAMETERS:
+        return decimals(std / shown.scale)
     printed = {'arcsec/p': 3, '(m/s)/p': 4, 'ppm': 0, 'arcmin': 2, 'deg/h': 2, 'g': 4}
-    return printed[shown.unit] + 2
+    least = printed[shown.unit] + 2
+    return max(least, decimals(std / shown.scale)) if std > 0 else least

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import scipy
@@ -30,6 +31,13 @@ class Quantity(Enum):
         """Whether gyros or accelerometers are at stake."""
         return self not in {Quantity.GRAVITY, Quantity.DIRECTION}
 
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        if self is Quantity.GRAVITY:
+            return 'm/s^2'
+        return 'rad/s' if self in {Quantity.EARTH_RATE, Quantity.UP_RATE} else 'rad'
+
 
 @dataclass(frozen=True, eq=False)
 class Compared:
@@ -54,6 +62,19 @@ class Compared:
     deviation: float
     std: float
     ratio: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values; `at` and `rate` are those of what was compared."""
+        return {
+            'position': self.name,
+            'at': float(self.at),
+            'rate': float(self.rate),
+            'quantity': self.quantity.name.lower(),
+            'deviation': float(self.deviation),
+            'std': float(self.std),
+            'unit': self.quantity.unit,
+            'in_std': float(self.ratio),
+        }
 
 
 def compare(system: System, values: Floats, factor: Floats, fit: Fit) -> list[Compared]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -68,6 +69,16 @@ class Moved:
     parameter: Parameter
     difference: float
     std: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        unit = self.parameter.unit.si
+        return {
+            'name': self.parameter.name,
+            'difference': float(self.difference),
+            'std': float(self.std),
+            'unit': unit,
+        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 import scipy
@@ -66,6 +67,18 @@ class Judged:
     freedom: int
     diagnosis: Diagnosis | None
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units."""
+        found = self.diagnosis
+        return {
+            'sensors': 'gyros' if self.gyros else 'accelerometers',
+            'verdict': self.verdict.name.lower(),
+            'chi_square': float(self.square),
+            'degrees_of_freedom': int(self.freedom),
+            'symptom': None if found is None else found.symptom,
+            'moved': [] if found is None else [moved.to_dict() for moved in found.moved],
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class Verification:
@@ -88,6 +101,17 @@ class Verification:
     def verdict(self) -> Verdict:
         """The worse of the two triads' verdicts."""
         return max(t.verdict for t in self.triads)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units, by the keys of docs/files/output.md."""
+        doubt, rejection = self.limits
+        return {
+            'verdict': self.verdict.name.lower(),
+            'limits': {'doubt': doubt, 'rejection': rejection},
+            'triads': [triad.to_dict() for triad in self.triads],
+            'compared': [one.to_dict() for one in self.compared],
+            'findings': list(self.findings),
+        }
 
 
 def verify(calibration: Calibration, observed: Observed) -> Verification:

@@ -1,0 +1,95 @@
+"""How a command ends: its exit code, and the one JSON document that --json leaves on stdout."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..errors import ImuCalibError, NotObservable
+
+if TYPE_CHECKING:
+    from ..api.conforming import Conformity
+
+FORMAT = 1
+"""Version of the documents: it grows when a key changes its meaning or is gone."""
+
+DONE, NO_ANSWER, WRONG_INPUT, OUTSIDE = 0, 1, 2, 3
+"""Exit codes. OUTSIDE: a parameter is proven to be outside the unit's specification."""
+
+EXIT_CODES = (
+    'Exit codes: 0 done; 1 the data cannot give the answer (it says which parameter and why), or '
+    'contradicts what was to be verified; 2 wrong usage or unreadable input; 3 the unit is '
+    'outside its specification; 130 interrupted (Ctrl-C).'
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a command.
+
+    Attributes:
+        result: For --json: plain values, SI units.
+        exit_code: Where nothing was raised.
+        message: Says why the exit code is not 0.
+
+    """
+
+    result: Mapping[str, Any] | None = None
+    exit_code: int = DONE
+    message: str = ''
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """Add --json."""
+    parser.add_argument(
+        '--json',
+        action='store_true',
+        help='one JSON document on stdout (docs/files/output.md); what is for people goes to '
+        'stderr, errors are in the document too',
+    )
+
+
+def write_document(command: str, outcome: Outcome, error: Mapping[str, str] | None = None) -> None:
+    """Write the document of --json to stdout."""
+    document = {
+        'format': FORMAT,
+        'command': command,
+        'exit_code': outcome.exit_code,
+        'error': error,
+        'result': outcome.result,
+    }
+    # Not by rich, which would break long lines; JSON has no word for what is no finite number.
+    sys.stdout.write(json.dumps(_finite(document), ensure_ascii=False, allow_nan=False) + '\n')
+
+
+def judged_outcome(result: Mapping[str, Any], found: Conformity | None) -> Outcome:
+    """Return what comes of a command that held a unit against its specification, or did not."""
+    if found is None or not found.outside:
+        return Outcome(result)
+    return Outcome(result, OUTSIDE, found.sentence())
+
+
+def error_document(message: str, kind: str = 'input') -> dict[str, str]:
+    """Return an error as it stands in a document: 'input', 'not_observable' or 'interrupted'."""
+    return {'kind': kind, 'message': message}
+
+
+def kind_of(error: ImuCalibError) -> str:
+    """Return the kind of an error, by which programs tell them apart."""
+    return 'not_observable' if isinstance(error, NotObservable) else 'input'
+
+
+def _finite(value: Any) -> Any:
+    """Return plain values with null for what is no finite number."""
+    if isinstance(value, Mapping):
+        return {str(key): _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
