@@ -13,6 +13,10 @@ class InputError(ImuCalibError):
     exit_code = 2
 
 
+class NotStated(InputError):
+    """Nobody says what a recording means: nothing is wrong with it, and more is to be told."""
+
+
 class NotObservable(ImuCalibError):
     """The data cannot give the answer: which parameter or position, and why."""
 

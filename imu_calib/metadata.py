@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from .earth import MEASURED, NORMAL_GRAVITY, Site
-from .errors import InputError
+from .errors import InputError, NotStated
 from .imu import ImuSpec, imu_text
 from .share import named_file
 from .units import DEG
@@ -18,6 +18,7 @@ COMPENSATED = 'imu_calib.compensated'
 """Key of the calibration's file that a recording was compensated by."""
 
 _IMU = 'imu_calib.imu'
+_LATITUDE = 'imu_calib.latitude_deg'
 
 
 def describe(
@@ -43,7 +44,7 @@ def describe(
     described = {
         **unit,
         **{f'imu_calib.{what}': path.read_text(encoding='utf-8') for what, path in files.items()},
-        'imu_calib.latitude_deg': repr(site.latitude / DEG),
+        _LATITUDE: repr(site.latitude / DEG),
         'imu_calib.latitude_std_deg': repr(site.latitude_std / DEG),
         'imu_calib.gravity': repr(site.gravity),
         'imu_calib.gravity_source': site.gravity_source,
@@ -83,6 +84,11 @@ def described_anew(
     return {**kept, imu_key(topic): imu_text(imu)}
 
 
+def tells_site(data: Mapping[str, str]) -> bool:
+    """Say whether a recording tells where it was taken."""
+    return _LATITUDE in data
+
+
 def described_site(data: Mapping[str, str], where: str) -> Site:
     """Return the site that a recording tells of.
 
@@ -94,10 +100,15 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         InputError: It tells of none, or of a broken one.
 
     """
-    if 'imu_calib.latitude_deg' not in data:
-        raise InputError(f'{where} does not say where it was taken: give --latitude.')
+    if not tells_site(data):
+        raise NotStated(
+            f'{where} does not say where it was taken: give --latitude in degrees, negative in the '
+            'south; to a tenth is enough in the hand. Gravity follows from it, by which the '
+            'accelerometers are scaled, and the Earth rate. What else would do: for a unit in the '
+            'hand --gravity as measured there, in m/s^2.'
+        )
     try:
-        latitude = float(data['imu_calib.latitude_deg']) * DEG
+        latitude = float(data[_LATITUDE]) * DEG
         gravity = float(data['imu_calib.gravity'])
         stated = data.get('imu_calib.gravity_std')
         std = None if stated is None else float(stated)

@@ -8,21 +8,29 @@ from pathlib import Path
 
 from ..bags import Recording, open_recording
 from ..calibrator import Result, Setup, calibrator_of
-from ..errors import InputError, NotObservable
+from ..errors import InputError, NotObservable, NotStated
 from ..imu import ImuSpec
 from ..plan import Plan
 from ..stream import Block
 from ..turntable import Table
+from .assumed import (
+    SAID_BY_HAND,
+    SAID_SI,
+    ask_for_plan,
+    plan_by_hand,
+    taken_as_si,
+    was_in_the_hand,
+)
 from .conforming import specification_of
 from .named import Named
 from .progress import Progress, silent
 from .stated import (
     Stated,
     Streams,
-    imu_of,
     plan_of,
     serial_of,
     site_of,
+    stated_imu,
     streams_of,
     table_of,
 )
@@ -30,11 +38,20 @@ from .stated import (
 
 @dataclass(frozen=True)
 class Opened:
-    """A recording with all that is needed to calibrate from it."""
+    """A recording with all that is needed to calibrate from it.
+
+    Attributes:
+        recording: Open for reading.
+        setup: What a calibrator must know of it.
+        streams: Its topics.
+        assumed: What nobody said and is taken for granted, in sentences.
+
+    """
 
     recording: Recording
     setup: Setup
     streams: Streams
+    assumed: tuple[str, ...] = ()
 
     def blocks(self, progress: Progress = silent) -> Iterator[Block]:
         """Read the topics that count, in order."""
@@ -153,22 +170,26 @@ def open_session(bag: Named, stated: Stated) -> Opened:
     recording = open_recording(Path(bag))
     streams = streams_of(stated, recording)
     table = table_of(stated, recording)
-    imu = imu_of(stated, recording, streams.imu)
+    known = stated_imu(stated, recording, streams.imu)
+    imu = taken_as_si(recording, streams.imu) if known is None else known[0]
+    plan = plan_of(stated, recording, streams)
+    steps = plan_by_hand() if plan is None else plan
+    said = (*([] if known else [SAID_SI]), *([] if plan else [SAID_BY_HAND]))
     if streams.skew is None:
         # Nobody is to wait for a gyro that the recording does not hold.
         imu = replace(imu, skewed=None)
     setup = Setup(
         imu,
-        plan_of(stated, recording, streams),
+        steps,
         table if streams.joints is not None else None,
-        site_of(stated, recording),
+        site_of(stated, recording, by_hand=steps.by_hand),
         stated.method,
         serial_of(stated, recording),
         stated.sensor_terms,
         stated.changes,
         stated.look,
     )
-    return Opened(recording, setup, streams)
+    return Opened(recording, setup, streams, said)
 
 
 def solve(opened: Opened, progress: Progress = silent) -> Result:
@@ -186,7 +207,9 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
     try:
         result = calibrator.finish()
     except NotObservable as error:
-        raise NotObservable(' '.join([str(error), *lost])) from None
+        raise NotObservable(' '.join([str(error), *lost, *opened.assumed])) from None
+    if SAID_BY_HAND in opened.assumed and not was_in_the_hand(result.session):
+        raise NotStated(ask_for_plan(opened.recording.path))
     calibration = result.calibration
     provenance = {
         'recording': opened.recording.path.name,
@@ -194,6 +217,6 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
         'topics': sorted(opened.streams.kinds()),
         **calibration.provenance,
     }
-    findings = (*calibration.findings, *lost)
+    findings = (*opened.assumed, *calibration.findings, *lost)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)

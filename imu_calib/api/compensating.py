@@ -25,13 +25,14 @@ from ..imu import ImuSpec, compensated_imu
 from ..metadata import COMPENSATED, described_anew
 from ..stream import ImuBlock, Stamps
 from .named import Named, as_applied
+from .outputs import new_folder, whole_or_not_at_all
 from .progress import Progress, silent
 from .stated import Stated, imu_topic, serial_of, skew_topic, stated_imu, temperature_topic
 
 if TYPE_CHECKING:
     from ..calibrator import Result
 
-_RAW, _RATES = '/pulses', '/data_raw'
+_RAW, _RATES, _CALIBRATED = '/pulses', '/data_raw', '/data_calibrated'
 _WORDS = {
     Mark.GYRO_RANGE: 'a gyro at the end of its range (covariance -1: no estimate)',
     Mark.ACCEL_RANGE: 'an accelerometer at the end of its range (covariance -1: no estimate)',
@@ -91,7 +92,7 @@ def compensate(
         imu: What the IMU's numbers mean; None: as the recording says, else the calibration.
         serial: Serial number of the unit.
         imu_topic: The raw stream, where there are several of sensor_msgs/Imu.
-        output_topic: None: imu/data_raw for imu/pulses.
+        output_topic: None: imu/data_raw for imu/pulses, imu/data_calibrated for imu/data_raw.
         frame_id: Of the samples written; empty for their own.
         keep: Write the raw stream, too.
         compression: '', 'lz4' or 'zstd', of the output.
@@ -103,7 +104,8 @@ def compensate(
     """
     loaded, name = as_applied(calibration)
     file = Path(calibration).name if isinstance(calibration, str | Path) else ''
-    with open_recording(bag) as recording:
+    written = new_folder(output)
+    with open_recording(bag) as recording, whole_or_not_at_all(written):
         topic = _topic(imu_topic, recording)
         stated = Stated(imu=imu, serial=serial)
         spec = _check_unit(loaded, name, stated, recording, topic)
@@ -119,7 +121,7 @@ def compensate(
         data = {**meant, COMPENSATED: file or first_of(loaded).imu.id}
         stream = _Stream(compensator, target, frame_id)
         with (
-            RecordingWriter(output, data, compression) as writer,
+            RecordingWriter(written, data, compression) as writer,
             progress('compensating') as show,
         ):
             for other in recording.topics:
@@ -133,7 +135,7 @@ def compensate(
                     stream.write(writer, messages, times.log)
             stream.finish(writer)
         return Compensated(
-            Path(output),
+            written,
             topic.name,
             target,
             tuple(beside),
@@ -222,9 +224,21 @@ def _topic(wanted: str | None, recording: Recording) -> Topic:
     return next(topic for topic in recording.topics if topic.name == name)
 
 
+def _renamed(topic: str) -> str:
+    """Return what a stream is called after compensation: what it is, and not what it was.
+
+    REP 145 calls uncompensated and compensated rates data_raw alike: one that is called so already,
+    or imu/data, which has an orientation beside, gets another name.
+    """
+    for ending in ('/data_raw', '/data'):
+        if topic.endswith(ending):
+            return f'{topic.removesuffix(ending)}{_CALIBRATED}'
+    return f'{topic.removesuffix(_RAW)}{_RATES}'
+
+
 def _target(wanted: str | None, recording: Recording, topic: Topic) -> str:
     """Return the topic to write, which must be a new one."""
-    target = f'{topic.name.removesuffix(_RAW)}{_RATES}' if wanted is None else wanted
+    target = _renamed(topic.name) if wanted is None else wanted
     target = target if target.startswith('/') else f'/{target}'
     if any(other.name == target for other in recording.topics):
         raise InputError(

@@ -98,17 +98,3 @@ def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
             'one needs it (for instance --truth fog_skewed).'
         )
     return known
-
-
-def writable(path: Path) -> Path:
-    """Return the path of a file to be written.
-
-    Raises:
-        InputError: Its folder does not exist, or it is a folder.
-
-    """
-    if not path.parent.is_dir():
-        raise InputError(f'{path}: the folder {path.parent} does not exist.')
-    if path.is_dir():
-        raise InputError(f'{path}: is a folder, expected the name of a file.')
-    return path

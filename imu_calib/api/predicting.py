@@ -23,7 +23,8 @@ from ..prediction.optimise import optimise as best_plan
 from ..turntable import Table
 from ..units import DEG, parse
 from ..views import predicted_frame
-from .named import Named, as_imu, as_plan, as_truth, writable
+from .named import Named, as_imu, as_plan, as_truth
+from .outputs import output_path
 from .progress import Progress, silent
 from .stated import Stated
 
@@ -215,10 +216,10 @@ def plan_file(output: Named) -> Path:
         InputError: Its name does not end as a plan's has to, or its folder does not exist.
 
     """
-    path = Path(output).expanduser()
+    path = output_path(output)
     if path.suffix != '.yaml':
         raise InputError(f'-o {output}: expected a file that ends in .yaml.')
-    return writable(path)
+    return path
 
 
 def reach(

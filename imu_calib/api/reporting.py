@@ -20,6 +20,7 @@ from ..model.session_terms import SESSION_TERMS
 from ..reports.page import Contents, page
 from .calibrating import calibrated
 from .named import Named, as_calibration, as_imu
+from .outputs import output_path
 from .progress import Progress, silent
 from .stated import NO_PLAN, Stated
 
@@ -70,7 +71,7 @@ def written(
     progress: Progress,
 ) -> tuple[Path, ImuSpec | None]:
     """Write a report; return the file, and the unit's description as far as it is known."""
-    path = Path(output)
+    path = output_path(output)
     result = calibration if isinstance(calibration, Result) else None
     found = as_calibration(calibration)
     name = Path(calibration).name if isinstance(calibration, str | Path) else found.imu.id

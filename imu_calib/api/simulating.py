@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,20 @@ from ..methods import check_plan
 from ..plan import Plan, load_plan
 from ..simulation import SimulatedStand, StandOptions, load_imperfections
 from ..simulation.hand import as_planned
-from ..simulation.stand import IMU_TOPIC
-from ..stream import Block, ImuBlock, JointBlock, SetpointBlock, SkewBlock, Stamps
+from ..simulation.stand import IMU_TOPIC, TEMPERATURE_TOPIC
+from ..stream import (
+    Block,
+    ImuBlock,
+    JointBlock,
+    SetpointBlock,
+    SkewBlock,
+    Stamps,
+    TemperatureBlock,
+)
 from ..turntable import load_table
 from ..units import DEG
 from .named import Named, as_imu, load_truth
+from .outputs import new_folder, whole_or_not_at_all
 from .progress import Progress, silent
 from .stated import TRUE_TABLE, Stated
 
@@ -31,6 +41,10 @@ TRUTH = 'truth.yaml'
 """Beside a simulated recording: the true parameters of the unit."""
 
 _TABLE = 'three_axis'
+_COLDEST, _HOTTEST = -100.0, 200.0
+"""degC, beyond what any unit is made for (automotive parts: -40 to 125)."""
+_LAST_SECOND = 7_258_118_400
+"""s: 2200, as in `calibrator.provenance`; nanoseconds of 64 bits end in 2262."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +85,8 @@ def simulate(
     gravity: float | None = None,
     gravity_std: float | None = None,
     serial: str | None = None,
+    start: str | datetime | None = None,
+    temperature: float | None = None,
     compression: str = '',
     progress: Progress = silent,
 ) -> Simulated:
@@ -93,16 +109,22 @@ def simulate(
         gravity: m/s^2.
         gravity_std: m/s^2.
         serial: Serial number of the unit.
+        start: Date of the first sample, ISO 8601, UTC where it states no zone; None for
+            2023-11-14T22:13:20Z.
+        temperature: Of the unit at the start, degC; None for 25, at which the true parameters hold.
+            What it does to them `imperfections` say; a plan by hand gets its topic by it.
         compression: '', 'lz4' or 'zstd', of the recording.
         progress: Shows how far it is; nothing by default.
 
     Raises:
-        InputError: A file is missing or broken, they do not fit each other, or the folder exists.
+        InputError: A file is missing or broken, they do not fit each other, the folder exists, or
+            the one that it is to stand in does not.
         NotObservable: The plan cannot give its method the parameters, however it is run.
 
     """
     if seed < 0:
         raise InputError(f'--seed: found {seed}, expected 0 or more.')
+    target = new_folder(output)
     site = Stated(
         latitude=latitude,
         latitude_std=latitude_std,
@@ -127,29 +149,84 @@ def simulate(
     )
     if imperfections is not None:
         stated = load_imperfections(imperfections, stated, stands, seed)
+    stated = _at(stated, start, temperature)
     if stands is None:
         _refuse_table(steps, table, azimuth)
         held = as_planned(steps, np.random.default_rng([seed, 1]))
-        read = held.blocks(spec, true.model, site, stated, seed)
-        duration, blocks = held.duration, ((IMU_TOPIC, block) for block in read)
+        read = held.blocks(spec, true.model, site, stated, seed, epoch=stated.start_time)
+        duration, blocks = held.duration, _in_the_hand(read, stated, thermometer=temperature)
     else:
         stand = SimulatedStand(steps, stands, spec, true.model, site, stated, seed)
         duration, blocks = stand.duration, stand.blocks()
-    target = Path(output)
     data = describe(str(plan), str(imu), None if named is None else str(named), site, serial or '')
-    with RecordingWriter(target, data, compression) as writer, progress('simulating') as show:
-        start = None
-        for topic, block in blocks:
-            kind, messages, stamp = serialised(block)
-            writer.write(f'/{topic}', kind.type_name, messages, stamp)
-            start = int(stamp[0]) if start is None else start
-            show(int(stamp[-1]) - start, round(duration * 1e9))
-    true.save(target / TRUTH)
     true_table = None
-    if stands is not None and stated.true is not None:
-        true_table = target / TRUE_TABLE
-        stated.true.save(true_table, stands)
+    with whole_or_not_at_all(target):
+        with RecordingWriter(target, data, compression) as writer, progress('simulating') as show:
+            first = None
+            for topic, block in blocks:
+                kind, messages, stamp = serialised(block)
+                writer.write(f'/{topic}', kind.type_name, messages, stamp)
+                first = int(stamp[0]) if first is None else first
+                show(int(stamp[-1]) - first, round(duration * 1e9))
+        true.save(target / TRUTH)
+        if stands is not None and stated.true is not None:
+            true_table = target / TRUE_TABLE
+            stated.true.save(true_table, stands)
     return Simulated(target, steps, true, duration, true_table)
+
+
+def _at(
+    options: StandOptions, start: str | datetime | None, temperature: float | None
+) -> StandOptions:
+    """Return options with the date and the temperature that are stated.
+
+    Raises:
+        InputError: No date, or no temperature.
+
+    """
+    if start is not None:
+        options = replace(options, start_time=_stamp_of(start))
+    if temperature is not None:
+        if not _COLDEST <= temperature <= _HOTTEST:
+            raise InputError(
+                f'--temperature: found {temperature:g} degC, expected {_COLDEST:g} to {_HOTTEST:g}.'
+            )
+        above = temperature - options.warming.reference
+        options = replace(options, warming=replace(options.warming, offset=above))
+    return options
+
+
+def _stamp_of(start: str | datetime) -> int:
+    """Return a date as a stamp, ns."""
+    try:
+        date = start if isinstance(start, datetime) else datetime.fromisoformat(_iso(start))
+    except ValueError:
+        raise InputError(
+            f'--start: found {start}, expected a date as 2026-01-31 or 2026-01-31T12:00:00Z.'
+        ) from None
+    if date.tzinfo is None:
+        date = date.replace(tzinfo=timezone.utc)
+    seconds = (date - datetime(1970, 1, 1, tzinfo=timezone.utc)).total_seconds()
+    if not 0 <= seconds < _LAST_SECOND:
+        raise InputError(f'--start: found {start}, expected a date from 1970 to 2200.')
+    return round(seconds * 1e6) * 1000
+
+
+def _iso(text: str) -> str:
+    """Return a date as Python 3.10 reads it: with the offset of UTC instead of its letter."""
+    return f'{text[:-1]}+00:00' if text[-1:] in {'Z', 'z'} else text
+
+
+def _in_the_hand(
+    samples: Iterable[ImuBlock], options: StandOptions, *, thermometer: float | None
+) -> Iterator[tuple[str, Block]]:
+    """Yield what is recorded of a unit in the hand: its thermometer only where it is stated."""
+    for block in samples:
+        yield IMU_TOPIC, block
+        if thermometer is not None and len(block):
+            stamp = block.stamp[:1]
+            times = (stamp - options.start_time) * 1e-9
+            yield TEMPERATURE_TOPIC, TemperatureBlock(stamp, options.warming.celsius(times))
 
 
 def _refuse_table(plan: Plan, table: Named | None, azimuth: float | None) -> None:

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 from ..cdr import Kind
 from ..config import Section
 from ..earth import MEASURED, Site
-from ..errors import InputError
+from ..errors import InputError, NotStated
 from ..imu import ImuSpec, read_imu
-from ..metadata import SERIAL_NUMBER, described_imu, described_site, imu_key
+from ..metadata import SERIAL_NUMBER, described_imu, described_site, imu_key, tells_site
 from ..model import AUTO_TERMS, Term, chosen, looked_for
 from ..model.session_terms import Change, parted
 from ..plan import UNPLANNED, Plan, read_plan
-from ..share import shipped
 from ..turntable import Table, read_table
 from ..units import DEG
 from .named import Named, as_imu, as_plan, as_table
@@ -31,6 +30,9 @@ TRUE_TABLE = 'true_table.yaml'
 """Beside a simulated recording: the table as it truly is, where it is not as described."""
 
 _TABLE = 'three_axis'
+_ANYWHERE, _ANYWHERE_STD = 0.0, 10.0
+"""deg: taken for the latitude where gravity alone is stated of a unit in the hand. The Earth rate
+about up is then at most 15 deg/h off, in either hemisphere: 0.008 deg in a turn of two seconds."""
 _SKEW = 'imu/skew'
 _TEMPERATURE = 'imu/temperature'
 
@@ -164,21 +166,19 @@ class Streams:
         return {topic: kind for topic, kind in named.items() if topic is not None}
 
 
-def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan:
+def plan_of(stated: Stated, recording: Recording, streams: Streams) -> Plan | None:
     """Return the plan of a recording; none is needed where joint states tell the attitudes.
 
+    Returns:
+        None where there is neither: only a unit that was turned by hand needs no plan then.
+
     Raises:
-        InputError: There is neither, or the file is broken.
+        InputError: The file is broken.
 
     """
     if (plan := stated_plan(stated, recording)) is not None:
         return plan
-    if streams.joints is not None:
-        return UNPLANNED
-    raise InputError(
-        f'{recording.path} does not say which plan was run: give --plan ({shipped("plans")}). '
-        'None is needed where joint states of a table give the attitudes; here are none.'
-    )
+    return None if streams.joints is None else UNPLANNED
 
 
 def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
@@ -195,21 +195,6 @@ def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
     if (text := recording.custom_data.get('imu_calib.plan')) is not None:
         return read_plan(Section.parse(text, f'{recording.path}: its plan'))
     return None
-
-
-def imu_of(stated: Stated, recording: Recording, topic: str) -> ImuSpec:
-    """Return the IMU that is stated, or the one that the recording carries for a topic.
-
-    Raises:
-        InputError: There is neither, or the file is broken.
-
-    """
-    if (known := stated_imu(stated, recording, topic)) is not None:
-        return known[0]
-    raise InputError(
-        f"{recording.path} does not say what the IMU's numbers mean: "
-        f'give --imu ({shipped("imus")}, or a file).'
-    )
 
 
 def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpec, str] | None:
@@ -258,10 +243,15 @@ def table_of(stated: Stated, recording: Recording) -> Table:
     return stated.at_azimuth(read_table(Section.parse(text, f'{recording.path}: its table')))
 
 
-def site_of(stated: Stated, recording: Recording) -> Site:
+def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> Site:
     """Return the site that is stated, or the one that the recording carries.
 
     What is stated of height and gravity counts at the recording's latitude too.
+
+    Args:
+        stated: What is known.
+        recording: The recording.
+        by_hand: A measured gravity alone will do: the Earth rate is below what a hand shows.
 
     Raises:
         InputError: Nobody says where it was taken, or no place on Earth is there.
@@ -269,6 +259,8 @@ def site_of(stated: Stated, recording: Recording) -> Site:
     """
     if stated.latitude is not None:
         return stated.site(stated.latitude)
+    if by_hand and stated.gravity is not None and not tells_site(recording.custom_data):
+        return replace(stated, latitude_std=_ANYWHERE_STD).site(_ANYWHERE)
     own = described_site(recording.custom_data, str(recording.path))
     height, gravity = stated.height, stated.gravity
     doubts = (stated.height_std, stated.gravity_std, stated.latitude_std)
@@ -316,7 +308,7 @@ def imu_topic(wanted: str | None, recording: Recording) -> str:
     imu = _choose(recording, Kind.IMU, wanted, '--imu-topic')
     if imu is None:
         listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics) or 'none at all'
-        raise InputError(
+        raise NotStated(
             f'{recording.path}: no topic of type {Kind.IMU.type_name}; its topics: {listed}.'
         )
     return imu
@@ -354,7 +346,7 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
         return None
     if len(filled) > 1:
         listed = ', '.join(t.name for t in filled)
-        raise InputError(
+        raise NotStated(
             f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
             f'Choose with {option}.'
         )

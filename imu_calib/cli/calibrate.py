@@ -8,6 +8,7 @@ from typing import Any
 
 from ..api.calibrating import calibrated
 from ..api.conforming import conformity
+from ..api.outputs import output_path
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..earth import MEASURED
@@ -45,7 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Calibrate and print."""
-    path = options.output_path(arguments.output)
+    path = output_path(arguments.output)
     judged = arguments.specification
     result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)

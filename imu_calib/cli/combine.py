@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.combining import combine
-from . import options
+from ..api.outputs import output_path
 from .terminal import OUTPUT
 
 
@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> None:
         InputError: Unreadable, or not of one unit at different temperatures.
 
     """
-    path = options.output_path(arguments.output)
+    path = output_path(arguments.output)
     combined = combine(arguments.files, path, order=arguments.order)
     listed = ', '.join(f'{celsius:.2f}' for celsius in combined.temperatures)
     OUTPUT.print(f'{combined.calibrations[0].imu.id} at {listed} degC, written to {path}')

@@ -22,7 +22,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     options.add_serial_option(parser)
     parser.add_argument('--imu-topic', metavar='TOPIC', help='raw sensor_msgs/Imu topic')
     parser.add_argument(
-        '--output-topic', metavar='TOPIC', help='default: imu/data_raw for imu/pulses'
+        '--output-topic',
+        metavar='TOPIC',
+        help='default: imu/data_raw for imu/pulses, '
+        'imu/data_calibrated for imu/data_raw and imu/data',
     )
     parser.add_argument('--frame-id', default='', metavar='FRAME', help="default: the input's own")
     parser.add_argument('--keep', action='store_true', help='write the raw stream as well')

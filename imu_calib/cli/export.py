@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.exporting import export
+from ..api.outputs import output_path
 from ..exports import EXPORTS
 from . import options
 from .terminal import OUTPUT, sentence_list
@@ -37,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the file, and say what it cannot carry."""
-    target = options.output_path(arguments.output)
+    target = output_path(arguments.output)
     exported = export(
         arguments.calibration,
         arguments.format,

@@ -6,10 +6,8 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 from inspect import Parameter, signature
-from pathlib import Path
 from typing import Any
 
-from ..api.named import writable
 from ..api.stated import NO_PLAN, TRUE_TABLE, Stated
 from ..earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
 from ..model import AUTO_TERMS, NO_TERMS, TERMS
@@ -137,13 +135,3 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         '--imu-only', action='store_true', help='use the IMU and the order of the plan alone'
     )
     add_site_options(parser)
-
-
-def output_path(text: str) -> Path:
-    """Return the path of a file to be written.
-
-    Raises:
-        InputError: Its folder does not exist, or it is a folder.
-
-    """
-    return writable(Path(text).expanduser())

@@ -75,7 +75,7 @@ def judged_outcome(result: Mapping[str, Any], found: Conformity | None) -> Outco
 
 
 def error_document(message: str, kind: str = 'input') -> dict[str, str]:
-    """Return an error as it stands in a document: 'input', 'not_observable' or 'interrupted'."""
+    """Return an error as a document has it: 'input', 'not_observable' or 'interrupted'."""
     return {'kind': kind, 'message': message}
 
 

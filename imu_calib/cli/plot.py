@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..api.outputs import output_path
 from ..errors import InputError
 from ..views import empty_figure
-from .options import output_path
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.conforming import Conformity, conformity
+from ..api.outputs import output_path
 from ..api.reporting import written
 from ..reports.assessment import summary
 from . import options
@@ -41,7 +42,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Write the report, and say why it has no verdicts."""
     path, imu = written(
         arguments.calibration,
-        options.output_path(arguments.output),
+        output_path(arguments.output),
         arguments.bag,
         arguments.imu,
         arguments.compare,

@@ -41,6 +41,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--compression', choices=('', 'lz4', 'zstd'), default='', help='of the recording'
     )
+    parser.add_argument(
+        '--start',
+        metavar='DATE',
+        help='when it begins, for instance 2026-01-31T12:00:00Z (default: 2023-11-14T22:13:20Z)',
+    )
+    parser.add_argument(
+        '--temperature',
+        type=float,
+        metavar='T',
+        help='of the unit at the start, degC (default: 25, at which the true parameters hold); '
+        'what it does to them --imperfections say',
+    )
     options.add_serial_option(parser)
     options.add_site_options(parser)
     parser.set_defaults(run=run)

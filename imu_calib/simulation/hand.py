@@ -62,10 +62,12 @@ class HandSession:
         site: Site,
         options: ImuOptions | None = None,
         seed: int = 0,
+        *,
+        epoch: int = _EPOCH,
     ) -> Iterator[ImuBlock]:
-        """Yield what the IMU delivers."""
+        """Yield what the IMU delivers; its first stamp is at `epoch`, ns."""
         rng = np.random.default_rng(seed)
-        imu = SimulatedImu(spec, model, site, options, rng, epoch=_EPOCH)
+        imu = SimulatedImu(spec, model, site, options, rng, epoch=epoch)
         for end in np.append(
             np.arange(_BLOCK_SECONDS, self.duration, _BLOCK_SECONDS), self.duration
         ):

@@ -1,0 +1,91 @@
+"""What a recording is taken for where nobody says: SI by REP 145, and turned by hand."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+
+from ..bags import Recording
+from ..cdr import Kind
+from ..errors import NotStated
+from ..imu import ImuSpec, load_imu
+from ..plan import Plan, load_plan
+from ..segmentation.segmented import Segmented
+from ..share import shipped
+from ..stream import Floats, ImuBlock
+from ..units import STANDARD_GRAVITY
+
+_SI, _BY_HAND = 'si', 'free_positions'
+_BLOCKS = 200
+"""Blocks that are looked at: some minutes of most recordings, and of none more than can be kept."""
+_NEAR_GRAVITY = 0.25
+"""Relative: an accelerometer with 3 % of scale and 0.15 g of bias, beyond the data sheets of the
+cheapest (MPU-9150), in the hand: the median of its lengths is nearer to gravity than that, while g
+(1), mg (1000) and counts are not."""
+_FASTEST = 35.0
+"""rad/s: 2000 deg/s, the widest range of MEMS gyros in use (MPU-9250, BMI088, ICM-20948)."""
+_LONGEST_HOLD = 30.0
+"""s: nobody holds still for as long; a table, or a unit that was laid down, does. A judgement."""
+
+SAID_SI = (
+    'Nobody says what the numbers of the IMU mean: they are taken for rad/s and m/s^2 (REP 145), '
+    'which the length of gravity bears out. --imu states it, and the noise of the unit.'
+)
+SAID_BY_HAND = (
+    'Nobody says which plan was run, and there are no joint states: the unit is taken as turned by '
+    'hand in free positions (docs/bag.md). If a plan of a table was run, name it with --plan.'
+)
+
+
+def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
+    """Return the description of an IMU in SI, where the samples bear that out.
+
+    Raises:
+        NotStated: They do not, and nobody says what they mean.
+
+    """
+    blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]
+    samples = [b for b in blocks if isinstance(b, ImuBlock)]
+    force = np.vstack([np.zeros((0, 3)), *(b.accel for b in samples)])
+    rate = np.vstack([np.zeros((0, 3)), *(b.gyro for b in samples)])
+    if seen := _against_si(force, rate):
+        raise NotStated(
+            f"{recording.path} does not say what the IMU's numbers mean: give --imu "
+            f'({shipped("imus")}, or a file). They are not rad/s and m/s^2: {seen}.'
+        )
+    return load_imu(_SI)
+
+
+def _against_si(force: Floats, rate: Floats) -> str:
+    """Say what of (n, 3) forces and rates is not in SI; empty where nothing is."""
+    lengths = np.linalg.norm(force, axis=1)
+    lengths = lengths[np.isfinite(lengths)]
+    length = float(np.median(lengths)) if len(lengths) else float('nan')
+    if not abs(length / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY:
+        unit = '; 1 would be g' if abs(length - 1) < _NEAR_GRAVITY else ''
+        return f'the length of the acceleration is {length:.4g} in the median, not 9.8{unit}'
+    finite = np.abs(rate[np.isfinite(rate).all(axis=1)])
+    fastest = float(finite.max()) if len(finite) else 0.0
+    if fastest > _FASTEST:
+        return f'the gyros read up to {fastest:.0f}, more than any turns in rad/s; deg/s would do'
+    return ''
+
+
+def plan_by_hand() -> Plan:
+    """Return the plan that needs no table and no order."""
+    return load_plan(_BY_HAND)
+
+
+def was_in_the_hand(session: Segmented) -> bool:
+    """Say whether the static dwells of a session are as short as a hand's."""
+    seconds = [s.statistics.duration for s in session.segments]
+    return not seconds or float(np.median(seconds)) < _LONGEST_HOLD
+
+
+def ask_for_plan(path: object) -> str:
+    """Ask which plan was run."""
+    return (
+        f'{path} does not say which plan was run: give --plan ({shipped("plans")}). '
+        'None is needed where joint states of a table give the attitudes; here are none.'
+    )

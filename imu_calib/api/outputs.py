@@ -1,0 +1,54 @@
+"""What commands write: in folders that are there, and whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..errors import InputError
+from .named import Named
+
+
+def output_path(output: Named) -> Path:
+    """Return the path of a file to be written.
+
+    Raises:
+        InputError: Its folder does not exist, or it is a folder itself.
+
+    """
+    path = _below_a_folder(output)
+    if path.is_dir():
+        raise InputError(f'{path}: is a folder, expected the name of a file.')
+    return path
+
+
+def new_folder(output: Named) -> Path:
+    """Return the path of a folder to be made.
+
+    Raises:
+        InputError: What it is to stand in does not exist, or it does already.
+
+    """
+    path = _below_a_folder(output)
+    if path.exists():
+        raise InputError(f'{path} exists already; recordings are not overwritten.')
+    return path
+
+
+def _below_a_folder(output: Named) -> Path:
+    path = Path(output).expanduser()
+    if not path.parent.is_dir():
+        raise InputError(f'{path}: the folder {path.parent} does not exist.')
+    return path
+
+
+@contextmanager
+def whole_or_not_at_all(folder: Path) -> Iterator[None]:
+    """Remove a folder that was not there before where its writing ends early, by Ctrl-C too."""
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise

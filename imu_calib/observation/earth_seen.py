@@ -1,0 +1,75 @@
+"""The latitude that the gyros see at rest: what a stated one is held against before all else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..earth import EARTH_RATE
+from ..segmentation.segment import Segment
+from ..stream import Floats
+
+_NOMINAL = 0.03
+"""Relative: how well nominal scale factors of gyros are known; data sheets of cheap units state it
+(MPU-9150: sensitivity tolerance of 3 %)."""
+_FEWEST = 3
+"""Rests: three in two attitudes determine six unknowns by nine readings."""
+_CONTRADICTION = 5.0
+"""Standard deviations: false in one of 1.7 million sessions."""
+_TELLS = np.radians(10.0)
+"""rad: a latitude that is known worse is not worth telling, as in `methods.checks`."""
+
+
+def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
+    """Return the Earth rate about up that gyros see in several attitudes, and its deviation, rad/s.
+
+    Least squares over rests k with attitudes R_k = R_nb: y_k = b + R_k' w, of the biases b and the
+    Earth rate w in the table's frame; what misalignments make of 15 deg/h is neglected. The
+    deviation is that of the scatter about the fit, and of nominal scale factors.
+
+    Source: docs/mathematics.md, 'Latitude at a glance'.
+
+    Args:
+        segments: With attitudes.
+
+    Returns:
+        None where the attitudes do not determine it.
+
+    """
+    known = [s for s in segments if s.attitude is not None]
+    if len(known) < _FEWEST:
+        return None
+    rows = np.vstack([_row(np.asarray(s.attitude)) for s in known])
+    read = np.concatenate([s.statistics.mean[:3] for s in known])
+    solution, _, rank, _ = np.linalg.lstsq(rows, read, rcond=1e-6)
+    freedom = len(read) - rows.shape[1]
+    if rank < rows.shape[1] or freedom < 1:
+        return None
+    scatter = float(np.sum((read - rows @ solution) ** 2)) / freedom
+    variance = float(np.linalg.inv(rows.T @ rows)[-1, -1]) * scatter
+    up = float(solution[-1])
+    return up, float(np.hypot(np.sqrt(variance), _NOMINAL * up))
+
+
+def _row(attitude: Floats) -> Floats:
+    return np.hstack([np.eye(3), attitude.T])
+
+
+def latitude_seen(up: float, std: float) -> tuple[float, float] | None:
+    """Return the latitude of an Earth rate about up and its deviation, rad; None where it is vague.
+
+    Args:
+        up: rad/s.
+        std: Its standard deviation, rad/s.
+
+    """
+    latitude = float(np.arcsin(np.clip(up / EARTH_RATE, -1.0, 1.0)))
+    slope = EARTH_RATE * max(float(np.cos(latitude)), float(np.sin(_TELLS)))
+    found = std / slope
+    return (latitude, found) if found < _TELLS else None
+
+
+def contradicts(up: float, std: float, stated: float) -> bool:
+    """Say whether an Earth rate about up cannot be that of a stated latitude (rad)."""
+    return bool(abs(up - EARTH_RATE * np.sin(stated)) > _CONTRADICTION * std)
