@@ -36,6 +36,7 @@ from .model import (
     skewed_parameters,
     terms_of,
 )
+from .origin import read_origin
 from .plausibility import check_plausible
 from .stamping import KEY as CLOCK
 from .stamping import StampingClock, read_clock
@@ -362,8 +363,8 @@ class Calibration:
             model = model.with_values(term.parameters, values)
         residuals = _read_residuals(section)
         findings = section.texts('findings')
-        section.skip('free_of_frame', 'provenance')
-        provenance = section.raw('provenance') if section.has('provenance') else {}
+        section.skip('free_of_frame')
+        provenance = read_origin(section)
         serial_number = section.text('serial_number', '')
         budget = None
         if section.has('uncertainty_budget'):

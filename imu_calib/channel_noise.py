@@ -66,14 +66,14 @@ class ChannelNoise:
     def document(self) -> dict[str, Any]:
         """Return it as plain numbers, for a file."""
         found: dict[str, Any] = {}
-        for name in _COEFFICIENTS:
+        for name in COEFFICIENTS:
             coefficient: Coefficient = getattr(self, name)
             if coefficient.value is not None:
                 found[name] = float(coefficient.value)
                 found[f'{name}_std'] = float(coefficient.std or 0.0)
             elif math.isfinite(coefficient.below):
                 found[f'{name}_below'] = float(coefficient.below)
-        for name in _CURVE:
+        for name in CURVE:
             found[name] = [float(v) for v in getattr(self, name)]
         return {**found, 'timed': self.timed}
 
@@ -86,14 +86,14 @@ class ChannelNoise:
                 document.get(f'{name}_std'),
                 document.get(f'{name}_below', math.inf),
             )
-            for name in _COEFFICIENTS
+            for name in COEFFICIENTS
         }
-        tau, deviation, std = (np.array(document[n], dtype=float) for n in _CURVE)
+        tau, deviation, std = (np.array(document[n], dtype=float) for n in CURVE)
         return cls(tau, deviation, std, **coefficients, timed=bool(document['timed']))
 
 
-_CURVE = ('tau', 'deviation', 'std')
-_COEFFICIENTS = ('random_walk', 'bias_instability', 'quantisation', 'rate_random_walk')
+CURVE = ('tau', 'deviation', 'std')
+COEFFICIENTS = ('random_walk', 'bias_instability', 'quantisation', 'rate_random_walk')
 
 
 def read_noise(document: Mapping[str, Any]) -> dict[str, ChannelNoise]:

@@ -69,6 +69,10 @@ class Section:
         self._known.append(name)
         return self._data.get(name) is not None
 
+    def names(self) -> tuple[str, ...]:
+        """Return the names of all keys, for mappings whose keys are names that somebody gave."""
+        return tuple(self._data)
+
     def raw(self, name: str) -> Any:
         """Return the value as YAML gives it."""
         self._known.append(name)

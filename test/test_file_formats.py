@@ -99,6 +99,46 @@ def with_values(document, **values):
     return document
 
 
+CURVE = {'tau': [1.0, 2.0], 'deviation': [1e-6, 1e-6], 'std': [1e-7, 1e-7]}
+ORIGIN = {
+    'recording': 'session',
+    'sha256': 'a1',
+    'topics': ['/imu/pulses'],
+    'recorded': '2026-01-31T12:00:00Z',
+    'terms': ['g_sensitivity'],
+    'terms_looked_for': True,
+    'plan': 'twelve_position',
+    'table': 'three_axis',
+    'table_clock_std': 1e-5,
+    'latitude_deg': 34.65,
+    'latitude_std_deg': 0.01,
+    'gravity': 9.797,
+    'gravity_source': 'measured',
+    'gravity_std': 1e-4,
+    'height': 300.0,
+    'height_assumed': False,
+    'azimuth_seen_deg': 3.0,
+    'azimuth_seen_std_deg': 0.1,
+    'segments': 12,
+    'turns': 18,
+    'samples': 1000,
+    'random_walk': [1e-6] * 6,
+    'residual_rms': [1e-6, None, 1e-6, 1e-5, 1e-5, 1e-5],
+    'bias_wander': [1e-6] * 6,
+    'condition_number': 4.2,
+    'highest_rate': 1.0,
+    'temperature': {'mean': 25.0, 'lowest': 24.0, 'highest': 26.0},
+    'missing_positions': ['7'],
+    'closed_form': {'method': 'twelve_position'},
+    'clock': {'offset_s': 0.001, 'rate_ppm': 3.0, 'rate_std_ppm': 0.1, 'motions': 20},
+    'versions': {'numpy': '2'},
+    'frame': 'accelerometers',
+    'tests_of_terms': {'g_sensitivity': {'state': 'off', 'log10_p': -0.5}},
+    'noise': {'gx': {**CURVE, 'random_walk': 1e-6, 'random_walk_std': 1e-7, 'timed': True}},
+}
+"""Every key that is checked; laboratories may add theirs."""
+
+
 def calibrations():
     """Yield calibrations with what the examples have not, and the paths to that."""
     gyros = example('calibration')
@@ -114,7 +154,8 @@ def calibrations():
         'cross_covariance': [[0.0]] * 24,
         'time_constant': 600.0,
     }
-    yield gyros, [('uncertainty_budget',), ('session_terms',)]
+    gyros['provenance'] |= ORIGIN
+    yield gyros, [('uncertainty_budget',), ('session_terms',), ('provenance',)]
     whole = example('calibration', 1)
     whole['skewed_gyro'] = {'scale_factor': 1, 'response': [[0.58, 0.58, 0.58]], 'bias': [0.0]}
     whole['gyro'] |= {'g_sensitivity': [[0.0] * 3] * 3, 'std': {'bias': [0, 0, 0]}}
@@ -359,6 +400,7 @@ OF_CALIBRATIONS = [
         'expected 12 numbers, none of them negative',
     ),
     (0, {'provenance': {}}, 'provenance: temperature: found'),
+    (0, {'provenance__noise__gx__tau': [1.0]}, 'noise: gx: found .* of different lengths'),
     (2, {'calibrations__0__imu': 'another'}, 'found .* expected .* as in'),
     (2, {'calibrations__0__gyro__gyro_asymmetry': None}, 'parameters: found .* as in'),
     (

@@ -20,6 +20,7 @@ from .keys import (
     array,
     choice,
     either,
+    flag,
     given,
     mapping,
     number,
@@ -180,6 +181,98 @@ _RESIDUAL = [
 ]
 
 
+def _between(least: float, most: float) -> Value:
+    return Value(
+        {'type': 'number', 'minimum': least, 'maximum': most}, f'number, {least:g} to {most:g}'
+    )
+
+
+def _noted(keys: list[Key]) -> Value:
+    """Return a mapping that may have further keys."""
+    return Value({**mapping(keys).schema, 'additionalProperties': True}, _BELOW)
+
+
+def _named(value: Value, words: str) -> Value:
+    """Return a mapping of names that somebody gave to values of one kind."""
+    anything = {'anyOf': [value.schema, {'type': 'null'}]}
+    return Value({'type': 'object', 'additionalProperties': anything}, words)
+
+
+_MAYBE = Value({'type': ['number', 'null']}, 'number')
+_SIX = array(_MAYBE, 6, 6, 'list of 6 numbers')
+_CURVE_OF = array(_MAYBE, 0, None, 'list of numbers')
+_COUNT = whole(0)
+_TEMPERATURE = [
+    Key(name, _NUMBER, f'{words}, degC', REQUIRED)
+    for name, words in (
+        ('mean', 'of the session'),
+        ('lowest', 'that it saw'),
+        ('highest', 'that it saw'),
+    )
+]
+_COMPARED = [
+    Key('offset_s', _NUMBER, 'clock of the IMU against that of the table, s'),
+    Key('offset_std_s', _NUMBER, 'its standard deviation, s'),
+    Key('rate_ppm', _NUMBER, 'by how much it is faster, ppm'),
+    Key('rate_std_ppm', _NUMBER, 'its standard deviation, ppm'),
+    Key('motions', _COUNT, 'that it was compared by'),
+]
+_CHANNEL = [
+    *(
+        Key(f'{name}{end}', number(least=0), f'{words}{what}, SI units')
+        for name, words in (
+            ('random_walk', 'random walk'),
+            ('bias_instability', 'bias instability'),
+            ('quantisation', 'quantisation'),
+            ('rate_random_walk', 'rate random walk'),
+        )
+        for end, what in (('', ''), ('_std', ': standard deviation'), ('_below', ': 95 % limit'))
+    ),
+    Key('tau', _CURVE_OF, 'averaging times of the Allan deviation, s', REQUIRED),
+    Key('deviation', _CURVE_OF, 'Allan deviation, SI units', REQUIRED),
+    Key('std', _CURVE_OF, 'its standard deviation', REQUIRED),
+    Key('timed', flag(), 'whether pulses were timed', REQUIRED),
+]
+_TEST = [Key('state', text(), 'estimated, off or asked for', REQUIRED)]
+_PROVENANCE = [
+    Key('recording', text(), 'name of the recording'),
+    Key('sha256', text(), 'of its files'),
+    Key('topics', array(text(), 0, words='list of texts'), 'that were read'),
+    Key('recorded', text(), 'when it began, `2026-01-31T12:00:00Z`'),
+    Key('method', text(), 'the estimator'),
+    Key('terms', array(text(), 0, words='list of texts'), 'that were estimated'),
+    Key('terms_looked_for', flag(), 'whether terms that the session shows were looked for'),
+    Key('plan', text(), 'its name'),
+    Key('table', text(), 'its name'),
+    Key('table_clock_std', number(least=0), "of the table's clock, a ratio"),
+    Key('latitude_deg', _between(-90, 90), 'of the site, deg'),
+    Key('latitude_std_deg', number(least=0), 'its standard deviation, deg'),
+    Key('gravity', _between(9.7, 9.9), 'that was taken, m/s^2'),
+    Key('gravity_source', text(), 'where that is from'),
+    Key('gravity_std', number(least=0), 'its standard deviation, m/s^2'),
+    Key('height', _NUMBER, 'of the site above the ellipsoid, m'),
+    Key('height_assumed', flag(), 'whether nobody stated it'),
+    Key('azimuth_seen_deg', _NUMBER, "heading of the table's zero that the session shows, deg"),
+    Key('azimuth_seen_std_deg', _NUMBER, 'its standard deviation, deg'),
+    Key('segments', _COUNT, 'static dwells'),
+    Key('turns', _COUNT, 'turns'),
+    Key('samples', _COUNT, 'samples that were used'),
+    Key('random_walk', _SIX, 'of the channels, rad/sqrt(s) and (m/s)/sqrt(s)'),
+    Key('residual_rms', _SIX, 'root mean square of the residuals, rad/s and m/s^2'),
+    Key('bias_wander', _SIX, 'bias drift that is allowed for, rad/s and m/s^2'),
+    Key('condition_number', _NUMBER, 'of the equations'),
+    Key('highest_rate', number(least=0), 'at which the unit was turned, rad/s'),
+    Key('temperature', _noted(_TEMPERATURE), 'of the unit', None, 'not recorded'),
+    Key('missing_positions', array(text(), 0, words='list of texts'), 'of the plan'),
+    Key('closed_form', Value({'type': 'object'}, 'keys'), 'the closed form of the plan beside it'),
+    Key('clock', _noted(_COMPARED), 'how the clocks compare'),
+    Key('versions', Value({'type': 'object'}, 'keys'), 'of the software'),
+    Key('frame', text(), '`accelerometers`: the axes of a session in the hand'),
+    Key('tests_of_terms', _named(_noted(_TEST), 'by the name of the term'), 'terms, as tested'),
+    Key('noise', _named(mapping(_CHANNEL), 'by channel, `gx` to `az`'), 'that the session showed'),
+]
+
+
 def _needed(key: Key) -> Key:
     return replace(key, default=REQUIRED) if key in (_MATRIX, _BIAS) else key
 
@@ -231,11 +324,7 @@ KEYS = [
         array(text(), 0, words='list of sentences'),
         'what a person should know',
     ),
-    Key(
-        'provenance',
-        Value({'type': 'object'}, 'any keys'),
-        'where it comes from: recording, method, site, temperature',
-    ),
+    Key('provenance', _noted(_PROVENANCE), 'where it comes from; other keys may stand there too'),
 ]
 _SINGLE = mapping(KEYS)
 
@@ -269,6 +358,11 @@ TABLES: Tables = {
     'coefficients': _COEFFICIENT,
     'clock': _CLOCK,
     'residuals': _RESIDUAL,
+    'provenance': _PROVENANCE,
+    'temperature': _TEMPERATURE,
+    'clocks': _COMPARED,
+    'tests': _TEST,
+    'noise': _CHANNEL,
     'combined': COMBINED,
 }
 _WHOLE: Schema = {

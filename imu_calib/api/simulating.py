@@ -225,7 +225,7 @@ def _in_the_hand(
         yield IMU_TOPIC, block
         if thermometer is not None and len(block):
             stamp = block.stamp[:1]
-            times = (stamp - options.start_time) * 1e-9
+            times = np.asarray((stamp - options.start_time) * 1e-9, dtype=np.float64)
             yield TEMPERATURE_TOPIC, TemperatureBlock(stamp, options.warming.celsius(times))
 
 

@@ -1,0 +1,119 @@
+"""What a calibration's file says of where it comes from (`provenance`): checked key by key.
+
+Keys that nobody here knows are left as they are: a laboratory may note what it wants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from .channel_noise import COEFFICIENTS, CURVE
+from .config import Section, as_number
+from .errors import InputError
+
+_CHANNELS = 6
+_TEXTS = (
+    *('recording', 'sha256', 'recorded', 'method', 'plan', 'table', 'gravity_source', 'frame'),
+)
+_LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions')
+_FLAGS = ('terms_looked_for', 'height_assumed')
+_COUNTS = ('segments', 'turns', 'samples')
+_NUMBERS = ('height', 'azimuth_seen_deg', 'azimuth_seen_std_deg', 'condition_number')
+_SIX = ('random_walk', 'residual_rms', 'bias_wander')
+_NOT_NEGATIVE = ('table_clock_std', 'latitude_std_deg', 'gravity_std', 'highest_rate')
+
+
+def read_origin(section: Section) -> dict[str, Any]:
+    """Return what a file says of where a calibration comes from, as it stands there.
+
+    Raises:
+        InputError: Names the key, what was found and what was expected.
+
+    """
+    if not section.has('provenance'):
+        return {}
+    found = section.raw('provenance')
+    mine = section.section('provenance')
+    readers: tuple[tuple[tuple[str, ...], Callable[[str], object]], ...] = (
+        (_TEXTS, mine.text),
+        (_LISTS_OF_TEXTS, mine.texts),
+        (_FLAGS, lambda name: mine.flag(name, default=False)),
+        (_COUNTS, lambda name: mine.whole(name, 0)),
+        (_NUMBERS, mine.number),
+        (_NOT_NEGATIVE, lambda name: _number(mine, name, 0.0)),
+        (('latitude_deg',), lambda name: _number(mine, name, -90.0, 90.0)),
+        (('gravity',), lambda name: _number(mine, name, 9.7, 9.9)),
+        (_SIX, lambda name: _numbers(mine, name, _CHANNELS)),
+        (('temperature',), lambda name: _each(mine.section(name), ('mean', 'lowest', 'highest'))),
+        (('clock',), lambda name: _clock(mine.section(name))),
+        (('closed_form', 'versions'), mine.section),
+        (('tests_of_terms',), lambda name: _tests(mine.section(name))),
+        (('noise',), lambda name: _noise(mine.section(name))),
+    )
+    for names, read in readers:
+        for name in names:
+            if mine.has(name):
+                read(name)
+    return dict(found)
+
+
+def _number(section: Section, name: str, least: float, most: float | None = None) -> float:
+    value = section.number(name)
+    if value < least or (most is not None and value > most):
+        bound = f'{least:g} or more' if most is None else f'{least:g} to {most:g}'
+        raise InputError(f'{section.key(name)}: found {value:g}, expected {bound}.')
+    return value
+
+
+def _numbers(section: Section, name: str, count: int | None = None) -> int:
+    """Check a list of numbers, of which some may be unknown; return how many there are."""
+    values = section.raw(name)
+    known = isinstance(values, list) and all(
+        value is None or as_number(value) is not None for value in values
+    )
+    if not known or (count is not None and len(values) != count):
+        wanted = 'a list of numbers' if count is None else f'a list of {count} numbers'
+        raise InputError(f'{section.key(name)}: found {values!r}, expected {wanted}.')
+    return len(values)
+
+
+def _each(section: Section, names: tuple[str, ...]) -> None:
+    for name in names:
+        section.number(name)
+
+
+def _clock(section: Section) -> None:
+    for name in ('offset_s', 'offset_std_s', 'rate_ppm', 'rate_std_ppm'):
+        if section.has(name):
+            # The deviation of what nothing compares is without an end.
+            _numbers_or_inf(section, name)
+    if section.has('motions'):
+        section.whole('motions', 0)
+
+
+def _numbers_or_inf(section: Section, name: str) -> None:
+    if as_number(section.raw(name)) is None:
+        raise InputError(f'{section.key(name)}: found {section.raw(name)!r}, expected a number.')
+
+
+def _tests(section: Section) -> None:
+    for name in section.names():
+        if section.has(name):
+            section.section(name).text('state')
+
+
+def _noise(section: Section) -> None:
+    for name in section.names():
+        if not section.has(name):
+            continue
+        channel = section.section(name)
+        counts = {_numbers(channel, key) for key in CURVE}
+        if len(counts) > 1:
+            raise InputError(f'{channel.where}: found {", ".join(CURVE)} of different lengths.')
+        channel.raw('timed')
+        channel.flag('timed', default=False)
+        for key in (f'{name}{end}' for name in COEFFICIENTS for end in ('', '_std', '_below')):
+            if channel.has(key):
+                _number(channel, key, 0.0)
+        channel.finish()
