@@ -67,7 +67,7 @@ def provenance(
         'random_walk': [float(v) for v in evidence.walk],
         'residual_rms': [_or_none(v) for v in rms],
         'condition_number': solution.condition,
-        'highest_rate': max((abs(float(t.rate())) for t in evidence.turns), default=None),
+        'highest_rate': _highest_rate(evidence, session),
         'temperature': _temperature(session),
         **special,
         'clock': {
@@ -98,6 +98,17 @@ def stamping(setup: Setup, evidence: Evidence) -> StampingClock | None:
     unit = ' '.join([setup.imu.id, setup.serial_number]).strip()
     faster, std = evidence.clock_rate()
     return StampingClock(f'stamps of {unit}', f'clock of table {setup.table.name}', faster, std)
+
+
+def _highest_rate(evidence: Evidence, session: Segmented) -> float | None:
+    """Return how fast the unit was turned about any of its axes, rad/s; None where it was not.
+
+    Turns by hand are faster in their middle than their mean, and moves between positions turn
+    several joints at once: what a session itself holds is not faster than it was calibrated at.
+    """
+    rates = [abs(float(turn.rate())) for turn in evidence.turns]
+    rates += [move.fastest for move in session.moves]
+    return max(rates, default=None)
 
 
 def _changing(solution: Solution) -> tuple[Change, ...]:

@@ -20,6 +20,11 @@ _KNOCK = 5.0
 """Standard deviations of the angle through which a mount must have turned: false in 6e-7."""
 _LEAST_KNOCK = 0.005 * DEG
 """rad: 18 arcsec, three times what a table is assumed to position to (table_errors)."""
+_TOLD_APART = _KNOCK**2
+"""Samples of one sign alone whose sum stands out of their own squares by `_KNOCK`: with fewer no
+test tells a turn from vibration."""
+_HALF = 0.5
+"""Of the tilt that a turn must leave: the accelerometers bear out what is above it."""
 _PULSES = 2.5
 """Pulses that a window's sum may be off by for their edges alone."""
 _SPREAD_RATIO = 3.0
@@ -102,7 +107,7 @@ def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None 
     floor = pulses + samples.grid * length
     at = float(np.flatnonzero(bad[first:last])[0] + first) * _WINDOW_SECONDS
     note = f'disturbed {at:.1f} s after it came to rest; {inner * _WINDOW_SECONDS:.1f} s left out'
-    return Sound(mask, (note,), means.knock(bad, first, last, floor, length))
+    return Sound(mask, (note,), means.knock(bad, first, last, floor, used, pulses))
 
 
 def _settled(bad: NDArray[np.bool_]) -> int:
@@ -119,12 +124,14 @@ class _Means:
     """Windows about their robust line.
 
     Attributes:
+        sums: (w, 6) of their samples, rad and m/s.
         left: (w, 6) what is left of their sums, rad and m/s.
         scatter: (6,) standard deviation of a sum.
         tolerance: (6,) what rounding may do to a sum.
 
     """
 
+    sums: Floats
     left: Floats
     scatter: Floats
     tolerance: Floats
@@ -135,25 +142,96 @@ class _Means:
         left = sums - _robust_line(sums)
         scatter = np.maximum(1.4826 * np.median(np.abs(left), axis=0), expected)
         # Values that are no pulses and carry no noise at all still deserve a tolerance.
-        return cls(left, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
+        return cls(sums, left, scatter, 1e-9 * np.abs(sums).max(axis=0) + 1e-15)
 
     def outlying(self, floor: Floats) -> NDArray[np.bool_]:
         limit = np.maximum(_OUTLIER * self.scatter + floor, self.tolerance)
         return np.asarray((np.abs(self.left) > limit).any(axis=1))
 
     def knock(
-        self, bad: NDArray[np.bool_], first: int, last: int, floor: Floats, length: int
+        self,
+        bad: NDArray[np.bool_],
+        first: int,
+        last: int,
+        floor: Floats,
+        windows: Floats,
+        pulses: Floats,
     ) -> Knock | None:
-        """Find the first run of bad windows within first to last that turned the unit for good."""
+        """Find the first run of bad windows within first to last that turned the unit for good.
+
+        A floor that shakes leaves sums, too: what is sampled of a vibration beyond half the sample
+        rate adds up like noise. A turn has to stand out of that, and to have tilted the unit.
+
+        Args:
+            bad: (w,) windows that are not sound.
+            first: First window after the settling.
+            last: First window of what is cut at the end.
+            floor: (6,) what the edges of a window's pulses may do to its sum.
+            windows: (w, n, 6) samples.
+            pulses: (6,) of counters, rad and m/s; 0 where there are none.
+
+        """
+        length = windows.shape[1]
         inside = np.flatnonzero(bad[first:last]) + first
         # A slow knock may show in some of its windows only: runs with one good between are one.
         for run in np.split(inside, np.flatnonzero(np.diff(inside) > 2) + 1):
             start, stop = int(run[0]), int(run[-1]) + 1
             turned = self.left[start:stop, :3].sum(axis=0)
+            turned = self._borne_out(turned, bad, slice(first, start), slice(stop, last))
+            one_way = _one_way(
+                windows[start:stop, :, :3].reshape(-1, 3),
+                self.sums[start:stop, :3].sum(axis=0),
+                turned,
+                pulses[:3],
+            )
+            turned = np.where(one_way, turned, 0.0)
             limit = _KNOCK * np.sqrt(stop - start) * self.scatter[:3] + floor[:3]
             if np.any(np.abs(turned) > np.maximum(limit, _LEAST_KNOCK)):
                 return Knock(start * length, stop * length, float(np.linalg.norm(turned)))
         return None
+
+    def _borne_out(
+        self, turned: Floats, bad: NDArray[np.bool_], before: slice, after: slice
+    ) -> Floats:
+        """Return a turn without its level part where the accelerometers see that there was none.
+
+        A turn by a small angle a takes the specific force f to f - a x f.
+        """
+        ends = [self.sums[part, 3:][~bad[part]] for part in (before, after)]
+        if min(map(len, ends)) < _FEWEST_WINDOWS:
+            return turned
+        mean = ends[0].mean(axis=0)
+        tilt = -np.cross(turned, mean)
+        wanted = float(np.linalg.norm(tilt))
+        along = tilt / max(wanted, _TINY)
+        std = float(np.linalg.norm(along * self.scatter[3:])) * np.sqrt(
+            sum(1 / len(e) for e in ends)
+        )
+        seen = float(along @ (ends[1].mean(axis=0) - mean))
+        if wanted < _KNOCK * std or seen > _HALF * wanted:
+            return turned
+        up = mean / np.linalg.norm(mean)
+        return np.asarray(up * (up @ turned))
+
+
+def _one_way(samples: Floats, total: Floats, turned: Floats, pulses: Floats) -> NDArray[np.bool_]:
+    """Say of each gyro whether its samples went one way instead of to and fro.
+
+    Vibration of n samples adds up to the root of the sum of their squares; where they are many
+    enough for a turn to stand out of that, it has to.
+
+    Args:
+        samples: (n, 3) of a run of windows.
+        total: (3,) their sum.
+        turned: (3,) what the run turned by, beyond the line through the windows beside it.
+        pulses: (3,) a counter goes to and fro by one, and carries the remainder on.
+
+    """
+    free = samples - (total - turned) / len(samples)
+    flips = len(samples) * (_FLIPPING * pulses) ** 2
+    squares = np.maximum(np.sum(free**2, axis=0) - flips, 0.0)
+    many = np.sum(np.abs(free), axis=0) ** 2 > _TOLD_APART * np.sum(free**2, axis=0)
+    return np.asarray(~many | (np.abs(turned) >= _KNOCK * np.sqrt(squares)))
 
 
 def _robust_line(sums: Floats) -> Floats:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ..stream import Floats, Setpoint
 from .clock import ClockFit
 from .segment import Segment, Statistics, Turn
@@ -97,6 +99,11 @@ class Move:
     def duration(self) -> float:
         """How long it took, s."""
         return float(self.seconds.sum())
+
+    @property
+    def fastest(self) -> float:
+        """Highest rate about any body axis, rad/s."""
+        return float(np.max(np.abs(self.turned) / self.seconds[:, None], initial=0.0))
 
     def scaled(self, factors: Floats) -> Move:
         """Return angles, velocities and their quanta multiplied by (6,) factors, one a triad."""
