@@ -9,17 +9,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from imu_calib.cli.main import COMMANDS, build_parser
+from imu_calib.cli.outcome import EXIT_CODES
 
 PAGE = Path(__file__).with_suffix('.md')
 
-HEAD = """# Command line
+HEAD = f"""# Command line
 
     imu-calib COMMAND ...
     imu-calib --version
 
-Exit codes: 0 done; 1 the data cannot give the answer (it says which parameter and why); 2 wrong
-usage or unreadable input. `imu-calib COMMAND --help` prints what stands here
-(`python docs/command_line.py` writes this page).
+{EXIT_CODES} An error is a sentence on
+stderr; with `--json` it is in the document on stdout too ([output](files/output.md)).
+`imu-calib COMMAND --help` prints what stands here (`python docs/command_line.py` writes this page).
 
 | command | does |
 |---|---|

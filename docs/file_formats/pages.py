@@ -9,7 +9,7 @@ from typing import Any
 
 from imu_calib.units import Dimension
 
-from . import calibration, device, imperfections, imu, plan, table
+from . import calibration, device, imperfections, imu, output, plan, table
 from .keys import Schema, dimension_words, document
 from .keys import table as table_of
 
@@ -24,6 +24,7 @@ FORMATS = {
     'device': device,
     'calibration': calibration,
     'imperfections': imperfections,
+    'output': output,
 }
 
 _WIDTH = 110
