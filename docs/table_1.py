@@ -18,7 +18,7 @@ from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.plan import Plan, load_plan
-from imu_calib.reports.parameter_table import comparison_table
+from imu_calib.reports.side_by_side import comparison_table, side_by_side
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate
 from imu_calib.turntable import load_table
@@ -85,7 +85,7 @@ def main() -> None:
     truth = Calibration.load(named_file('truths', 'cao2022_table1'))
     errors = {c.provenance['method']: (c.values - truth.values) / c.std for c in (six, twelve)}
     console = Console(width=100, record=True, file=io.StringIO())
-    console.print(comparison_table([six, twelve], ['6 pos', '12 pos']))
+    console.print(comparison_table(side_by_side([six, twelve]), ['6 pos', '12 pos']))
     table = '\n'.join(line.rstrip() for line in console.export_text().splitlines())
     rms = {name: float(np.sqrt(np.mean(e**2))) for name, e in errors.items()}
     text = f"""# Table 1 of Cao 2022, from two sessions of one simulated unit

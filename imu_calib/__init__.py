@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from .api.combining import combine
     from .api.comparing import Compared, compare
     from .api.compensating import Compensated, compensate
+    from .api.conforming import Conformity, conformity
     from .api.converting import Converted, convert
     from .api.exporting import export
+    from .api.looking import Look, look
     from .api.predicting import Prediction, optimise, predict, reach
     from .api.repeating import Repeated, montecarlo
     from .api.reporting import report
@@ -44,11 +46,13 @@ _WHERE = {
     'Columns': 'api.columns',
     'Compared': 'api.comparing',
     'Compensated': 'api.compensating',
+    'Conformity': 'api.conforming',
     'Converted': 'api.converting',
     'Exported': 'exports',
     'ImuCalibError': 'errors',
     'ImuSpec': 'imu',
     'InputError': 'errors',
+    'Look': 'api.looking',
     'NotObservable': 'errors',
     'Optimum': 'prediction.optimise',
     'Plan': 'plan',
@@ -66,11 +70,13 @@ _WHERE = {
     'combine': 'api.combining',
     'compare': 'api.comparing',
     'compensate': 'api.compensating',
+    'conformity': 'api.conforming',
     'convert': 'api.converting',
     'export': 'api.exporting',
     'load_imu': 'imu',
     'load_plan': 'plan',
     'load_table': 'turntable',
+    'look': 'api.looking',
     'montecarlo': 'api.repeating',
     'optimise': 'api.predicting',
     'predict': 'api.predicting',
@@ -88,11 +94,13 @@ __all__ = [
     'Columns',
     'Compared',
     'Compensated',
+    'Conformity',
     'Converted',
     'Exported',
     'ImuCalibError',
     'ImuSpec',
     'InputError',
+    'Look',
     'NotObservable',
     'Optimum',
     'Plan',
@@ -110,11 +118,13 @@ __all__ = [
     'combine',
     'compare',
     'compensate',
+    'conformity',
     'convert',
     'export',
     'load_imu',
     'load_plan',
     'load_table',
+    'look',
     'montecarlo',
     'optimise',
     'predict',

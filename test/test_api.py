@@ -232,7 +232,7 @@ def test_reports_of_results_and_of_files_are_the_same(
     assert '<svg' in by_value.read_text()
     name = result.calibration.imu.id
     assert by_file.read_text().replace('c.yaml', name) == by_value.read_text()
-    with pytest.raises(InputError, match='cannot be written'):
+    with pytest.raises(InputError, match='nowhere does not exist'):
         imu_calib.report(result, tmp_path / 'nowhere' / 'a.html')
 
 
@@ -267,7 +267,9 @@ def test_two_calibrations_are_compared_in_any_form(
     wrong = result.calibration.values[:24] - exact.values[:24]
     assert compared.normalised == pytest.approx(wrong / result.calibration.std[:24])
     frame = compared.to_dataframe()
-    assert list(frame.columns) == ['first', 'truth', 'difference', 'std', 'difference/std', 'unit']
+    assert list(frame.columns) == [
+        *('first', 'truth', 'difference', 'std', 'difference/std', 'chance', 'unit')
+    ]
     assert frame.loc['K_gy', 'difference'] == pytest.approx(wrong[1] / PPM)
     (axes,) = compared.plot().axes
     assert [t.get_text() for t in axes.get_xticklabels()] == list(frame.index)

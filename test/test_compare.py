@@ -13,7 +13,7 @@ from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, parameters_of
-from imu_calib.reports.parameter_table import comparison_table, in_scale_of, unmatched
+from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
 from imu_calib.stream import Units
 from imu_calib.units import DEG_H, STANDARD_GRAVITY
 
@@ -31,8 +31,9 @@ def unit(*, with_g: bool = True, skewed: bool = True) -> Calibration:
 
 
 def rows(first: Calibration, second: Calibration) -> dict[str, tuple[str, ...]]:
-    columns = [list(c.cells) for c in comparison_table([first, second], ['a', 'b']).columns]
-    return {str(r[1]): tuple(map(str, r[2:])) for r in zip(*columns, strict=True)}
+    table = comparison_table(side_by_side([first, second]), ['a', 'b'])
+    columns = [list(c.cells) for c in table.columns]
+    return {str(r[1]): tuple(map(str, r[2:7])) for r in zip(*columns, strict=True)}
 
 
 def test_g_sensitivities_and_skewed_gyros_are_compared_too() -> None:
@@ -54,9 +55,9 @@ def test_g_sensitivities_and_skewed_gyros_are_compared_too() -> None:
 
 def test_what_only_one_of_them_has_is_named() -> None:
     large, small = unit(), unit(with_g=False, skewed=False)
-    only, nothing = unmatched(large, small)
-    assert only == [p.name for p in parameters_of([G_SENSITIVITY], skewed=1)[24:]]
-    assert nothing == []
+    only, nothing = side_by_side([large, small]).only
+    assert list(only) == [p.name for p in parameters_of([G_SENSITIVITY], skewed=1)[24:]]
+    assert nothing == ()
     assert len(rows(large, small)) == len(rows(small, large)) == 24
 
 

@@ -46,7 +46,8 @@ from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import load_plan
 from imu_calib.plausibility import check_plausible
 from imu_calib.reports.assessment import assess, tables
-from imu_calib.reports.parameter_table import comparison_table, in_scale_of, parameter_table
+from imu_calib.reports.parameter_table import parameter_table
+from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
 from imu_calib.rotations import rotation
 from imu_calib.segmentation.segment import Segment, Turn
 from imu_calib.simulation.imu import SimulatedImu
@@ -411,7 +412,7 @@ def test_in_another_scale_the_unit_reads_the_same_numbers(terms: tuple[Term, ...
     found = seen.model.predict(rate, force)
     assert found[0] == pytest.approx(2 * gyro, rel=1e-12)
     assert found[1] == pytest.approx(4 * accel, rel=1e-12)
-    table = comparison_table([calibration, seen], ['a', 'b'])
+    table = comparison_table(side_by_side([calibration, seen]), ['a', 'b'])
     assert list(table.columns[1].cells)[24:] == [p.name for p in model.parameters[24:]]
 
 

@@ -17,7 +17,8 @@ from imu_calib.methods import check_plan, method
 from imu_calib.methods.solution import Solution
 from imu_calib.model import PARAMETER_NAMES, SensorModel, Triad
 from imu_calib.plan import Plan, load_plan
-from imu_calib.reports.parameter_table import comparison_table, parameter_table
+from imu_calib.reports.parameter_table import parameter_table
+from imu_calib.reports.side_by_side import comparison_table, side_by_side
 from imu_calib.rotations import rotation
 from imu_calib.simulation import simulate
 from imu_calib.stream import Floats
@@ -140,7 +141,7 @@ def test_a_result_of_gyros_alone_says_so_and_comes_back_from_its_file(tmp_path: 
     assert not loaded.has_accelerometers
     assert loaded.to_yaml() == calibration.to_yaml()
     assert list(parameter_table(loaded).columns[0].cells) == list(PARAMETER_NAMES[:12])
-    assert len(comparison_table([loaded, loaded], ['a', 'b']).rows) == 12
+    assert len(comparison_table(side_by_side([loaded, loaded]), ['a', 'b']).rows) == 12
 
 
 def test_parameters_that_are_no_numbers_are_not_written() -> None:

@@ -9,7 +9,7 @@ from sessions import calibrate, session, stand, truth
 
 from imu_calib.calibration import Calibration
 from imu_calib.plan import Plan, load_plan
-from imu_calib.reports.parameter_table import comparison_table
+from imu_calib.reports.side_by_side import comparison_table, side_by_side
 from imu_calib.turntable import load_table
 from imu_calib.units import ARCMIN, DEG, DEG_H, MICRO_G
 
@@ -45,7 +45,7 @@ def test_the_two_methods_differ_by_less_than_in_the_paper() -> None:
         assert np.abs((found.values - truth().values) / found.std).max() < 4
 
     # The paper's own digits, twelve positions; its E_GXY is our E_gyx.
-    rows = comparison_table([six, twelve], ['6', '12'])
+    rows = comparison_table(side_by_side([six, twelve]), ['6', '12'])
     cells = [list(column.cells) for column in rows.columns]
     printed = dict(zip(cells[0], map(float, cells[3]), strict=True))
     paper = {'K_GX': -0.015, 'E_GXY': 5.23, 'E_GYX': -4.79, 'K_AZ': -0.002, 'E_AYZ': 7.55}

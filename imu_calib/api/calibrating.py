@@ -11,6 +11,7 @@ from ..calibrator import Result, Setup, calibrator_of
 from ..errors import InputError, NotObservable, NotStated
 from ..imu import ImuSpec
 from ..plan import Plan
+from ..segmentation.segmented import Segmented
 from ..stream import Block
 from ..turntable import Table
 from .assumed import (
@@ -204,12 +205,16 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
     for block in opened.blocks(progress):
         calibrator.feed(block)
     lost = tuple(opened.recording.losses)
+    by_hand = SAID_BY_HAND in opened.assumed
+    before = calibrator.snapshot() if by_hand else calibrator
     try:
         result = calibrator.finish()
     except NotObservable as error:
+        if by_hand:
+            _check_that_it_was(opened, before.review().session)
         raise NotObservable(' '.join([str(error), *lost, *opened.assumed])) from None
-    if SAID_BY_HAND in opened.assumed and not was_in_the_hand(result.session):
-        raise NotStated(ask_for_plan(opened.recording.path))
+    if by_hand:
+        _check_that_it_was(opened, result.session)
     calibration = result.calibration
     provenance = {
         'recording': opened.recording.path.name,
@@ -220,3 +225,14 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
     findings = (*opened.assumed, *calibration.findings, *lost)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
+
+
+def _check_that_it_was(opened: Opened, session: Segmented) -> None:
+    """Refuse to take a session for one in the hand that was none.
+
+    Raises:
+        NotStated: Nobody holds a unit still for so long.
+
+    """
+    if not was_in_the_hand(session):
+        raise NotStated(ask_for_plan(opened.recording.path))

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..agreement import FALSE_ALARM, Agreement, agreement
+from ..agreement import FALSE_ALARM, Agreement
 from ..calibration import Calibration
 from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..errors import InputError
 from ..model import Parameter
-from ..reports.parameter_table import in_scale_of, unmatched
+from ..reports.side_by_side import SideBySide, side_by_side
 from ..stream import Floats
 from ..views import compared_frame, draw_differences
 from .named import Named, as_applied
@@ -34,23 +34,43 @@ class Compared:
 
     Attributes:
         names: What they are called: the names of their files, or of the units.
-        calibrations: k of them.
-        parameters: n that all of them have.
-        agreement: Which of these differ by more than the covariances explain.
-        only: For each calibration the names of parameters that it has, and not all others.
+        beside: The calibrations, their common parameters, and how far they agree.
         findings: What a person should know, in sentences.
-        std: (k - 1, n) standard deviations of the differences from the first, SI units; sessions
-            are taken to be independent but for the gravity of one place. (n,) of two.
 
     """
 
     names: tuple[str, ...]
-    calibrations: tuple[Calibration, ...]
-    parameters: tuple[Parameter, ...]
-    agreement: Agreement
-    only: tuple[tuple[str, ...], ...]
+    beside: SideBySide
     findings: tuple[str, ...]
-    std: Floats
+
+    @property
+    def calibrations(self) -> tuple[Calibration, ...]:
+        """Return them, k, with the nominal scale factors of the first."""
+        return self.beside.calibrations
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return those that all of them have, n."""
+        return self.beside.parameters
+
+    @property
+    def agreement(self) -> Agreement:
+        """Return which parameters differ by more than the covariances explain."""
+        return self.beside.agreement
+
+    @property
+    def only(self) -> tuple[tuple[str, ...], ...]:
+        """Return for each the names of parameters that it has, and not all others."""
+        return self.beside.only
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations of the differences from the first, (k - 1, n) SI; (n,) of two.
+
+        Sessions are taken to be independent but for the gravity of one place.
+        """
+        std = self.beside.std
+        return std[0] if len(self.names) == _FEWEST else std
 
     @property
     def values(self) -> Floats:
@@ -153,17 +173,9 @@ def compare(
             f'names: found {len(called)}, expected {len(calibrations)}, one for each calibration.'
         )
     own = [_single(one) for one in calibrations]
-    mine = own[0]
-    in_scale = (mine, *(in_scale_of(one, mine) for one in own[1:]))
-    only = unmatched(in_scale)
-    common = tuple(
-        p
-        for p, std in zip(mine.parameters, mine.std, strict=True)
-        if np.isfinite(std) and p.name not in only[0]
-    )
-    found, std = agreement(in_scale, common)
+    beside = side_by_side(own)
     findings = []
-    if any(shown is not one for shown, one in zip(in_scale, own, strict=True)):
+    if any(shown is not one for shown, one in zip(beside.calibrations, own, strict=True)):
         findings.append(f'Shown with the nominal scale factors of {called[0]}.')
     if len({c.provenance.get('frame') for c in own if c.provenance}) > 1:
         findings.append(
@@ -172,12 +184,8 @@ def compare(
         )
     return Compared(
         called,
-        in_scale,
-        common,
-        found,
-        tuple(tuple(one) for one in only),
+        beside,
         tuple(findings),
-        std[0] if len(own) == _FEWEST else std,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.comparing import Compared, compare
-from ..reports.parameter_table import agreement_lines, comparison_table
+from ..reports.side_by_side import agreement_lines, comparison_table
 from .outcome import Outcome, add_json_option
 from .terminal import OUTPUT, print_whole
 
@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     compared = compare(*arguments.files)
     heads = _heads(compared)
     found = compared.agreement
-    print_whole(comparison_table(compared.calibrations, heads, found, compared.std))
+    print_whole(comparison_table(compared.beside, heads))
     for line in ('', *agreement_lines(found, len(compared.names))):
         OUTPUT.print(line, markup=False)
     two = len(compared.names) == 2

@@ -1,0 +1,216 @@
+"""Calibrations of one unit side by side, as Cao 2022's Table 1 prints them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich.table import Table
+
+from ..agreement import Agreement, agreement
+from ..calibration import Calibration
+from ..errors import InputError
+from ..model import AXES, PARAMETERS, Parameter, ParameterKind
+from ..stream import Floats, Units
+from ..units import ARCSEC, PPM, STANDARD_GRAVITY
+from .parameter_table import Shown, decimals, engineering, section_of
+
+
+@dataclass(frozen=True, eq=False)
+class SideBySide:
+    """Calibrations as they read with the nominal scale factors of the first.
+
+    Attributes:
+        calibrations: k of them.
+        parameters: n that all of them estimated.
+        only: For each the names of parameters that it has, and not all others.
+        agreement: Which of `parameters` differ by more than the covariances explain.
+        std: (k - 1, n) standard deviations of the differences from the first, SI units.
+
+    """
+
+    calibrations: tuple[Calibration, ...]
+    parameters: tuple[Parameter, ...]
+    only: tuple[tuple[str, ...], ...]
+    agreement: Agreement
+    std: Floats
+
+
+def side_by_side(calibrations: Sequence[Calibration]) -> SideBySide:
+    """Set two or more calibrations side by side.
+
+    Raises:
+        InputError: Their streams are not of the same units.
+
+    """
+    first = calibrations[0]
+    in_scale = (first, *(in_scale_of(one, first) for one in calibrations[1:]))
+    known = [
+        {p for p, s in zip(c.parameters, c.std, strict=True) if np.isfinite(s)} for c in in_scale
+    ]
+    common = set.intersection(*known)
+    parameters = tuple(p for p in first.parameters if p in common)
+    only = tuple(
+        tuple(p.name for p in c.parameters if p in mine - common)
+        for c, mine in zip(in_scale, known, strict=True)
+    )
+    return SideBySide(in_scale, parameters, only, *agreement(in_scale, parameters))
+
+
+def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
+    """Return calibrations side by side, in the units and the order of Cao 2022's Table 1.
+
+    That table gives K as a deviation of the scale factor, S - S0 = -S0 K / (1 + K), and names
+    misalignments by the transpose of the matrix in its eqs. (1)-(2) (its E_AXY is the response of
+    the Y channel to an input along X, eq. 18; that its gyro names follow suit is our reading). Both
+    names are printed.
+
+    Args:
+        beside: The calibrations.
+        names: What to call them.
+
+    """
+    calibrations, found, std = beside.calibrations, beside.agreement, beside.std
+    two = len(calibrations) == 2
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    between = ('difference', 'in std') if two else ('chi-square',)
+    for heading in ('Table 1', 'here', *names, *between, 'unit', ''):
+        left = heading in {'Table 1', 'here', 'unit', ''}
+        # What does not fit into a line goes on in the next: no number and no unit is cut.
+        table.add_column(heading, justify='left' if left else 'right', no_wrap=True)
+    differ = dict(zip(found.parameters, found.differ, strict=True))
+    last = None
+    for parameter in sorted(found.parameters, key=_table_order):
+        if last is not None and section_of(parameter) != section_of(last):
+            table.add_section()
+        last = parameter
+        k = found.parameters.index(parameter)
+        shown, values = _as_table_1(parameter, calibrations)
+        places = _table_decimals(parameter, shown, float(np.min(std[:, k])))
+        rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
+        if two:
+            one, other = (float(c.model.values((parameter,))[0]) for c in calibrations)
+            ratio = f'{(one - other) / std[0, k]:+.1f}' if std[0, k] > 0 else '-'
+            rest = [f'{values[0] - values[1]:+.{places}f}', ratio]
+        table.add_row(
+            _table_name(parameter),
+            parameter.name,
+            *(f'{v:.{places}f}' for v in values),
+            *rest,
+            shown.unit,
+            'differs' if differ[parameter] else '',
+        )
+    return table
+
+
+def agreement_lines(found: Agreement, count: int) -> list[str]:
+    """Say what of some calibrations differs significantly, and by which rule.
+
+    Args:
+        found: Their agreement.
+        count: How many there are.
+
+    """
+    if not found.total_freedom:
+        return ['None of them states a deviation: nothing says which difference is significant.']
+    rule = (
+        f'A parameter differs where its chi-square ({count - 1} degree{"s" * (count > 2)} of '
+        f'freedom) comes by chance less often than once in {1 / found.limit:.0f}: of a hundred '
+        'comparisons of a unit that has not changed, one marks a parameter.'
+    )
+    every = (
+        f'All parameters together: chi-square {found.total:.1f} with {found.total_freedom} degrees '
+        f'of freedom, chance {found.total_chance:.2g}: '
+        + ('they agree.' if found.consistent else 'they do not agree.')
+    )
+    names = ', '.join(found.names)
+    return [f'Significantly different: {names or "none"}.', rule, every]
+
+
+def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
+    """Return a calibration as it reads with the nominal scale factors of another.
+
+    The same unit with twice the nominal scale factor answers twice as much: I + M, bias and the
+    coefficients of terms double.
+
+    Raises:
+        InputError: The streams are not of the same units.
+
+    """
+    mine, its = calibration.imu, other.imu
+    if mine.units is not its.units:
+        raise InputError(
+            f'Calibrations of {its.units.value} and of {mine.units.value} cannot be compared.'
+        )
+    gyro = its.gyro.scale_factor / mine.gyro.scale_factor
+    accel = its.accel.scale_factor / mine.accel.scale_factor
+    if gyro == accel == 1.0:
+        return calibration
+    askew = 1.0
+    if calibration.model.skewed is not None:
+        askew = (its.skewed or its.gyro).scale_factor / (mine.skewed or mine.gyro).scale_factor
+    parameters = calibration.parameters
+    factors = np.array([_factor_of(p, {'g': gyro, 'a': accel}, askew) for p in parameters])
+    # A scale-factor error is what a response has beyond one.
+    one = np.array([p.kind is ParameterKind.SCALE_FACTOR_ERROR for p in parameters])
+    values = (one + calibration.values) * factors - one
+    return replace(
+        calibration,
+        imu=replace(its, id=mine.id),
+        model=calibration.model.with_values(parameters, values),
+        covariance=calibration.covariance * np.outer(factors, factors),
+        budget=None if calibration.budget is None else calibration.budget.scaled(factors),
+    )
+
+
+def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) -> float:
+    return askew if parameter.row >= len(AXES) else triads[parameter.triad]
+
+
+def _table_name(parameter: Parameter) -> str:
+    """Return the name that Table 1 has for a parameter; it knows the 24 alone."""
+    if parameter not in PARAMETERS:
+        return '-'
+    name = parameter.name.upper()
+    if parameter.kind is ParameterKind.MISALIGNMENT:
+        return name[:-2] + name[-1] + name[-2]
+    return name
+
+
+def _table_order(parameter: Parameter) -> tuple[bool, bool, int, str]:
+    """Return what sorts the 24 as Table 1 does, and leaves the others in their order behind."""
+    if parameter not in PARAMETERS:
+        return True, False, 0, ''
+    kinds = [ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT, ParameterKind.BIAS]
+    return False, parameter.triad != 'g', kinds.index(parameter.kind), _table_name(parameter)
+
+
+def _as_table_1(
+    parameter: Parameter, calibrations: Sequence[Calibration]
+) -> tuple[Shown, list[float]]:
+    """Return how a parameter is shown, and its values; a deviation has the same scale."""
+    values = [float(c.model.values((parameter,))[0]) for c in calibrations]
+    shown = engineering(parameter)
+    if parameter not in PARAMETERS:
+        return shown, [v / shown.scale for v in values]
+    if parameter.kind is not ParameterKind.SCALE_FACTOR_ERROR:
+        if shown.unit == 'ug':
+            shown = Shown('g', STANDARD_GRAVITY)
+        return shown, [v / shown.scale for v in values]
+    imu = calibrations[0].imu
+    if imu.units is not Units.PULSES:
+        return Shown('ppm', PPM), [v / PPM for v in values]
+    gyro = parameter.triad == 'g'
+    nominal = imu.gyro.scale_factor if gyro else imu.accel.scale_factor
+    unit = Shown('arcsec/p', ARCSEC / nominal) if gyro else Shown('(m/s)/p', 1 / nominal)
+    return unit, [-v / (1 + v) / unit.scale for v in values]
+
+
+def _table_decimals(parameter: Parameter, shown: Shown, std: float) -> int:
+    """Return as many as a deviation says, and two more than the paper prints at least."""
+    if parameter not in PARAMETERS:
+        return decimals(std / shown.scale)
+    printed = {'arcsec/p': 3, '(m/s)/p': 4, 'ppm': 0, 'arcmin': 2, 'deg/h': 2, 'g': 4}
+    least = printed[shown.unit] + 2
+    return max(least, decimals(std / shown.scale)) if std > 0 else least

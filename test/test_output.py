@@ -1,0 +1,220 @@
+"""What programs get: one JSON document on stdout, whatever happens, and exit codes that say it."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+from loopback import CHECKOUT
+
+import imu_calib
+from imu_calib.calibration import Calibration
+from imu_calib.cli import info as info_command
+from imu_calib.cli.main import main
+from imu_calib.model import PARAMETERS
+from imu_calib.specification import COVERAGE
+
+SCHEMAS = CHECKOUT / 'config' / 'schemas'
+SCHEMA = Draft202012Validator(json.loads((SCHEMAS / 'output.json').read_text()))
+FILE = Draft202012Validator(json.loads((SCHEMAS / 'calibration.json').read_text()))
+LIMITS = """
+id: mems_counts
+units: counts
+gyro:          {scale_factor: 0.06103515625 deg/s/count, angle_random_walk: 0.3 deg/sqrt(h)}
+accelerometer: {scale_factor: 0.00048828125 g/count, velocity_random_walk: 0.1 (m/s)/sqrt(h)}
+specification:
+  gyro: {scale_factor_error: %s %%}
+"""
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sessions in the hand, and a calibration of the first."""
+    path = tmp_path_factory.mktemp('output')
+    for name, seed in (('one', '1'), ('two', '2')):
+        words = ['--imu', 'mems_counts', '--truth', 'mems_counts', '--seed', seed]
+        assert main(['simulate', 'free_positions', '-o', str(path / name), *words]) == 0
+        assert main(['calibrate', str(path / name), '-o', str(path / f'{name}.yaml')]) == 0
+    # The unit's largest scale-factor error of a gyro is 0.6 %.
+    for name, limit in (('wide', '2'), ('narrow', '0.2')):
+        (path / f'{name}.imu.yaml').write_text(LIMITS % limit)
+    return path
+
+
+class Program:
+    """Runs commands with --json, and takes them at their word."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+        self.told = ''
+
+    def __call__(self, *words: object, code: int = 0) -> dict[str, Any]:
+        self._capsys.readouterr()
+        found = main([*map(str, words), '--json'])
+        out, self.told = self._capsys.readouterr()
+        document = json.loads(out)
+        assert out.count('\n') == 1
+        assert [e.message for e in SCHEMA.iter_errors(document)] == []
+        assert found == code == document['exit_code'], self.told
+        return document  # type: ignore[no-any-return]
+
+
+@pytest.fixture
+def program(capsys: pytest.CaptureFixture[str]) -> Program:
+    return Program(capsys)
+
+
+def test_a_calibration_is_a_document_and_people_read_stderr(
+    program: Program, folder: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / 'c.yaml'
+    document = program('calibrate', folder / 'one', '-o', file)
+    result = document['result']
+    assert (document['command'], document['error']) == ('calibrate', None)
+    assert result['file'] == str(file)
+    saved = Calibration.load(file)
+    assert [e.message for e in FILE.iter_errors(saved.to_dict())] == []
+    # Degrees of freedom without an end are no number of JSON's.
+    assert result['calibration']['covariance'] == saved.to_dict()['covariance']
+    assert result['calibration'].keys() == yaml.safe_load(file.read_text()).keys()
+    known = {p['name']: p for p in result['parameters']}
+    for parameter, value, std in zip(saved.parameters, saved.values, saved.std, strict=True):
+        told = known[parameter.name]
+        assert (told['value'], told['std']) == (value, std)
+        assert told['unit'] == parameter.unit.si
+    assert known['D_gx']['unit'] == 'rad/s'
+    assert 'Worth knowing' in program.told and 'K_gx' in program.told
+    # The same from Python, and the next command writes to stdout again.
+    again = imu_calib.calibrate(folder / 'one').to_dict()
+    assert again['parameters'] == result['parameters']
+
+
+def test_without_json_people_read_stdout(
+    program: Program, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program('info', folder / 'one')
+    assert main(['info', str(folder / 'one')]) == 0
+    assert '/imu/pulses' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('words', 'code', 'kind', 'sentence'),
+    [
+        (['calibrate', 'nowhere'], 2, 'input', 'no such recording'),
+        (['calibrate'], 2, 'input', 'required: bag'),
+        (['calibrate', 'x', '--latitude', 'here'], 2, 'input', 'invalid float'),
+        (['verify', 'x', '--calibration', 'none.yaml'], 2, 'input', 'cannot be read'),
+        (['compare', 'none.yaml', 'b.yaml'], 2, 'input', 'cannot be read'),
+        (['info', 'x', '--nonsense'], 2, 'input', 'unrecognized'),
+        (['report', 'none.yaml'], 2, 'input', 'cannot be read'),
+    ],
+)
+def test_an_error_is_a_document(
+    program: Program,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    code: int,
+    kind: str,
+    sentence: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    document = program(*words, code=code)
+    assert document['result'] is None
+    assert document['error']['kind'] == kind
+    assert sentence in document['error']['message']
+    assert document['error']['message'] in program.told.replace('\n', ' ') + program.told
+
+
+def test_data_that_gives_no_answer_is_exit_code_1(
+    program: Program, folder: Path, tmp_path: Path
+) -> None:
+    words = ['--plan', 'six_position_by_hand', '-o', tmp_path / 'c.yaml']
+    # Thirty holds and no whole turn: no method of six positions has its turns.
+    document = program('calibrate', folder / 'one', *words, code=1)
+    assert document['error']['kind'] == 'not_observable'
+
+
+def test_an_interruption_is_a_document(
+    program: Program, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(info_command, 'topics', interrupted)
+    document = program('info', folder / 'one', code=130)
+    assert document['error'] == {'kind': 'interrupted', 'message': 'interrupted'}
+
+
+def test_a_unit_outside_its_specification_is_exit_code_3(
+    program: Program, folder: Path, tmp_path: Path
+) -> None:
+    words = ['calibrate', folder / 'one', '-o', tmp_path / 'c.yaml', '--imu']
+    wide, narrow = folder / 'wide.imu.yaml', folder / 'narrow.imu.yaml'
+    # Without --specification nobody asks.
+    assert program(*words, narrow)['result']['specification'] is None
+    assert program(*words, wide, '--specification')['result']['specification']['verdict'] == 'pass'
+    document = program(*words, narrow, '--specification', code=3)
+    found = document['result']['specification']
+    assert found['verdict'] == 'fail'
+    beyond = {
+        p['name']
+        for p in found['parameters']
+        if p['limit'] is not None and abs(p['value']) - COVERAGE * p['std'] > p['limit']
+    }
+    assert beyond == {p['name'] for p in found['parameters'] if p['verdict'] == 'fail'}
+    assert beyond and all(name in program.told for name in beyond)
+    assert imu_calib.conformity(tmp_path / 'c.yaml', narrow).outside == tuple(
+        p.name for p in PARAMETERS if p.name in beyond
+    )
+    report = ['report', tmp_path / 'c.yaml', '-o', tmp_path / 'r.html', '--imu']
+    assert program(*report, wide)['result']['specification']['verdict'] == 'pass'
+    assert program(*report, narrow, code=3)['result']['specification'] == found
+
+
+def test_a_unit_without_a_specification_is_refused_before_it_is_calibrated(
+    program: Program, folder: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / 'c.yaml'
+    document = program('calibrate', folder / 'one', '-o', file, '--specification', code=2)
+    assert re.search('add the section specification', document['error']['message'])
+    assert not file.exists()
+
+
+def test_a_verdict_is_a_document_and_rejected_is_exit_code_1(
+    program: Program, folder: Path, tmp_path: Path
+) -> None:
+    document = program('verify', folder / 'two', '--calibration', folder / 'one.yaml')
+    assert document['result']['verdict'] == 'pass'
+    assert {row['unit'] for row in document['result']['compared']} == {'m/s^2', 'rad/s'}
+    made = Calibration.load(folder / 'one.yaml')
+    wrong = made.values + np.array([0.2 * (p.name == 'D_az') for p in made.parameters])
+    replace(made, model=made.model.with_values(made.parameters, wrong)).save(tmp_path / 'w.yaml')
+    document = program('verify', folder / 'two', '--calibration', tmp_path / 'w.yaml', code=1)
+    assert document['error'] is None
+    (gyros, accels) = document['result']['triads']
+    assert (gyros['verdict'], accels['verdict']) == ('pass', 'fail')
+    assert 'D_az' in {moved['name'] for moved in accels['moved']} and accels['symptom']
+    assert 'is rejected by' in program.told
+
+
+def test_a_comparison_is_a_document(program: Program, folder: Path) -> None:
+    files = [folder / 'one.yaml', folder / 'two.yaml', folder / 'one' / 'truth.yaml']
+    result = program('compare', *files)['result']
+    assert result['names'] == ['one', 'two', 'truth']
+    assert len(result['parameters'][0]['values']) == 3
+    assert result['parameters'][0]['degrees_of_freedom'] == 2
+
+
+def test_a_look_is_a_document(program: Program, folder: Path) -> None:
+    result = program('info', folder / 'one')['result']
+    assert [t['name'] for t in result['topics']] == ['/imu/pulses']
+    assert len(result['inside']['rests']) == 30
+    assert result['inside']['missing'] is None
