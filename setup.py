@@ -80,6 +80,8 @@ setup(
             'jsonschema>=4',
             'nbclient>=0.9',
             'ipykernel>=6.29',
+            # Looks at pages in the Chromium that is installed; brings none itself.
+            'playwright>=1.40',
             ROSBAGS,
             DDS,
             PLOT,

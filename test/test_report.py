@@ -154,7 +154,7 @@ def test_terms_of_the_session_have_units_of_their_own(result: Result) -> None:
 
 def test_what_was_not_used_is_named_with_its_reason(text: str) -> None:
     cells = [[words(c) for c in row] for row in parsed(text).iter('tr')]
-    assert ['7', '1.0', '2.0', 'somebody <knocked> on the table'] in cells
+    assert ['7', '22:13:21', '1.0', '2.0', 'somebody <knocked> on the table'] in cells
     titles = [words(t) for t in parsed(text).iter('title')]
     assert any('somebody <knocked>' in t for t in titles)
 

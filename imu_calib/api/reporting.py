@@ -11,6 +11,7 @@ import numpy as np
 from ..bags import open_recording
 from ..calibration import Calibration
 from ..calibrator import Result
+from ..compensation.thermal import AnyCalibration, ThermalCalibration, load_calibration
 from ..errors import InputError
 from ..estimation.tested import State
 from ..imu import ImuSpec
@@ -18,6 +19,7 @@ from ..methods import JOINT
 from ..model import AUTO_TERMS, NO_TERMS, terms_of
 from ..model.session_terms import SESSION_TERMS
 from ..reports.page import Contents, page
+from ..reports.thermal_page import thermal_page
 from .calibrating import calibrated
 from .named import Named, as_calibration, as_imu
 from .outputs import output_path
@@ -30,7 +32,7 @@ versions of a library differ by rounding, 1e-6 of one; another plan or site by m
 
 
 def report(
-    calibration: Result | Calibration | Named,
+    calibration: Result | AnyCalibration | Named,
     output: Named = 'report.html',
     *,
     bag: Named | None = None,
@@ -42,7 +44,8 @@ def report(
 
     Args:
         calibration: What `calibrate` returned, which adds the course of the session, or a
-            calibration, or its file.
+            calibration, or its file. What `combine` returned gives the parameters over
+            temperature.
         output: HTML file to write.
         bag: The recording that a calibration was made from: it is calibrated anew for the course.
             One that does not say what it was calibrated with: pass what `calibrate` returned.
@@ -62,7 +65,7 @@ def report(
 
 
 def written(
-    calibration: Result | Calibration | Named,
+    calibration: Result | AnyCalibration | Named,
     output: Named,
     bag: Named | None,
     imu: ImuSpec | Named | None,
@@ -72,9 +75,16 @@ def written(
 ) -> tuple[Path, ImuSpec | None]:
     """Write a report; return the file, and the unit's description as far as it is known."""
     path = output_path(output)
+    combined = _combined(calibration)
+    if combined is not None:
+        unit = None if imu is None else as_imu(imu)
+        _refuse_with_combined(calibration, bag, compare)
+        _write(path, thermal_page(combined, _name(calibration, combined.calibrations[0]), unit))
+        return path, unit
+    assert not isinstance(calibration, ThermalCalibration)
     result = calibration if isinstance(calibration, Result) else None
     found = as_calibration(calibration)
-    name = Path(calibration).name if isinstance(calibration, str | Path) else found.imu.id
+    name = _name(calibration, found)
     others = {
         str(other) if isinstance(other, str | Path) else f'{k + 1}': as_calibration(other)
         for k, other in enumerate(compare)
@@ -84,12 +94,50 @@ def written(
     unit = None if result is None else result.calibration.imu
     if unit is None and imu is not None:
         unit = as_imu(imu)
-    text = page(Contents(found, name, unit, result, others))
+    _write(path, page(Contents(found, name, unit, result, others)))
+    return path, unit
+
+
+def _name(calibration: Result | AnyCalibration | Named, found: Calibration) -> str:
+    return Path(calibration).name if isinstance(calibration, str | Path) else found.imu.id
+
+
+def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding='utf-8')
     except OSError as error:
         raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
-    return path, unit
+
+
+def _combined(calibration: Result | AnyCalibration | Named) -> ThermalCalibration | None:
+    """Return the calibrations of a combined file; None for any other."""
+    if isinstance(calibration, str | Path):
+        calibration = load_calibration(calibration)
+    if isinstance(calibration, ThermalCalibration) and len(calibration.calibrations) > 1:
+        return calibration
+    return None
+
+
+def _refuse_with_combined(
+    calibration: Result | AnyCalibration | Named, bag: Named | None, compare: Sequence[object]
+) -> None:
+    """Refuse what a combined file cannot be reported with.
+
+    Raises:
+        InputError: Says what to do.
+
+    """
+    name = calibration if isinstance(calibration, str | Path) else 'the calibration'
+    if bag is not None:
+        raise InputError(
+            f'{name}: combines calibrations of several recordings, found one recording ({bag}): '
+            'leave it out, or report the calibration that was made from it.'
+        )
+    if compare:
+        raise InputError(
+            f'{name}: combines several temperatures, at which the unit differs: expected '
+            'calibrations of one temperature each with --compare.'
+        )
 
 
 def _terms(calibration: Calibration) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timezone
-
 import numpy as np
 import scipy
 
+from ..instants import iso
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import terms_of
@@ -18,8 +17,6 @@ from ..stamping import StampingClock
 from ..units import DEG
 from ..version import version
 from .setup import Setup
-
-_YEAR_2000, _YEAR_2200 = 946_684_800 * 10**9, 7_258_118_400 * 10**9
 
 
 def provenance(
@@ -44,7 +41,7 @@ def provenance(
     if solution.tests:
         special['tests_of_terms'] = {test.name: test.document() for test in solution.tests}
     return {
-        'recorded': _date(session.start),
+        'recorded': iso(session.start),
         'method': setup.method_name,
         'terms': [*(t.name for t in terms_of(solution.parameters)), *spelled(_changing(solution))],
         'terms_looked_for': setup.look and bool(solution.tests),
@@ -113,13 +110,6 @@ def _highest_rate(evidence: Evidence, session: Segmented) -> float | None:
 
 def _changing(solution: Solution) -> tuple[Change, ...]:
     return () if solution.changes is None else solution.changes.changes
-
-
-def _date(stamp: int | None) -> str | None:
-    """Return when a recording began, UTC; None where its stamps count from something else."""
-    if stamp is None or not _YEAR_2000 < stamp < _YEAR_2200:
-        return None
-    return datetime.fromtimestamp(stamp // 10**9, timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
 
 
 def _temperature(session: Segmented) -> dict[str, float] | None:

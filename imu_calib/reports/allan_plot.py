@@ -11,9 +11,9 @@ from ..channel_noise import TRIADS, ChannelNoise, Coefficient, TriadUnits
 from ..imu import ImuSpec, TriadSpec
 from .html import paragraph, table
 from .noise import written
-from .svg import COLOURS, Axis, Panel, drawing, label, legend
+from .svg import COLOURS, Axis, Panel, drawing, label, legend, tag
 
-_WIDTH, _HEIGHT, _LEFT, _TOP = 760.0, 250.0, 56.0, 42.0
+_WIDTH, _HEIGHT, _LEFT, _TOP = 372.0, 250.0, 56.0, 52.0
 _FRAME = 300.0
 """px wide."""
 _LEAST = 0.02
@@ -26,13 +26,14 @@ def noise_plots(seen: Mapping[str, ChannelNoise], imu: ImuSpec | None) -> str:
     shown = [t for t in TRIADS if any(c in seen for c in t.channels)]
     if not shown:
         return ''
-    parts = [legend('XYZ', _WIDTH - 220, 14)]
-    for k, units in enumerate(shown):
+    drawings = []
+    for units in shown:
         channels = {c: seen[c] for c in units.channels if c in seen}
-        left = _LEFT + k * (_WIDTH / 2 + 4)
         spec = None if imu is None else _of(units, imu)
-        parts += _panel(units, channels, spec, left).parts
-    return drawing(parts, _WIDTH, _TOP + _HEIGHT + 42, 'Allan deviation')
+        parts = [legend('XYZ', _WIDTH - 216, 14), *_panel(units, channels, spec).parts]
+        title = f'Allan deviation of the {units.name}s'
+        drawings.append(drawing(parts, _WIDTH, _TOP + _HEIGHT + 42, title))
+    return tag('div', ''.join(drawings), class_='panels halves')
 
 
 def _of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
@@ -40,7 +41,7 @@ def _of(units: TriadUnits, imu: ImuSpec) -> TriadSpec:
 
 
 def _panel(
-    units: TriadUnits, channels: Mapping[str, ChannelNoise], spec: TriadSpec | None, left: float
+    units: TriadUnits, channels: Mapping[str, ChannelNoise], spec: TriadSpec | None
 ) -> Panel:
     scale = units.rate_scale
     taus = np.concatenate([c.tau for c in channels.values()])
@@ -48,7 +49,7 @@ def _panel(
     panel = Panel(
         Axis.decades(taus.tolist()),
         Axis.decades(heights[heights > 0].tolist()),
-        left,
+        _LEFT,
         _TOP,
         _FRAME,
         _HEIGHT,

@@ -15,7 +15,13 @@ from ..model import TERMS, Parameter, ParameterKind
 from ..specification import COVERAGE, Specification, Verdict, judge
 from .html import table
 from .parameter_table import decimals, engineering
-from .svg import drawing, number, tag
+from .svg import drawing, joined, tag
+
+LIMITS = (
+    'Pass and fail are given where the value and its error bar of two standard deviations lie '
+    'wholly on one side of the limit (ISO 14253-1); between them it is marginal.'
+)
+"""What the verdicts go by, for a person."""
 
 _WIDTH, _HEIGHT = 150.0, 16.0
 _SHOWN = 1.4
@@ -101,7 +107,7 @@ def tables(assessed: Sequence[Assessed]) -> str:
             # Without a limit there is nothing to show beside the value.
             columns = len(headings) if any(row[-1] for row in rows) else _PLAIN
             shown = [row[:columns] for row in rows]
-            kind = 'parameters' if columns > _PLAIN else 'parameters plain'
+            kind = 'parameters limits' if columns > _PLAIN else 'parameters plain'
             inside = table(headings[:columns], shown, kind, 'llrrlrll'[:columns])
             inside = tag('h3', title) + inside
             parts.append(tag('div', inside, class_='whole'))
@@ -176,8 +182,7 @@ def _bar(assessed: Assessed) -> str:
     if beyond:
         back = mark + (-7 if assessed.value > 0 else 7)
         corners = [(back, middle - 5), (mark, middle), (back, middle + 5)]
-        points = ' '.join(f'{number(x)},{number(y)}' for x, y in corners)
-        parts.append(tag('polygon', points=points, class_=kind))
+        parts.append(tag('polygon', points=joined(corners), class_=kind))
     else:
         parts.append(tag('circle', cx=tip, cy=middle, r=3.6, class_=kind))
     words = f'{assessed.parameter.name}: {assessed.value / limit:.0%} of its limit'

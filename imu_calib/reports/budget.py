@@ -14,7 +14,7 @@ from ..budget import PROBABILITY, Budget, Source
 from ..calibration import Calibration
 from ..model import Parameter
 from ..stream import Floats
-from .html import paragraph, table
+from .html import paragraph, scrolling, table
 from .parameter_table import decimals, engineering
 from .svg import drawing, label, tag
 
@@ -48,6 +48,7 @@ _COLOURS = {
     Source.AZIMUTH: '#7a4a12',
     Source.TILT: '#d3b277',
     Source.ARM: '#3f6f5f',
+    Source.DELAY: '#a8c9bd',
     Source.TABLE: '#9c5c8f',
     Source.NORTH: '#4d4d4d',
     Source.CLOCK: '#b0006d',
@@ -55,6 +56,8 @@ _COLOURS = {
     Source.GRAVITY: '#f0d000',
     Source.LATITUDE: '#6b7300',
     Source.SCATTER: '#b3261e',
+    Source.TIME_CONSTANT: '#5a2a83',
+    Source.TEMPERATURE: '#ff9da7',
     Source.TERMS: '#2f6f6f',
 }
 """Neighbours differ in lightness too, for readers that do not tell the hues apart."""
@@ -252,7 +255,7 @@ def _picture(shown: _Shown) -> str:
         x = _LEFT + (_WIDTH - _LEFT - _MARGIN) * k / 4
         parts.append(label(f'{25 * k} %', x, y + 14, class_='tick', text_anchor='middle'))
     picture = drawing(parts, _WIDTH, y + 22, 'Shares of the sources in the variance of parameters')
-    return tag('div', picture, class_='budget')
+    return scrolling(picture)
 
 
 def _legend(headings: list[str], colours: list[str]) -> tuple[list[str], float]:

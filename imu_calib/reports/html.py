@@ -34,9 +34,22 @@ def table(
         )
         for row in rows
     )
-    return tag(
-        'table', tag('thead', tag('tr', head)) + tag('tbody', body or ' '), class_=kind or None
+    inside = tag('thead', tag('tr', head)) + tag('tbody', body or ' ')
+    return scrolling(tag('table', inside, class_=kind or None))
+
+
+def scrolling(content: str) -> str:
+    """Return what scrolls by itself where a screen is narrower, so that the page does not."""
+    return tag('div', content, class_='wide')
+
+
+def named_rows(rows: Sequence[tuple[str, str]]) -> str:
+    """Return a table of plain texts, each behind its name."""
+    body = ''.join(
+        tag('tr', tag('th', escape(name), scope='row') + tag('td', escape(value) or '-'))
+        for name, value in rows
     )
+    return scrolling(tag('table', tag('tbody', body), class_='facts')) if rows else ''
 
 
 def section(title: str, *content: str, kind: str = '') -> str:

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-import numpy as np
-
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..imu import ImuSpec
-from . import allan_plot, repeatability, residuals, timeline
-from .assessment import angles_table, assess, badge, summary, tables, worst
+from . import allan_plot, attitudes, provenance, repeatability, residuals, timeline
+from .assessment import LIMITS, angles_table, assess, badge, summary, tables, worst
 from .budget import budget_section
 from .html import bullets, facts, paragraph, section, table
 from .parameter_table import FREE_OF_FRAME, change_note, decimals
@@ -21,10 +19,6 @@ from .svg import tag
 from .terms import terms_section
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
-_LIMITS = (
-    'Pass and fail are given where the value and its error bar of two standard deviations lie '
-    'wholly on one side of the limit (ISO 14253-1); between them it is marginal.'
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +54,6 @@ def page(contents: Contents) -> str:
     title = f'Calibration of {calibration.imu.id}'
     body = ''.join(
         [
-            tag('h1', escape(title)),
             _head(contents),
             section('Findings', bullets(calibration.findings)),
             _parameters(contents),
@@ -71,9 +64,14 @@ def page(contents: Contents) -> str:
             _residuals(contents),
             _noise(contents),
             _repeatability(contents),
-            section('Provenance', _provenance(calibration), kind='dense'),
+            section('Provenance', provenance.provenance(calibration)),
         ]
     )
+    return document(title, body)
+
+
+def document(title: str, body: str) -> str:
+    """Return a whole HTML file with a heading that its title repeats."""
     head = ''.join(
         [
             tag('meta', charset='utf-8'),
@@ -83,7 +81,8 @@ def page(contents: Contents) -> str:
             tag('style', STYLE),
         ]
     )
-    return f'<!DOCTYPE html>\n{tag("html", tag("head", head) + tag("body", body), lang="en")}\n'
+    inside = tag('body', tag('h1', escape(title)) + body)
+    return f'<!DOCTYPE html>\n{tag("html", tag("head", head) + inside, lang="en")}\n'
 
 
 def _head(contents: Contents) -> str:
@@ -97,38 +96,23 @@ def _head(contents: Contents) -> str:
         class_=f'outcome {verdict.value if verdict else ""}'.strip(),
     )
     pairs = [
-        ('recorded', _words(where.get('recorded')).replace('T', ' ').replace('Z', ' UTC')),
-        ('recording', _words(where.get('recording'))),
-        ('plan', _words(where.get('plan'))),
-        ('method', _words(where.get('method'))),
-        ('table', _words(where.get('table'))),
-        ('site', _site(where)),
-        ('static dwells', _words(where.get('segments'))),
-        ('turns', _words(where.get('turns'))),
-        ('samples used', _words(where.get('samples'))),
+        ('recorded', provenance.date(where)),
+        ('recording', str(where.get('recording') or '-')),
+        ('serial number', contents.calibration.serial_number or '-'),
+        ('plan', provenance.plan(where)),
+        ('method', str(where.get('method') or '-')),
+        ('table', str(where.get('table') or '-')),
+        ('site', provenance.site(where)),
+        ('dwells, turns', f'{where.get("segments", "-")}, {where.get("turns", "-")}'),
+        ('samples used', provenance.count(where.get('samples'))),
     ]
     return paragraph(f'from {contents.name}', 'subtitle') + outcome + facts(pairs)
-
-
-def _words(value: object) -> str:
-    if isinstance(value, bool) or value is None:
-        return '-'
-    if isinstance(value, int):
-        return f'{value:,}'.replace(',', '\u2009')
-    return f'{value:.6g}' if isinstance(value, float) else str(value)
-
-
-def _site(where: Mapping[str, object]) -> str:
-    latitude, gravity = where.get('latitude_deg'), where.get('gravity')
-    if not isinstance(latitude, float) or not isinstance(gravity, float):
-        return '-'
-    return f'latitude {latitude:.3f}\u00b0, gravity {gravity:.5f}\u00a0m/s\u00b2'
 
 
 def _parameters(contents: Contents) -> str:
     specification = contents.imu.specification if contents.imu is not None else None
     assessed = assess(contents.calibration, specification)
-    note = paragraph(_LIMITS if specification is not None else '', 'note')
+    note = paragraph(LIMITS, 'note')
     missing = []
     if not contents.calibration.has_accelerometers:
         missing = ['The accelerometers were not calibrated.']
@@ -162,12 +146,13 @@ def _course(result: Result | None) -> str:
     if result is None:
         return ''
     found = timeline.stretches(result)
-    rejected = timeline.rejected_table(found)
+    rejected = timeline.rejected_table(found, result.session.start)
     return section(
         'Course of the session',
+        paragraph(timeline.when(result), 'note'),
         timeline.time_line(found, result.session.duration),
         rejected or paragraph('Every segment of the session was used.', 'note'),
-        kind='page',
+        tag('h3', 'Positions') + attitudes.attitudes(attitudes.stands(result)),
     )
 
 
@@ -188,7 +173,6 @@ def _noise(contents: Contents) -> str:
         allan_plot.noise_plots(seen, contents.imu),
         allan_plot.noise_table(seen, contents.imu),
         allan_plot.noise_notes(seen),
-        kind='page' if contents.calibration.residuals else '',
     )
 
 
@@ -196,36 +180,12 @@ def _repeatability(contents: Contents) -> str:
     if not contents.others:
         return ''
     names = [contents.name, *contents.others]
-    rows = repeatability.repeated([contents.calibration, *contents.others.values()], names)
+    all_of_them = [contents.calibration, *contents.others.values()]
+    rows = repeatability.repeated(all_of_them, names)
     return section(
         'Repeatability',
-        paragraph(f'Compared: {", ".join(names)}.'),
+        repeatability.dates_table(all_of_them, names),
         repeatability.repeatability_table(rows),
         repeatability.repeatability_notes(rows),
         repeatability.overlay(rows),
-        kind='page',
     )
-
-
-def _provenance(calibration: Calibration) -> str:
-    return facts(list(_flat(calibration.provenance)))
-
-
-def _flat(tree: Mapping[str, object], above: str = '') -> list[tuple[str, str]]:
-    """Return nested entries as pairs; noise and terms have sections of their own."""
-    pairs = []
-    for key, value in tree.items():
-        name = f'{above}{key}'.replace('_', ' ')
-        if name in ('noise', 'tests of terms'):
-            continue
-        if isinstance(value, Mapping):
-            pairs += _flat(value, f'{name}: ')
-        elif isinstance(value, (list, tuple)):
-            pairs.append((name, ', '.join(_listed(v) for v in value) or '-'))
-        else:
-            pairs.append((name, _words(value)))
-    return pairs
-
-
-def _listed(value: object) -> str:
-    return f'{value:.3g}' if isinstance(value, float) and np.isfinite(value) else _words(value)

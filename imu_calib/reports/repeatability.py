@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from html import escape
 
 import numpy as np
@@ -15,9 +15,10 @@ from ..errors import InputError
 from ..gravity import same_place, without_gravity
 from ..model import Parameter
 from ..stream import Floats
-from .html import paragraph, table
+from .html import named_rows, paragraph, table
 from .parameter_table import decimals, engineering
-from .svg import COLOURS, Axis, Panel, drawing, label, tag
+from .small import panels, small
+from .svg import tag
 
 _SURPRISING = 0.001
 """Probability of chance below which sessions scatter."""
@@ -26,7 +27,6 @@ _SIGNIFICANT = 3.0
 _DAY = 86400.0
 _FEWEST_FOR_A_DRIFT = 3
 """Dates: two always lie on a line."""
-_WIDTH, _CELL, _HEIGHT, _COLUMNS = 760.0, 182.0, 74.0, 4
 _ALIKE = 1e-6
 """Relative: scale factors that differ by more make other parameters."""
 
@@ -40,6 +40,7 @@ class Repeated:
         value: (n,) as estimated.
         std: (n,) as stated.
         days: (n,) when, days after the first; None where a calibration has no date.
+        first: Date of the first; None where a calibration has none.
 
     """
 
@@ -47,6 +48,7 @@ class Repeated:
     value: Floats
     std: Floats
     days: Floats | None
+    first: datetime | None = None
 
     @property
     def spread(self) -> float:
@@ -151,7 +153,9 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
         value = np.array([c.values[k] for c, k in zip(calibrations, rows, strict=True)])
         std = np.sqrt([square[k] for square, k in zip(squares, rows, strict=True)])
         if np.isfinite(std).all():
-            found.append(Repeated(parameter, value, std, days))
+            found.append(
+                Repeated(parameter, value, std, days, None if days is None else min(known))
+            )
     if not found:
         raise InputError(f'{", ".join(names)}: no parameter was estimated in all of them.')
     return found
@@ -202,49 +206,40 @@ def _verdict(row: Repeated) -> str:
 
 def overlay(rows: Sequence[Repeated]) -> str:
     """Draw every parameter over time, or over the order given where dates are missing."""
-    lines = -(-len(rows) // _COLUMNS)
-    parts = []
-    for k, row in enumerate(rows):
-        left = (k % _COLUMNS) * (_CELL + 8) + 44
-        top = (k // _COLUMNS) * (_HEIGHT + 44) + 22
-        parts += _small(row, left, top)
-    return drawing(parts, _WIDTH, lines * (_HEIGHT + 44) + 12, 'Parameters over time')
+    return panels([_over_time(row) for row in rows])
 
 
-def _small(row: Repeated, left: float, top: float) -> list[str]:
-    shown = engineering(row.parameter)
-    value, std = row.value / shown.scale, row.std / shown.scale
-    when = row.days if row.days is not None else np.arange(float(len(value)))
-    mean = float(value.mean())
-    reach = float(np.max(np.abs(value - mean) + 2 * std)) or 1.0
-    panel = Panel(
-        Axis.around(when.tolist(), 0.1),
-        Axis.around([-reach, reach]),
-        left,
-        top,
-        _CELL - 44,
-        _HEIGHT,
-    )
-    panel.frame('', '', x_ticks=False)
-    panel.level(0.0, 'zero')
-    unit = f', {shown.unit}' if shown.unit else ''
-    heading = f'{row.parameter.name} \u2212 mean{unit}'.replace('ug', '\u00b5g')
-    panel.parts.append(label(heading, left, top - 6, class_='tick'))
-    for x, y, s in zip(when, value - mean, std, strict=True):
-        panel.point(float(x), float(y), 0, (float(y - 2 * s), float(y + 2 * s)))
+def _over_time(row: Repeated) -> str:
+    count = len(row.value)
+    if row.days is None:
+        return small(row.parameter, np.arange(float(count)), row.value, row.std, ('1', f'{count}'))
+    line: list[tuple[float, float]] = []
     if row.drift is not None and abs(row.drift[0]) > _SIGNIFICANT * row.drift[1]:
-        slope = row.drift[0] / shown.scale
-        middle = float(when.mean())
-        ends = float(when.min()), float(when.max())
-        panel.curve([(x, slope * (x - middle)) for x in ends], COLOURS[1], '4 3')
-    bottom = top + _HEIGHT + 14
-    last = f'{when.max():.3g} d' if row.days is not None else f'{len(when)}'
-    first = '0' if row.days is not None else '1'
-    panel.parts += [
-        label(first, panel.across(float(when.min())), bottom, class_='tick', text_anchor='middle'),
-        label(last, panel.across(float(when.max())), bottom, class_='tick', text_anchor='middle'),
-    ]
-    return panel.parts
+        middle, mean = float(row.days.mean()), float(row.value.mean())
+        ends = float(row.days.min()), float(row.days.max())
+        line = [(x, mean + row.drift[0] * (x - middle)) for x in ends]
+    return small(row.parameter, row.days, row.value, row.std, _ends(row), line)
+
+
+def _ends(row: Repeated) -> tuple[str, str]:
+    """Return the first and the last date; of one day, the times."""
+    assert row.days is not None
+    last = float(row.days.max())
+    if row.first is None:
+        return '0', f'{last:.3g} d'
+    dates = row.first, row.first + timedelta(days=last)
+    form = '%H:%M' if dates[0].date() == dates[1].date() else '%Y-%m-%d'
+    return dates[0].strftime(form), dates[1].strftime(form)
+
+
+def dates_table(calibrations: Sequence[Calibration], names: Sequence[str]) -> str:
+    """Return the files that are compared, with the dates of their recordings."""
+    return named_rows(
+        [
+            (name, 'no date' if date is None else f'recorded {date:%Y-%m-%d %H:%M} UTC')
+            for name, date in zip(names, map(date_of, calibrations), strict=True)
+        ]
+    )
 
 
 def repeatability_notes(rows: Sequence[Repeated]) -> str:

@@ -11,7 +11,7 @@ from ..calibration import Calibration
 from ..calibrator import Result
 from ..stream import Floats
 from ..units import DEG_H, MICRO_G
-from .html import paragraph, table
+from .html import paragraph, scrolling, table
 from .parameter_table import three_digits
 from .svg import Axis, Panel, drawing, label, legend
 
@@ -90,7 +90,7 @@ def residual_plots(residuals: Residuals) -> str:
             panel = _panel(residuals, top, normalised[:, channels], None, name, limits=True)
             parts += panel.parts
             top += _HEIGHT + _GAP
-    return drawing(parts, _WIDTH, top - _GAP + 36, 'Residuals of every static dwell')
+    return scrolling(drawing(parts, _WIDTH, top - _GAP + 36, 'Residuals of every static dwell'))
 
 
 def _panel(

@@ -10,6 +10,9 @@ from html import escape
 COLOURS = ('#0072b2', '#d55e00', '#00805c')
 """Of X, Y, Z: Okabe and Ito's, which colour-blind readers tell apart; the green is darkened."""
 
+_CLASSES = dict(zip(COLOURS, ('of-x', 'of-y', 'of-z'), strict=True))
+"""By which the page's style names them: on dark paper they are lighter."""
+
 _FEWEST_TICKS = 4
 """On an axis."""
 _MOST_LABELS = 7
@@ -79,7 +82,7 @@ class Axis:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
 
-    def ticks(self) -> list[tuple[float, str]]:
+    def ticks(self, fewest: int = _FEWEST_TICKS) -> list[tuple[float, str]]:
         """Return where ticks stand, and what is written there."""
         if self.logarithmic:
             first, last = round(math.log10(self.low)), round(math.log10(self.high))
@@ -88,7 +91,7 @@ class Axis:
             if last - first == 1:
                 ticks += [(m * 10.0**first, f'{m * 10.0**first:g}') for m in (2, 5)]
             return ticks
-        step = _step((self.high - self.low) / _FEWEST_TICKS)
+        step = _step((self.high - self.low) / fewest)
         places = max(0, -math.floor(math.log10(step) + 1e-9))
         first = math.ceil(self.low / step - 1e-9)
         last = math.floor(self.high / step + 1e-9)
@@ -144,10 +147,12 @@ class Panel:
         share = min(max(self.y.share(value), -0.02), 1.02)
         return self.top + self.height * (1 - share)
 
-    def frame(self, x_title: str, y_title: str, *, x_ticks: bool = True) -> None:
+    def frame(
+        self, x_title: str, y_title: str, *, x_ticks: bool = True, fewest: int = _FEWEST_TICKS
+    ) -> None:
         """Draw axes, grid and titles."""
         bottom = self.top + self.height
-        for value, text in self.y.ticks():
+        for value, text in self.y.ticks(fewest):
             y = self.down(value)
             self.parts.append(self._line(self.left, y, self.left + self.width, y, 'grid'))
             self.parts.append(label(text, self.left - 6, y + 4, class_='tick', text_anchor='end'))
@@ -182,7 +187,7 @@ class Panel:
 
     def curve(self, points: Sequence[tuple[float, float]], colour: str, dash: str = '') -> None:
         """Draw a line through points."""
-        path = ' '.join(f'{number(self.across(x))},{number(self.down(y))}' for x, y in points)
+        path = joined([(self.across(x), self.down(y)) for x, y in points])
         self.parts.append(
             tag(
                 'polyline',
@@ -191,6 +196,7 @@ class Panel:
                 fill='none',
                 stroke_width=1.5,
                 stroke_dasharray=dash or None,
+                class_=f'line {_CLASSES.get(colour, "")}'.strip(),
             )
         )
 
@@ -203,7 +209,15 @@ class Panel:
         if spread is not None:
             ends = [self.down(v) for v in spread]
             self.parts.append(
-                tag('line', x1=across, y1=ends[0], x2=across, y2=ends[1], stroke=colour)
+                tag(
+                    'line',
+                    x1=across,
+                    y1=ends[0],
+                    x2=across,
+                    y2=ends[1],
+                    stroke=colour,
+                    class_=f'line {_CLASSES[colour]}',
+                )
             )
         self.parts.append(marker(across, down, channel))
 
@@ -211,19 +225,24 @@ class Panel:
 def marker(x: float, y: float, channel: int, size: float = 3.5) -> str:
     """Return the mark of a channel: disc, square and triangle for X, Y and Z."""
     colour = COLOURS[channel % len(COLOURS)]
+    kind = _CLASSES[colour]
     if channel % len(COLOURS) == 0:
-        return tag('circle', cx=x, cy=y, r=size, fill=colour)
+        return tag('circle', cx=x, cy=y, r=size, fill=colour, class_=kind)
     if channel % len(COLOURS) == 1:
         side = 1.8 * size
-        return tag('rect', x=x - side / 2, y=y - side / 2, width=side, height=side, fill=colour)
+        left, top = x - side / 2, y - side / 2
+        return tag('rect', x=left, y=top, width=side, height=side, fill=colour, class_=kind)
     corners = [
         (x, y - 1.2 * size),
         (x - 1.1 * size, y + 0.8 * size),
         (x + 1.1 * size, y + 0.8 * size),
     ]
-    return tag(
-        'polygon', points=' '.join(f'{number(a)},{number(b)}' for a, b in corners), fill=colour
-    )
+    return tag('polygon', points=joined(corners), fill=colour, class_=kind)
+
+
+def joined(points: Sequence[tuple[float, float]]) -> str:
+    """Return points as the attribute of a polygon or a line."""
+    return ' '.join(f'{number(a)},{number(b)}' for a, b in points)
 
 
 def legend(names: Sequence[str], x: float, y: float) -> str:

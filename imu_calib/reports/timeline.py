@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 from enum import Enum
 from html import escape
 
 from ..calibrator import Result
+from ..instants import utc
 from ..units import DEG
-from .html import table
+from .html import scrolling, table
 from .svg import Axis, Panel, drawing, label, tag
 
 _WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
@@ -100,7 +102,7 @@ def time_line(found: Sequence[Stretch], duration: float) -> str:
     parts.append(
         label(f'time, {unit}', _LEFT + width / 2, bottom + 30, class_='axis', text_anchor='middle')
     )
-    return drawing(parts, _WIDTH, bottom + 38, 'Time line of the session')
+    return scrolling(drawing(parts, _WIDTH, bottom + 38, 'Time line of the session'))
 
 
 def _block(panel: Panel, stretch: Stretch, y: float, scale: float) -> str:
@@ -124,10 +126,38 @@ def _block(panel: Panel, stretch: Stretch, y: float, scale: float) -> str:
     )
 
 
-def rejected_table(found: Sequence[Stretch]) -> str:
-    """Return what was not used and why; empty when all was."""
+def when(result: Result) -> str:
+    """Say from when to when the session went."""
+    start, duration = result.session.start, result.session.duration
+    first = utc(start)
+    if first is None:
+        return f'The session took {duration:.0f} s; its stamps do not count from 1970.'
+    last = first + timedelta(seconds=duration)
+    form = '%H:%M:%S' if last.date() == first.date() else '%Y-%m-%d %H:%M:%S'
+    return f'From {first:%Y-%m-%d %H:%M:%S} to {last:{form}} UTC, {duration:.0f} s.'
+
+
+def rejected_table(found: Sequence[Stretch], start: int | None) -> str:
+    """Return what was not used and why; empty when all was.
+
+    Args:
+        found: All of the session.
+        start: First stamp of the session, ns.
+
+    """
+    zero = utc(start)
+
+    def clock(seconds: float) -> str:
+        return '-' if zero is None else f'{zero + timedelta(seconds=seconds):%H:%M:%S}'
+
     rows = [
-        [escape(s.name), f'{s.start:.1f}', f'{s.end - s.start:.1f}', escape(s.reason)]
+        [
+            escape(s.name),
+            clock(s.start),
+            f'{s.start:.1f}',
+            f'{s.end - s.start:.1f}',
+            escape(s.reason),
+        ]
         for s in found
         if s.lane is Lane.REJECTED
     ]
@@ -135,5 +165,6 @@ def rejected_table(found: Sequence[Stretch]) -> str:
         return ''
     more = len(rows) - _MOST_ROWS
     if more > 0:
-        rows = [*rows[:_MOST_ROWS], ['', '', '', f'and {more} more']]
-    return table(['position', 'at, s', 'for, s', 'why it was not used'], rows, 'plain', 'lrrl')
+        rows = [*rows[:_MOST_ROWS], ['', '', '', '', f'and {more} more']]
+    headings = ['position', 'UTC', 'at, s', 'for, s', 'why it was not used']
+    return table(headings, rows, '', 'lrrrl')

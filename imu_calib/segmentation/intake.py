@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..instants import at
 from ..stream import Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, SkewBlock, Stamps
 from ..turntable import Table
 from .buffer import RowBuffer
@@ -124,7 +125,7 @@ class Intake:
     def losses(self) -> list[str]:
         """Say what was lost, in sentences."""
         lost = [
-            f'{count} samples left out for {what}, the first at {first * 1e-9:.3f} s'
+            f'{count} samples left out for {what}, the first at {at(first)}'
             for what, (count, first) in self._dropped.items()
         ]
         if self._table is None:

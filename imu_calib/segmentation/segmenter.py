@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..imu import ImuSpec
+from ..instants import at
 from ..stream import (
     Block,
     ImuBlock,
@@ -366,7 +367,7 @@ class Segmenter:
 def interruption(last: int, begins: int) -> str:
     """Say what an interruption of the IMU's stream costs: from its last stamp to the next, ns."""
     gap = (begins - last) * 1e-9
-    return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {last * 1e-9:.3f} s'
+    return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {at(last)}'
 
 
 _SHOWN = 1e-4

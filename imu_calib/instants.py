@@ -1,0 +1,44 @@
+"""Stamps as dates for people: ns since 1970, as ROS has them, where they count from then."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+
+_YEAR_2000, _YEAR_2200 = 946_684_800 * 10**9, 7_258_118_400 * 10**9
+"""Stamps outside count from something else: from when a device was switched on, as a rule."""
+
+
+def utc(stamp: int | None) -> datetime | None:
+    """Return the date of a stamp, ns; None where it counts from something else than 1970.
+
+    Examples:
+        >>> utc(1_700_000_109_994_000_000)
+        datetime.datetime(2023, 11, 14, 22, 15, 9, 994000, tzinfo=datetime.timezone.utc)
+        >>> utc(5_000_000_000) is None
+        True
+
+    """
+    if stamp is None or not _YEAR_2000 < stamp < _YEAR_2200:
+        return None
+    whole = datetime.fromtimestamp(stamp // 10**9, timezone.utc)
+    return whole.replace(microsecond=stamp % 10**9 // 1000)
+
+
+def iso(stamp: int | None) -> str | None:
+    """Return a date in whole seconds for a file, '2023-11-14T22:13:20Z'; None without one."""
+    date = utc(stamp)
+    return None if date is None else date.strftime('%Y-%m-%dT%H:%M:%SZ')
+
+
+def at(stamp: int) -> str:
+    """Return when something was, for a sentence: the date, or the stamp in seconds.
+
+    Examples:
+        >>> at(1_700_000_109_994_000_000), at(12_500_000_000)
+        ('2023-11-14 22:15:09.994 UTC', '12.500 s')
+
+    """
+    date = utc(stamp)
+    if date is None:
+        return f'{stamp * 1e-9:.3f} s'
+    return f'{date:%Y-%m-%d %H:%M:%S}.{date.microsecond // 1000:03d} UTC'

@@ -1,0 +1,197 @@
+"""Where the unit stood: a small cube for every position, seen from the south-west and above."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from ..calibrator import Result
+from ..directions import across
+from ..instants import utc
+from ..segmentation.naming import attitude_words, up_words
+from ..segmentation.segment import Segment
+from ..stream import Floats
+from ..units import DEG
+from .html import paragraph
+from .svg import drawing, joined, label, tag
+
+_SIDE, _HALF = 104.0, 21.0
+"""px: of a drawing, and half of the cube's edge."""
+_AZIMUTH, _ELEVATION = -32 * DEG, 26 * DEG
+"""Of the eye: from south towards west, above level. No two of the six directions coincide."""
+_REACH = 1.62
+"""Half edges from the middle to an axis's letter; its line ends before."""
+_ROOM = 11.0
+"""px between letters: their height."""
+_MOST = 60
+"""Cubes; the rest is counted."""
+_ALIGNED = np.cos(1 * DEG)
+"""An axis that is nearer to a direction is said to point there; names are in whole degrees."""
+_AXES = 'XYZ'
+_CLASSES = ('of-x', 'of-y', 'of-z')
+_WHERE = ('east', 'north', 'up')
+_OPPOSITE = ('west', 'south', 'down')
+_NOTE = (
+    'East and north are those of the table: of the Earth if its zeros point north. Each cube is '
+    'seen from the south-west and above; the arrows are the axes of the unit.'
+)
+_UNKNOWN = (
+    'Nobody measured the heading: the cubes show which way up the unit stood, by its '
+    'accelerometers, and no more.'
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """A position with all static dwells at it.
+
+    Attributes:
+        name: Of the position.
+        attitude: (3, 3) R_nb in east, north, up.
+        known: Whether the heading is; else only which way is up.
+        dwells: In order of time.
+
+    """
+
+    name: str
+    attitude: Floats
+    known: bool
+    dwells: tuple[Segment, ...]
+
+    @property
+    def words(self) -> str:
+        """Where its axes point."""
+        if not self.known:
+            return up_words(self.attitude[2])
+        words = [_pointing(self.attitude[:, k]) for k in range(3)]
+        if None in words:
+            return attitude_words(self.attitude)
+        return ', '.join(f'{axis} {word}' for axis, word in zip(_AXES, words, strict=True))
+
+    @property
+    def when(self) -> str:
+        """When the first dwell began, and how long all of them took."""
+        first, count = utc(self.dwells[0].start), len(self.dwells)
+        seconds = sum(s.end - s.start for s in self.dwells) * 1e-9
+        parts = [] if first is None else [f'{first:%H:%M:%S}']
+        parts += [f'{count} dwells'] * (count > 1)
+        return ', '.join([*parts, f'{seconds:.0f} s'])
+
+
+def _pointing(axis: Floats) -> str | None:
+    """Return the direction of the horizon, or up or down, that an axis points to."""
+    k = int(np.abs(axis).argmax())
+    if abs(axis[k]) < _ALIGNED:
+        return None
+    return _WHERE[k] if axis[k] > 0 else _OPPOSITE[k]
+
+
+def stands(result: Result) -> list[Stand]:
+    """Return the positions of a session in the order in which they were first taken."""
+    found: dict[str, list[Segment]] = {}
+    for segment in result.labelled.segments:
+        found.setdefault(segment.position or '?', []).append(segment)
+    return [_stand(name, tuple(dwells)) for name, dwells in found.items()]
+
+
+def _stand(name: str, dwells: tuple[Segment, ...]) -> Stand:
+    attitude = dwells[0].attitude
+    if attitude is not None:
+        return Stand(name, attitude, known=True, dwells=dwells)
+    force = dwells[0].statistics.mean[3:]
+    up = force / np.linalg.norm(force)
+    east, north = across(up)
+    return Stand(name, np.array([east, north, up]), known=False, dwells=dwells)
+
+
+def attitudes(found: Sequence[Stand]) -> str:
+    """Draw every position as a cube with its axes, and say when it was taken."""
+    if not found:
+        return ''
+    figures = [_figure(stand) for stand in found[:_MOST]]
+    more = len(found) - _MOST
+    notes = [_NOTE] if any(s.known for s in found) else []
+    notes += [_UNKNOWN] if any(not s.known for s in found) else []
+    notes += [f'{more} more positions are not shown.'] if more > 0 else []
+    return tag('div', ''.join(figures), class_='attitudes') + paragraph(' '.join(notes), 'note')
+
+
+def _figure(stand: Stand) -> str:
+    small = tag('small', escape(stand.when))
+    said = f'{tag("b", escape(stand.name))}'
+    if stand.words != stand.name:
+        said += f'{tag("br")}{escape(stand.words)}'
+    caption = tag('figcaption', f'{said}{tag("br")}{small}')
+    return tag('figure', cube(stand.attitude, f'{stand.name}: {stand.words}') + caption)
+
+
+def cube(attitude: Floats, title: str) -> str:
+    """Draw a cube whose axes point where those of a unit do.
+
+    Args:
+        attitude: (3, 3) R_nb: columns are the body axes in east, north, up.
+        title: For those who cannot see it.
+
+    """
+    toward = _toward_eye()
+    faces, axes, letters = [], [], []
+    for k in range(3):
+        for sign in (1, -1):
+            normal = sign * attitude[:, k]
+            if normal @ toward > 1e-9:
+                faces.append(_face(attitude, k, sign))
+    for k in range(3):
+        axis = attitude[:, k]
+        before = bool(axis @ toward > 0)
+        axes.append((before, _arrow(axis, k)))
+        letters.append((not before, k, _screen(_REACH * axis)))
+    behind = [arrow for before, arrow in axes if not before]
+    front = [arrow for before, arrow in axes if before]
+    return drawing([*behind, *faces, *front, *_letters(letters)], _SIDE, _SIDE, title)
+
+
+def _toward_eye() -> Floats:
+    level = np.cos(_ELEVATION)
+    south, west = np.cos(_AZIMUTH), np.sin(_AZIMUTH)
+    return np.array([west * level, -south * level, np.sin(_ELEVATION)])
+
+
+def _screen(point: Floats) -> tuple[float, float]:
+    """Return where a point (3,) in half edges, east, north, up, is seen, px."""
+    right = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
+    above = np.cross(_toward_eye(), right)
+    middle = _SIDE / 2
+    return middle + _HALF * float(right @ point), middle - _HALF * float(above @ point)
+
+
+def _face(attitude: Floats, k: int, sign: int) -> str:
+    """Return the face that an axis leaves the cube by, or enters it by."""
+    first, second = (attitude[:, (k + step) % 3] for step in (1, 2))
+    middle = sign * attitude[:, k]
+    corners = [middle + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    kind = f'face {_CLASSES[k]}' + ('' if sign > 0 else ' back')
+    return tag('polygon', points=joined([_screen(c) for c in corners]), class_=kind)
+
+
+def _arrow(axis: Floats, k: int) -> str:
+    (x1, y1), (x2, y2) = _screen(axis), _screen((_REACH - 0.32) * axis)
+    return tag('line', x1=x1, y1=y1, x2=x2, y2=y2, class_=f'line axis-line {_CLASSES[k]}') + tag(
+        'circle', cx=x2, cy=y2, r=2.2, class_=_CLASSES[k]
+    )
+
+
+def _letters(places: Sequence[tuple[bool, int, tuple[float, float]]]) -> list[str]:
+    """Return the names of the axes; one behind another moves away from it."""
+    taken: list[tuple[float, float]] = []
+    parts = []
+    for _, k, (x, place) in sorted(places):
+        y = place
+        while any(abs(x - a) < _ROOM and abs(y - b) < _ROOM for a, b in taken):
+            y += _ROOM / 2
+        taken.append((x, y))
+        kind = f'letter {_CLASSES[k]}'
+        parts.append(label(_AXES[k], x, y + 4, class_=kind, text_anchor='middle'))
+    return parts

@@ -1,0 +1,297 @@
+"""Where a calibration comes from, in words and in units that people write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..units import DEG, DEG_H, MICRO_G, PPM
+from .html import named_rows, table
+from .parameter_table import three_digits
+from .svg import tag
+
+Facts = Mapping[str, object]
+
+_APART = ' \u00b1 '
+_ELSEWHERE = frozenset({'noise', 'tests_of_terms'})
+"""Have sections of their own."""
+_CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
+_PER_CHANNEL = (
+    ('random_walk', 'random walk used', ('deg/\u221ah', DEG / 60), ('(m/s)/\u221ah', 1 / 60)),
+    ('residual_rms', 'RMS of the residuals', ('deg/h', DEG_H), ('\u00b5g', MICRO_G)),
+    ('bias_wander', 'bias drift allowed for', ('deg/h', DEG_H), ('\u00b5g', MICRO_G)),
+)
+"""Key, words, and the units of gyros and accelerometers."""
+
+
+def number(facts: Facts, key: str) -> float | None:
+    """Return a finite number; None where there is none."""
+    value = facts.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        return None
+    return float(value)
+
+
+def count(value: object) -> str:
+    """Return a whole number with thin spaces between the thousands."""
+    return f'{value:,}'.replace(',', '\u2009') if isinstance(value, int) else '-'
+
+
+def date(facts: Facts, key: str = 'recorded') -> str:
+    """Return a date as people write it; what is no date as it stands."""
+    text = facts.get(key)
+    if text is None:
+        return 'no date: the stamps do not count from 1970'
+    try:
+        found = datetime.fromisoformat(str(text).replace('Z', '+00:00'))
+    except ValueError:
+        return str(text)
+    return f'{found:%Y-%m-%d %H:%M:%S} UTC'
+
+
+def site(facts: Facts) -> str:
+    """Return latitude and gravity."""
+    latitude, gravity = number(facts, 'latitude_deg'), number(facts, 'gravity')
+    if latitude is None or gravity is None:
+        return '-'
+    return f'latitude {latitude:.3f}\u00b0, gravity {gravity:.5f}\u00a0m/s\u00b2'
+
+
+def plan(facts: Facts) -> str:
+    """Return the plan's name."""
+    return str(facts.get('plan') or 'none')
+
+
+def _text(key: str) -> Callable[[Facts], str]:
+    return lambda facts: str(facts[key]) if facts.get(key) not in (None, '') else ''
+
+
+def _count(key: str) -> Callable[[Facts], str]:
+    return lambda facts: count(facts[key]) if key in facts else ''
+
+
+def _listed(key: str) -> Callable[[Facts], str]:
+    def words(facts: Facts) -> str:
+        found = facts.get(key)
+        return ', '.join(map(str, found)) if isinstance(found, (list, tuple)) else ''
+
+    return words
+
+
+def _terms(facts: Facts) -> str:
+    if 'terms' not in facts:
+        return ''
+    found = _listed('terms')(facts) or 'none'
+    return f'{found} (looked for in the session)' if facts.get('terms_looked_for') else found
+
+
+def _closed_form(facts: Facts) -> str:
+    found = facts.get('closed_form')
+    if not isinstance(found, Mapping):
+        return ''
+    method = found.get('method')
+    if found.get('refusal'):
+        return f'{method}: refused. {found["refusal"]}'
+    apart = found.get('difference_in_std')
+    if not isinstance(apart, Mapping) or not apart:
+        return str(method)
+    name, off = max(apart.items(), key=lambda pair: abs(pair[1]))
+    words = f'{method}: within {abs(off):.1f} standard deviations of the estimate ({name})'
+    ratio = number(found, 'joint_std_over_closed_form')
+    if ratio is None:
+        return words
+    return f'{words}; the joint estimate has {100 * ratio:.0f} % of its standard deviations'
+
+
+def _spread(value: float, std: float | None, places: int, unit: str) -> str:
+    known = '' if not std else f'{_APART}{std:.{places}f}'
+    return f'{value:.{places}f}{known}{unit}'
+
+
+def _latitude(facts: Facts) -> str:
+    value = number(facts, 'latitude_deg')
+    std = number(facts, 'latitude_std_deg')
+    return '' if value is None else _spread(value, std, 3, '\u00b0')
+
+
+def _gravity(facts: Facts) -> str:
+    value, std = number(facts, 'gravity'), number(facts, 'gravity_std')
+    if value is None:
+        return ''
+    source = facts.get('gravity_source') or 'source not stated'
+    exact = '' if std else ', taken as exact'
+    return f'{_spread(value, std, 6, chr(0xA0) + "m/s" + chr(0xB2))} ({source}{exact})'
+
+
+def _height(facts: Facts) -> str:
+    value = number(facts, 'height')
+    if value is None:
+        return ''
+    assumed = ' (assumed: nobody stated it)' if facts.get('height_assumed') else ''
+    return f'{value:g}\u00a0m above the ellipsoid{assumed}'
+
+
+def _azimuth(facts: Facts) -> str:
+    value = number(facts, 'azimuth_seen_deg')
+    if value is None:
+        return ''
+    angle = _spread(value, number(facts, 'azimuth_seen_std_deg'), 1, '\u00b0')
+    return f"{angle} from north to the table's zero, counter-clockwise"
+
+
+def _table_clock(facts: Facts) -> str:
+    std = number(facts, 'table_clock_std')
+    if std is None:
+        return ''
+    return f'known to {std / PPM:g} ppm' if std else 'taken as exact'
+
+
+def _clocks(facts: Facts) -> str:
+    clock = facts.get('clock')
+    if not isinstance(clock, Mapping):
+        return ''
+    offset, rate = number(clock, 'offset_s'), number(clock, 'rate_ppm')
+    if offset is None or rate is None:
+        return 'not compared'
+    doubts = number(clock, 'offset_std_s'), number(clock, 'rate_std_ppm')
+    behind = '' if doubts[0] is None else f'{_APART}{1e3 * doubts[0]:.3f}'
+    faster = '' if doubts[1] is None else f'{_APART}{doubts[1]:.2f}'
+    return (
+        f'offset {1e3 * offset:+.3f}{behind}\u00a0ms, rate {rate:+.2f}{faster}\u00a0ppm, '
+        f'from {clock.get("motions")} motions'
+    )
+
+
+def _rate(facts: Facts) -> str:
+    value = number(facts, 'highest_rate')
+    return '' if value is None else f'{value / DEG:.4g}\u00a0deg/s'
+
+
+def temperature(facts: Facts) -> str:
+    """Return the mean temperature of a session and its range; empty without one."""
+    found = facts.get('temperature')
+    if not isinstance(found, Mapping):
+        return ''
+    values = [number(found, key) for key in ('mean', 'lowest', 'highest')]
+    if None in values:
+        return ''
+    mean, low, high = values
+    return f'{mean:.2f}\u00a0\u00b0C, from {low:.2f} to {high:.2f}\u00a0\u00b0C'
+
+
+def _versions(facts: Facts) -> str:
+    found = facts.get('versions')
+    return ', '.join(f'{k} {v}' for k, v in found.items()) if isinstance(found, Mapping) else ''
+
+
+def _condition(facts: Facts) -> str:
+    value = number(facts, 'condition_number')
+    return '' if value is None else three_digits(value)
+
+
+_GROUPS: tuple[tuple[str, tuple[tuple[str, Callable[[Facts], str], tuple[str, ...]], ...]], ...] = (
+    (
+        'Recording',
+        (
+            ('recording', _text('recording'), ('recording',)),
+            ('begun', date, ('recorded',)),
+            ('SHA-256', _text('sha256'), ('sha256',)),
+            ('topics', _listed('topics'), ('topics',)),
+            ('temperature of the unit', temperature, ('temperature',)),
+        ),
+    ),
+    (
+        'Estimate',
+        (
+            ('method', _text('method'), ('method',)),
+            ('plan', plan, ('plan',)),
+            ('terms beyond the 24', _terms, ('terms', 'terms_looked_for')),
+            ('static dwells', _count('segments'), ('segments',)),
+            ('turns', _count('turns'), ('turns',)),
+            ('samples used', _count('samples'), ('samples',)),
+            ('highest rate', _rate, ('highest_rate',)),
+            ('missing positions', _listed('missing_positions'), ('missing_positions',)),
+            ('condition number', _condition, ('condition_number',)),
+            ('closed form', _closed_form, ('closed_form',)),
+        ),
+    ),
+    (
+        'Site, table and clocks',
+        (
+            ('latitude', _latitude, ('latitude_deg', 'latitude_std_deg')),
+            ('gravity', _gravity, ('gravity', 'gravity_source', 'gravity_std')),
+            ('height', _height, ('height', 'height_assumed')),
+            ('table', _text('table'), ('table',)),
+            ('heading found', _azimuth, ('azimuth_seen_deg', 'azimuth_seen_std_deg')),
+            ("the table's clock", _table_clock, ('table_clock_std',)),
+            ('IMU against table', _clocks, ('clock',)),
+        ),
+    ),
+)
+"""Heading, and rows: name, words, and the keys that they tell."""
+_TOLD = {key for _, rows in _GROUPS for _, _, keys in rows for key in keys}
+
+
+def provenance(calibration: Calibration) -> str:
+    """Return all that a file says of where its calibration comes from."""
+    facts = calibration.provenance
+    if not facts:
+        return ''
+    parts = []
+    for title, rows in _GROUPS:
+        said = [(name, words(facts)) for name, words, keys in rows if set(keys) & set(facts)]
+        shown = named_rows([(name, text) for name, text in said if text])
+        parts.append(tag('div', tag('h3', title) + shown, class_='whole') if shown else '')
+    per_channel = _per_channel(facts)
+    if per_channel:
+        parts.append(tag('div', tag('h3', 'By channel') + per_channel, class_='whole across'))
+    others = {k: v for k, v in facts.items() if k not in _TOLD | _ELSEWHERE | {'versions'}}
+    others = {k: v for k, v in others.items() if k not in {row[0] for row in _PER_CHANNEL}}
+    further = [*_flat(others), ('software', _versions(facts))]
+    shown = named_rows([(name, text) for name, text in further if text])
+    parts.append(tag('div', tag('h3', 'Further') + shown, class_='whole') if shown else '')
+    return tag('div', ''.join(parts), class_='provenance')
+
+
+def _per_channel(facts: Facts) -> str:
+    """Return what there is one of for each channel as a table, in units of data sheets."""
+    rows = []
+    for key, words, *units in _PER_CHANNEL:
+        values = facts.get(key)
+        if not isinstance(values, Sequence) or len(values) != len(_CHANNELS):
+            continue
+        cells = [words]
+        for k, (unit, scale) in enumerate(units):
+            cells += [_scaled(v, scale) for v in values[3 * k : 3 * k + 3]] + [unit]
+        rows.append(cells)
+    headings = ['', *_CHANNELS[:3], '', *_CHANNELS[3:], '']
+    return table(headings, rows, 'plain', 'lrrrlrrrl') if rows else ''
+
+
+def _scaled(value: object, scale: float) -> str:
+    if not isinstance(value, (int, float)) or not np.isfinite(value):
+        return '-'
+    return three_digits(float(value) / scale)
+
+
+def _flat(tree: Facts, above: str = '') -> list[tuple[str, str]]:
+    """Return entries that nobody foresaw as pairs: other software may write into a file."""
+    pairs: list[tuple[str, str]] = []
+    for key, value in tree.items():
+        name = f'{above}{key}'.replace('_', ' ')
+        if isinstance(value, Mapping):
+            pairs += _flat(value, f'{name}: ')
+        elif isinstance(value, (list, tuple)):
+            pairs.append((name, ', '.join(map(_word, value))))
+        else:
+            pairs.append((name, _word(value)))
+    return pairs
+
+
+def _word(value: object) -> str:
+    if isinstance(value, float):
+        return f'{value:.6g}'
+    return '-' if value is None else str(value)

@@ -1,0 +1,257 @@
+"""The report as people look at it: on a phone, in the dark, on paper; a cube for each position."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from browser import A4, contrasts, needs_chromium, opened, overfull, overlaps, width
+from sessions import calibrate, quick_plan, session, stand
+
+import imu_calib
+from imu_calib.budget import Share, Source
+from imu_calib.calibration import Calibration
+from imu_calib.calibrator import Result
+from imu_calib.cli.main import main
+from imu_calib.compensation.thermal import combine
+from imu_calib.errors import InputError
+from imu_calib.imu import load_imu
+from imu_calib.instants import at, iso
+from imu_calib.reports.attitudes import Stand, attitudes, cube, stands
+from imu_calib.reports.budget import budget_section
+from imu_calib.reports.page import Contents, page
+from imu_calib.reports.provenance import provenance
+from imu_calib.reports.thermal_page import thermal_page
+from imu_calib.rotations import rotations
+from imu_calib.segmentation.segmented import Rejected
+from imu_calib.share import named_file
+
+PLAN = quick_plan('twelve_position', 20.0)
+WIDTHS = (390, 820, 1400)
+
+
+@pytest.fixture(scope='module')
+def result() -> Result:
+    found = calibrate(session(PLAN, stand(), 1), PLAN)
+    start = found.session.start or 0
+    disturbed = Rejected(
+        start + 10**9, start + 3 * 10**9, 'somebody knocked on the table ' * 4, '7'
+    )
+    return replace(found, labelled=replace(found.labelled, rejected=(disturbed,)))
+
+
+def dated(calibration: Calibration, month: int, celsius: float) -> Calibration:
+    seen = {'mean': celsius, 'lowest': celsius - 0.4, 'highest': celsius + 0.6}
+    where = {**calibration.provenance, 'recorded': f'2026-{month:02}-03T08:00:00Z'}
+    moved = calibration.values + (celsius - 20) * calibration.std
+    model = calibration.model.with_values(calibration.parameters, moved)
+    return replace(calibration, model=model, provenance={**where, 'temperature': seen})
+
+
+@pytest.fixture(scope='module')
+def at_temperatures(result: Result) -> list[Calibration]:
+    some = enumerate((-10.0, 5.0, 20.0, 50.0), 1)
+    return [dated(result.calibration, month, celsius) for month, celsius in some]
+
+
+@pytest.fixture(scope='module')
+def pages(result: Result, at_temperatures: list[Calibration]) -> dict[str, str]:
+    imu, own = load_imu('fog_medium'), at_temperatures[0]
+    others = {f'of_{c.provenance["recorded"][:7]}.yaml': c for c in at_temperatures[1:]}
+    combined = combine(at_temperatures, ['a', 'b', 'c', 'd'])
+    return {
+        'whole': page(Contents(own, 'calibration.yaml', imu, result, others)),
+        'alone': page(Contents(own, 'calibration.yaml')),
+        'combined': thermal_page(combined, 'combined.yaml', imu),
+    }
+
+
+@pytest.fixture(scope='module', params=['whole', 'alone', 'combined'])
+def file(
+    request: pytest.FixtureRequest, pages: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Path]:
+    path = tmp_path_factory.mktemp('layout') / f'{request.param}.html'
+    path.write_text(pages[request.param], encoding='utf-8')
+    yield path
+
+
+@needs_chromium
+def test_no_text_stands_on_another_and_no_page_is_wider_than_its_window(file: Path) -> None:
+    for size in WIDTHS:
+        with opened(file, size) as shown:
+            assert overlaps(shown) == [], size
+            assert overfull(shown) == [], size
+            assert width(shown) <= size
+    with opened(file, A4, paper=True) as printed:
+        assert overlaps(printed) == []
+        assert width(printed) <= A4
+
+
+@needs_chromium
+def test_the_measurement_sees_texts_on_each_other(tmp_path: Path) -> None:
+    path = tmp_path / 'bad.html'
+    path.write_text(
+        '<p style="width: 40px; white-space: nowrap">much too long a sentence</p>'
+        '<svg width="200" height="50"><text x="9" y="20">one</text><text x="15" y="22">two</text>'
+        '</svg>'
+    )
+    with opened(path, 390) as shown:
+        assert overlaps(shown) == [('one', 'two')]
+        assert overfull(shown) == ['much too long a sentence']
+
+
+@needs_chromium
+@pytest.mark.parametrize('dark', [False, True], ids=['light', 'dark'])
+def test_every_text_is_read_in_the_dark_as_in_the_light(file: Path, dark: bool) -> None:
+    with opened(file, 820, dark=dark) as shown:
+        found = contrasts(shown)
+    # WCAG 2.1, 1.4.3: 4.5 for letters of this size. Badges are white on colour in both.
+    assert [t for t in found if t['ratio'] < 4.5] == []
+    papers = [t['paper'] for t in found]
+    assert np.median(papers) < 0.05 if dark else np.median(papers) > 0.8
+
+
+@needs_chromium
+def test_paper_is_white_in_the_dark_too(pages: dict[str, str], tmp_path: Path) -> None:
+    path = tmp_path / 'page.html'
+    path.write_text(pages['alone'], encoding='utf-8')
+    with opened(path, A4, dark=True, paper=True) as printed:
+        assert min(t['ratio'] for t in contrasts(printed)) >= 4.5
+        assert np.median([t['paper'] for t in contrasts(printed)]) == 1.0
+
+
+def words(element: ET.Element) -> str:
+    return ' '.join(t.strip() for t in element.itertext() if t.strip()).replace('\xa0', ' ')
+
+
+def parsed(text: str) -> ET.Element:
+    return ET.fromstring(text.removeprefix('<!DOCTYPE html>\n'))
+
+
+def test_every_position_has_a_cube_that_points_as_the_plan_says(
+    pages: dict[str, str], result: Result
+) -> None:
+    captions = [words(f) for f in parsed(pages['whole']).iter('figcaption')]
+    assert len(captions) == 12
+    # Position 1 of the paper: X up, Y east, Z north (config/plans/twelve_position.yaml).
+    assert captions[0].startswith('1 X up, Y east, Z north 22:1')
+    assert all(re.search(r'\d\d:\d\d:\d\d, \d\d s$', c) for c in captions)
+    letters = {'E': 'east', 'N': 'north', 'U': 'up', 'W': 'west', 'S': 'south', 'D': 'down'}
+    asked = yaml.safe_load(named_file('plans', 'twelve_position').read_text())['positions']
+    for position, stood in zip(PLAN.positions, stands(result), strict=True):
+        (axes,) = [p['axes'] for p in asked if str(p['id']) == position.id]
+        said = [letters[letter] for letter in axes]
+        expected = ', '.join(f'{a} {w}' for a, w in zip('XYZ', said, strict=True))
+        assert (stood.name, stood.words) == (position.id, expected)
+
+
+def drawn(attitude: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Where the letters of a cube stand: right and up from its middle, px."""
+    svg = ET.fromstring(cube(attitude, 'a cube'))
+    return {
+        str(t.text): (float(t.get('x', 0)) - 52, 52 - (float(t.get('y', 0)) - 4))
+        for t in svg.iter('text')
+    }
+
+
+def test_a_cube_shows_up_above_east_at_the_right_and_north_behind() -> None:
+    # X east, Y north, Z up, seen from the south-west and above.
+    level = drawn(np.eye(3))
+    assert level['Z'][1] > 25 and abs(level['Z'][0]) < 1
+    assert level['X'][0] > 15 and level['Y'][0] < -10
+    # What is behind stands higher.
+    assert level['Y'][1] > 5
+    # Upside down about X: Z below, Y to the south.
+    over = drawn(np.diag([1.0, -1.0, -1.0]))
+    assert over['Z'] == pytest.approx((-level['Z'][0], -level['Z'][1]), abs=0.1)
+    assert over['X'] == pytest.approx(level['X'], abs=0.1)
+
+
+def test_letters_of_a_cube_never_stand_on_each_other() -> None:
+    rng = np.random.default_rng(3)
+    for attitude in rotations(rng.normal(size=(300, 3)) * 2):
+        places = list(drawn(attitude).values())
+        for k, (x, y) in enumerate(places):
+            for a, b in places[k + 1 :]:
+                assert abs(x - a) >= 10 or abs(y - b) >= 10
+
+
+def test_a_unit_of_which_only_up_is_known_says_so(result: Result) -> None:
+    first = result.labelled.segments[0]
+    bare = replace(
+        result, labelled=replace(result.labelled, segments=(replace(first, attitude=None),))
+    )
+    (one,) = stands(bare)
+    assert isinstance(one, Stand) and not one.known and one.words == 'X up'
+    assert 'Nobody measured the heading' in attitudes([one])
+
+
+def test_provenance_is_words_and_units_and_no_dump(pages: dict[str, str], result: Result) -> None:
+    rows = {}
+    for line in parsed(pages['alone']).iter('tr'):
+        cells = [words(c) for c in line]
+        rows[cells[0]] = cells[1:]
+    seen = result.calibration.provenance
+    assert rows['begun'] == ['2026-01-03 08:00:00 UTC']
+    assert rows['latitude'] == ['34.650°']
+    assert rows['highest rate'] == [f'{np.rad2deg(seen["highest_rate"]):.4g} deg/s']
+    assert rows['temperature of the unit'] == ['-10.00 °C, from -10.40 to -9.40 °C']
+    walk = rows['random walk used']
+    # rad/sqrt(s) to deg/sqrt(h): times 180 / pi and 60.
+    assert float(walk[0]) == pytest.approx(np.rad2deg(seen['random_walk'][0]) * 60, rel=0.01)
+    assert walk[3] == 'deg/√h' and walk[-1] == '(m/s)/√h'
+    assert rows['closed form'][0].startswith('twelve_position: within ')
+    text = words(parsed(provenance(result.calibration)))
+    assert not re.search(r'\de-\d|\[|\{|_std|None', text)
+
+
+def test_what_other_software_wrote_into_the_file_is_shown_too(result: Result) -> None:
+    foreign = replace(result.calibration, provenance={'fixture': {'screws': 4}, 'by': ['a', 'b']})
+    assert words(parsed(provenance(foreign))) == 'Further fixture: screws 4 by a, b'
+
+
+def test_dates_are_absolute(pages: dict[str, str], result: Result) -> None:
+    text = words(parsed(pages['whole']))
+    assert 'From 2023-11-14 22:13:20 to 22:' in text
+    assert 'of_2026-02.yaml recorded 2026-02-03 08:00 UTC' in text
+    # Below each small drawing the first and the last date.
+    assert text.count('2026-01-03 2026-04-03') == 24
+    assert (at(12_500_000_000), iso(5)) == ('12.500 s', None)
+
+
+def test_a_combined_file_has_a_report(
+    at_temperatures: list[Calibration], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, made = tmp_path / 'combined.yaml', tmp_path / 'r.html'
+    combined = imu_calib.combine(at_temperatures, path)
+    assert main(['report', str(path), '--imu', 'fog_medium', '-o', str(made)]) == 0
+    found = parsed(made.read_text(encoding='utf-8'))
+    headings = [words(th) for th in found.iter('th')]
+    assert {'−10.0 °C', '5.0 °C', '20.0 °C', '50.0 °C'} <= set(headings)
+    rows = {words(tr[0]): [words(td) for td in tr] for tr in found.iter('tr')}
+    k, scale = 9, np.deg2rad(1) / 3600
+    values = [c.values[k] / scale for c in combined.calibrations]
+    shown = [float(cell.split(' ')[0].replace('−', '-')) for cell in rows['D_gx'][4:]]
+    assert shown == pytest.approx(values, abs=0.005)
+    assert imu_calib.report(combined, tmp_path / 'again.html', imu='fog_medium').is_file()
+    capsys.readouterr()
+    assert main(['report', str(path), 'some_bag', '-o', str(made)]) == 2
+    assert 'leave it out' in capsys.readouterr().err
+    with pytest.raises(InputError, match='one temperature each'):
+        imu_calib.report(path, made, compare=[at_temperatures[0]])
+
+
+def test_every_source_of_uncertainty_can_be_drawn(result: Result) -> None:
+    budget = result.calibration.budget
+    assert budget is not None
+    large = Share.known(np.diag(np.diag(result.calibration.covariance)))
+    for source in Source:
+        more = budget.with_share(source, large)
+        found = budget_section(replace(result.calibration, budget=more))
+        assert source.heading in found[0]
