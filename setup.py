@@ -68,6 +68,7 @@ setup(
         'plot': [PLOT],
         'dataframe': [DATA_FRAME],
         'ros1': [ROSBAGS],
+        'pdf': ['weasyprint>=62'],
         'docs': DOCS,
         'test': [
             'pytest>=7.4',
@@ -76,12 +77,16 @@ setup(
             'hypothesis>=6',
             # Oracles.
             'allantools>=2024.6',
+            'dsiunits>=3.1',
             'fastcrc>=0.5',
             'jsonschema>=4',
+            'lxml>=5',
             'nbclient>=0.9',
             'ipykernel>=6.29',
             # Looks at pages in the Chromium that is installed; brings none itself.
             'playwright>=1.40',
+            # Reads printed pages.
+            'pypdfium2>=4',
             ROSBAGS,
             DDS,
             PLOT,

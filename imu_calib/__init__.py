@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .api.calibrating import calibrate
+    from .api.certifying import certificate
     from .api.columns import Columns, read
     from .api.combining import combine
     from .api.comparing import Compared, compare
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from .api.verifying import verify
     from .calibration import Calibration
     from .calibrator import Result
+    from .certificates.statement import Certificate
     from .compensation.thermal import ThermalCalibration
     from .errors import ImuCalibError, InputError, NotObservable
     from .exports import Exported
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 
 _WHERE = {
     'Calibration': 'calibration',
+    'Certificate': 'certificates.statement',
     'Columns': 'api.columns',
     'Compared': 'api.comparing',
     'Compensated': 'api.compensating',
@@ -67,6 +70,7 @@ _WHERE = {
     'Verdict': 'verification',
     'Verification': 'verification',
     'calibrate': 'api.calibrating',
+    'certificate': 'api.certifying',
     'combine': 'api.combining',
     'compare': 'api.comparing',
     'compensate': 'api.compensating',
@@ -91,6 +95,7 @@ _WHERE = {
 
 __all__ = [
     'Calibration',
+    'Certificate',
     'Columns',
     'Compared',
     'Compensated',
@@ -115,6 +120,7 @@ __all__ = [
     'Verdict',
     'Verification',
     'calibrate',
+    'certificate',
     'combine',
     'compare',
     'compensate',

@@ -18,6 +18,7 @@ import yaml
 from jsonschema import Draft202012Validator
 from loopback import CHECKOUT
 
+from imu_calib.certificates.fields import read_fields
 from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import read_calibration
 from imu_calib.config import Section
@@ -43,6 +44,7 @@ READERS = {
     'plan': read_plan,
     'device': read_format,
     'calibration': read_calibration,
+    'certificate': read_fields,
     'imperfections': lambda section: read_imperfections(section, StandOptions(), TABLE, 1),
 }
 FOLDERS = {
@@ -52,6 +54,7 @@ FOLDERS = {
     'devices': 'device',
     'truths': 'calibration',
     'imperfections': 'imperfections',
+    'certificates': 'certificate',
 }
 SHIPPED = [
     pytest.param(kind, path, id=f'{folder}/{path.stem}')
@@ -382,6 +385,11 @@ BEYOND_A_SCHEMA = {
         ({'gyro__bias__0': float('nan')}, 'bias: found 3 numbers that are not all finite'),
         ({'gyro__bias__0': 10**400}, 'bias: found 3 numbers that are not all finite'),
     ],
+    'certificate': [
+        ({'received': '2026-02-30'}, 'received: found .* expected a date'),
+        ({'issued': '2020-01-01'}, 'issued: found 2020-01-01, before'),
+        ({'calibrated__to': '2020-01-01'}, 'to: found 2020-01-01, before'),
+    ],
     'imperfections': [
         ({'mounting__floor__lowest': '50 Hz'}, 'floor: found lowest .* above highest'),
         ({'samples__lost': '101 %'}, 'found .* expected 100 % or less'),
@@ -555,6 +563,11 @@ MISTAKES = {
         {'table__zeros': '-3 arcsec'},
         {'samples__lost': '150 %'},
         {'stamps__bunch': 2.5},
+    ],
+    'certificate': [
+        {'received': '2026-02-30'},
+        {'issued': '2026-01-29'},
+        {'customer__country': 'Germany'},
     ],
     'index': [
         {'gyro__angle_random_walk': '0.05 deg/h'},

@@ -9,7 +9,7 @@ from typing import Any
 
 from imu_calib.units import Dimension
 
-from . import calibration, device, imperfections, imu, output, plan, table
+from . import calibration, certificate, device, imperfections, imu, output, plan, table
 from .keys import Schema, dimension_words, document
 from .keys import table as table_of
 
@@ -25,6 +25,7 @@ FORMATS = {
     'calibration': calibration,
     'imperfections': imperfections,
     'output': output,
+    'certificate': certificate,
 }
 
 _WIDTH = 110

@@ -22,6 +22,7 @@ COMMANDS = {
     'simulate': 'write a simulated recording',
     'calibrate': 'a recording to 24 parameters',
     'report': 'a calibration to an HTML report',
+    'certificate': 'a calibration to a certificate by ISO/IEC 17025, also as DCC',
     'verify': 'a calibration against another recording',
     'compensate': 'apply a calibration to a recording',
     'export': 'a calibration for other software',

@@ -121,7 +121,7 @@ class _Shown:
             yield [
                 parameter.name,
                 f'{std:.{places}f}',
-                _freedom(freedom),
+                freedom_words(freedom),
                 f'{factor:.2f}',
                 f'{expanded:.{places}f}',
                 shown.unit,
@@ -131,7 +131,7 @@ class _Shown:
 _EXPANDED = ('parameter', 'std', 'dof', 'k', f'U {PROBABILITY:.0%}', 'unit')
 
 
-def _freedom(value: float) -> str:
+def freedom_words(value: float) -> str:
     """Return degrees of freedom; where they are many, k does not depend on them any more."""
     return f'{value:.0f}' if value < _MANY else f'>{_MANY:.0f}' if np.isfinite(value) else 'inf'
 
@@ -195,20 +195,27 @@ def _share_tables(shown: _Shown) -> list[Table | str]:
 def _range(freedom: Floats, std: Floats) -> str:
     """Return the degrees of freedom of a source where it contributes, from least to most."""
     counted = freedom[std > 0]
-    low, high = _freedom(float(counted.min())), _freedom(float(counted.max()))
+    low, high = freedom_words(float(counted.min())), freedom_words(float(counted.max()))
     return low if low == high else f'{low} to {high}'
 
 
 def budget_section(calibration: Calibration) -> list[str]:
-    """Return picture and tables of a budget for the report; empty without one."""
+    """Return picture, note and tables of a budget for the report; empty without one."""
     if calibration.budget is None:
         return []
     shown = _Shown.of(calibration, calibration.budget)
+    words = 'Each bar is the variance of a parameter, shared out to its sources.'
+    return [_picture(shown), *budget_parts(calibration, calibration.budget, words)]
+
+
+def budget_parts(calibration: Calibration, budget: Budget, words: str) -> list[str]:
+    """Return a note that begins with some words, the sources, and their shares in percent."""
+    shown = _Shown.of(calibration, budget)
     rows = [
         [
             escape(expanded[0]),
             *(_percent(float(f)) for f in shares),
-            *(escape(cell) for cell in expanded[1:]),
+            *(escape(cell.replace('ug', '\u00b5g')) for cell in expanded[1:]),
         ]
         for expanded, shares in zip(shown.expanded_rows(), shown.fractions, strict=True)
     ]
@@ -222,14 +229,13 @@ def budget_section(calibration: Calibration) -> list[str]:
         for line, wide in zip(shown.budget.lines, shown.wide, strict=True)
     ]
     note = (
-        'Each bar is the variance of a parameter, shared out to its sources. U is the uncertainty '
+        f'{words} U is the uncertainty '
         f"expanded to {PROBABILITY:.0%}: the standard deviation times k, Student's t for the "
         'effective degrees of freedom (JCGM 100:2008, G.4). Type A is evaluated from the scatter '
         'of the session, type B from what is stated.'
     )
     headings = ['', *(f'{h}, %' for h in shown.headings), *_EXPANDED[1:]]
     return [
-        _picture(shown),
         paragraph(note, 'note'),
         table(['source', 'type', 'dof', 'what it is'], sources, 'budget', 'llrl'),
         table(headings, rows, 'budget', 'l' + 'r' * (len(headings) - 2) + 'l'),

@@ -1,0 +1,105 @@
+"""A calibration to a certificate: HTML and PDF for people, DCC for machines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..calibration import Calibration
+from ..certificates.dcc import dcc
+from ..certificates.fields import Fields, read_fields
+from ..certificates.page import certificate_page
+from ..certificates.printing import pdf
+from ..certificates.statement import Certificate, certificate_of
+from ..compensation.thermal import AnyCalibration, ThermalCalibration, load_calibration
+from ..config import Section
+from ..errors import InputError
+from ..imu import ImuSpec
+from .named import Named, as_calibration, as_imu
+
+if TYPE_CHECKING:
+    from ..calibrator import Result
+
+FORMATS = ('.html', '.pdf', '.xml')
+"""What is written, by how a file's name ends."""
+
+
+def certificate(
+    calibration: Result | AnyCalibration | Named,
+    fields: Fields | Named,
+    output: Named | Sequence[Named] = 'certificate.html',
+    *,
+    imu: ImuSpec | Named | None = None,
+    draft: bool = False,
+) -> Certificate:
+    """Write a calibration certificate by ISO/IEC 17025:2017, 7.8 (docs/certificate.md).
+
+    Args:
+        calibration: calibration.yaml with an uncertainty budget, or what `calibrate` returned.
+        fields: What the laboratory states, a YAML file (docs/files/certificate.md).
+        output: Files to write, by how their names end: .html for A4, .pdf (needs WeasyPrint or
+            Chromium), .xml for PTB's Digital Calibration Certificate 3.1.2.
+        imu: The unit's file with its specification, for statements of conformity.
+        draft: Leave open what is missing, and mark the certificate as a draft on every page.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: Something that the standard asks for is missing (all of it is named), the
+            fields contradict the calibration, or a file cannot be read or written.
+
+    """
+    single = isinstance(output, str | Path)
+    targets = [Path(t).expanduser() for t in ([output] if single else output)]
+    kinds = [t.suffix.lower() for t in targets]
+    for target, kind in zip(targets, kinds, strict=True):
+        if kind not in FORMATS:
+            raise InputError(f'{target}: expected a name that ends in {", ".join(FORMATS)}.')
+    if draft and '.xml' in kinds:
+        raise InputError(
+            'A draft is for people: its gaps have no place in a DCC. Leave the .xml out, or state '
+            'what is missing.'
+        )
+    found = _single(calibration)
+    if not isinstance(fields, Fields):
+        fields = read_fields(Section.load(Path(fields).expanduser()))
+    specification = None if imu is None else as_imu(imu).specification
+    made = certificate_of(found, fields, specification, dcc='.xml' in kinds, draft=draft)
+    html = certificate_page(made)
+    for target, kind in zip(targets, kinds, strict=True):
+        _write(target, _bytes(kind, html, made))
+    return made
+
+
+def _single(calibration: Result | AnyCalibration | Named) -> Calibration:
+    """Return a calibration at one temperature.
+
+    Raises:
+        InputError: It combines several.
+
+    """
+    if isinstance(calibration, str | Path):
+        calibration = load_calibration(calibration)
+    if isinstance(calibration, ThermalCalibration):
+        if len(calibration.calibrations) > 1:
+            raise InputError(
+                'The calibration combines several temperatures, and has no uncertainty budget: '
+                'write a certificate for each that it was combined from.'
+            )
+        return calibration.calibrations[0]
+    return as_calibration(calibration)
+
+
+def _bytes(kind: str, html: str, made: Certificate) -> bytes:
+    if kind == '.pdf':
+        return pdf(html)
+    return (html if kind == '.html' else dcc(made)).encode()
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise InputError(f'{path}: cannot be written ({error.strerror}).') from None

@@ -1,0 +1,58 @@
+"""imu-calib certificate: a calibration certificate by ISO/IEC 17025, for people and as DCC."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..api.certifying import FORMATS, certificate
+from . import options
+from .terminal import OUTPUT
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
+    parser.add_argument(
+        'calibration', metavar='CALIBRATION', help='calibration.yaml with an uncertainty budget'
+    )
+    parser.add_argument(
+        '--fields',
+        required=True,
+        metavar='FILE',
+        help='what the laboratory states (docs/files/certificate.md; an example: '
+        'config/certificates/example.yaml)',
+    )
+    parser.add_argument(
+        '--imu',
+        metavar='NAME|FILE',
+        help="the unit's file with its specification, for statements of conformity",
+    )
+    parser.add_argument(
+        '--draft',
+        action='store_true',
+        help='leave open what is missing, and mark every page as a draft',
+    )
+    parser.add_argument(
+        '-o',
+        '--output',
+        nargs='+',
+        default=['certificate.html'],
+        metavar='FILE',
+        help=f'files to write, by their ends: {", ".join(FORMATS)} (default: certificate.html)',
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the files, and say what a draft lacks."""
+    paths = [options.output_path(path) for path in arguments.output]
+    made = certificate(
+        arguments.calibration,
+        arguments.fields,
+        paths,
+        imu=arguments.imu,
+        draft=arguments.draft,
+    )
+    for path in paths:
+        OUTPUT.print(f'written to {path}', markup=False)
+    if made.missing:
+        OUTPUT.print(f'a draft: missing are {"; ".join(made.missing)}', markup=False)

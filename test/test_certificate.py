@@ -1,0 +1,451 @@
+"""The certificate: what ISO/IEC 17025 asks for, printed with page numbers, and as a DCC."""
+
+from __future__ import annotations
+
+import base64
+import re
+import warnings
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from browser import CHROMIUM, needs_chromium, opened, overlaps, width
+from loopback import CHECKOUT
+from sessions import calibrate, quick_plan, session, stand
+
+import imu_calib
+from imu_calib.api.certifying import certificate
+from imu_calib.budget import Budget
+from imu_calib.calibration import Calibration
+from imu_calib.certificates import printing
+from imu_calib.certificates.dcc import DCC, SI, dcc
+from imu_calib.certificates.decision import Conformity, Rule, decide
+from imu_calib.certificates.dsi import digital
+from imu_calib.certificates.fields import read_fields
+from imu_calib.certificates.page import certificate_page
+from imu_calib.certificates.statement import Certificate, certificate_of
+from imu_calib.cli.main import main
+from imu_calib.config import Section
+from imu_calib.errors import InputError
+from imu_calib.imu import load_imu
+from imu_calib.model import PARAMETERS, TERMS
+
+EXAMPLE = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
+SCHEMA = CHECKOUT / 'test' / 'data' / 'dcc' / 'dcc.xsd'
+PLAN = quick_plan('twelve_position', 20.0)
+
+
+@pytest.fixture(scope='module')
+def calibration() -> Calibration:
+    found = calibrate(session(PLAN, stand(), 1), PLAN).calibration
+    return replace(found, serial_number='A1234')
+
+
+def fields(**changes: Any) -> Any:
+    document = {**yaml.safe_load(EXAMPLE.read_text()), **changes}
+    return read_fields(Section(document, 'my.yaml'))
+
+
+def made(calibration: Calibration, **changes: Any) -> Certificate:
+    specification = load_imu('fog_medium').specification
+    return certificate_of(calibration, fields(**changes), specification, dcc=True)
+
+
+@pytest.fixture(scope='module')
+def example(calibration: Calibration) -> Certificate:
+    return made(calibration)
+
+
+@pytest.fixture(scope='module')
+def text(example: Certificate) -> str:
+    return certificate_page(example)
+
+
+def words(element: ET.Element) -> str:
+    joined = ' '.join(t.strip() for t in element.itertext() if t.strip())
+    return re.sub(r'\s+', ' ', joined)
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    page = ET.fromstring(text.removeprefix('<!DOCTYPE html>\n'))
+    lines = [[words(cell) for cell in row] for row in page.iter('tr')]
+    return {line[0]: line[1:] for line in reversed(lines)}
+
+
+def test_every_field_stands_on_the_certificate(text: str) -> None:
+    def stated(value: Any) -> list[str]:
+        if isinstance(value, dict):
+            return [t for v in value.values() for t in stated(v)]
+        if isinstance(value, list):
+            return [t for v in value for t in stated(v)]
+        return [f'{value:g}' if isinstance(value, float) else str(value)]
+
+    document = yaml.safe_load(EXAMPLE.read_text())
+    document['location'], document['conformity']['rule'] = (
+        "laboratory's premises",
+        'Guard band w = U',
+    )
+    page = words(ET.fromstring(text.removeprefix('<!DOCTYPE html>\n')))
+    assert [t for t in stated(document) if t not in page] == []
+
+
+def test_results_are_those_of_the_calibration_with_uncertainty_and_coverage(
+    text: str, calibration: Calibration
+) -> None:
+    shown, budget = rows(text), calibration.budget
+    assert budget is not None
+    for k, parameter in enumerate(calibration.parameters):
+        _, value, expanded, _, factor, freedom, *_ = shown[parameter.name]
+        scale = parameter.unit.scale
+        places = len(expanded.partition('.')[2])
+        half = 0.51 * 10.0**-places
+        assert float(value.replace('−', '-')) == pytest.approx(
+            calibration.values[k] / scale, abs=half
+        )
+        # GUM 6.2.1: U = k u, and 7.2.6: two digits of it.
+        product = float(factor) * calibration.std[k] / scale
+        assert float(expanded) == pytest.approx(product, abs=half + 0.004 * product)
+        assert len(expanded.replace('.', '').lstrip('0')) in (2, 3)
+        if freedom.isdigit():
+            # Student's t at 97.5 %: Abramowitz and Stegun, 26.7.5, by the Gaussian's 1.959964.
+            x, n = 1.959964, float(freedom)
+            t = x + (x**3 + x) / (4 * n) + (5 * x**5 + 16 * x**3 + 3 * x) / (96 * n**2)
+            # Two digits behind the point, and freedom rounded to whole numbers.
+            assert float(factor) == pytest.approx(t, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ('value', 'rule', 'stated'),
+    [
+        (0.89, Rule.SIMPLE, Conformity.PASS),
+        (-1.0, Rule.SIMPLE, Conformity.PASS),
+        (-1.01, Rule.SIMPLE, Conformity.FAIL),
+        (0.89, Rule.GUARDED, Conformity.PASS),
+        (0.91, Rule.GUARDED, Conformity.FAIL),
+        (-0.89, Rule.GUARDED_BOTH, Conformity.PASS),
+        (0.91, Rule.GUARDED_BOTH, Conformity.CONDITIONAL_PASS),
+        (-1.01, Rule.GUARDED_BOTH, Conformity.CONDITIONAL_FAIL),
+        (1.11, Rule.GUARDED_BOTH, Conformity.FAIL),
+    ],
+)
+def test_conformity_by_the_stated_rule(value: float, rule: Rule, stated: Conformity) -> None:
+    # Limit 1, U 0.1 (ILAC-G8:09/2019, 4.2).
+    assert decide(value, 0.1, 1.0, rule) is stated
+
+
+def test_a_guarded_pass_is_wrong_as_seldom_as_the_rule_says() -> None:
+    rng, limit, std = np.random.default_rng(5), 1.0, 0.1
+    measured = limit - 1.96 * std
+    true = measured + std * rng.standard_normal(100_000)
+    assert decide(measured - 1e-9, 1.96 * std, limit, Rule.GUARDED) is Conformity.PASS
+    # 2.5 %, known from so many to 0.05 %.
+    assert np.mean(true > limit) == pytest.approx(0.025, abs=0.002)
+
+
+def test_without_a_rule_nothing_is_stated_of_conformity(calibration: Calibration) -> None:
+    found = made(calibration, conformity=None)
+    assert found.conformity is None
+    page = certificate_page(found)
+    assert 'No statement of conformity was asked for' in page and '>fail<' not in page
+    assert 'conformity>' not in dcc(found)
+
+
+def test_what_is_missing_is_named_with_its_clause_and_not_invented(
+    calibration: Calibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, source, target = tmp_path / 'f.yaml', tmp_path / 'c.yaml', tmp_path / 'c.html'
+    path.write_text('laboratory: {name: "A <lab> & sons"}\nequipment: [{name: Table}]\n')
+    calibration.save(source)
+    command = ['certificate', str(source), '--fields', str(path), '-o', str(target)]
+    assert main(command) == 2
+    said = capsys.readouterr().err.replace('\n', ' ')
+    assert not target.exists()
+    for wanted in ('number (7.8.2.1 d)', 'customer: name (7.8.2.1 e)', 'signatures (7.8.2.1 o)'):
+        assert wanted in said
+    for wanted in ('equipment[0]: traceability', 'environment: temperature', 'received', '--draft'):
+        assert wanted in said
+    # The calibration knows the unit and the day.
+    assert 'serial_number (' not in said.replace('equipment[0]: serial_number (', '')
+    assert 'calibrated (' not in said
+    assert main([*command, '--draft']) == 0
+    page = target.read_text(encoding='utf-8')
+    assert 'This is a draft and no certificate' in page and 'DRAFT' in page
+    assert rows(page)['customer'] == ['MISSING'] and rows(page)['received'] == ['MISSING']
+    assert rows(page)['calibrated'] == ['2023-11-14'] and rows(page)['serial number'] == ['A1234']
+    assert 'A &lt;lab&gt; &amp; sons' in page and '<lab>' not in page
+    capsys.readouterr()
+    assert main([*command[:-1], str(tmp_path / 'd.xml'), '--draft']) == 2
+    assert 'gaps have no place' in capsys.readouterr().err
+
+
+def removed(document: Any, path: tuple[Any, ...]) -> Any:
+    """A copy without what is at a path."""
+    key, *rest = path
+    if not rest:
+        return {k: v for k, v in document.items() if k != key}
+    if isinstance(document, list):
+        return [removed(v, tuple(rest)) if i == key else v for i, v in enumerate(document)]
+    return {**document, key: removed(document[key], tuple(rest))}
+
+
+ASKED = [
+    ('number',),
+    *(('laboratory', k) for k in ('name', 'street', 'city', 'country', 'email')),
+    *(('customer', k) for k in ('name', 'city', 'country', 'email')),
+    *(('item', k) for k in ('description', 'manufacturer', 'model', 'condition', 'adjustment')),
+    ('received',),
+    ('issued',),
+    ('procedure', 'name'),
+    ('procedure', 'reference'),
+    ('environment', 'temperature'),
+    *(('equipment', 1, k) for k in ('name', 'serial_number', 'certificate', 'traceability')),
+    ('conformity', 'requirement'),
+    ('signatures', 0, 'role'),
+    ('signatures',),
+]
+
+
+@pytest.mark.parametrize('path', ASKED, ids=lambda p: '-'.join(map(str, p)))
+def test_each_thing_that_is_asked_for_is_missed(
+    calibration: Calibration, path: tuple[Any, ...]
+) -> None:
+    document = removed(yaml.safe_load(EXAMPLE.read_text()), path)
+    name = ''.join(f'[{p}]' if isinstance(p, int) else f': {p}' for p in path)[2:]
+    with pytest.raises(InputError, match=r'my\.yaml: 1 of the things .*' + re.escape(name)):
+        certificate_of(
+            calibration,
+            read_fields(Section(document, 'my.yaml')),
+            load_imu('fog_medium').specification,
+            dcc=True,
+        )
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        ({'calibrated': {'from': '2024-03-01'}, 'issued': '2024-03-02'}, 'expected 2023-11-14'),
+        ({'item': {'serial_number': 'B7'}}, 'item: serial_number: found B7, expected A1234'),
+        ({'issued': '2023-11-01'}, 'issued: found 2023-11-01, before calibrated: to'),
+        ({'numbr': 1}, "unknown key 'numbr'"),
+    ],
+)
+def test_fields_of_another_session_are_refused(
+    calibration: Calibration, change: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        made(calibration, **change)
+
+
+def test_a_calibration_without_a_budget_has_no_certificate(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match='no uncertainty budget'):
+        made(replace(calibration, budget=None))
+    parts = [
+        replace(
+            calibration,
+            provenance={
+                **calibration.provenance,
+                'temperature': {'mean': c, 'lowest': c, 'highest': c},
+            },
+        )
+        for c in (10.0, 40.0)
+    ]
+    combined = imu_calib.combine(parts, tmp_path / 'both.yaml')
+    with pytest.raises(InputError, match='combines several temperatures'):
+        certificate(combined, EXAMPLE, tmp_path / 'c.html')
+    with pytest.raises(InputError, match=r'ends in \.html, \.pdf, \.xml'):
+        certificate(calibration, EXAMPLE, tmp_path / 'c.doc')
+
+
+def pages_of(data: bytes) -> list[str]:
+    """The texts of a PDF's pages."""
+    pdfium = pytest.importorskip('pypdfium2')
+    document = pdfium.PdfDocument(data)
+    try:
+        sizes = [tuple(round(v) for v in page.get_size()) for page in document]
+        assert set(sizes) == {(595, 842)}
+        return [page.get_textpage().get_text_range() for page in document]
+    finally:
+        document.close()
+
+
+PRINTERS = [
+    pytest.param(
+        'weasyprint',
+        marks=pytest.mark.skipif(not find_spec('weasyprint'), reason='WeasyPrint is not installed'),
+    ),
+    pytest.param(
+        'chromium', marks=pytest.mark.skipif(CHROMIUM is None, reason='chromium is not installed')
+    ),
+]
+
+
+@pytest.mark.parametrize('by', PRINTERS)
+def test_every_printed_page_has_the_number_and_how_many_there_are(
+    text: str, by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if by == 'chromium':
+        monkeypatch.setattr(printing, 'find_spec', lambda name: None)
+    pages = pages_of(printing.pdf(text))
+    assert 3 <= len(pages) <= 6
+    for k, page in enumerate(pages):
+        assert f'page {k + 1} of {len(pages)}' in page
+        assert 'Calibration certificate 2026-0147' in page
+        assert 'Example Inertial Calibration Laboratory' in page
+
+
+def test_without_a_printer_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(printing, 'find_spec', lambda name: None)
+    monkeypatch.setattr(printing.shutil, 'which', lambda name: None)
+    with pytest.raises(InputError, match=r'needs WeasyPrint or Chromium.*imu_calib\[pdf\]'):
+        printing.pdf('<p>a</p>')
+
+
+def test_no_text_ends_the_style_that_prints_it(calibration: Calibration) -> None:
+    nasty = '7"; } </style><b>\\'
+    page = certificate_page(made(calibration, number=nasty))
+    head, _, rest = page.partition('</style>')
+    assert '<b>' not in head and '<b>\\' not in rest
+    assert ET.fromstring(page.removeprefix('<!DOCTYPE html>\n')).tag == 'html'
+
+
+@needs_chromium
+def test_no_text_of_a_certificate_stands_on_another(text: str, tmp_path: Path) -> None:
+    path = tmp_path / 'certificate.html'
+    path.write_text(text, encoding='utf-8')
+    for size in (390, 820, 1400):
+        with opened(path, size) as shown:
+            assert overlaps(shown) == []
+            assert width(shown) <= size
+
+
+def validated(text: str) -> ET.Element:
+    """Return a DCC, which PTB's schema finds valid."""
+    etree = pytest.importorskip('lxml.etree')
+    schema = etree.XMLSchema(etree.parse(str(SCHEMA), etree.XMLParser(no_network=True)))
+    schema.assertValid(etree.fromstring(text.encode()))
+    return ET.fromstring(text)
+
+
+SPACES = {'dcc': DCC, 'si': SI}
+
+
+def contents(element: ET.Element | None) -> str:
+    assert element is not None
+    return words(element)
+
+
+def test_a_dcc_is_valid_and_says_the_same(example: Certificate, calibration: Calibration) -> None:
+    root = validated(dcc(example))
+    core = root.find('dcc:administrativeData/dcc:coreData', SPACES)
+    assert core is not None
+    stated = {child.tag.partition('}')[2]: words(child) for child in core}
+    assert stated['uniqueIdentifier'] == '2026-0147' and stated['receiptDate'] == '2023-11-10'
+    assert stated['beginPerformanceDate'] == stated['endPerformanceDate'] == '2023-11-14'
+    reals = {r.findtext('si:label', '', SPACES): r for r in root.iter(f'{{{SI}}}real')}
+    for k, parameter in enumerate(calibration.parameters):
+        real, scale = reals[parameter.name], si_scale(digital(parameter).unit)
+        assert real.findtext('si:unit', '', SPACES) == digital(parameter).unit
+        value = float(real.findtext('si:value', '', SPACES)) * scale
+        assert value == pytest.approx(calibration.values[k], rel=1e-9)
+        expanded, factor = (
+            float(real.findtext(f'si:expandedUnc/si:{n}', '', SPACES))
+            for n in ('uncertainty', 'coverageFactor')
+        )
+        assert expanded * scale / factor == pytest.approx(calibration.std[k], rel=1e-5)
+    (probability,) = {
+        e.text for n, r in reals.items() if n for e in r.iter(f'{{{SI}}}coverageProbability')
+    }
+    assert probability == '0.95'
+
+
+def test_a_dcc_carries_budget_conformity_and_the_calibration_itself(
+    example: Certificate, calibration: Calibration
+) -> None:
+    root = validated(dcc(example))
+    (data,) = [e.text for e in root.iter(f'{{{DCC}}}dataBase64')]
+    assert data is not None
+    again = Calibration.from_yaml(base64.b64decode(data).decode(), 'dcc')
+    np.testing.assert_array_equal(again.covariance, calibration.covariance)
+    said = [e.text for e in root.iter(f'{{{DCC}}}conformity')]
+    of_unit, of_parameters = said[0], said[1:]
+    assert of_parameters == [r.conformity.value for r in example.results if r.conformity]
+    assert of_unit == 'fail' and 'fail' in of_parameters
+    (budget,) = [
+        r
+        for r in root.iter(f'{{{DCC}}}result')
+        if contents(r.find('dcc:name', SPACES)) == 'Uncertainty budget'
+    ]
+    lists = budget.findall('dcc:data/dcc:list/dcc:list', SPACES)
+    assert len(lists) == len(example.results)
+    for one, result in zip(lists, example.results, strict=True):
+        shares = [float(e.text or '') for e in one.iter(f'{{{SI}}}value')]
+        k = calibration.parameters.index(result.parameter)
+        scale = si_scale(digital(result.parameter).unit)
+        # GUM 5.1.2: the squares of the contributions add up.
+        assert np.sqrt(np.sum(np.square(shares))) * scale == pytest.approx(
+            calibration.std[k], rel=1e-6
+        )
+
+
+def si_scale(unit: str) -> float:
+    """The SI value of a unit, by PTB's own reader of D-SI."""
+    dsi = pytest.importorskip('dsi_unit')
+    with warnings.catch_warnings():
+        # It says of every text that \\per is deprecated.
+        warnings.simplefilter('ignore')
+        tree = dsi.DsiUnit(unit)
+        assert tree.valid, unit
+        return float(dsi.DsiUnit(BASES[unit]).get_scale_factor(tree))
+
+
+BASES = {
+    r'\one': r'\one',
+    r'\ppm': r'\one',
+    r'\arcminute': r'\radian',
+    r'\degree\hour\tothe{-1}': r'\radian\second\tothe{-1}',
+    r'\micro\metre\second\tothe{-2}': r'\metre\second\tothe{-2}',
+    r'\degree\hour\tothe{-1}\metre\tothe{-1}\second\tothe{2}': r'\radian\metre\tothe{-1}\second',
+    r'\degree\hour\tothe{-1}\metre\tothe{-2}\second\tothe{4}': (
+        r'\radian\metre\tothe{-2}\second\tothe{3}'
+    ),
+    r'\metre\tothe{-1}\second\tothe{2}': r'\metre\tothe{-1}\second\tothe{2}',
+    r'\metre\tothe{-2}\second\tothe{4}': r'\metre\tothe{-2}\second\tothe{4}',
+    r'\milli\metre': r'\metre',
+    r'\milli\second': r'\second',
+}
+"""Units of SI without factors, for each that is written."""
+
+
+def test_units_are_those_of_d_si() -> None:
+    for parameter in [*PARAMETERS, *(p for term in TERMS for p in term.parameters)]:
+        unit = digital(parameter)
+        assert si_scale(unit.unit) == pytest.approx(unit.scale, rel=1e-12), parameter.name
+
+
+def test_the_schema_finds_what_is_wrong(example: Certificate) -> None:
+    etree = pytest.importorskip('lxml.etree')
+    text = dcc(example).replace('<dcc:receiptDate>2023-11-10', '<dcc:receiptDate>10.11.2023')
+    with pytest.raises(etree.DocumentInvalid):
+        validated(text)
+
+
+def test_the_command_and_the_function_write_the_same(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    source, names = tmp_path / 'c.yaml', ('one.html', 'one.xml')
+    calibration.save(source)
+    targets = [str(tmp_path / n) for n in names]
+    command = ['certificate', str(source), '--fields', str(EXAMPLE), '--imu', 'fog_medium']
+    assert main([*command, '-o', *targets]) == 0
+    again = [tmp_path / f'again{Path(n).suffix}' for n in names]
+    found = imu_calib.certificate(source, EXAMPLE, again, imu='fog_medium')
+    assert isinstance(found, Certificate) and isinstance(found.budget, Budget)
+    for target, other in zip(targets, again, strict=True):
+        assert Path(target).read_bytes() == other.read_bytes()
