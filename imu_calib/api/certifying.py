@@ -51,8 +51,8 @@ def certificate(
             fields contradict the calibration, or a file cannot be read or written.
 
     """
-    single = isinstance(output, str | Path)
-    targets = [Path(t).expanduser() for t in ([output] if single else output)]
+    named = [output] if isinstance(output, str | Path) else output
+    targets = [Path(name).expanduser() for name in named]
     kinds = [t.suffix.lower() for t in targets]
     for target, kind in zip(targets, kinds, strict=True):
         if kind not in FORMATS:

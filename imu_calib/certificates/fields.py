@@ -305,12 +305,14 @@ def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
         ('equipment', '7.8.4.1 c', fields.equipment),
         ('signatures', '7.8.2.1 o', fields.signatures),
     ]
+    references = ('name', 'serial_number', 'certificate', 'issued_by', 'traceability')
     for k, one in enumerate(fields.equipment):
-        names = ('name', 'serial_number', 'certificate', 'issued_by', 'traceability')
-        asked += [(f'equipment[{k}]: {n}', '7.8.4.1 c', getattr(one, n)) for n in names]
-    for k, signature in enumerate(fields.signatures):
-        names = ('name', 'role')
-        asked += [(f'signatures[{k}]: {n}', '7.8.2.1 o', getattr(signature, n)) for n in names]
+        asked += [(f'equipment[{k}]: {n}', '7.8.4.1 c', getattr(one, n)) for n in references]
+    for k, person in enumerate(fields.signatures):
+        asked += [
+            (f'signatures[{k}]: name', '7.8.2.1 o', person.name),
+            (f'signatures[{k}]: role', '7.8.2.1 o', person.role),
+        ]
     if fields.rule is not None:
         asked.append(('conformity: requirement', '7.8.6.2', fields.requirement))
         asked.append(('a specification of the unit (--imu)', '7.8.6.2', limits))
