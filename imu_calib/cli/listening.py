@@ -35,7 +35,7 @@ def listen(port: str, frames: FrameFormat, imu: ImuSpec, baud: Baud, words: Word
 
     """
     # imu_node goes on with the device as it is.
-    source = Source(port, time.time_ns, baud.rate, restarts=False)
+    source = Source(port, time.time_ns, baud.rate, commands=frames.commands, restarts=False)
     reception = Reception(frames, imu, live=source.live)
     source.start()
     deadline = time.monotonic() + _LONGEST

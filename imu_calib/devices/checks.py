@@ -6,10 +6,18 @@ from dataclasses import dataclass
 
 from ..config import Section
 from ..errors import InputError
-from .checksum import CATALOGUE, Algorithm, Crc, Sum, Xor
-from .fields import Number
+from .checksum import CATALOGUE, Algorithm, Crc, Fletcher, Sum, Xor
+from .fields import HIGH_WORD_FIRST, LOW_WORD_FIRST, Number
 
 _ORDERS = {'little': '<', 'big': '>'}
+ORDERS = {**_ORDERS, 'low_word_first': LOW_WORD_FIRST, 'high_word_first': HIGH_WORD_FIRST}
+"""Of the bytes of a number."""
+OWN_KINDS = ('sum', 'xor', 'crc', 'fletcher')
+"""Checksums that are not of the catalogue."""
+WORDS = (8, 16, 32)
+"""Bits of what a sum adds."""
+FLETCHER = (255, 256)
+"""Moduli of Fletcher's checksum."""
 
 
 @dataclass(frozen=True)
@@ -23,15 +31,19 @@ class FrameCheck:
     padding: int = 0
 
 
-def read_algorithm(check: Section) -> Algorithm:
-    """Read `kind` of a checksum and its parameters."""
+def read_algorithm(check: Section, order: str) -> Algorithm:
+    """Read `kind` of a checksum and its parameters; its byte order where it states none."""
     kind = check.text('kind')
     if kind in CATALOGUE:
         return CATALOGUE[kind]
     if kind == 'xor':
         return Xor(check.whole('init', 0, 255, 0))
     if kind == 'sum':
-        return Sum(_width(check, 8), check.flag('negated', default=False))
+        word = _one_of(check, 'word', WORDS, 8)
+        negated = check.flag('negated', default=False)
+        return Sum(_width(check, word), negated, word, read_order(check, order))
+    if kind == 'fletcher':
+        return Fletcher(_one_of(check, 'modulus', FLETCHER, None))
     if kind == 'crc':
         width = _width(check, None)
         highest = (1 << width) - 1
@@ -43,7 +55,7 @@ def read_algorithm(check: Section) -> Algorithm:
             check.flag('refout', default=False),
             check.whole('xorout', 0, highest, 0),
         )
-    known = ', '.join(['sum', 'xor', 'crc', *CATALOGUE])
+    known = ', '.join([*OWN_KINDS, *CATALOGUE])
     raise InputError(f'{check.key("kind")}: found {kind!r}, expected one of {known}.')
 
 
@@ -54,8 +66,30 @@ def _width(check: Section, default: int | None) -> int:
     return width
 
 
+def _one_of(check: Section, name: str, values: tuple[int, ...], default: int | None) -> int:
+    value = check.whole(name, values[0], values[-1], default)
+    if value not in values:
+        *first, last = values
+        expected = f'{", ".join(map(str, first))} or {last}'
+        raise InputError(f'{check.key(name)}: found {value}, expected {expected}.')
+    return value
+
+
 def read_order(section: Section, default: str | None) -> str:
     """Read the order of a number's bytes: '<' lowest first, '>' highest."""
     if default is not None and not section.has('byte_order'):
         return default
     return section.choice('byte_order', _ORDERS)
+
+
+def read_number_order(section: Section, default: str, size: int) -> str:
+    """Read the order of the bytes of a number of so many: words may be swapped, too."""
+    if not section.has('byte_order'):
+        return default
+    order = section.choice('byte_order', ORDERS)
+    if order in {LOW_WORD_FIRST, HIGH_WORD_FIRST} and size not in {2, 4, 8}:
+        raise InputError(
+            f'{section.key("byte_order")}: found {section.raw("byte_order")}, but words of 16 bits '
+            f'make numbers of 16, 32 or 64 bits; these are {8 * size}.'
+        )
+    return order

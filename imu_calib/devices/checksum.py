@@ -1,4 +1,4 @@
-"""Checksums over many frames at once: sum, exclusive or, and every CRC of whole bytes."""
+"""Checksums over many frames at once: sums, exclusive or, and every CRC of whole bytes."""
 
 from __future__ import annotations
 
@@ -60,16 +60,36 @@ CATALOGUE = {
 
 @dataclass(frozen=True)
 class Sum:
-    """Sum of the bytes, modulo 2^width.
+    """Sum of the bytes, or of words of several, modulo 2^width.
 
     Attributes:
         width: Bits: 8, 16, 24 or 32.
         negated: Whether what is sent makes the sum zero.
+        word: Bits of what is added: 8, 16 or 32.
+        order: Of the bytes of a word: '<' lowest first, '>' highest.
 
     """
 
     width: int = 8
     negated: bool = False
+    word: int = 8
+    order: str = '<'
+
+
+@dataclass(frozen=True)
+class Fletcher:
+    """Fletcher's checksum of bytes: their sum, and the sum of all sums on the way.
+
+    The sum is the low byte, the sum of sums the high one (J. Fletcher, An Arithmetic Checksum for
+    Serial Transmissions, IEEE Trans. Communications 30 (1982); RFC 1146, appendix I).
+
+    Attributes:
+        modulus: Of both: 255 as Fletcher has it, or 256 as MIP and UBX.
+
+    """
+
+    modulus: int
+    width: int = field(default=16, init=False)
 
 
 @dataclass(frozen=True)
@@ -85,7 +105,12 @@ class Xor:
     width: int = field(default=8, init=False)
 
 
-Algorithm: TypeAlias = Crc | Sum | Xor
+Algorithm: TypeAlias = Crc | Sum | Fletcher | Xor
+
+
+def fits(algorithm: Algorithm, length: int) -> bool:
+    """Say whether so many bytes are whole words of what the algorithm adds."""
+    return not isinstance(algorithm, Sum) or 8 * length % algorithm.word == 0
 
 
 class Checksums:
@@ -111,9 +136,9 @@ class Checksums:
     def of(self, rows: Bytes) -> Words:
         """Return the (n,) checksums of (n, length) bytes."""
         if isinstance(self._algorithm, Sum):
-            total: NDArray[np.int64] = rows.sum(axis=1, dtype=np.int64)
-            signed = -total if self._algorithm.negated else total
-            return (signed & ((1 << self._algorithm.width) - 1)).astype(np.uint32)
+            return _sums(rows, self._algorithm)
+        if isinstance(self._algorithm, Fletcher):
+            return _fletcher(rows, self._algorithm.modulus)
         if isinstance(self._algorithm, Xor):
             combined: Bytes = np.bitwise_xor.reduce(rows, axis=1, initial=self._algorithm.init)
             return combined.astype(np.uint32)
@@ -123,6 +148,22 @@ class Checksums:
     def _crc(self, rows: Bytes) -> Words:
         shares = self._tables.reshape(-1).take(rows + self._places)
         return np.asarray(np.bitwise_xor.reduce(shares, axis=1, initial=self._constant))
+
+
+def _sums(rows: Bytes, kind: Sum) -> Words:
+    words = np.ascontiguousarray(rows).view(f'{kind.order}u{kind.word // 8}')
+    total: NDArray[np.int64] = words.sum(axis=1, dtype=np.int64)
+    signed = -total if kind.negated else total
+    return (signed & ((1 << kind.width) - 1)).astype(np.uint32)
+
+
+def _fletcher(rows: Bytes, modulus: int) -> Words:
+    count = rows.shape[1]
+    # The first byte is part of every sum on the way, the last one of the last alone.
+    weights = np.arange(count, 0, -1, dtype=np.int64)
+    first = rows.sum(axis=1, dtype=np.int64) % modulus
+    second: NDArray[np.int64] = (rows @ weights) % modulus
+    return (second << 8 | first).astype(np.uint32)
 
 
 def _contributions(crc: Crc, length: int, padding: int) -> tuple[Words, int]:

@@ -14,15 +14,26 @@ from .checksum import Bytes
 Values: TypeAlias = NDArray[Any]
 
 
+LOW_WORD_FIRST = 'low word'
+HIGH_WORD_FIRST = 'high word'
+
+_FRACTION = 4
+"""Bytes of the fraction of FP16.32, which stand before those of the whole number (Xsens MT Low
+Level Communication Protocol, MT0101P, formats of output data)."""
+
+
 @dataclass(frozen=True)
 class Number:
     """A number somewhere in a frame.
 
     Attributes:
-        kind: 'u', 'i' or 'f'.
-        size: Bytes: 1, 2, 3, 4 or 8.
+        kind: 'u', 'i', 'f', or 'q' for FP16.32: a fraction of 32 bits, then 16 bits before the
+            point, each in `order`.
+        size: Bytes: 1, 2, 3, 4, 6 or 8.
         offset: Of its first byte.
-        order: '<' lowest byte first, '>' highest.
+        order: '<' lowest byte first, '>' highest; of an even number of bytes also `LOW_WORD_FIRST`,
+            words of 16 bits of which the lowest is first, each with its high byte first, and
+            `HIGH_WORD_FIRST`, the highest word first, each with its low byte first.
         bits: First bit and number of bits where it does not take all of them, else None.
 
     """
@@ -39,9 +50,14 @@ class Number:
         return self.offset + self.size
 
     @property
+    def is_whole(self) -> bool:
+        """Whether it has no fraction."""
+        return self.kind in 'ui'
+
+    @property
     def modulus(self) -> int | None:
-        """How many values it has, None for floating point."""
-        if self.kind == 'f':
+        """How many values it has, None where it is no whole number."""
+        if not self.is_whole:
             return None
         return 1 << (8 * self.size if self.bits is None else self.bits[1])
 
@@ -56,9 +72,9 @@ class Number:
 
     def _whole(self, rows: Bytes) -> Values:
         if len(rows) == 0:
-            return np.empty(0, np.float64 if self.kind == 'f' else np.int64)
-        if self.size == 3:
-            return self._three_bytes(rows)
+            return np.empty(0, np.int64 if self.is_whole else np.float64)
+        if self.size not in {1, 2, 4, 8} or self.order not in {'<', '>'}:
+            return self._gathered(rows)
         code = f'{self.order}{self.kind}{self.size}'
         strided: Values = np.ndarray(
             (len(rows),), code, rows, self.offset, strides=(rows.shape[1],)
@@ -68,13 +84,31 @@ class Number:
         # The bits of an unsigned 64-bit number stay; differences modulo 2^64 do, too.
         return strided.astype(np.int64, casting='unsafe')
 
-    def _three_bytes(self, rows: Bytes) -> Values:
-        columns = rows[:, self.offset : self.end].astype(np.int64)
-        low, middle, high = columns.T if self.order == '<' else columns.T[::-1]
-        values: Values = low | middle << 8 | high << 16
-        if self.kind == 'i':
-            values = (values ^ 0x800000) - 0x800000
-        return values
+    def _gathered(self, rows: Bytes) -> Values:
+        """Read a number whose bytes stand in no order, or are so many, as no processor has it."""
+        if self.kind == 'f':
+            native = np.ascontiguousarray(rows[:, self._places()]).view(f'<f{self.size}')
+            return native[:, 0].astype(np.float64)
+        # At the upper end of 64 bits, so that shifting down fills up with the sign.
+        padded = np.zeros((len(rows), 8), np.uint8)
+        padded[:, 8 - self.size :] = rows[:, self._places()]
+        code = '<u8' if self.kind == 'u' else '<i8'
+        values = (padded.view(code)[:, 0] >> (64 - 8 * self.size)).astype(np.int64)
+        return values if self.is_whole else values * 2.0 ** (-8 * _FRACTION)
+
+    def _places(self) -> list[int]:
+        """Return the offsets of its bytes, lowest first."""
+        offsets = list(range(self.offset, self.end))
+        if self.order == '>':
+            if self.kind == 'q':
+                return offsets[:_FRACTION][::-1] + offsets[_FRACTION:][::-1]
+            return offsets[::-1]
+        if self.order == '<':
+            return offsets
+        words = [offsets[k : k + 2] for k in range(0, self.size, 2)]
+        if self.order == LOW_WORD_FIRST:
+            return [offset for word in words for offset in word[::-1]]
+        return [offset for word in words[::-1] for offset in word]
 
 
 @dataclass(frozen=True)
@@ -132,7 +166,7 @@ class DeviceTime:
     def read(self, rows: Bytes) -> NDArray[np.int64]:
         """Return the (n,) ticks; floating-point times are rounded to whole ns beforehand."""
         values = self.number.read(rows)
-        if self.number.kind != 'f':
+        if self.number.is_whole:
             return values
         known = np.where(np.isfinite(values), values, 0.0)
         return np.rint(np.clip(known * self.tick, -(2.0**62), 2.0**62)).astype(np.int64)
@@ -150,7 +184,7 @@ class DeviceTime:
     @property
     def unit(self) -> float:
         """What one unit of what `read` returns lasts, ns."""
-        return 1.0 if self.number.kind == 'f' else self.tick
+        return self.tick if self.number.is_whole else 1.0
 
 
 @dataclass(frozen=True)

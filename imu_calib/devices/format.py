@@ -9,8 +9,9 @@ from ..config import Section
 from ..errors import InputError
 from ..share import named_file
 from ..units import Dimension
-from .checks import FrameCheck, read_algorithm, read_order
-from .checksum import Checksums
+from .checks import FrameCheck, read_algorithm, read_number_order, read_order
+from .checksum import Checksums, fits
+from .commands import NOTHING, Commands, read_commands
 from .fields import Channel, DeviceTime, Fault, FrameCounter, Number
 from .messages import Message, read_message
 from .numbers import numbers, whole_list
@@ -19,6 +20,7 @@ TYPES = {
     **{f'{kind}{8 * size}': (kind, size) for kind in 'ui' for size in (1, 2, 3, 4, 8)},
     'f32': ('f', 4),
     'f64': ('f', 8),
+    'fp16.32': ('q', 6),
 }
 TICKS_NS = {'ns': 1.0, 'us': 1e3, 'ms': 1e6, 's': 1e9}
 LONGEST = 4096
@@ -52,6 +54,7 @@ class FrameFormat:
         check: None where nothing protects a frame but its constant bytes.
         others: Messages between the frames that are no samples.
         baud: Of the device's serial port, bit/s; None where the file does not say.
+        commands: Sent to it when the port opens and closes.
 
     """
 
@@ -68,6 +71,7 @@ class FrameFormat:
     check: FrameCheck | None
     others: tuple[Message, ...] = ()
     baud: int | None = None
+    commands: Commands = NOTHING
 
     def checksums(self) -> Checksums | None:
         """Return what computes the checksum of frames."""
@@ -117,6 +121,7 @@ def read_format(section: Section) -> FrameFormat:
         check=_check(section, frame, len(constant)),
         others=_others(section, order),
         baud=section.whole('baud', *BAUD) if section.has('baud') else None,
+        commands=read_commands(section),
     )
     fields.finish()
     section.finish()
@@ -142,9 +147,8 @@ class _Frame:
                 f'{section.key("offset")}: found {offset}, but {size} bytes from there reach '
                 f"beyond the frame's length of {self.length}."
             )
-        number = Number(
-            kind, size, offset, read_order(section, self.order), _bits(section, kind, size)
-        )
+        order = read_number_order(section, self.order, size)
+        number = Number(kind, size, offset, order, _bits(section, kind, size))
         self.placed.append((section.where, number))
         return number
 
@@ -288,7 +292,7 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
             )
         return None
     check = section.section('checksum')
-    algorithm = read_algorithm(check)
+    algorithm = read_algorithm(check, frame.order)
     offset = check.whole('offset', 0, frame.length - algorithm.width // 8)
     order = read_order(check, frame.order)
     number = Number('u', algorithm.width // 8, offset, order)
@@ -302,6 +306,11 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
         )
     if covered[0] < number.end and covered[1] >= number.offset:
         raise InputError(f'{check.key("covers")}: the checksum cannot cover itself.')
+    if not fits(algorithm, covered[1] + 1 - covered[0]):
+        raise InputError(
+            f'{check.key("covers")}: {covered[1] + 1 - covered[0]} bytes are no whole words, which '
+            'the sum is of.'
+        )
     padding = check.whole('padding', 0, 64, 0)
     check.finish()
     return FrameCheck(algorithm, number, covered[0], covered[1] + 1, padding)

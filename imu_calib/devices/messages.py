@@ -10,7 +10,7 @@ import numpy as np
 from ..config import Section
 from ..errors import InputError
 from .checks import read_algorithm, read_order
-from .checksum import Algorithm, Checksums
+from .checksum import Algorithm, Checksums, fits
 from .fields import Number
 from .numbers import whole_list
 
@@ -87,6 +87,8 @@ class Message:
         end = check.offset + check.algorithm.width // 8
         sent = message[check.offset : end or None]
         covered = np.frombuffer(message[check.first : check.last + 1 or None], np.uint8)
+        if not fits(check.algorithm, len(covered)):
+            return False
         found = _checksums(check.algorithm, len(covered)).of(covered[None])
         return int(found[0]) == _unsigned(sent, check.order)
 
@@ -205,7 +207,7 @@ def _message_check(section: Section, order: str) -> MessageCheck | None:
     if section.raw('checksum') == 'none':
         return None
     check = section.section('checksum')
-    algorithm = read_algorithm(check)
+    algorithm = read_algorithm(check, order)
     size = algorithm.width // 8
     offset = check.whole('offset', -_LONGEST, -size, -size)
     first, last = 0, offset - 1

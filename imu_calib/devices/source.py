@@ -12,31 +12,26 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from ..address import host_and_port
 from ..errors import InputError
 from .baud import DEFAULT
+from .commands import NOTHING, Command, Commands
+from .lines import CONNECT, POLL, File, Line, Serial, Tcp, Udp
 
-_CHUNK = 16384
-"""Bytes read at once."""
-_POLL = 0.1
-"""s between two looks at whether it is to end."""
-_CONNECT = 2.0
-"""s for a connection."""
 _RETRY = 0.5
 """s before a lost line is opened again."""
 _CAPACITY = 1 << 18
 """Bytes held for a node that is slow: more than 2 s at 921600 baud."""
 _TRIES = 5
 """Readings of two clocks, of which one at least is not interrupted."""
+_NS = 1_000_000_000
 _AT_ONCE = 1_000_000
 """ns; a thread that is interrupted between two clocks reads them again."""
-_KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
-"""A device that lost its power closes nothing: so many seconds, and it counts as gone."""
 _SOCKETS = ('socket', 'tcp', 'udp')
 _ADVICE = {
     errno.ENOENT: 'there is no such device. Connect it and switch it on; ls -l /dev/serial/by-id '
@@ -96,16 +91,6 @@ class State:
     tried: bool = True
 
 
-class Line(Protocol):
-    """Something open that bytes are read from."""
-
-    def read(self) -> bytes | None:
-        """Return what has come, nothing after a while without, None at the end."""
-
-    def close(self) -> None:
-        """Let go of it."""
-
-
 class Source:
     """Reads a device in a thread of its own, and opens it again when it breaks.
 
@@ -118,8 +103,11 @@ class Source:
         now: The host's time, ns; called in the reading thread.
         baud: Of a serial port.
         capacity: Bytes that may wait.
-        restarts: Whether closing a serial port lowers its control lines, as it usually does: some
-            devices restart when the next one who opens it raises them.
+        commands: Start the device where a serial port or a TCP connection opens, and stop it before
+            that is closed. Nothing is sent to where datagrams come from, or to a file.
+        restarts: Whether closing leaves the device stopped: a serial port lowers its control lines,
+            as it usually does, and some devices restart when the next one who opens it raises them;
+            and the commands that stop it are sent.
 
     Attributes:
         url: As given.
@@ -137,9 +125,12 @@ class Source:
         baud: int = DEFAULT,
         capacity: int = _CAPACITY,
         *,
+        commands: Commands = NOTHING,
         restarts: bool = True,
     ) -> None:
         self._kind, self._where = _parse(url, baud, restarts)
+        sent = commands if self._kind in {Serial, Tcp} else NOTHING
+        self._commands = sent if restarts else replace(sent, stop=())
         self.url = url
         self._now = now
         self._capacity = capacity
@@ -169,7 +160,7 @@ class Source:
     @property
     def live(self) -> bool:
         """Whether bytes come when they are made; those of a file are all there at once."""
-        return self._kind is not _File
+        return self._kind is not File
 
     @property
     def empty(self) -> bool:
@@ -182,7 +173,7 @@ class Source:
         with self._changed:
             self._changed.notify()
         if self._thread.is_alive():
-            self._thread.join(timeout=2 * _CONNECT)
+            self._thread.join(timeout=2 * CONNECT)
 
     def _run(self) -> None:
         while not self._stopping.is_set():
@@ -200,19 +191,43 @@ class Source:
 
     def _read(self, line: Line) -> None:
         try:
+            self._send(line, self._commands.start)
+            heard = steady_time()
             while not self._stopping.is_set():
                 data = line.read()
                 if data is None:
                     break
                 if data:
                     self._put(Chunk(data, *self._moment()))
+                    heard = steady_time()
+                elif self._is_silent_since(heard):
+                    self._send(line, self._commands.start)
+                    heard = steady_time()
+            else:
+                self._send(line, self._commands.stop)
         except Exception as error:
             self.state = State(False, False, f'{self.url} broke: {_reason(error)}')
             return
-        if self._kind is _File:
+        if self._kind is File:
             self.state = State(False, True, f'{self.url} was read to its end.')
         else:
             self.state = State(False, False, f'{self.url} was closed by the other end.')
+
+    def _send(self, line: Line, commands: tuple[Command, ...]) -> None:
+        """Send commands and wait after each as long as its device needs."""
+        stops = commands is self._commands.stop
+        for command in commands:
+            if self._stopping.is_set() and not stops:
+                return
+            line.write(command.data)
+            if stops:
+                time.sleep(command.wait)
+            else:
+                self._stopping.wait(command.wait)
+
+    def _is_silent_since(self, heard: int) -> bool:
+        again = self._commands.again
+        return again is not None and steady_time() - heard > again * _NS
 
     def _moment(self) -> tuple[int, int]:
         """Read the host's clock and the steady one at once, as far as nothing interrupts."""
@@ -227,7 +242,7 @@ class Source:
     def _put(self, chunk: Chunk) -> None:
         with self._changed:
             while self._waiting >= self._capacity and not self._stopping.is_set():
-                self._changed.wait(_POLL)
+                self._changed.wait(POLL)
             self._chunks.append(chunk)
             self._waiting += len(chunk.data)
 
@@ -245,7 +260,7 @@ def check_port(url: str) -> None:
 
     """
     kind, _ = _parse(url, baud=50, restarts=True)
-    if kind is not _Serial or '://' in url or not url.startswith('/'):
+    if kind is not Serial or '://' in url or not url.startswith('/'):
         return
     if not Path(url).exists():
         raise InputError(_does_not_open(url, FileNotFoundError(errno.ENOENT, '')))
@@ -282,122 +297,6 @@ def _reason(error: Exception) -> str:
     return text if text.endswith('.') else f'{text}.'
 
 
-class _Socket:
-    """What is read from a socket, waited for no longer than a poll takes."""
-
-    KIND: ClassVar[socket.SocketKind]
-    BUFFER: ClassVar[int]
-    MOST: ClassVar[int]
-
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(_family(host), self.KIND)
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.BUFFER)
-            self._open(host, port)
-            self._socket.settimeout(_POLL)
-        except OSError:
-            self._socket.close()
-            raise
-
-    def _open(self, host: str, port: int) -> None:
-        """Connect, or wait at an address."""
-        raise NotImplementedError
-
-    def _received(self, data: bytes) -> bytes | None:
-        """Return what was read, None where it means the end."""
-        return data
-
-    def read(self) -> bytes | None:
-        try:
-            return self._received(self._socket.recv(self.MOST))
-        except TimeoutError:
-            return b''
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-class _Tcp(_Socket):
-    """A TCP connection."""
-
-    KIND = socket.SOCK_STREAM
-    # A small buffer: a device that is simulated goes no faster than its samples are used.
-    BUFFER = 1 << 16
-    MOST = _CHUNK
-
-    def _open(self, host: str, port: int) -> None:
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for option, value in _KEEPALIVE.items():
-            if hasattr(socket, option):
-                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
-        self._socket.settimeout(_CONNECT)
-        self._socket.connect((host, port))
-
-    def _received(self, data: bytes) -> bytes | None:
-        # Nothing at once: the other end has closed it.
-        return data or None
-
-
-class _Udp(_Socket):
-    """Datagrams that arrive at an address of this host."""
-
-    KIND = socket.SOCK_DGRAM
-    BUFFER = 1 << 20
-    MOST = 1 << 16
-
-    def _open(self, host: str, port: int) -> None:
-        self._socket.bind((host, port))
-
-
-class _Serial:
-    """A serial port, or whatever else pyserial opens."""
-
-    def __init__(self, url: str, baud: int, restarts: bool) -> None:
-        import serial
-
-        self._port: Any = serial.serial_for_url(url, baudrate=baud, timeout=_POLL)
-        _lower_at_close(self._port, restarts)
-        # What has waited there since somebody else closed it would arrive far too late.
-        self._port.reset_input_buffer()
-
-    def read(self) -> bytes | None:
-        data = self._port.read(max(1, min(self._port.in_waiting, _CHUNK)))
-        return bytes(data)
-
-    def close(self) -> None:
-        self._port.close()
-
-
-def _lower_at_close(port: Any, lower: bool) -> None:
-    """Have the system lower the control lines of a serial port when it is closed, or not to."""
-    try:
-        import termios
-    except ImportError:
-        return
-    # A port of the network, or one without such lines.
-    with contextlib.suppress(termios.error, OSError, TypeError, AttributeError):
-        mode = termios.tcgetattr(port.fileno())
-        mode[2] = mode[2] | termios.HUPCL if lower else mode[2] & ~termios.HUPCL
-        termios.tcsetattr(port.fileno(), termios.TCSANOW, mode)
-
-
-class _File:
-    """Bytes that were recorded."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open('rb')
-
-    def read(self) -> bytes | None:
-        return self._file.read(_CHUNK) or None
-
-    def close(self) -> None:
-        self._file.close()
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ':' in host else socket.AF_INET
-
-
 def is_serial(url: str) -> bool:
     """Say whether pyserial opens it: a port that has a baud rate."""
     scheme, separator, _ = url.partition('://')
@@ -418,17 +317,17 @@ def _parse(url: str, baud: int, restarts: bool) -> tuple[Callable[..., Line], tu
         address = host_and_port(url)
         if address is None:
             raise InputError(f'{url}: expected {scheme}://host:port.')
-        return (_Udp if scheme == 'udp' else _Tcp), address
+        return (Udp if scheme == 'udp' else Tcp), address
     if is_serial(url):
         if find_spec('serial') is None:
             raise InputError(
                 f'{url}: pyserial is missing: python3-serial on Ubuntu, pyserial on PyPI.'
             )
-        return _Serial, (url, baud, restarts)
+        return Serial, (url, baud, restarts)
     path = Path(url).expanduser()
     if not path.is_file():
         raise InputError(f'{url}: there is no such file or device.')
-    return _File, (path,)
+    return File, (path,)
 
 
 def _is_device(path: Path) -> bool:

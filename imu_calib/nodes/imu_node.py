@@ -117,7 +117,8 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             self, 'buffer', 1 << 18, 'Bytes that may wait before reading pauses.', lower=1 << 12
         )
         baud = choose_baud(given, self._format)
-        source = Source(port, self._now, baud.rate, buffer)
+        commands = self._format.commands
+        source = Source(port, self._now, baud.rate, buffer, commands=commands)
         if not is_serial(port):
             return source, None
         self.get_logger().info(f'{port} is read at {baud}.')

@@ -1,0 +1,102 @@
+"""What a device is sent, so that it starts to send frames, and ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..config import Section
+from ..errors import InputError
+from ..units import Dimension
+from .numbers import whole_list
+
+LONGEST = 1024
+"""Bytes of a command: more is a slip of the pen."""
+LONGEST_WAIT = 10.0
+"""s after a command: a device that restarts takes about a second. A judgement."""
+LONGEST_STOP = 2.0
+"""s after all commands that stop a device: whoever closes the port waits for them. A judgement."""
+LEAST_SILENCE = 0.5
+"""s without a byte before a device is started again: a USB adapter keeps bytes for tens of ms."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """Bytes to send, and how long to wait before the next, s."""
+
+    data: bytes
+    wait: float = 0.0
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What is sent to a device.
+
+    Attributes:
+        start: When its port opens.
+        again: After so long without a byte, s, `start` is sent again; None: never.
+        stop: Before its port is closed.
+
+    """
+
+    start: tuple[Command, ...] = ()
+    again: float | None = None
+    stop: tuple[Command, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.start or self.stop)
+
+
+NOTHING = Commands()
+"""Of a device that sends by itself."""
+
+
+def read_commands(section: Section) -> Commands:
+    """Read `start`, `start_again` and `stop` of a device's file.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    start, stop = _sequence(section, 'start'), _sequence(section, 'stop')
+    again = None
+    if section.has('start_again'):
+        again = section.quantity('start_again', Dimension.TIME, least=LEAST_SILENCE)
+        if not start:
+            raise InputError(f"{section.key('start_again')}: there is no 'start' to send again.")
+    waits = sum(command.wait for command in stop)
+    if waits > LONGEST_STOP:
+        raise InputError(
+            f'{section.key("stop")}: the waits add up to {waits:g} s, expected at most '
+            f'{LONGEST_STOP:g} s: closing the port waits for them.'
+        )
+    return Commands(start, again, stop)
+
+
+def _sequence(section: Section, name: str) -> tuple[Command, ...]:
+    if not section.has(name):
+        return ()
+    return tuple(_command(entry) for entry in section.sections(name))
+
+
+def _command(entry: Section) -> Command:
+    if entry.has('bytes') == entry.has('text'):
+        raise InputError(
+            f"{entry.where}: found {'both' if entry.has('bytes') else 'neither'} of 'bytes' and "
+            "'text', expected one of them."
+        )
+    if entry.has('bytes'):
+        data = bytes(whole_list(entry, 'bytes', 0, 255))
+    else:
+        text = entry.text('text')
+        if not text or not text.isascii():
+            raise InputError(f'{entry.key("text")}: found {text!r}, expected characters of ASCII.')
+        data = text.encode('ascii')
+    if len(data) > LONGEST:
+        raise InputError(f'{entry.where}: found {len(data)} bytes, expected at most {LONGEST}.')
+    wait = entry.quantity('wait', Dimension.TIME, 0.0, least=0.0)
+    if wait > LONGEST_WAIT:
+        raise InputError(
+            f'{entry.key("wait")}: found {entry.raw("wait")}, expected at most {LONGEST_WAIT:g} s.'
+        )
+    entry.finish()
+    return Command(data, wait)

@@ -1,0 +1,165 @@
+"""The lines that a device's bytes come over: a serial port, a TCP or UDP socket, a file."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+POLL = 0.1
+"""s between two looks at whether it is to end."""
+CONNECT = 2.0
+"""s for a connection."""
+_CHUNK = 16384
+"""Bytes read at once."""
+_KEEPALIVE = {'TCP_KEEPIDLE': 5, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
+"""A device that lost its power closes nothing: so many seconds, and it counts as gone."""
+
+
+class Line(Protocol):
+    """Something open that bytes are read from."""
+
+    def read(self) -> bytes | None:
+        """Return what has come, nothing after a while without, None at the end."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the device."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class _Socket:
+    """What is read from a socket, waited for no longer than a poll takes."""
+
+    KIND: ClassVar[socket.SocketKind]
+    BUFFER: ClassVar[int]
+    MOST: ClassVar[int]
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(_family(host), self.KIND)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.BUFFER)
+            self._open(host, port)
+            self._socket.settimeout(POLL)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def _open(self, host: str, port: int) -> None:
+        """Connect, or wait at an address."""
+        raise NotImplementedError
+
+    def _received(self, data: bytes) -> bytes | None:
+        """Return what was read, None where it means the end."""
+        return data
+
+    def read(self) -> bytes | None:
+        try:
+            return self._received(self._socket.recv(self.MOST))
+        except TimeoutError:
+            return b''
+
+    def write(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Tcp(_Socket):
+    """A TCP connection."""
+
+    KIND = socket.SOCK_STREAM
+    # A small buffer: a device that is simulated goes no faster than its samples are used.
+    BUFFER = 1 << 16
+    MOST = _CHUNK
+
+    def _open(self, host: str, port: int) -> None:
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in _KEEPALIVE.items():
+            if hasattr(socket, option):
+                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+        self._socket.settimeout(CONNECT)
+        self._socket.connect((host, port))
+
+    def _received(self, data: bytes) -> bytes | None:
+        # Nothing at once: the other end has closed it.
+        return data or None
+
+
+class Udp(_Socket):
+    """Datagrams that arrive at an address of this host."""
+
+    KIND = socket.SOCK_DGRAM
+    BUFFER = 1 << 20
+    MOST = 1 << 16
+
+    def _open(self, host: str, port: int) -> None:
+        self._socket.bind((host, port))
+
+
+class Serial:
+    """A serial port, or whatever else pyserial opens."""
+
+    def __init__(self, url: str, baud: int, restarts: bool) -> None:
+        import serial
+
+        self._port: Any = serial.serial_for_url(
+            url, baudrate=baud, timeout=POLL, write_timeout=CONNECT
+        )
+        _lower_at_close(self._port, restarts)
+        # What has waited there since somebody else closed it would arrive far too late.
+        self._port.reset_input_buffer()
+
+    def read(self) -> bytes | None:
+        """Return what has come, nothing after a while without."""
+        data = self._port.read(max(1, min(self._port.in_waiting, _CHUNK)))
+        return bytes(data)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the device."""
+        self._port.write(data)
+        self._port.flush()
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._port.close()
+
+
+def _lower_at_close(port: Any, lower: bool) -> None:
+    """Have the system lower the control lines of a serial port when it is closed, or not to."""
+    try:
+        import termios
+    except ImportError:
+        return
+    # A port of the network, or one without such lines.
+    with contextlib.suppress(termios.error, OSError, TypeError, AttributeError):
+        mode = termios.tcgetattr(port.fileno())
+        mode[2] = mode[2] | termios.HUPCL if lower else mode[2] & ~termios.HUPCL
+        termios.tcsetattr(port.fileno(), termios.TCSANOW, mode)
+
+
+class File:
+    """Bytes that were recorded."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open('rb')
+
+    def read(self) -> bytes | None:
+        """Return what comes next, None at the end."""
+        return self._file.read(_CHUNK) or None
+
+    def write(self, data: bytes) -> None:
+        """Refuse: nobody reads it."""
+        raise io.UnsupportedOperation(f'{len(data)} bytes for a recording.')
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ':' in host else socket.AF_INET
