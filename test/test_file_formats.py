@@ -180,6 +180,8 @@ def further():
     device = example('device')
     for checksum in (
         {'kind': 'sum', 'width': 16, 'negated': True, 'offset': 46},
+        {'kind': 'sum', 'word': 16, 'width': 16, 'offset': 46},
+        {'kind': 'fletcher', 'modulus': 256, 'offset': 46},
         {'kind': 'xor', 'init': 0xFF, 'offset': 46},
         {'kind': 'CRC-16/MODBUS', 'offset': 46},
         {'kind': 'crc', 'width': 8, 'poly': 7, 'offset': 46},
@@ -354,6 +356,14 @@ BEYOND_A_SCHEMA = {
     ],
     'device': [
         ({'length': 40}, 'offset: found .* expected .*whole number'),
+        ({'start__0__wait': '11 s'}, 'wait: found .* expected at most 10 s'),
+        ({'start__1__text': 'x' * 1025}, 'found 1025 bytes, expected at most 1024'),
+        ({'start_again': '0.4 s'}, 'start_again: found .* expected 0.5 or more'),
+        ({'stop__0__wait': '2.5 s'}, 'stop: the waits add up to .* expected at most 2 s'),
+        (
+            {'checksum': {'kind': 'sum', 'word': 16, 'offset': 46, 'covers': [1, 45]}},
+            'covers: .* bytes are no whole words',
+        ),
         ({'fields__temperature__offset': 47}, "reach beyond the frame's length of 48"),
         ({'sync': [0] * 60, 'constant': None}, 'constant bytes reach beyond the length'),
         ({'fields__counter__bits': [11, 0]}, 'bits: found .* expected the first and the last bit'),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from imu_calib.devices import commands
+from imu_calib.devices.checks import FLETCHER, ORDERS, OWN_KINDS, WORDS
 from imu_calib.devices.checksum import CATALOGUE
 from imu_calib.devices.format import BAUD, COUNTLESS, LONGEST, TICKS_NS, TYPES
 from imu_calib.devices.messages import LENGTH_TYPES
@@ -30,11 +32,12 @@ from .keys import (
 )
 
 D = Dimension
-_WHOLE = [name for name, (kind, _) in TYPES.items() if kind != 'f']
+_WHOLE = [name for name, (kind, _) in TYPES.items() if kind in 'ui']
 _UNSIGNED = [name for name, (kind, _) in TYPES.items() if kind == 'u']
 _NONE = choice(['none'])
 _BYTES = array(whole(0, 255), words='list of bytes')
 _ORDER = choice(['little', 'big'])
+_NUMBER_ORDER = choice(list(ORDERS))
 _NOT_0 = Value({'type': 'number', 'not': {'const': 0}}, 'number, not 0')
 
 _SYNC = Key('sync', _BYTES, 'constant bytes at the start of each frame', REQUIRED)
@@ -50,11 +53,11 @@ def _number(types: list[str], offset: Key | None = None) -> list[Key]:
         Key(
             'type',
             choice(types),
-            '`u` unsigned, `i` signed or `f` floating point, and its bits',
+            '`u` unsigned, `i` signed, `f` floating point, `fp` fixed point, and its bits',
             REQUIRED,
         ),
         offset or _offset('of its first byte'),
-        Key('byte_order', _ORDER, 'of this number', None, '`byte_order` of the frame'),
+        Key('byte_order', _NUMBER_ORDER, 'of this number', None, '`byte_order` of the frame'),
         Key(
             'bits',
             array(whole(0, 63), 2, 2, 'list of two whole numbers'),
@@ -66,6 +69,7 @@ def _number(types: list[str], offset: Key | None = None) -> list[Key]:
 
 
 _OTHERS = [name for name in TYPES if name not in _UNSIGNED]
+_UNSWAPPED = [name for name, (_, size) in TYPES.items() if size not in {2, 4, 8}]
 _DEFS: Schema = {
     'bits': {
         'allOf': [
@@ -77,6 +81,10 @@ _DEFS: Schema = {
                 for name in _UNSIGNED
             ),
             when(has('type', *_OTHERS), {'properties': {'bits': {'type': 'null'}}}),
+            when(
+                has('type', *_UNSWAPPED),
+                {'properties': {'byte_order': {'enum': ['little', 'big', None]}}},
+            ),
         ]
     },
 }
@@ -197,7 +205,7 @@ _CONSTANT = [
     Key('bytes', _BYTES, 'what they are', REQUIRED),
 ]
 
-_KIND = choice(['sum', 'xor', 'crc', *CATALOGUE])
+_KIND = choice([*OWN_KINDS, *CATALOGUE])
 _ALGORITHM = [
     Key('kind', _KIND, 'the algorithm; a CRC by its name in the catalogue, or `crc`', REQUIRED),
     Key(
@@ -205,7 +213,15 @@ _ALGORITHM = [
         Value({'enum': [8, 16, 24, 32]}, '8, 16, 24 or 32'),
         'bits, of `sum` and `crc`',
         None,
-        '8 for `sum`, must be given for `crc`',
+        '`word` for `sum`, must be given for `crc`',
+    ),
+    Key('word', Value({'enum': list(WORDS)}, '8, 16 or 32'), 'bits of what `sum` adds', 8),
+    Key(
+        'modulus',
+        Value({'enum': list(FLETCHER)}, '255 or 256'),
+        "of `fletcher`: 255 as in Fletcher's paper, 256 as MIP and UBX have it",
+        None,
+        'must be given for `fletcher`',
     ),
     Key('negated', flag(), 'of `sum`: what is sent makes the sum zero', default=False),
     Key('poly', whole(1), 'of `crc`: generator polynomial', None, 'must be given for `crc`'),
@@ -224,10 +240,18 @@ def _algorithm() -> list[Schema]:
     """Return which parameters each kind of checksum takes."""
     names = [key.name for key in _ALGORITHM[1:]]
     known = [
-        when(has('kind', 'sum'), absent(*(n for n in names if n not in {'width', 'negated'}))),
+        when(
+            has('kind', 'sum'),
+            absent(*(n for n in names if n not in {'width', 'negated', 'word'})),
+        ),
+        when(has('kind', 'fletcher'), absent(*(n for n in names if n != 'modulus'))),
+        when(has('kind', 'fletcher'), given('modulus')),
         when(has('kind', 'xor'), absent(*(n for n in names if n != 'init'))),
         when(has('kind', 'xor'), _least('init', 255)),
-        when(has('kind', 'crc'), {'allOf': [absent('negated'), given('width', 'poly')]}),
+        when(
+            has('kind', 'crc'),
+            {'allOf': [absent('negated', 'word', 'modulus'), given('width', 'poly')]},
+        ),
         when(has('kind', *CATALOGUE), absent(*names)),
     ]
     return known + [
@@ -306,6 +330,29 @@ _OTHER = [
 ]
 _TWO_OF_SYNC: Schema = {'properties': {'sync': {'minItems': 2}}}
 
+_COMMAND = [
+    Key(
+        'bytes',
+        array(whole(0, 255), 1, commands.LONGEST, 'list of bytes'),
+        'what is sent; this or `text`',
+        None,
+        'one of the two',
+    ),
+    Key(
+        'text',
+        either(
+            Value({'type': 'string', 'pattern': r'^[\x00-\x7F]+$'}, 'text of ASCII'),
+            Value({'type': 'number'}, ''),
+            words='text of ASCII',
+        ),
+        r'the same as characters; in double quotes `\r` and `\n` end a line; this or `bytes`',
+        None,
+        'one of the two',
+    ),
+    Key('wait', quantity(D.TIME, '0 or more'), 'before anything else is sent, 10 s at most', '0 s'),
+]
+_COMMANDS = array(mapping(_COMMAND, one_of('bytes', 'text')), words='list of commands, below')
+
 KEYS = [
     Key('name', text(), 'of the device, or of its output format', REQUIRED),
     Key(
@@ -314,6 +361,21 @@ KEYS = [
         'rate of its serial port, bit/s',
         None,
         '`--baud`, else 115200',
+    ),
+    Key('start', _COMMANDS, 'sent when the port opens', None, 'nothing is sent'),
+    Key(
+        'start_again',
+        quantity(D.TIME, 'above 0'),
+        'after so long without a byte, 0.5 s or more, `start` is sent again',
+        None,
+        'it is not',
+    ),
+    Key(
+        'stop',
+        _COMMANDS,
+        'sent before the port is closed; its waits are 2 s at most',
+        None,
+        'nothing',
     ),
     _SYNC,
     Key(
@@ -347,11 +409,13 @@ TABLES: Tables = {
     'status': _STATUS,
     'faults': _FAULT,
     'constant': _CONSTANT,
+    'start': _COMMAND,
     'checksum': _CHECK,
     'others': _OTHER,
     'others length': _LENGTH,
     'others checksum': _OTHER_CHECK[len(_ALGORITHM) :],
 }
+_AGAIN: Schema = when(given('start_again'), given('start'))
 _TWO_BYTES: Schema = {'anyOf': [_TWO_OF_SYNC, given('constant')]}
-VALUE = Value({'$defs': _DEFS, **mapping(KEYS, when(_NO_CHECK, _TWO_BYTES)).schema}, '')
+VALUE = Value({'$defs': _DEFS, **mapping(KEYS, when(_NO_CHECK, _TWO_BYTES), _AGAIN).schema}, '')
 TITLE = 'A device: where things stand in its frames'
