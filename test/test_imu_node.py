@@ -179,6 +179,20 @@ def test_pulses_are_marked_so_that_no_filter_takes_them_for_rates(bench):
     assert message.header.frame_id == 'unit_7'
 
 
+def test_the_commands_of_the_devices_file_start_it_and_stop_it(bench, tmp_path):
+    commands = 'start: [{text: "go"}]\nstop: [{text: "halt"}]\n'
+    file = tmp_path / 'mine.yaml'
+    file.write_text((CHECKOUT / 'config' / 'devices' / 'simulated.yaml').read_text() + commands)
+    bench.open(device=file)
+    bench.connect()
+    bench.device.line.settimeout(patience())
+    assert bench.device.line.recv(100) == b'go'
+    bench.while_spinning(lambda: bench.device.send(10))
+    assert bench.arrived(10)
+    bench.node.stop()
+    assert bench.device.line.recv(100) == b'halt'
+
+
 def test_temperature_comes_once_a_second(bench):
     bench.open()
     bench.connect()

@@ -3,12 +3,14 @@
 import json
 import os
 import pty
+import select
 import subprocess
 import sys
 import termios
 import threading
 import time
 import tty
+from dataclasses import replace
 
 import pytest
 from loopback import CHECKOUT, until
@@ -17,6 +19,7 @@ from test_devices import NS, frame
 from imu_calib.cli import listening, main, stand_session
 from imu_calib.cli.words import NothingComes, Words
 from imu_calib.devices import Reception, Severity, Source, choose_baud, load_format
+from imu_calib.devices.commands import Command, Commands
 from imu_calib.devices.source import Chunk, State
 from imu_calib.imu import load_imu
 
@@ -137,6 +140,16 @@ def test_silence_is_said_before_the_session_is_loaded(tmp_path, port, capsys, mo
 
 def listen(port, words):
     listening.listen(port, SIMULATED, FOG, choose_baud(None, SIMULATED), words)
+
+
+def test_a_device_is_started_and_left_running_for_the_nodes(port):
+    commands = Commands((Command(b'go'),), None, (Command(b'halt'),))
+    frames = replace(SIMULATED, commands=commands)
+    listening.listen(port[1], frames, FOG, choose_baud(None, frames), Words(real=True))
+    got = b''
+    while select.select([port[0]], [], [], 0)[0]:
+        got += os.read(port[0], 100)
+    assert got == b'go'
 
 
 def test_what_was_said_of_a_silent_device_is_said_once_and_its_end_too(port, capsys, monkeypatch):

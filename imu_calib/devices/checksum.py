@@ -161,9 +161,9 @@ def _fletcher(rows: Bytes, modulus: int) -> Words:
     count = rows.shape[1]
     # The first byte is part of every sum on the way, the last one of the last alone.
     weights = np.arange(count, 0, -1, dtype=np.int64)
-    first = rows.sum(axis=1, dtype=np.int64) % modulus
+    first: NDArray[np.int64] = rows.sum(axis=1, dtype=np.int64) % modulus
     second: NDArray[np.int64] = (rows @ weights) % modulus
-    return (second << 8 | first).astype(np.uint32)
+    return np.asarray(second << 8 | first, np.uint32)
 
 
 def _contributions(crc: Crc, length: int, padding: int) -> tuple[Words, int]:

@@ -111,6 +111,7 @@ class Source:
 
     Attributes:
         url: As given.
+        commands: What the device is sent.
         state: How it is at the moment.
 
     Raises:
@@ -130,7 +131,7 @@ class Source:
     ) -> None:
         self._kind, self._where = _parse(url, baud, restarts)
         sent = commands if self._kind in {Serial, Tcp} else NOTHING
-        self._commands = sent if restarts else replace(sent, stop=())
+        self.commands = sent if restarts else replace(sent, stop=())
         self.url = url
         self._now = now
         self._capacity = capacity
@@ -191,7 +192,7 @@ class Source:
 
     def _read(self, line: Line) -> None:
         try:
-            self._send(line, self._commands.start)
+            self._send(line, self.commands.start)
             heard = steady_time()
             while not self._stopping.is_set():
                 data = line.read()
@@ -201,10 +202,10 @@ class Source:
                     self._put(Chunk(data, *self._moment()))
                     heard = steady_time()
                 elif self._is_silent_since(heard):
-                    self._send(line, self._commands.start)
+                    self._send(line, self.commands.start)
                     heard = steady_time()
             else:
-                self._send(line, self._commands.stop)
+                self._send(line, self.commands.stop)
         except Exception as error:
             self.state = State(False, False, f'{self.url} broke: {_reason(error)}')
             return
@@ -215,7 +216,7 @@ class Source:
 
     def _send(self, line: Line, commands: tuple[Command, ...]) -> None:
         """Send commands and wait after each as long as its device needs."""
-        stops = commands is self._commands.stop
+        stops = commands is self.commands.stop
         for command in commands:
             if self._stopping.is_set() and not stops:
                 return
@@ -226,7 +227,7 @@ class Source:
                 self._stopping.wait(command.wait)
 
     def _is_silent_since(self, heard: int) -> bool:
-        again = self._commands.again
+        again = self.commands.again
         return again is not None and steady_time() - heard > again * _NS
 
     def _moment(self) -> tuple[int, int]:

@@ -119,6 +119,11 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
         baud = choose_baud(given, self._format)
         commands = self._format.commands
         source = Source(port, self._now, baud.rate, buffer, commands=commands)
+        if source.commands:
+            self.get_logger().info(
+                f'The device is sent {len(commands.start)} commands of its file whenever its port '
+                f'opens, and {len(commands.stop)} before it is closed.'
+            )
         if not is_serial(port):
             return source, None
         self.get_logger().info(f'{port} is read at {baud}.')
