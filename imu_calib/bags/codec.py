@@ -23,7 +23,7 @@ class CodecError(Exception):
     """Compressed data that does not unpack; the caller knows which."""
 
 
-def decompressor(compression: str) -> Callable[[bytes], bytes]:
+def decompressor(compression: str) -> Callable[[bytes | memoryview], bytes]:
     """Return the function that unpacks one compressed block.
 
     Args:
@@ -118,8 +118,8 @@ class _FrameStream:
         return pieces
 
 
-def _zstandard_decompress(module: Any) -> Callable[[bytes], bytes]:
-    def decompress(data: bytes) -> bytes:
+def _zstandard_decompress(module: Any) -> Callable[[bytes | memoryview], bytes]:
+    def decompress(data: bytes | memoryview) -> bytes:
         # A frame need not state its size, which the one-shot call of this package insists on.
         frame = module.ZstdDecompressor().decompressobj()
         content: bytes = frame.decompress(data)
@@ -130,8 +130,10 @@ def _zstandard_decompress(module: Any) -> Callable[[bytes], bytes]:
     return decompress
 
 
-def _guarded(function: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
-    def decompress(data: bytes) -> bytes:
+def _guarded(
+    function: Callable[[bytes | memoryview], bytes],
+) -> Callable[[bytes | memoryview], bytes]:
+    def decompress(data: bytes | memoryview) -> bytes:
         try:
             return function(data)
         except _errors() as error:

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from ..cdr.messages import Bytes, Indices
 
 _HEAD = RECORD_HEAD + MESSAGE_HEAD
+_LONGEST_INDEX = 1 << 20
+"""Bytes between a chunk and the end of its message index that are read with it at once: more than
+indices take, and little beside a chunk."""
 _HEAD_KIND = np.dtype([('op', 'u1'), ('length', '<u8'), ('channel', '<u2')])
 
 
@@ -167,8 +170,8 @@ class McapStorage:
         for chunk in self._chunks:
             if complete if chunk.counts is None else known.keys() >= chunk.counts.keys():
                 continue
-            with self.path.open('rb') as file:
-                buffer = self._unpack(chunk, file)
+            with self.path.open('rb', buffering=0) as file:
+                buffer = self._unpack(chunk, _read(file, chunk.data, chunk.stored))
             if buffer is not None:
                 self._learn(buffer)
 
@@ -185,11 +188,12 @@ class McapStorage:
 
     def _load(self, chunk: Chunk) -> Unpacked:
         """Bring a chunk into memory and find its messages."""
-        with self.path.open('rb') as file:
-            buffer = self._unpack(chunk, file)
-            if buffer is None:
-                return Unpacked(np.empty(0, np.uint8), {})
-            placed = _indexed(_read_index(chunk, file), buffer)
+        with self.path.open('rb', buffering=0) as file:
+            stored, tables = _read_with_index(chunk, file)
+        buffer = self._unpack(chunk, stored)
+        if buffer is None:
+            return Unpacked(np.empty(0, np.uint8), {})
+        placed = _indexed(tables, buffer)
         return Unpacked(buffer, self._walked(chunk, buffer) if placed is None else placed)
 
     def _walked(self, chunk: Chunk, buffer: Bytes) -> dict[int, Placed]:
@@ -214,10 +218,8 @@ class McapStorage:
             placed[channel] = _placed(offsets[mine], heads[mine], first)
         return placed
 
-    def _unpack(self, chunk: Chunk, file: BinaryIO) -> Bytes | None:
+    def _unpack(self, chunk: Chunk, stored: memoryview) -> Bytes | None:
         """Return the bytes of a chunk; None, and a stated loss, where they are not sound."""
-        file.seek(chunk.data)
-        stored = file.read(chunk.stored)
         if chunk.cut or len(stored) < chunk.stored:
             return self._unpack_cut(chunk, stored)
         try:
@@ -233,7 +235,7 @@ class McapStorage:
             return None
         return np.frombuffer(content, np.uint8)
 
-    def _unpack_cut(self, chunk: Chunk, stored: bytes) -> Bytes | None:
+    def _unpack_cut(self, chunk: Chunk, stored: memoryview) -> Bytes | None:
         if chunk.compression:
             self._lose(chunk, 'is cut off by the end of the file')
             return None
@@ -257,15 +259,29 @@ def _may_hold(chunk: Chunk, channels: frozenset[int]) -> bool:
     return chunk.counts is None or not channels.isdisjoint(chunk.counts)
 
 
-def _read_index(chunk: Chunk, file: BinaryIO) -> dict[int, Indices]:
-    """Read the message index: (n, 2) log times and offsets by channel."""
+def _read(file: BinaryIO, position: int, size: int) -> memoryview:
+    """Read bytes of a file, fewer where it ends."""
+    file.seek(position)
+    return memoryview(file.read(size))
+
+
+def _read_with_index(chunk: Chunk, file: BinaryIO) -> tuple[memoryview, dict[int, Indices]]:
+    """Read a chunk and the message index behind it: (n, 2) log times and offsets by channel."""
+    index = chunk.index or {}
+    end = max([chunk.end, *(position + 16 * count for position, count in index.values())])
+    if end - chunk.end > _LONGEST_INDEX:
+        end = chunk.end
+    content = _read(file, chunk.data, end - chunk.data)
     tables = {}
-    for channel, (position, count) in (chunk.index or {}).items():
-        file.seek(position)
-        table = np.frombuffer(file.read(16 * count), '<i8').reshape(-1, 2)
+    for channel, (position, count) in index.items():
+        size = 16 * count
+        start = position - chunk.data
+        inside = position + size <= end
+        stored = content[start : start + size] if inside else _read(file, position, size)
+        table = np.frombuffer(stored[: len(stored) // 16 * 16], '<i8').reshape(-1, 2)
         if len(table):
             tables[channel] = table
-    return tables
+    return content[: chunk.stored], tables
 
 
 def _indexed(tables: dict[int, Indices], buffer: Bytes) -> dict[int, Placed] | None:

@@ -30,6 +30,11 @@ _WINDOW = 1 << 22
 _CHUNK_FIELDS = 40
 """Bytes of a chunk's fields before its records: start, end, size, CRC, compression, length
 (mcap.dev/spec)."""
+_INDEX_HEAD = 6
+"""Bytes of a message index before its entries: channel, bytes of entries (mcap.dev/spec)."""
+_LONGEST_HEAD = _CHUNK_FIELDS + 16
+"""Bytes of a record that tell what it holds: a chunk's fields, with the longest name of a
+compression."""
 _SMALL = frozenset({Op.SCHEMA, Op.CHANNEL, Op.METADATA})
 
 
@@ -97,7 +102,8 @@ def scan(path: Path, losses: Losses) -> Scan:
         OSError: The file cannot be read.
 
     """
-    with path.open('rb') as file:
+    # Records lie far apart: a buffer would be filled for each.
+    with path.open('rb', buffering=0) as file:
         return _Scanner(path, file, losses).scan()
 
 
@@ -160,22 +166,24 @@ class _Scanner:
 
     def _record(self, position: int) -> int | None:
         """Take in the record at a position; return the next, or None where there is no sense."""
-        head = self._read(position, RECORD_HEAD)
-        if len(head) < RECORD_HEAD:
+        beginning = self._read(position, RECORD_HEAD + _LONGEST_HEAD)
+        if len(beginning) < RECORD_HEAD:
             return self._overrun(position)
-        op, length = struct.unpack('<BQ', head)
+        op, length = struct.unpack_from('<BQ', beginning)
         following: int = position + RECORD_HEAD + length
+        head = beginning[RECORD_HEAD:]
         if op == Op.CHUNK:
-            return self._chunk(position, length, following)
+            return self._chunk(position, length, following, head)
         if position in self.found.catalogue.chunk_starts:
             return None
         if op == 0 or following > self.end:
             return self._overrun(position) if op in set(Op) else None
-        return self._whole_record(op, position, length, following)
+        return self._whole_record(op, position, length, head)
 
-    def _whole_record(self, op: int, position: int, length: int, following: int) -> int | None:
+    def _whole_record(self, op: int, position: int, length: int, head: bytes) -> int | None:
+        following = position + RECORD_HEAD + length
         if op == Op.MESSAGE_INDEX:
-            return self._index(position, length, following)
+            return self._index(position, length, following, head)
         if op == Op.MESSAGE:
             return self._unchunked(position)
         if op in _SMALL:
@@ -224,8 +232,7 @@ class _Scanner:
             self.found.chunks[-1] = replace(self.found.chunks[-1], index=None, counts=None)
         return following
 
-    def _chunk(self, position: int, length: int, following: int) -> int | None:
-        head = self._read(position + RECORD_HEAD, _CHUNK_FIELDS + 16)
+    def _chunk(self, position: int, length: int, following: int, head: bytes) -> int | None:
         try:
             fields = Fields(head)
             start_ns, end_ns, size = (fields.number('Q') for _ in range(3))
@@ -244,13 +251,17 @@ class _Scanner:
         self.found.chunks.append(chunk)
         return following
 
-    def _index(self, position: int, length: int, following: int) -> int:
+    def _index(self, position: int, length: int, following: int, head: bytes) -> int | None:
         """Note a message index record: it belongs to the chunk before it."""
-        head = self._read(position + RECORD_HEAD, 6)
-        channel, size = struct.unpack('<HI', head)
-        if self.found.chunks and size == length - 6 and size % 16 == 0:
+        if length < _INDEX_HEAD:
+            return None
+        channel, size = struct.unpack_from('<HI', head)
+        if self.found.chunks and size == length - _INDEX_HEAD and size % 16 == 0:
             chunk = self.found.chunks[-1]
-            index = {**(chunk.index or {}), channel: (position + RECORD_HEAD + 6, size // 16)}
+            index = {
+                **(chunk.index or {}),
+                channel: (position + RECORD_HEAD + _INDEX_HEAD, size // 16),
+            }
             counts = {key: count for key, (_, count) in index.items()}
             self.found.chunks[-1] = replace(chunk, index=index, counts=counts)
         return following

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -21,8 +22,6 @@ from .layout import ENCAPSULATION, Layout, LayoutReader
 from .messages import CdrError, Malformed, Messages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from ..stream import Floats
     from .messages import Bytes, Indices
 
@@ -30,6 +29,9 @@ Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)
 AnyBlock = TypeVar('AnyBlock', bound=Block)
 
 _AFTER_STAMP = ENCAPSULATION + 8
+_LAST: dict[Callable[[bytes], Layout], Layout] = {}
+"""What the last messages looked like to each parser: those of a recording look the same, chunk
+after chunk. All that a parser decides by is in the layout's fixed bytes and its size."""
 _COMMON = frozenset({'names', 'frame_id'})
 
 
@@ -68,10 +70,10 @@ class ImuDecoder:
     def decode(self, payloads: list[bytes], malformed: Malformed) -> list[ImuBlock]:
         """Decode serialised messages; order and what is left out as `decode_imu`."""
         layout = self._layout
-        if len(payloads) > 1 or layout is None or len(payloads[0]) != layout.size:
+        if len(payloads) > 1 or layout is None:
             return self._decode(payloads, malformed)
         payload = payloads[0]
-        if not all(payload.startswith(content, start) for start, content in layout.fixed):
+        if not layout.fits(payload):
             return self._decode(payloads, malformed)
         return [_imu_block(layout, np.frombuffer(payload, np.uint8)[None])]
 
@@ -173,10 +175,13 @@ def _decode_alike(
     """Decode messages that all have the layout of the first; None where they do not."""
     if len(messages) == 0 or (messages.size != messages.size[0]).any():
         return None
-    try:
-        layout = parse(messages.payload(0))
-    except CdrError:
-        return None
+    layout = _LAST.get(parse)
+    first = messages.payload(0)
+    if layout is None or not layout.fits(first):
+        try:
+            layout = _LAST[parse] = parse(first)
+        except CdrError:
+            return None
     rows = messages.rows(layout.size)
     return build(layout, rows) if layout.holds(rows).all() else None
 

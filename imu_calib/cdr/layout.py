@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +46,12 @@ class Layout:
     columns: dict[str, tuple[int, int]]
     names: tuple[str, ...]
 
+    def fits(self, payload: bytes) -> bool:
+        """Tell whether one message has this layout."""
+        return len(payload) == self.size and all(
+            payload.startswith(content, start) for start, content in self.fixed
+        )
+
     def holds(self, rows: Bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """Tell which messages have this layout.
 
@@ -56,12 +63,21 @@ class Layout:
 
         """
         same = np.ones(len(rows), np.bool_)
-        for start, content in self.fixed:
-            # Strings of equal width are equal exactly when their bytes are.
-            kind = f'S{len(content)}'
-            found = np.ndarray((len(rows),), kind, rows, start, (self.size,))
-            same &= found == np.frombuffer(content, kind)[0]
+        for start, kind, value in self._words:
+            same &= np.ndarray((len(rows),), kind, rows, start, (self.size,)) == value
         return same
+
+    @cached_property
+    def _words(self) -> list[tuple[int, str, np.unsignedinteger[Any]]]:
+        """The fixed bytes as numbers, which compare far faster than bytes do."""
+        words = []
+        for start, content in self.fixed:
+            width = next(w for w in (8, 4, 2, 1) if w <= len(content))
+            # The last word may overlap the one before.
+            for at in {*range(0, len(content) - width + 1, width), len(content) - width}:
+                kind = f'<u{width}'
+                words.append((start + at, kind, np.frombuffer(content, kind, 1, at)[0]))
+        return words
 
     def stamps(self, rows: Bytes) -> Stamps:
         """Return the (n,) header stamps in ns."""
