@@ -32,6 +32,7 @@ PLOT = 'matplotlib>=3.6'
 DATA_FRAME = 'pandas>=2'
 # The first that refuses bytes which end within a string or a sequence.
 ROSBAGS = 'rosbags>=0.11.6'
+FLEET = ['distributed>=2024.8', 'bokeh>=3.1', 'pyarrow>=15', 'duckdb>=1', 'fsspec>=2024.2']
 DOCS = ['sphinx>=7', 'myst-nb>=1.1', 'furo>=2024.1.29']
 
 setup(
@@ -69,6 +70,7 @@ setup(
         'dataframe': [DATA_FRAME],
         'ros1': [ROSBAGS],
         'pdf': ['weasyprint>=62'],
+        'fleet': FLEET,
         'docs': DOCS,
         'test': [
             'pytest>=7.4',
@@ -91,6 +93,7 @@ setup(
             DDS,
             PLOT,
             DATA_FRAME,
+            *FLEET,
         ],
         'dev': [
             *DOCS,

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from .compensation.thermal import ThermalCalibration
     from .errors import ImuCalibError, InputError, NotObservable
     from .exports import Exported
+    from .fleet.catalogue import Catalogue
+    from .fleet.running import Batch, batch
     from .imu import ImuSpec, load_imu
     from .plan import Plan, load_plan
     from .prediction import Reached
@@ -44,8 +46,10 @@ if TYPE_CHECKING:
     from .verification import Verdict, Verification
 
 _WHERE = {
+    'Batch': 'fleet.running',
     'Calibration': 'calibration',
     'Certificate': 'certificates.statement',
+    'Catalogue': 'fleet.catalogue',
     'Columns': 'api.columns',
     'Compared': 'api.comparing',
     'Compensated': 'api.compensating',
@@ -69,6 +73,7 @@ _WHERE = {
     'ThermalCalibration': 'compensation.thermal',
     'Verdict': 'verification',
     'Verification': 'verification',
+    'batch': 'fleet.running',
     'calibrate': 'api.calibrating',
     'certificate': 'api.certifying',
     'combine': 'api.combining',
@@ -94,7 +99,9 @@ _WHERE = {
 """Loaded when they are asked for: nodes and commands need few of them, and start in less time."""
 
 __all__ = [
+    'Batch',
     'Calibration',
+    'Catalogue',
     'Certificate',
     'Columns',
     'Compared',
@@ -119,6 +126,7 @@ __all__ = [
     'ThermalCalibration',
     'Verdict',
     'Verification',
+    'batch',
     'calibrate',
     'certificate',
     'combine',

@@ -21,6 +21,8 @@ COMMANDS = {
     'stand': 'run a stand live',
     'simulate': 'write a simulated recording',
     'calibrate': 'a recording to 24 parameters',
+    'batch': 'many recordings to a catalogue of calibrations',
+    'catalogue': 'what a catalogue holds: list, filter, SQL, CSV, JSON',
     'report': 'a calibration to an HTML report',
     'certificate': 'a calibration to a certificate by ISO/IEC 17025, also as DCC',
     'verify': 'a calibration against another recording',

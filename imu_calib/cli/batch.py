@@ -1,0 +1,64 @@
+"""imu-calib batch: many recordings in, a catalogue of calibrations out."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..errors import NotObservable
+from ..fleet.running import MEMORY, batch
+from . import options
+from .outcome import Outcome
+from .terminal import OUTPUT, progress_bar
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
+    parser.add_argument(
+        'sources',
+        nargs='+',
+        metavar='SOURCE',
+        help='recordings, folders of some, patterns, manifests (.csv, .yaml), URLs (s3://...)',
+    )
+    parser.add_argument(
+        '-o', '--output', required=True, dest='catalogue', metavar='CATALOGUE', help='a folder'
+    )
+    parser.add_argument(
+        '--scheduler',
+        metavar='ADDRESS',
+        help='of a Dask cluster, tcp://host:8786 (default: workers on this machine)',
+    )
+    parser.add_argument(
+        '--workers', type=int, metavar='N', help='on this machine (default: one for each core)'
+    )
+    parser.add_argument(
+        '--memory',
+        default=MEMORY,
+        metavar='SIZE',
+        help='of each worker on this machine (default: %(default)s)',
+    )
+    parser.add_argument('--retry', action='store_true', help='do again what failed')
+    options.add_session_options(parser)
+    parser.epilog = (
+        'Exit code 1: a recording gave no calibration; its row says why '
+        '(imu-calib catalogue CATALOGUE --where "status = \'failed\'").'
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Calibrate, and print what came of it."""
+    arguments.last_word = (
+        f'What was done is in {arguments.catalogue}: the same command goes on from there.'
+    )
+    keywords = options.keywords(batch, arguments)
+    done = batch(arguments.sources, arguments.catalogue, **{**keywords, 'progress': progress_bar})
+    OUTPUT.print(
+        f'{done.recordings} recordings in {done.seconds:.1f} s: {done.calibrated} calibrated, '
+        f'{done.failed} failed, {done.known} done before'
+    )
+    OUTPUT.print(f'written to {done.catalogue}', markup=False)
+    if not done.failed:
+        return Outcome()
+    reasons = f'imu-calib catalogue {done.catalogue} --where "status = \'failed\'"'
+    message = f'{done.failed} recordings gave no calibration; {reasons} lists the reasons.'
+    return Outcome(exit_code=NotObservable.exit_code, message=message)

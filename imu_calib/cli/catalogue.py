@@ -1,0 +1,109 @@
+"""imu-calib catalogue: what a catalogue holds, as a table, a file or the answer to SQL."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from ..api.outputs import output_path
+from ..errors import InputError
+from ..fleet.catalogue import Catalogue, rows_of
+from .terminal import OUTPUT
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_SHOWN = ('date', 'imu', 'serial', 'stand', 'status', 'verdict', 'recording', 'error')
+_WRITERS = ('.csv', '.json')
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
+    parser.add_argument('catalogue', metavar='CATALOGUE', help='the folder')
+    parser.add_argument(
+        '--where', metavar='SQL', help='rows for which this holds: "serial = \'A1\' and K_gx > 0"'
+    )
+    parser.add_argument(
+        '--columns',
+        metavar='NAME,NAME',
+        help=f'columns in their order, * for all (default: {",".join(_SHOWN)})',
+    )
+    parser.add_argument(
+        '--sql', metavar='QUERY', help='a question of your own; the table is called rows'
+    )
+    parser.add_argument(
+        '-o', '--output', metavar='FILE', help='.csv or .json; all columns unless --columns says'
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Print or write the answer."""
+    path = None if arguments.output is None else output_path(arguments.output)
+    if path is not None and path.suffix not in _WRITERS:
+        raise InputError(f'{path}: found {path.suffix or "no ending"}, expected .csv or .json.')
+    if arguments.sql is not None and (arguments.where or arguments.columns):
+        raise InputError('--sql is a whole question: leave --where and --columns out.')
+    catalogue = Catalogue(arguments.catalogue)
+    default = '*' if path is not None else ', '.join(_SHOWN)
+    columns = default if arguments.columns is None else arguments.columns
+    where = f' where {arguments.where}' if arguments.where else ''
+    found = catalogue.query(
+        arguments.sql or f'select {columns} from rows{where} order by date, recording'
+    )
+    if path is None:
+        _show(found)
+    else:
+        _write(found, path)
+        OUTPUT.print(f'{found.num_rows} rows written to {path}', markup=False)
+
+
+def _show(found: pa.Table) -> None:
+    table = Table(box=None, pad_edge=False)
+    for one in found.schema:
+        unit = (one.metadata or {}).get(b'unit', b'').decode()
+        table.add_column(f'{one.name} [{unit}]' if unit else one.name)
+    for row in rows_of(found):
+        table.add_row(*(_text(value) for value in row.values()))
+    OUTPUT.print(table, markup=False)
+    OUTPUT.print(f'\n{found.num_rows} rows')
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ''
+    if isinstance(value, float):
+        return f'{value:.6g}'
+    return (
+        value.isoformat(sep=' ', timespec='seconds') if hasattr(value, 'isoformat') else str(value)
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it, which has no NaN."""
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value.isoformat() if isinstance(value, datetime) else value
+
+
+def _write(found: pa.Table, path: Path) -> None:
+    rows = [{name: _plain(value) for name, value in row.items()} for row in rows_of(found)]
+    with path.open('w', encoding='utf-8', newline='') as file:
+        if path.suffix == '.json':
+            json.dump(rows, file, indent=1)
+            return
+        writer = csv.DictWriter(file, found.column_names)
+        writer.writeheader()
+        for row in rows:
+            writer.writerow(
+                {k: json.dumps(v) if isinstance(v, list) else v for k, v in row.items()}
+            )

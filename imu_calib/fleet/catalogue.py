@@ -1,0 +1,278 @@
+"""The catalogue: a Parquet dataset of one row for each task, and calibration files beside it.
+
+    CATALOGUE/rows/part-000000.parquet  and so on, some rows each
+    CATALOGUE/calibrations/TYPE/SERIAL.yaml            the unit's newest calibration
+    CATALOGUE/calibrations/TYPE/SERIAL/DATE_KEY.yaml   all of them
+
+Every file is written whole beside its place and moved there. Parts do not change, but where failed
+rows are replaced.
+Columns and their versions: docs/fleet.md.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from ..calibration import write_whole
+from ..errors import InputError
+from ..extras import require
+from ..model import PARAMETER_NAMES, PARAMETERS
+from .task import CALIBRATED, Done
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+VERSION = 1
+"""Of the columns; a reader refuses a newer one and fills in what an older one has not."""
+
+_VERSION_KEY = b'imu_calib.catalogue'
+_UNIT_KEY = b'unit'
+_UNNAMED = 'unnamed'
+_NO_DATE = datetime(1970, 1, 1, tzinfo=timezone.utc)
+"""Goes before any: a recording that does not say when it was taken is nobody's newest."""
+
+
+def schema() -> pa.Schema:
+    """Return the columns, each with its unit where it has one."""
+    import pyarrow as pa
+
+    text, number, whole = pa.string(), pa.float64(), pa.int64()
+    when = pa.timestamp('us', tz='UTC')
+
+    def column(name: str, kind: pa.DataType, unit: str = '') -> pa.Field:
+        return pa.field(name, kind, metadata={_UNIT_KEY: unit.encode()} if unit else None)
+
+    texts = ('key', 'recording', 'sha256', 'status', 'error', 'serial', 'imu', 'table', 'plan')
+    units = [parameter.unit.si for parameter in PARAMETERS]
+    columns = [
+        *(column(name, text) for name in texts),
+        *(column(name, text) for name in ('method', 'site', 'stand', 'operator', 'version')),
+        column('exit_code', pa.int32()),
+        column('date', when),
+        column('at', when),
+        column('seconds', number, 's'),
+        column('verdict', text),
+        column('findings', pa.list_(text)),
+        column('latitude', number, 'deg'),
+        column('temperature', number, 'degC'),
+        column('duration', number, 's'),
+        column('samples', whole),
+        *(column(n, number, u) for n, u in zip(PARAMETER_NAMES, units, strict=True)),
+        *(column(f'std_{n}', number, u) for n, u in zip(PARAMETER_NAMES, units, strict=True)),
+        column('parameters', pa.list_(text)),
+        column('values', pa.list_(number)),
+        column('covariance', pa.list_(number)),
+        column('calibration', text),
+    ]
+    return pa.schema(columns, metadata={_VERSION_KEY: str(VERSION).encode()})
+
+
+class Catalogue:
+    """A catalogue on disk.
+
+    Several may add to it at a time: a lock makes them wait for each other while they do, and none
+    adds a row that is there.
+
+    Args:
+        folder: Where it is.
+        create: Make it where it is not there.
+
+    Raises:
+        InputError: There is none, it is of a newer version, or pyarrow is not installed.
+
+    """
+
+    def __init__(self, folder: str | Path, *, create: bool = False) -> None:
+        require('pyarrow', 'A catalogue', 'fleet')
+        self.folder = Path(folder).expanduser()
+        self._rows = self.folder / 'rows'
+        self._seen: dict[Path, tuple[int, int, frozenset[str], frozenset[str]]] = {}
+        if create:
+            with self._written():
+                self._rows.mkdir(parents=True, exist_ok=True)
+        elif not self._rows.is_dir():
+            raise InputError(
+                f'{self.folder}: is no catalogue (no folder rows in it): imu-calib batch makes one.'
+            )
+
+    def keys(self, *, failed: bool = True) -> frozenset[str]:
+        """Return the keys of all rows; without those that failed, where they are to be retried."""
+        self._look()
+        kept = (keys if failed else keys - lost for _, _, keys, lost in self._seen.values())
+        return frozenset().union(*kept)
+
+    def add(self, done: Sequence[Done], *, replace: bool = False) -> int:
+        """Add rows with their calibration files; return how many were not there.
+
+        Args:
+            done: With rows.
+            replace: Put a row in the place of one that is there with the same key.
+
+        Raises:
+            InputError: It cannot be written; no row is there in part.
+
+        """
+        with self._written(), self._locked():
+            there = self.keys()
+            fresh = {one.key: one for one in done if replace or one.key not in there}
+            rows = {key: self._with_file(one) for key, one in fresh.items()}
+            for part in self._parts():
+                mine = self._seen[part][2] & rows.keys()
+                if mine:
+                    self._replace(part, {key: rows.pop(key) for key in mine})
+            self._append(list(rows.values()))
+        return len(fresh.keys() - there)
+
+    def table(self) -> pa.Table:
+        """Return all rows, in the order in which they were added.
+
+        Raises:
+            InputError: A part is broken, or of a newer version.
+
+        """
+        import pyarrow as pa
+
+        tables = [_read(part) for part in self._parts()]
+        return pa.concat_tables(tables) if tables else schema().empty_table()
+
+    def query(self, sql: str) -> pa.Table:
+        """Return the answer to a question in SQL; the table is called `rows`.
+
+        Raises:
+            InputError: DuckDB is not installed, or does not understand the question.
+
+        """
+        require('duckdb', 'SQL', 'fleet')
+        import duckdb
+
+        connection = duckdb.connect()
+        # A question is about the catalogue: it reads and writes no other file.
+        connection.execute('SET enable_external_access = false')
+        connection.register('rows', self.table())
+        try:
+            return connection.sql(sql).to_arrow_table()
+        except duckdb.Error as error:
+            raise InputError(f'{sql}: {" ".join(str(error).split())}') from None
+        finally:
+            connection.close()
+
+    def _with_file(self, one: Done) -> dict[str, Any]:
+        """Write a calibration's files; return its row with the path of the first in it."""
+        row = dict(one.row or {})
+        if row['status'] != CALIBRATED:
+            return row
+        date = row['date'] or _NO_DATE
+        serial = quote(row['serial'], safe=' ') or _UNNAMED
+        kind = self.folder / 'calibrations' / quote(row['imu'], safe=' ')
+        own = kind / serial / f'{date:%Y-%m-%dT%H%M%SZ}_{one.key[:8]}.yaml'
+        own.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(own, one.calibration)
+        newest = max(own.parent.glob('*.yaml'), key=lambda p: p.name)
+        if newest == own and row['serial']:
+            write_whole(kind / f'{serial}.yaml', one.calibration)
+        return {**row, 'calibration': str(own.relative_to(self.folder))}
+
+    def _append(self, rows: list[dict[str, Any]]) -> None:
+        """Add rows as a part of their own: one that is there never changes under its readers."""
+        import pyarrow as pa
+
+        if not rows:
+            return
+        number = max((int(part.stem.split('-')[1]) for part in self._parts()), default=-1) + 1
+        table = pa.Table.from_pylist(rows, schema())
+        self._write(self._rows / f'part-{number:06d}.parquet', table)
+
+    def _replace(self, part: Path, rows: dict[str, dict[str, Any]]) -> None:
+        import pyarrow as pa
+
+        kept = [rows.get(row['key'], row) for row in _read(part).to_pylist()]
+        self._write(part, pa.Table.from_pylist(kept, schema()))
+
+    def _write(self, path: Path, table: pa.Table) -> None:
+        import pyarrow.parquet as pq
+
+        # Readers of a folder pass over names with a dot in front.
+        temporary = path.with_name(f'.{path.name}.{os.getpid()}')
+        try:
+            with temporary.open('wb') as file:
+                pq.write_table(table, file, compression='zstd')
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    def _parts(self) -> list[Path]:
+        return sorted(self._rows.glob('part-*.parquet'))
+
+    def _look(self) -> None:
+        """Read the keys of parts that are new or have changed."""
+        for part in self._parts():
+            stat = part.stat()
+            mark = (stat.st_mtime_ns, stat.st_size)
+            if part not in self._seen or self._seen[part][:2] != mark:
+                table = _read(part, ['key', 'status'])
+                both = list(zip(*(table[n].to_pylist() for n in ('key', 'status')), strict=True))
+                lost = frozenset(key for key, status in both if status != CALIBRATED)
+                self._seen[part] = (*mark, frozenset(key for key, _ in both), lost)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Keep others from adding; a client that dies leaves no lock behind."""
+        with (self.folder / 'lock').open('w') as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+
+    @contextmanager
+    def _written(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(
+                f'{self.folder}: cannot be written ({error.strerror or error}). What was added '
+                'before is there; run the command again when it can.'
+            ) from None
+
+
+def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
+    """Return a part with today's columns, as far as it has them, and none else.
+
+    Raises:
+        InputError: Broken, or of a newer version.
+
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        # Opened once: it may be replaced meanwhile.
+        with part.open('rb') as file:
+            found = pq.read_table(file, columns=columns)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f'{part}: is no part of a catalogue ({error}).') from None
+    said = (found.schema.metadata or {}).get(_VERSION_KEY, b'')
+    if not said.isdigit() or int(said) > VERSION:
+        raise InputError(
+            f'{part}: found version {said.decode() or "none"} of the columns, expected {VERSION} '
+            'or older: a newer imu_calib wrote it.'
+        )
+    if columns is not None:
+        return found
+    today = schema()
+    missing = [one for one in today if one.name not in found.column_names]
+    for one in missing:
+        found = found.append_column(one, pa.nulls(len(found), one.type))
+    return found.select(today.names).cast(today)
+
+
+def rows_of(table: pa.Table) -> Iterable[dict[str, Any]]:
+    """Yield a table's rows."""
+    for batch in table.to_batches():
+        yield from batch.to_pylist()

@@ -1,0 +1,232 @@
+"""Which recordings a batch is of, and what is said of each: folders, patterns, manifests."""
+
+from __future__ import annotations
+
+import csv
+import glob
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..api.stated import Stated
+from ..errors import InputError
+from ..yaml_text import load
+
+_STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.mcap.zst', '.db3.zst')
+_METADATA = 'metadata.yaml'
+_MANIFESTS = ('.csv', '.yaml', '.yml')
+_RECORDING = 'recording'
+_FLAGS = {'yes': True, 'true': True, '1': True, 'no': False, 'false': False, '0': False}
+
+NUMBERS = frozenset(
+    ('azimuth', 'latitude', 'latitude_std', 'height', 'height_std', 'gravity', 'gravity_std')
+)
+"""What a manifest states in numbers, degrees, metres and m/s^2 as the options of `calibrate`."""
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What is said of a recording that no calibration needs, and a history does.
+
+    Attributes:
+        site: Where it was taken.
+        stand: The table.
+        operator: Who took it.
+        date: When, UTC; None for the time of its first message.
+
+    """
+
+    site: str = ''
+    stand: str = ''
+    operator: str = ''
+    date: datetime | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording with all that is said of it.
+
+    Attributes:
+        recording: Path of a rosbag2 folder or storage file, or a URL of one.
+        stated: As `calibrate` takes it.
+        labels: For the catalogue.
+
+    """
+
+    recording: str
+    stated: Stated = field(default_factory=Stated)
+    labels: Labels = field(default_factory=Labels)
+
+
+COLUMNS = (
+    _RECORDING,
+    *(one.name for one in fields(Stated)),
+    *(one.name for one in fields(Labels)),
+)
+"""Of a manifest."""
+
+
+def find_jobs(sources: Iterable[str | Path], stated: Stated) -> list[Job]:
+    """Return the recordings that sources name, each once, in the order of the sources.
+
+    Args:
+        sources: Recordings, folders that hold some (however deep), patterns (*, ?, **), manifests
+            (.csv, .yaml), or URLs of recordings (s3://...).
+        stated: Holds for each, where its manifest does not say otherwise.
+
+    Raises:
+        InputError: A source is not there or holds none, or a manifest is broken.
+
+    """
+    jobs: dict[Job, None] = {}
+    for source in sources:
+        found = list(_jobs(str(source), stated))
+        if not found:
+            raise InputError(f'{source}: holds no recording (folders of rosbag2, .mcap, .db3).')
+        jobs.update(dict.fromkeys(found))
+    return list(jobs)
+
+
+def is_url(name: str) -> bool:
+    """Say whether a name is a URL, and no path of this machine."""
+    return '://' in name
+
+
+def _jobs(source: str, stated: Stated) -> Iterator[Job]:
+    if is_url(source):
+        yield Job(source, stated)
+        return
+    path = Path(source).expanduser()
+    if path.is_dir():
+        for recording in recordings_below(path):
+            yield Job(str(recording), stated)
+    elif path.suffix.lower() in _MANIFESTS and path.name != _METADATA:
+        yield from read_manifest(path, stated)
+    elif path.exists():
+        yield Job(str(path), stated)
+    elif glob.has_magic(source):
+        # Of the user's, relative or not: a Path knows patterns only below itself.
+        for name in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207
+            one = Path(name)
+            if one.is_dir() or one.name.endswith(_STORAGE):
+                yield from _jobs(name, stated)
+    else:
+        raise InputError(
+            f'{source}: no such file; expected a recording, a folder of some, a pattern, a '
+            'manifest (.csv, .yaml) or a URL.'
+        )
+
+
+def recordings_below(folder: Path) -> Iterator[Path]:
+    """Yield recordings: folders that are one, and storage files that lie in no such folder."""
+    inside = sorted(folder.iterdir())
+    storages = [p for p in inside if p.is_file() and p.name.endswith(_STORAGE)]
+    if storages and (folder / _METADATA).is_file():
+        yield folder
+        return
+    yield from storages
+    for path in inside:
+        if path.is_dir() and not path.name.startswith('.'):
+            yield from recordings_below(path)
+
+
+def read_manifest(path: Path, stated: Stated) -> Iterator[Job]:
+    """Yield what a manifest lists: a table with the columns `COLUMNS`, of which one is needed.
+
+    Args:
+        path: CSV with a line of names, or YAML with a list of mappings.
+        stated: Holds where a row says nothing.
+
+    Raises:
+        InputError: No table, an unknown column, or a value that is none; names row and column.
+
+    """
+    for where, row in _rows(path):
+        recording = str(row.pop(_RECORDING, '') or '')
+        if not recording:
+            raise InputError(f'{where}: found no {_RECORDING}, expected the path of one.')
+        if not is_url(recording):
+            recording = str(path.parent / Path(recording).expanduser())
+        given = {name: value for name, value in row.items() if value not in ('', None)}
+        yield _job(recording, given, stated, path.parent, where)
+
+
+def _rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    try:
+        text = path.read_text(encoding='utf-8-sig')
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
+    except UnicodeDecodeError:
+        raise InputError(f'{path}: found binary data, expected a table in UTF-8.') from None
+    if path.suffix.lower() == '.csv':
+        rows: list[Any] = list(csv.DictReader(text.splitlines(), skipinitialspace=True))
+        first = 2
+    else:
+        try:
+            rows = load(text)
+        except yaml.YAMLError as error:
+            raise InputError(f'{path}: not YAML: {" ".join(str(error).split())}') from None
+        first = 1
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise InputError(f'{path}: expected a list of recordings, each with keys and values.')
+    numbered = [(f'{path}, row {k}', row) for k, row in enumerate(rows, first)]
+    for where, row in numbered:
+        for name in row:
+            if name not in COLUMNS:
+                raise InputError(
+                    f'{where}: found the column {name!r}, expected of: {", ".join(COLUMNS)}.'
+                )
+    return numbered
+
+
+def _job(recording: str, given: Mapping[str, Any], stated: Stated, folder: Path, where: str) -> Job:
+    values: dict[str, Any] = {}
+    labels: dict[str, Any] = {}
+    for name, value in given.items():
+        if name == 'date':
+            labels[name] = _date(value, where)
+        elif name in Labels.__dataclass_fields__:
+            labels[name] = str(value)
+        elif name in NUMBERS:
+            values[name] = _number(value, f'{where}: {name}')
+        elif name == 'imu_only':
+            values[name] = _flag(value, f'{where}: {name}')
+        else:
+            values[name] = _named(str(value), folder, name)
+    return Job(recording, replace(stated, **values), Labels(**labels))
+
+
+def _named(text: str, folder: Path, column: str) -> str:
+    """Return the name of a shipped file, or the path of one beside the manifest."""
+    beside = folder / text
+    return str(beside) if column in {'imu', 'table', 'plan'} and beside.is_file() else text
+
+
+def _number(value: Any, where: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f'{where}: found {value!r}, expected a number.') from None
+
+
+def _flag(value: Any, where: str) -> bool:
+    found = _FLAGS.get(str(value).lower())
+    if found is None:
+        raise InputError(f'{where}: found {value!r}, expected yes or no.')
+    return found
+
+
+def _date(value: Any, where: str) -> datetime:
+    """Return a time in UTC; what names no zone is UTC."""
+    try:
+        found = datetime.fromisoformat(str(value).replace('Z', '+00:00'))
+    except ValueError:
+        raise InputError(
+            f'{where}: date: found {value!r}, expected 2026-11-22 or 2026-11-22T14:30+01:00.'
+        ) from None
+    zoned = found if found.tzinfo else found.replace(tzinfo=timezone.utc)
+    return zoned.astimezone(timezone.utc)

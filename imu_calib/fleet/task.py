@@ -1,0 +1,214 @@
+"""One recording of a batch: what it is known by, and the row that it ends as."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import asdict, dataclass, fields
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from ..api.calibrating import open_session, solve
+from ..api.stated import NO_PLAN
+from ..bags.files import find_files
+from ..bags.storage import Losses
+from ..calibrator import Result
+from ..errors import ImuCalibError, InputError
+from ..model import PARAMETER_NAMES, PARAMETERS, positions
+from ..reports.assessment import assess
+from ..share import named_file
+from ..specification import Verdict
+from ..version import version
+from .recordings import Job
+from .remote import local
+
+CALIBRATED = 'calibrated'
+FAILED = 'failed'
+
+DEFECT = 70
+"""Exit code of what no sentence was foreseen for (EX_SOFTWARE of sysexits.h)."""
+LOST = 137
+"""Exit code of a recording that its workers died of: 128 + SIGKILL, as a shell says it."""
+_HASH_BLOCK = 1 << 20
+_FOLDERS = {'imu': 'imus', 'plan': 'plans', 'table': 'tables'}
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a task ends with.
+
+    Attributes:
+        key: What the task is known by.
+        row: For the catalogue; None where the catalogue has it.
+        calibration: Text of calibration.yaml; empty without one.
+
+    """
+
+    key: str
+    row: dict[str, Any] | None = None
+    calibration: str = ''
+
+
+def key_of(job: Job, path: Path) -> tuple[str, str]:
+    """Return what a task is known by, and the SHA-256 of its recording.
+
+    The key is that of the recording's content, of all that is stated with the content of the files
+    that it names, of the labels, and of the package's version. The recording's own name is not in
+    it: under two names it is one.
+
+    Raises:
+        InputError: The recording or a file cannot be read.
+
+    """
+    recording = content_of(path)
+    stated = {one.name: getattr(job.stated, one.name) for one in fields(job.stated)}
+    for name, folder in _FOLDERS.items():
+        if stated[name] not in (None, NO_PLAN):
+            stated[name] = named_file(folder, stated[name]).read_text(encoding='utf-8')
+    whole = [recording, stated, asdict(job.labels), version()]
+    text = json.dumps(whole, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:32], recording
+
+
+def content_of(path: Path) -> str:
+    """Return the SHA-256 of a recording's storage files, as its `sha256`, without opening it.
+
+    Raises:
+        InputError: There is no recording, or it cannot be read.
+
+    """
+    digest = hashlib.sha256()
+    try:
+        for file in sorted(find_files(path, Losses()).paths, key=lambda p: p.name):
+            with file.open('rb') as opened:
+                while block := opened.read(_HASH_BLOCK):
+                    digest.update(block)
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read ({error.strerror or error}).') from None
+    return digest.hexdigest()
+
+
+def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
+    """Calibrate from one recording; what goes wrong is a row too.
+
+    Args:
+        job: The recording.
+        known: Keys of tasks that are done: they are not done again.
+
+    """
+    begun = time.process_time()
+    key, sha256 = '', ''
+    try:
+        with local(job.recording) as path:
+            key, sha256 = key_of(job, path)
+            if key in known:
+                return Done(key)
+            opened = open_session(path, job.stated)
+            with opened.recording as recording:
+                start = recording.start_ns
+                result = solve(opened)
+        text = result.calibration.to_yaml()
+        row = {**_common(job, key, sha256), **_calibrated(result), **_when(job, start)}
+        row['seconds'] = time.process_time() - begun
+        return Done(key, row, text)
+    except ImuCalibError as error:
+        sentence, code = str(error), error.exit_code
+    except MemoryError:
+        sentence, code = 'The memory of a worker does not do for this recording.', DEFECT
+    except Exception as error:
+        # One recording ends nothing: what nobody foresaw is a row as well.
+        sentence = f'Nobody foresaw this ({type(error).__name__}: {error}): please report it.'
+        code = DEFECT
+    row = failed(job, key or unread_key(job), sha256, sentence, code)
+    row['seconds'] = time.process_time() - begun
+    return Done(str(row['key']), row)
+
+
+def failed(job: Job, key: str, sha256: str, sentence: str, code: int) -> dict[str, Any]:
+    """Return the row of a recording that gave no calibration."""
+    row = _common(job, key, sha256)
+    return {**row, **_when(job, None), 'status': FAILED, 'error': sentence, 'exit_code': code}
+
+
+def lost(job: Job) -> Done:
+    """Return the row of a recording that its workers died of, one after the other."""
+    try:
+        with local(job.recording) as path:
+            key, sha256 = key_of(job, path)
+    except ImuCalibError:
+        key, sha256 = unread_key(job), ''
+    sentence = (
+        'The worker died of this recording, and so did another: its memory did not do, or the '
+        'recording crashes the reader. Run it alone with imu-calib calibrate.'
+    )
+    return Done(key, failed(job, key, sha256, sentence, LOST))
+
+
+def unread_key(job: Job) -> str:
+    """Return what a recording is known by that cannot be read: its name and what is stated."""
+    text = json.dumps(['unread', asdict(job)], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
+    stated, labels = job.stated, job.labels
+    return {
+        'key': key,
+        'recording': job.recording,
+        'sha256': sha256,
+        'status': CALIBRATED,
+        'error': '',
+        'exit_code': 0,
+        'serial': stated.serial or '',
+        'imu': '' if stated.imu is None else str(stated.imu),
+        'table': '' if stated.table is None else str(stated.table),
+        'plan': '' if stated.plan is None else str(stated.plan),
+        'method': stated.method or '',
+        'site': labels.site,
+        'stand': labels.stand,
+        'operator': labels.operator,
+        'version': version(),
+        'at': datetime.now(timezone.utc),
+    }
+
+
+def _when(job: Job, start_ns: int | None) -> dict[str, Any]:
+    if job.labels.date is not None or start_ns is None:
+        return {'date': job.labels.date}
+    # To the microsecond, in whole numbers: a float of seconds is good for a tenth of one.
+    seconds, rest = divmod(start_ns, 1_000_000_000)
+    whole = datetime.fromtimestamp(seconds, timezone.utc)
+    return {'date': whole.replace(microsecond=rest // 1000)}
+
+
+def _calibrated(result: Result) -> dict[str, Any]:
+    """Return what a calibration gives to its row; NaN where a triad was not estimated."""
+    found = result.calibration
+    setup, session = found.provenance, result.session
+    mine = positions(PARAMETERS, found.parameters)
+    verdicts = [one.verdict for one in assess(found, found.imu.specification)]
+    worst = next((v for v in (Verdict.FAIL, Verdict.MARGINAL, Verdict.PASS) if v in verdicts), None)
+    temperature = session.temperature
+    return {
+        'serial': found.serial_number,
+        'imu': found.imu.id,
+        'table': str(setup.get('table') or ''),
+        'plan': str(setup.get('plan') or ''),
+        'method': str(setup['method']),
+        'verdict': '' if worst is None else worst.value,
+        'findings': list(found.findings),
+        'latitude': float(setup['latitude_deg']),
+        'temperature': float('nan') if temperature is None else float(temperature.mean),
+        'duration': float(session.duration),
+        'samples': int(session.samples),
+        **dict(zip(PARAMETER_NAMES, found.values[mine].tolist(), strict=True)),
+        **{
+            f'std_{name}': value
+            for name, value in zip(PARAMETER_NAMES, found.std[mine].tolist(), strict=True)
+        },
+        'parameters': [p.name for p in found.parameters],
+        'values': found.values.tolist(),
+        'covariance': found.covariance.ravel().tolist(),
+    }

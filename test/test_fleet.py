@@ -1,0 +1,419 @@
+"""Many recordings: what names them, what a task is known by, the catalogue, and what goes wrong."""
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from loopback import until
+
+import imu_calib
+from imu_calib import InputError
+from imu_calib.api.stated import Stated
+from imu_calib.cli.main import main
+from imu_calib.fleet.catalogue import Catalogue, schema
+from imu_calib.fleet.recordings import Job, Labels, find_jobs, read_manifest
+from imu_calib.fleet.running import Engine, run_batch
+from imu_calib.fleet.task import DEFECT, LOST, Done, failed, key_of, run
+
+pa = pytest.importorskip('pyarrow')
+duckdb = pytest.importorskip('duckdb')
+pytest.importorskip('distributed')
+
+NOW = datetime(2026, 3, 1, 12, tzinfo=timezone.utc)
+
+
+@pytest.fixture(scope='module')
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two short sessions of two units, the first twice under two names, and one that is none."""
+    folder = tmp_path_factory.mktemp('recordings')
+    plan = folder / 'brief.yaml'
+    text = Path(imu_calib.share.named_file('plans', 'twelve_position')).read_text('utf-8')
+    lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
+    plan.write_text(''.join(lines), encoding='utf-8')
+    for name, seed in (('a', 1), ('b', 2)):
+        imu_calib.simulate(plan, folder / name, seed=seed, latitude=34.65, serial=f'S{seed}')
+    shutil.copytree(folder / 'a', folder / 'deeper' / 'again')
+    (folder / 'broken.mcap').write_bytes(b'no mcap at all')
+    return folder
+
+
+@pytest.fixture(scope='module')
+def done(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The catalogue of a batch over all of them."""
+    folder = tmp_path_factory.mktemp('done') / 'catalogue'
+    assert main(['batch', str(recordings), '-o', str(folder), '--workers', '2']) == 1
+    return folder
+
+
+def rows(folder: Path) -> list[dict]:
+    return Catalogue(folder).table().to_pylist()
+
+
+def a_row(k: int, **values: object) -> Done:
+    """A row without a recording behind it."""
+    row = failed(Job(f'r{k}'), f'{k:032x}', '', 'It failed.', 2)
+    return Done(row['key'], {**row, **values})
+
+
+def test_sources_are_found(recordings: Path) -> None:
+    def names(*sources: str | Path) -> list[str]:
+        jobs = find_jobs([str(s) for s in sources], Stated())
+        return [str(Path(job.recording).relative_to(recordings)) for job in jobs]
+
+    assert names(recordings) == ['broken.mcap', 'a', 'b', 'deeper/again']
+    assert names(recordings / '[ab]') == ['a', 'b']
+    assert names(recordings / 'b', recordings / 'b') == ['b']
+    assert names(recordings / '**' / 'again') == ['deeper/again']
+    assert find_jobs(['s3://bucket/one'], Stated())[0].recording == 's3://bucket/one'
+    with pytest.raises(InputError, match='no such file; expected a recording'):
+        find_jobs([str(recordings / 'c')], Stated())
+    with pytest.raises(InputError, match='holds no recording'):
+        find_jobs([str(recordings / 'x*')], Stated())
+
+
+def test_a_manifest_says_what_recordings_do_not(tmp_path: Path) -> None:
+    (tmp_path / 'own.yaml').write_text('{}')
+    csv = tmp_path / 'list.csv'
+    csv.write_text(
+        'recording,serial,imu,latitude,imu_only,stand,date\n'
+        'one,A1,own.yaml,48.1,yes,east,2026-03-01T13:00+01:00\n'
+        's3://b/two,A2,,,,,\n'
+    )
+    first, second = read_manifest(csv, Stated(latitude=10.0, terms='none'))
+    assert first == Job(
+        str(tmp_path / 'one'),
+        Stated(
+            serial='A1',
+            imu=str(tmp_path / 'own.yaml'),
+            latitude=48.1,
+            imu_only=True,
+            terms='none',
+        ),
+        Labels(stand='east', date=NOW),
+    )
+    assert second == Job('s3://b/two', Stated(serial='A2', latitude=10.0, terms='none'))
+    listed = tmp_path / 'list.yaml'
+    listed.write_text('- {recording: one, imu: fog_medium, date: 2026-03-01}\n')
+    (third,) = find_jobs([str(listed)], Stated())
+    assert third.stated.imu == 'fog_medium'
+    assert third.labels.date == datetime(2026, 3, 1, tzinfo=timezone.utc)
+
+
+@pytest.mark.parametrize(
+    ('text', 'sentence'),
+    [
+        ('recording,latitude\nx,north\n', 'row 2: latitude: found .north., expected a number'),
+        ('recording,imu_only\nx,perhaps\n', 'row 2: imu_only: found .perhaps., expected yes or no'),
+        ('recording,date\nx,soon\n', 'row 2: date: found .soon., expected 2026-11-22'),
+        ('recording,colour\nx,red\n', 'row 2: found the column .colour., expected of: recording'),
+        ('recording,serial\n,A1\n', 'row 2: found no recording'),
+    ],
+)
+def test_a_broken_manifest_gets_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    path = tmp_path / 'list.csv'
+    path.write_text(text)
+    with pytest.raises(InputError, match=sentence):
+        find_jobs([str(path)], Stated())
+
+
+def test_a_task_is_known_by_what_counts(recordings: Path, tmp_path: Path) -> None:
+    imu = tmp_path / 'unit.yaml'
+    shutil.copy(imu_calib.share.named_file('imus', 'fog_medium'), imu)
+    job = Job(str(recordings / 'a'), Stated(imu=str(imu)))
+
+    def key(job: Job) -> str:
+        return key_of(job, Path(job.recording))[0]
+
+    known = key(job)
+    moved = tmp_path / 'renamed.yaml'
+    shutil.copy(imu, moved)
+    assert key(replace(job, recording=str(recordings / 'deeper' / 'again'))) == known
+    assert key(replace(job, stated=Stated(imu=str(moved)))) == known
+    assert key(replace(job, recording=str(recordings / 'b'))) != known
+    assert key(replace(job, stated=replace(job.stated, latitude=10.0))) != known
+    assert key(replace(job, labels=Labels(stand='east'))) != known
+    moved.write_text(imu.read_text() + '# changed\n')
+    assert key(replace(job, stated=Stated(imu=str(moved)))) != known
+
+
+def test_a_batch_gives_what_calibrate_gives(recordings: Path, done: Path) -> None:
+    found = {Path(row['recording']).name: row for row in rows(done)}
+    # The same recording under two names is one row, of whichever came first.
+    assert len(found) == 3 and {'b', 'broken.mcap'} < set(found)
+    for name, row in found.items():
+        if name == 'broken.mcap':
+            continue
+        alone = imu_calib.calibrate(recordings / name).calibration
+        assert row['values'] == alone.values.tolist()
+        assert row['covariance'] == alone.covariance.ravel().tolist()
+        assert row['K_gx'] == alone.values[0] and row['std_K_gx'] == alone.std[0]
+        kept = imu_calib.Calibration.load(done / row['calibration'])
+        assert np.array_equal(kept.values, alone.values)
+        assert row['serial'] == alone.serial_number and row['imu'] == 'fog_medium'
+        newest = done / 'calibrations' / 'fog_medium' / f'{row["serial"]}.yaml'
+        assert newest.read_text() == (done / row['calibration']).read_text()
+    lost = found['broken.mcap']
+    assert lost['status'] == 'failed' and lost['exit_code'] == 2
+    assert 'expected an mcap file' in lost['error']
+    assert np.isnan(lost['K_gx'] or np.nan)
+
+
+def test_what_is_done_is_not_done_again(
+    recordings: Path, done: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = rows(done)
+    assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 0
+    assert '0 calibrated, 0 failed, 4 done before' in capsys.readouterr().out
+    assert rows(done) == before
+
+
+def test_catalogue_lists_filters_and_exports(
+    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['catalogue', str(done)]) == 0
+    out = capsys.readouterr().out
+    assert '3 rows' in out and 'S2' in out
+    csv, json = tmp_path / 'rows.csv', tmp_path / 'rows.json'
+    where = ['--where', "status = 'calibrated'"]
+    assert main(['catalogue', str(done), *where, '-o', str(csv)]) == 0
+    assert main(['catalogue', str(done), *where, '-o', str(json)]) == 0
+    table = pd.read_csv(csv)
+    assert sorted(table['serial']) == ['S1', 'S2']
+    assert pd.read_json(json)['D_ax'].tolist() == pytest.approx(table['D_ax'].tolist(), rel=1e-9)
+    asked = ['--sql', 'select count(*) as n, avg(K_gx) from rows']
+    capsys.readouterr()
+    assert main(['catalogue', str(done), *asked]) == 0
+    assert capsys.readouterr().out.split()[:2] == ['n', 'avg(K_gx)']
+    assert main(['catalogue', str(done), '--sql', 'select nothing']) == 2
+    assert 'nothing' in capsys.readouterr().err
+    assert main(['catalogue', str(done), '--sql', f"select * from '{csv}'"]) == 2
+    assert main(['catalogue', str(tmp_path)]) == 2
+
+
+def test_others_read_it(done: Path) -> None:
+    files = done / 'rows'
+    frame = pd.read_parquet(files)
+    assert len(frame) == 3
+    assert duckdb.sql(f"select count(*) from '{files}/*.parquet'").fetchall() == [(3,)]
+    assert pa.parquet.read_schema(next(files.iterdir())).field('K_gx').metadata
+
+
+def test_no_row_is_there_twice(tmp_path: Path) -> None:
+    kept = Catalogue(tmp_path / 'c', create=True)
+    assert kept.add([a_row(1), a_row(2), a_row(1)]) == 2
+    assert Catalogue(tmp_path / 'c').add([a_row(2), a_row(3)]) == 1
+    assert kept.add([a_row(3)]) == 0
+    assert [row['recording'] for row in rows(tmp_path / 'c')] == ['r1', 'r2', 'r3']
+    assert kept.add([a_row(2, error='Again.')], replace=True) == 0
+    assert [row['error'] for row in rows(tmp_path / 'c')] == ['It failed.', 'Again.', 'It failed.']
+
+
+def test_two_clients_and_a_reader_at_a_time(tmp_path: Path) -> None:
+    folder = tmp_path / 'c'
+    Catalogue(folder, create=True)
+    over = threading.Event()
+
+    def client(_: int) -> int:
+        kept = Catalogue(folder)
+        return sum(kept.add([a_row(k)]) for k in range(40))
+
+    def reader() -> list[int]:
+        seen = []
+        while not over.is_set():
+            read = Catalogue(folder).table()
+            assert len(set(read['key'].to_pylist())) == len(read)
+            seen.append(len(read))
+        return seen
+
+    with ThreadPoolExecutor(3) as pool:
+        reading = pool.submit(reader)
+        added = list(pool.map(client, range(2)))
+        over.set()
+        seen = reading.result()
+    assert sum(added) == 40 == len(rows(folder))
+    assert seen == sorted(seen)
+
+
+def test_a_full_disk_loses_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = Catalogue(tmp_path / 'c', create=True)
+    kept.add([a_row(1)])
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, 'fsync', full)
+        with pytest.raises(InputError, match=r'No space left.*run the command again'):
+            kept.add([a_row(2)])
+    assert len(rows(tmp_path / 'c')) == 1
+    assert [p.name for p in (tmp_path / 'c' / 'rows').iterdir()] == ['part-000000.parquet']
+    assert kept.add([a_row(2)]) == 1
+
+
+def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
+    kept = Catalogue(tmp_path / 'c', create=True)
+    kept.add([a_row(1)])
+    part = tmp_path / 'c' / 'rows' / 'part-000000.parquet'
+    table = pa.parquet.read_table(part)
+    pa.parquet.write_table(table.drop_columns(['operator', 'K_gx']), part)
+    assert kept.add([a_row(2, operator='me')]) == 1
+    assert [row['operator'] for row in rows(tmp_path / 'c')] == [None, 'me']
+    assert Catalogue(tmp_path / 'c').table().schema == schema()
+    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'2'})
+    pa.parquet.write_table(newer, part)
+    with pytest.raises(InputError, match=r'found version 2 .* expected 1 or older'):
+        Catalogue(tmp_path / 'c').table()
+    part.write_bytes(b'PAR1 no more')
+    with pytest.raises(InputError, match='is no part of a catalogue'):
+        Catalogue(tmp_path / 'c').table()
+
+
+def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recordings: Path) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError('by zero')
+
+    monkeypatch.setattr('imu_calib.fleet.task.open_session', broken)
+    ended = run(Job(str(recordings / 'a')))
+    assert ended.row is not None and ended.row['exit_code'] == DEFECT
+    assert 'ZeroDivisionError: by zero' in ended.row['error'] and ended.row['sha256']
+
+
+def poisonous(job: Job, known: frozenset[str]) -> Done:
+    """A task that kills its worker for one recording, and counts how often it was begun."""
+    path = Path(job.recording)
+    with (path.parent / f'{path.name}.begun').open('a') as file:
+        file.write('.')
+    if path.name == 'poison':
+        os.kill(os.getpid(), signal.SIGKILL)
+    return Done(path.name, a_row(int(path.name)).row)
+
+
+def test_a_recording_that_kills_its_worker_is_a_row(tmp_path: Path) -> None:
+    jobs = [Job(str(tmp_path / name)) for name in ('1', 'poison', '2', '3')]
+    kept = Catalogue(tmp_path / 'c', create=True)
+    ended = run_batch(jobs, kept, Engine(workers=2), task=poisonous)
+    assert ended.failed == 4
+    found = {Path(row['recording']).name: row for row in rows(tmp_path / 'c')}
+    assert found['poison']['exit_code'] == LOST
+    assert 'The worker died of this recording' in found['poison']['error']
+    assert (tmp_path / 'poison.begun').read_text() == '..'
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator['Cluster']:
+    with_port = Cluster(tmp_path)
+    yield with_port
+    with_port.stop()
+
+
+class Cluster:
+    """A scheduler and a worker in processes of their own, as on a cluster."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.address = ''
+        self.processes: list[subprocess.Popen[bytes]] = []
+
+    def start(self) -> None:
+        """Start both, the scheduler where it was."""
+        file = self.folder / 'scheduler.json'
+        file.unlink(missing_ok=True)
+        port = self.address.rsplit(':', 1)[-1] if self.address else '0'
+        run = [sys.executable, '-m', 'distributed.cli.dask_scheduler', '--no-dashboard']
+        run = [*run, '--host', '127.0.0.1', '--port', port, '--scheduler-file', str(file)]
+        self.processes.append(self._quiet(run))
+        until(file.is_file, 60)
+        until(lambda: b'"address"' in file.read_bytes(), 60)
+        import json
+
+        self.address = json.loads(file.read_text())['address']
+        work = [sys.executable, '-m', 'distributed.cli.dask_worker', self.address]
+        self.processes.append(
+            self._quiet([*work, '--nthreads', '1', '--no-dashboard', '--no-nanny'])
+        )
+
+    def _quiet(self, command: list[str]) -> 'subprocess.Popen[bytes]':
+        return subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=self.folder
+        )
+
+    def stop(self) -> None:
+        """Kill both."""
+        for process in self.processes:
+            process.kill()
+            process.wait()
+        self.processes.clear()
+
+
+def slow(job: Job, known: frozenset[str]) -> Done:
+    """A task that waits for a file to be there."""
+    path = Path(job.recording)
+    with (path.parent / f'{path.name}.begun').open('a') as file:
+        file.write('.')
+    until((path.parent / 'go').exists, 120)
+    return a_row(int(path.name))
+
+
+def test_a_scheduler_that_is_started_again_is_gone_on_with(
+    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A worker elsewhere imports what it runs: here this file.
+    monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent))
+    cluster.start()
+    jobs = [Job(str(tmp_path / str(k))) for k in range(3)]
+    kept = Catalogue(tmp_path / 'c', create=True)
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(run_batch, jobs, kept, Engine(scheduler=cluster.address), task=slow)
+        until((tmp_path / '0.begun').exists, 60)
+        cluster.stop()
+        (tmp_path / 'go').touch()
+        cluster.start()
+        ended = running.result(120)
+    assert ended.failed == 3
+    assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r0', 'r1', 'r2']
+
+
+def test_no_scheduler_gets_a_sentence(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ['batch', str(recordings / 'a'), '-o', str(tmp_path / 'c')]
+    assert main([*command, '--scheduler', 'here']) == 2
+    assert 'no Dask scheduler answers there' in capsys.readouterr().err
+    assert main([*command, '--workers', '0']) == 2
+    assert main([*command, '--memory', 'much']) == 2
+    assert '--memory much' in capsys.readouterr().err
+
+
+def test_a_client_that_is_killed_goes_on_where_it_was(recordings: Path, tmp_path: Path) -> None:
+    folder = tmp_path / 'c'
+    copies = tmp_path / 'many'
+    command = [sys.executable, '-m', 'imu_calib.cli.main', 'batch', str(copies), '-o', str(folder)]
+    for k in range(4):
+        shutil.copytree(recordings / 'a', copies / str(k))
+    (copies / 'list.csv').write_text(
+        'recording,serial,operator\n' + ''.join(f'{k},S1,o{k}\n' for k in range(4))
+    )
+    command[4] = str(copies / 'list.csv')
+    first = subprocess.Popen([*command, '--workers', '1'], start_new_session=True)
+    try:
+        until(lambda: bool(list((folder / 'rows').glob('part-*'))), 120)
+    finally:
+        os.killpg(first.pid, signal.SIGKILL)
+        first.wait()
+    before = len(rows(folder))
+    assert before > 0
+    done = subprocess.run([*command, '--workers', '1'], capture_output=True, text=True, check=True)
+    assert f'{before} done before' in done.stdout
+    assert sorted(row['operator'] for row in rows(folder)) == [f'o{k}' for k in range(4)]
