@@ -94,6 +94,9 @@ setup(
             PLOT,
             DATA_FRAME,
             *FLEET,
+            # Recordings in buckets, from a server on this machine.
+            'moto[server]>=5',
+            's3fs',
         ],
         'dev': [
             *DOCS,

@@ -290,6 +290,65 @@ def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recording
     assert 'ZeroDivisionError: by zero' in ended.row['error'] and ended.row['sha256']
 
 
+@pytest.fixture
+def bucket(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A recording in a bucket of an S3 server on the loopback interface."""
+    server_of = pytest.importorskip('moto.server', reason='moto is not installed')
+    pytest.importorskip('s3fs', reason='s3fs is not installed')
+    import fsspec
+
+    for name in ('AWS_ACCESS_KEY_ID', 'AWS_SECRET_ACCESS_KEY'):
+        monkeypatch.setenv(name, 'test')
+    server = server_of.ThreadedMotoServer('127.0.0.1', 0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    endpoint = {'endpoint_url': f'http://{host}:{port}', 'skip_instance_cache': True}
+    monkeypatch.setitem(fsspec.config.conf, 's3', endpoint)
+    try:
+        files = fsspec.filesystem('s3')
+        files.mkdir('lab')
+        for file in (recordings / 'a').iterdir():
+            files.put_file(str(file), f'lab/a/{file.name}')
+        yield 's3://lab'
+    finally:
+        server.stop()
+
+
+def test_a_recording_lies_in_a_bucket(
+    recordings: Path, bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import s3fs
+
+    whole, lost = s3fs.S3FileSystem._get, []
+
+    async def once(files: object, *args: object, **keywords: object) -> object:
+        if not lost:
+            lost.append(True)
+            raise ConnectionError('the connection was lost')
+        return await whole(files, *args, **keywords)
+
+    monkeypatch.setattr(s3fs.S3FileSystem, '_get', once)
+    here = run(Job(str(recordings / 'a')))
+    there = run(Job(f'{bucket}/a'))
+    assert there.row is not None and there.row['error'] == ''
+    assert lost
+    assert here.row is not None
+    assert there.key == here.key and there.calibration == here.calibration
+    assert there.row['values'] == here.row['values']
+    # As it is known by its content, it is not done again from where it lies now.
+    assert run(Job(f'{bucket}/a'), frozenset({here.key})).row is None
+    gone = run(Job(f'{bucket}/b')).row
+    assert gone is not None and gone['error'] == f'{bucket}/b: no such recording.'
+
+
+def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('imu_calib.fleet.remote._PAUSE', 0.0)
+    pytest.importorskip('aiohttp')
+    row = run(Job('http://127.0.0.1:9/rec.mcap')).row
+    assert row is not None and row['exit_code'] == 2
+    assert 'not read after 3 tries' in row['error'] and 'Check the network' in row['error']
+
+
 def poisonous(job: Job, known: frozenset[str]) -> Done:
     """A task that kills its worker for one recording, and counts how often it was begun."""
     path = Path(job.recording)

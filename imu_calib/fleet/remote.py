@@ -69,7 +69,7 @@ def _fetch(files: AbstractFileSystem, path: str, target: Path, url: str) -> Exce
     try:
         files.invalidate_cache()
         if files.isdir(path):
-            files.get(path.rstrip('/') + '/', f'{target}/', recursive=True)
+            files.get(path.rstrip('/'), str(target), recursive=True)
         else:
             files.get_file(path, str(target))
     except FileNotFoundError:
