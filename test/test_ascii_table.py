@@ -190,8 +190,8 @@ class Controller:
 class Leader(ros.Node):
     """Sends a setpoint over and over, and listens."""
 
-    def __init__(self):
-        super().__init__('leader')
+    def __init__(self, name='leader'):
+        super().__init__(name)
         self.setpoint, self.payloads, self.said = None, [], {}
         kinds = ros.messages
         self.output = self.create_publisher(
@@ -222,8 +222,8 @@ class Bench:
         self.controller = Controller()
         self.node = None
 
-    def open(self):
-        arguments = [f'port:={self.controller.url}', 'reply_timeout:=0.1']
+    def open(self, *more):
+        arguments = [f'port:={self.controller.url}', 'reply_timeout:=0.1', *more]
         ros.init(args=['--ros-args', *(w for a in arguments for w in ('-p', a))])
         self.executor = ros.SingleThreadedExecutor()
         self.leader, self.node = Leader(), AsciiTableNode()
@@ -243,11 +243,11 @@ class Bench:
 
 
 @pytest.fixture
-def bench(monkeypatch):
+def bench(monkeypatch, request):
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
     bench = Bench()
-    bench.open()
+    bench.open(*getattr(request, 'param', ()))
     yield bench
     bench.node.stop()
     bench.controller.close()
@@ -337,6 +337,61 @@ def test_a_subscriber_that_holds_the_publisher_up_does_not_hold_the_stop_up(benc
     monkeypatch.setattr('imu_calib.nodes.ascii_table_node.publish_all', held_up)
     assert bench.until(lambda: stopped)
     assert stopped[0]
+
+
+FAR = setpoint(angles=(0, 9000, 0))
+
+
+def test_a_second_source_of_setpoints_is_refused_and_the_table_stands(bench):
+    bench.lead(FAR)
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    before = bench.stops()
+    second = Leader('second')
+    bench.executor.add_node(second)
+    second.setpoint = setpoint(step=7, angles=(0, -9000, 0))
+    assert bench.until(lambda: bench.leader.says('source', 2, 'two sources'))
+    assert bench.until(lambda: bench.stops() > before)
+    (named,) = [v.value for v in bench.leader.said['source'].values if v.key == 'publishers']
+    assert named == '/leader, /second'
+    # The one that is left has not seen the stop: it asks for the same all the time.
+    second.setpoint = None
+    assert bench.until(lambda: bench.leader.says('source', 2, 'still asked for'))
+    assert bench.controller.count('MOVE') == 3
+    bench.lead(None)
+    bench.until(lambda: False, 1.0)
+    bench.lead(FAR)
+    assert bench.until(lambda: bench.controller.count('MOVE') == 6)
+    assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
+
+
+@pytest.mark.parametrize('bench', [('stop_required:=true',)], indirect=True)
+def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
+    beat = bench.leader.create_publisher(ros.messages.Bool, 'heartbeat', 10)
+    clear = ros.messages.Bool(data=True)
+    timer = bench.leader.create_timer(0.05, lambda: beat.publish(clear), clock=STEADY)
+    timer.cancel()
+    bench.lead(FAR)
+    assert bench.until(lambda: bench.leader.says('source', 2, 'No heartbeat on /heartbeat'))
+    assert bench.controller.count('MOVE') == 0
+    bench.lead(None)
+    timer.reset()
+    assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
+    # Longer than the setpoints' timeout: nobody asks for a movement any more.
+    bench.until(lambda: False, 1.0)
+    bench.lead(FAR)
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    before = bench.stops()
+    timer.cancel()
+    assert bench.until(lambda: bench.stops() > before)
+    assert bench.until(lambda: bench.leader.says('source', 2, 'No heartbeat'))
+    # It is back, and says stop.
+    bench.lead(None)
+    clear.data = False
+    timer.reset()
+    assert bench.until(lambda: bench.leader.says('source', 2, 'says stop'))
+    bench.lead(FAR)
+    bench.until(lambda: False, 0.2)
+    assert bench.controller.count('MOVE') == 3
 
 
 @pytest.mark.parametrize('port', ["''", 'socket://nowhere', 'http://127.0.0.1:80'])

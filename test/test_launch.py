@@ -18,7 +18,7 @@ from imu_calib.version import version
 
 try:
     from imu_calib import middleware as ros
-    from imu_calib.nodes import session_parameters
+    from imu_calib.nodes import heartbeat, session_parameters
     from imu_calib.nodes.declared import declare
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
@@ -52,6 +52,7 @@ def declared(monkeypatch, tmp_path):
 
         monkeypatch.setattr(module, 'declare', note)
         monkeypatch.setattr(session_parameters, 'declare', note)
+        monkeypatch.setattr(heartbeat, 'declare', note)
         port = free_port()
         given = {
             'imu_node': {'port': f'socket://127.0.0.1:{port}'},

@@ -367,6 +367,28 @@ def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(sessi
     session.reaches(Phase.TURNING)
 
 
+def test_without_a_heartbeat_nothing_starts_and_its_silence_holds_the_table(session):
+    session.turn_at(90).open(stop_required=True)
+    # Joint states are there: what keeps it from starting is the heartbeat alone.
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    assert session.until(lambda: 'No heartbeat on /heartbeat' in session.press('start')[1])
+    beat = session.watcher.create_publisher(ros.messages.Bool, 'heartbeat', 10)
+    clear = ros.messages.Bool(data=True)
+    timer = session.watcher.create_timer(0.05, lambda: beat.publish(clear), clock=STEADY)
+    assert session.until(lambda: session.press('start')[0])
+    session.reaches(Phase.TURNING)
+    timer.cancel()
+    session.reaches(Phase.PAUSED)
+    assert 'No heartbeat' in session.watcher.states[-1].reason
+    assert session.ends_stopped()
+    # That it is back starts nothing.
+    timer.reset()
+    assert session.until(lambda: not session.node._sequencer._obstacles.forbidden)
+    assert not session.until(lambda: session.watcher.phase is not Phase.PAUSED, 0.3)
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+
+
 def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
     session.turn_at(90).open(autostart=True)
     session.reaches(Phase.TURNING)

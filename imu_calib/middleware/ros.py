@@ -59,6 +59,7 @@ from std_srvs.srv import Trigger
 
 from ..errors import InputError
 from . import ros_messages as messages
+from . import ros_sources
 from .domain import domain_id as checked_domain
 
 __all__ = [
@@ -96,6 +97,7 @@ __all__ = [
     'create_node',
     'deserialize_message',
     'drain',
+    'drain_sources',
     'get_default_context',
     'get_logger',
     'init',
@@ -199,6 +201,16 @@ def drain(subscription: Any, most: int | None = None) -> list[bytes]:
                 break
             payloads.append(taken[0])
     return payloads
+
+
+def drain_sources(subscription: Any) -> list[tuple[bytes, bytes]]:
+    """Return what has arrived with its publishers; see `dds.drains.drain_sources`."""
+    taken: list[tuple[bytes, bytes]] = []
+    handle = subscription.handle
+    with handle:
+        while len(taken) < _AT_ONCE and (one := ros_sources.take(handle)) is not None:
+            taken.append(one)
+    return taken
 
 
 def publish_all(publisher: Any, payloads: Iterable[bytes]) -> None:

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ..cdr import Messages, decode_setpoints, encode_joints
+from ..cdr import encode_joints
 from ..middleware import Clock, ClockType, Node, messages, publish_all
 from ..tables import Control, Follower, Line, tcp_address
 from ..turntable import load_table
 from . import qos
+from .commands import Commands
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 
-_PUBLISH_PERIOD = 0.005
+_PERIOD = 0.005
 """s: half the period of a table that answers at 100 Hz, so that no answer waits for another."""
 _REPORT_PERIOD = 0.25
 """s: diagnostics change four times a second at most; faster is not read."""
@@ -68,15 +69,9 @@ class AsciiTableNode(Node):
             qos.stream(),
             qos_overriding_options=qos.overridable(),
         )
-        self.create_subscription(
-            messages.TurntableSetpoint,
-            'turntable/setpoint',
-            self._on_setpoint,
-            qos.command(),
-            raw=True,
-        )
+        self._commands = Commands(self, timeout)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
+        self.create_timer(_PERIOD, self._work, clock=steady)
         self.create_timer(_REPORT_PERIOD, self._report, clock=steady)
         self._control.start()
 
@@ -92,17 +87,14 @@ class AsciiTableNode(Node):
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
-    def _on_setpoint(self, payload: bytes) -> None:
-        for block in decode_setpoints(Messages.join([payload])):
-            for setpoint in block.setpoints:
-                self._control.command(setpoint)
-
-    def _publish(self) -> None:
+    def _work(self) -> None:
+        self._commands.give(self._control.command)
         block = self._control.take()
         if block is not None:
             publish_all(self._joints, encode_joints(block).payloads())
 
     def _report(self) -> None:
+        self._commands.report(self._diagnostics)
         status = self._control.status
         self._diagnostics.report(
             'controller',

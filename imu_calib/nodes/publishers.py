@@ -66,7 +66,7 @@ class OnePublisher:
         if not (heard_two or self._are_two(listed, now - self._since)):
             return ''
         self._two_at = now
-        names = ', '.join(sorted(_name(publisher) for publisher in listed))
+        names = ', '.join(names_of(listed))
         return (
             f'{len(listed)} publishers are on {self.topic}: {names}. {_HELD} End all but one; a '
             'process that was killed is listed for up to 20 s.'
@@ -82,6 +82,11 @@ class OnePublisher:
             or (nameless and seconds > _NAMELESS)
             or seconds > GHOST
         )
+
+
+def names_of(listed: list[Any]) -> list[str]:
+    """Return the names of the nodes that publishers are of, in order."""
+    return sorted(_name(publisher) for publisher in listed)
 
 
 def _name(publisher: Any) -> str:

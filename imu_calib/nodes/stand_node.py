@@ -15,7 +15,7 @@ from typing import Any
 
 from .. import middleware as ros
 from ..calibration import Calibration
-from ..cdr import Messages, decode_setpoints, encode_joints
+from ..cdr import encode_joints
 from ..earth import LUOYANG, Site
 from ..errors import ImuCalibError, InputError
 from ..imu import load_imu
@@ -27,6 +27,7 @@ from ..stream import Mode, Setpoint
 from ..turntable import load_table
 from ..units import DEG
 from . import qos
+from .commands import Commands
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
@@ -38,6 +39,8 @@ _AHEAD = 0.25
 """s that the simulation may be ahead of its leader's last setpoint."""
 _ALIVE = 2.0
 """s without a setpoint after which nobody leads, and time goes on by itself."""
+_SILENCE = 0.5
+"""s of the wall clock without a setpoint after which another source may lead the table."""
 _REST = 0.0005
 """s of sleep while nobody reads: short beside what a step takes to compute."""
 _PATIENCE = 5.0
@@ -64,15 +67,8 @@ class StandNode(ros.Node):
             qos.stream(),
             qos_overriding_options=qos.overridable(),
         )
-        self._setpoints: deque[Setpoint] = deque()
         self._faults: deque[str] = deque()
-        self.create_subscription(
-            messages.TurntableSetpoint,
-            'turntable/setpoint',
-            self._on_setpoint,
-            qos.command(),
-            raw=True,
-        )
+        self._commands = Commands(self, _SILENCE)
         self.create_subscription(
             messages.String, '~/fault', lambda message: self._faults.append(message.data), 10
         )
@@ -135,10 +131,6 @@ class StandNode(ros.Node):
         self._epoch = options.start_time
         return SimulatedHardware(table, imu, model, site, options, switched_on(seed, start))
 
-    def _on_setpoint(self, payload: bytes) -> None:
-        for block in decode_setpoints(Messages.join([payload])):
-            self._setpoints.extend(block.setpoints)
-
     def _live(self) -> None:
         """Let simulated time pass until the node ends."""
         while not (self._ending.is_set() and self._hardware.state.at_rest):
@@ -159,13 +151,7 @@ class StandNode(ros.Node):
         return self._line.idle and self._pace.may_go_on(self._hardware.time, self._line.connected)
 
     def _take_commands(self) -> None:
-        while self._setpoints:
-            setpoint = self._setpoints.popleft()
-            self._hardware.command(setpoint)
-            if setpoint.mode is Mode.HOLD:
-                self._pace.follow_the_wall()
-            else:
-                self._pace.lead((setpoint.stamp - self._epoch) * 1e-9)
+        self._commands.give(self._follow)
         while self._faults:
             text = self._faults.popleft()
             try:
@@ -173,6 +159,13 @@ class StandNode(ros.Node):
                 self.get_logger().warning(f'fault: {text}')
             except InputError as error:
                 self.get_logger().error(str(error))
+
+    def _follow(self, setpoint: Setpoint) -> None:
+        self._hardware.command(setpoint)
+        if setpoint.mode is Mode.HOLD:
+            self._pace.follow_the_wall()
+        else:
+            self._pace.lead((setpoint.stamp - self._epoch) * 1e-9)
 
     def _advance(self) -> None:
         output = self._hardware.advance(_STEP)
@@ -185,6 +178,7 @@ class StandNode(ros.Node):
         ros.publish_all(self._joint_publisher, encode_joints(output.joints).payloads())
 
     def _report(self) -> None:
+        self._commands.report(self._diagnostics)
         refusals, self._hardware.refusals = self._hardware.refusals, []
         if refusals:
             self._diagnostics.report('table', Level.ERROR, refusals[-1])

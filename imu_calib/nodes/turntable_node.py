@@ -30,6 +30,7 @@ from .convert import state_message, trajectory_message
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
+from .heartbeat import Heartbeat
 from .publishers import OnePublisher
 from .rules import declare_rules
 from .stop import EmergencyStop, state_folder
@@ -128,6 +129,7 @@ class TurntableNode(Node):
             self._on_progress,
             qos.latched(),
         )
+        self._heartbeat = Heartbeat(self)
         self._alone = self._watch_publishers()
         self._estop = EmergencyStop(self, state_folder(folder), self._on_estop)
         if self._estop.words:
@@ -328,6 +330,8 @@ class TurntableNode(Node):
         found = {name: watched.look(now) for name, watched in self._alone.items()}
         for name, words in found.items():
             self._sequencer.forbid(name, words)
+        if self._heartbeat.required:
+            self._look_for_heartbeat()
         words = ' '.join(filter(None, found.values()))
         self._diagnostics.report(
             'publishers',
@@ -335,6 +339,13 @@ class TurntableNode(Node):
             words or 'Every topic of the table has one publisher.',
         )
         self._send_what_is_due(now)
+
+    def _look_for_heartbeat(self) -> None:
+        words = self._heartbeat.words
+        self._sequencer.forbid('heartbeat', words)
+        self._diagnostics.report(
+            'heartbeat', Level.ERROR if words else Level.OK, words or 'The heartbeat comes in.'
+        )
 
     def _publish(self, publisher: Any, payload: bytes) -> None:
         """Publish on a topic that is this node's alone, and know the message again."""

@@ -4,6 +4,7 @@ from .ascii import BadReply, Move, Order, Reading, Refusal, Stop
 from .control import Control, Status
 from .follower import Follower
 from .line import Line, tcp_address
+from .source import OneSource
 
 __all__ = [
     'BadReply',
@@ -11,6 +12,7 @@ __all__ = [
     'Follower',
     'Line',
     'Move',
+    'OneSource',
     'Order',
     'Reading',
     'Refusal',

@@ -4,7 +4,7 @@ from . import standard as messages
 from .clock import Clock, ClockType, Duration, Time
 from .codec import deserialize_message, serialize_message
 from .context import Context, get_default_context, init, ok, shutdown, try_shutdown
-from .drains import acknowledged, drain, open_drain, open_stream, publish_all
+from .drains import acknowledged, drain, drain_sources, open_drain, open_stream, publish_all
 from .executor import (
     ExternalShutdownException,
     SingleThreadedExecutor,
@@ -75,6 +75,7 @@ __all__ = [
     'create_node',
     'deserialize_message',
     'drain',
+    'drain_sources',
     'get_default_context',
     'get_logger',
     'init',

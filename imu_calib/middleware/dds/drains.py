@@ -70,6 +70,19 @@ def drain(subscription: Subscription, most: int | None = None) -> list[bytes]:
     return subscription.reader.drain(most)
 
 
+def drain_sources(subscription: Subscription) -> list[tuple[bytes, bytes]]:
+    """Return what has arrived, serialised, each with what tells its publisher from all others.
+
+    Args:
+        subscription: One of `open_drain`.
+
+    Returns:
+        Oldest first; of a publisher that cannot be told, the second is empty (not on this runtime).
+
+    """
+    return subscription.reader.drain_sources()
+
+
 def publish_all(publisher: Publisher, payloads: Iterable[bytes]) -> None:
     """Publish serialised messages, losing none.
 

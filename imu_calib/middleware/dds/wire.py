@@ -147,14 +147,31 @@ class Reader(Endpoint):
         payloads: list[bytes] = []
         while most is None or len(payloads) < most:
             room = _BULK if most is None else min(_BULK, most - len(payloads))
-            taken = self._take(self.entity._ref, _ANY, room)
-            if isinstance(taken, int):
-                raise ImuCalibError(f'{self.name}: Cyclone DDS cannot take ({taken}).')
+            taken = self._taken(room)
             if not taken:
                 break
             # A writer that leaves is told by a sample without data.
             payloads += [payload for payload, info in taken if info.valid_data]
         return payloads
+
+    def drain_sources(self) -> list[tuple[bytes, bytes]]:
+        """Return what has arrived, each with the number of its writer, 8 bytes.
+
+        Raises:
+            ImuCalibError: The middleware cannot take.
+
+        """
+        return [
+            (payload, info.publication_handle.to_bytes(8, 'little'))
+            for payload, info in self._taken(_BULK)
+            if info.valid_data
+        ]
+
+    def _taken(self, room: int) -> list[Any]:
+        taken = self._take(self.entity._ref, _ANY, room)
+        if isinstance(taken, int):
+            raise ImuCalibError(f'{self.name}: Cyclone DDS cannot take ({taken}).')
+        return list(taken)
 
     def matched(self) -> int:
         """Return the number of writers."""

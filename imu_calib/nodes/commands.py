@@ -1,0 +1,66 @@
+"""The setpoints that a table's driver follows: one source's, within reach of a heartbeat."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from ..cdr import Malformed, Messages, decode_setpoints
+from ..middleware import drain_sources, messages, open_drain
+from ..stream import Setpoint
+from ..tables import OneSource
+from . import qos
+from .diagnostics import Diagnostics, Level
+from .heartbeat import Heartbeat
+from .publishers import names_of
+
+
+class Commands:
+    """Takes setpoints off their topic, and gives on what the table is to follow.
+
+    Args:
+        node: The driver.
+        timeout: Silence after which the table stops, s, of the steady clock.
+
+    """
+
+    def __init__(self, node: Any, timeout: float) -> None:
+        self._node = node
+        self._gate = OneSource(timeout)
+        self._heartbeat = Heartbeat(node)
+        self._malformed = Malformed()
+        self._drain = open_drain(
+            node, messages.TurntableSetpoint, 'turntable/setpoint', qos.command()
+        )
+
+    def give(self, follow: Callable[[Setpoint], None]) -> None:
+        """Give on what has come, and HOLD where the heartbeat is lost; to be called often."""
+        stop = self._gate.forbid(self._heartbeat.words)
+        if stop is not None:
+            follow(stop)
+        now = time.monotonic()
+        for payload, source in drain_sources(self._drain):
+            for block in decode_setpoints(Messages.join([payload]), self._malformed):
+                for setpoint in block.setpoints:
+                    follow(self._gate.admit(setpoint, source or self._known(), now))
+
+    def report(self, diagnostics: Diagnostics) -> None:
+        """Say whose setpoints are followed, or why none are."""
+        words = self._gate.words
+        publishers = names_of(self._listed())
+        diagnostics.report(
+            'source',
+            Level.ERROR if words else Level.OK,
+            words or 'Setpoints of one source are followed.',
+            publishers=', '.join(publishers) or 'none',
+            heartbeat='required' if self._heartbeat.required else 'not required',
+            malformed=f'{self._malformed.count} messages',
+        )
+
+    def _listed(self) -> list[Any]:
+        return list(self._node.get_publishers_info_by_topic(self._drain.topic_name))
+
+    def _known(self) -> bytes:
+        """Tell a source by who is listed, where the middleware does not tell it by message."""
+        return b''.join(sorted(bytes(one.endpoint_gid) for one in self._listed()))

@@ -1,0 +1,60 @@
+"""A heartbeat without which nothing starts, and whose silence is a stop."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ..middleware import Clock, ClockType, messages
+from . import qos
+from .declared import declare
+
+
+class Heartbeat:
+    """Hears std_msgs/Bool on `heartbeat` where the parameter stop_required asks for it.
+
+    True says that the table may move; false, and silence, that it may not. Heard best effort, so
+    that every publisher is heard; volatile, so that nothing counts that was said before.
+
+    Args:
+        node: Declares stop_required and heartbeat_timeout.
+
+    """
+
+    def __init__(self, node: Any) -> None:
+        required = declare(
+            node,
+            'stop_required',
+            False,
+            'Whether nothing moves without a heartbeat on the topic heartbeat (std_msgs/Bool).',
+        )
+        self._timeout = declare(
+            node,
+            'heartbeat_timeout',
+            0.5,
+            'Longest silence of the heartbeat on the steady clock, s.',
+            lower=0.05,
+            upper=5.0,
+        )
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._heard_at, self._clear = -math.inf, True
+        self._topic = node.resolve_topic_name('heartbeat')
+        self.required = required
+        if required:
+            node.create_subscription(messages.Bool, 'heartbeat', self._hear, qos.sensor_data())
+
+    @property
+    def words(self) -> str:
+        """Why nothing may move, in a sentence; empty where it may."""
+        if not self.required:
+            return ''
+        if self._steady.now().nanoseconds * 1e-9 - self._heard_at > self._timeout:
+            return (
+                f'No heartbeat on {self._topic} for {self._timeout:g} s: the table stands, and '
+                'nothing starts without one (stop_required).'
+            )
+        return '' if self._clear else f'The heartbeat on {self._topic} says stop.'
+
+    def _hear(self, message: Any) -> None:
+        self._heard_at = self._steady.now().nanoseconds * 1e-9
+        self._clear = bool(message.data)
