@@ -19,6 +19,7 @@ from .imu import load_imu
 from .lifetime import ENDS_WITH
 from .methods import METHODS
 from .model import chosen
+from .network import LOOPBACK, REACH, check_domain, kept_to
 from .plan import load_plan
 from .share import named_file
 from .turntable import load_table
@@ -53,12 +54,13 @@ def node(*, foreign: bool = False, **options: Any) -> Any:
     return Node(additional_env={ENDS_WITH: str(os.getpid())}, **options)
 
 
-def checks(*, view: bool = False, port: bool = True) -> Any:
+def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any:
     """Return the action that checks arguments and packages; it comes before the first node.
 
     Args:
         view: Whether the table is shown, unless an argument says otherwise.
         port: Whether the IMU's port must be there at the start.
+        table: Whether a table is led, which is a real one unless the device is simulated.
 
     """
     from launch.actions import OpaqueFunction
@@ -70,9 +72,34 @@ def checks(*, view: bool = False, port: bool = True) -> Any:
         problems = wrong(given) or missing(_viewers(given) if view else ())
         if problems:
             raise InputError(' '.join(problems))
-        return []
+        real = table and given.get('device') != _SIMULATED
+        return _on_its_own() if real else []
 
     return OpaqueFunction(function=check)
+
+
+_SIMULATED = 'simulated'
+"""The frames of the simulated stand: it has no table that could hurt anybody."""
+
+
+def _on_its_own() -> list[Any]:
+    """Keep a stand to this machine, unless the environment says otherwise, and to its own domain.
+
+    Raises:
+        InputError: The domain is the default one.
+
+    """
+    from launch.actions import LogInfo, SetEnvironmentVariable
+
+    check_domain('a table')
+    if os.environ.get(REACH, '').strip():
+        return []
+    own = kept_to(LOOPBACK)
+    said = ' '.join(f"{name}='{value}'" for name, value in own.items())
+    return [
+        *(SetEnvironmentVariable(name, value) for name, value in own.items()),
+        LogInfo(msg=f'The stand stays on this machine. In every other terminal: export {said}'),
+    ]
 
 
 def _viewers(given: Mapping[str, str]) -> tuple[str, ...]:
@@ -220,6 +247,7 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'azimuth': _number(),
     'true_azimuth': _number(-360.0, 360.0),
     'autostart': _boolean,
+    'stop_required': _boolean,
     'use_sim_time': _boolean,
     'view': _boolean,
     'rviz': _boolean,

@@ -17,6 +17,11 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'table', default_value='three_axis', description='Name or file of the turntable.'
     ),
+    DeclareLaunchArgument(
+        'stop_required',
+        default_value='false',
+        description='Whether the table moves only while a heartbeat comes on the topic heartbeat.',
+    ),
     DeclareLaunchArgument('namespace', default_value='', description='Of all names.'),
 ]
 
@@ -26,7 +31,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             *ARGUMENTS,
-            checks(),
+            checks(table=True),
             node(
                 package='imu_calib',
                 executable='ascii_table_node',
@@ -36,6 +41,9 @@ def generate_launch_description() -> LaunchDescription:
                         'port': ParameterValue(LaunchConfiguration('table_port'), value_type=str),
                         'baud': ParameterValue(LaunchConfiguration('table_baud'), value_type=int),
                         'table': ParameterValue(LaunchConfiguration('table'), value_type=str),
+                        'stop_required': ParameterValue(
+                            LaunchConfiguration('stop_required'), value_type=bool
+                        ),
                     }
                 ],
                 output='screen',

@@ -23,6 +23,7 @@ ARGUMENTS = {
     'speed': ('0.0', 'Times the wall clock at most; 0: as fast as the nodes follow.'),
     'frame_port': ('5760', 'TCP port of the simulated IMU.'),
     'autostart': ('true', 'Whether the plan starts by itself; else call turntable_node/start.'),
+    'stop_required': ('false', 'Whether nothing moves without a heartbeat on heartbeat.'),
     'params_file': (
         str(SHARE / 'config' / 'nodes' / 'simulated_stand.yaml'),
         'Parameters that are no arguments.',
@@ -40,6 +41,7 @@ def generate_launch_description() -> LaunchDescription:
         float: {name: name for name in ('latitude', 'height', 'speed')}
         | {'azimuth': 'true_azimuth'},
         int: {'seed': 'seed', 'port': 'frame_port'},
+        bool: {'stop_required': 'stop_required'},
     }
     parameters = {
         parameter: ParameterValue(LaunchConfiguration(argument), value_type=kind)

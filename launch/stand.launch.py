@@ -45,6 +45,11 @@ ARGUMENTS = [
         description='Whether the plan starts by itself; else call turntable_node/start.',
     ),
     DeclareLaunchArgument(
+        'stop_required',
+        default_value='false',
+        description='Whether nothing moves without a heartbeat on the topic heartbeat.',
+    ),
+    DeclareLaunchArgument(
         'view', default_value='true', description='Whether robot_state_publisher shows the table.'
     ),
     DeclareLaunchArgument('rviz', default_value='false', description='Whether RViz shows it.'),
@@ -56,11 +61,16 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             *ARGUMENTS,
-            checks(view=True),
+            checks(view=True, table=True),
             _include('calibrator.launch.py', latitude=LaunchConfiguration('latitude')),
             _node('imu_node', imu=str, port=str, device=str, baud=int),
             _node(
-                'turntable_node', ('output', 'table_output'), plan=str, table=str, autostart=bool
+                'turntable_node',
+                ('output', 'table_output'),
+                plan=str,
+                table=str,
+                autostart=bool,
+                stop_required=bool,
             ),
             GroupAction(
                 [_include('table_view.launch.py')],

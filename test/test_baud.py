@@ -31,6 +31,7 @@ def port():
 @pytest.fixture
 def started(monkeypatch):
     """What `imu-calib stand` would give each node, instead of starting it."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', '42')
     given = {}
 
     class Recorder:

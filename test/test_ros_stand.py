@@ -393,6 +393,17 @@ def test_what_cannot_be_launched_is_refused_before_the_first_node(name, given, s
     assert 'process started' not in net.log('launch')
 
 
+def test_a_table_is_not_launched_in_the_default_domain(tmp_path):
+    net = Network(tmp_path)
+    given = ['ros2', 'launch', 'imu_calib', 'ascii_table.launch.py', 'table_port:=/dev/ttyUSB9']
+    with nothing_left(net):
+        net.start('launch', net.ros(*given), ROS_DOMAIN_ID='0')
+        process = net.processes.pop('launch')
+        assert process.wait(timeout=patience(60)) != 0
+    assert 'ROS_DOMAIN_ID is 0: a table is not led in the default domain' in net.log('launch')
+    assert 'process started' not in net.log('launch')
+
+
 @pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
 @pytest.mark.parametrize('on_ros', [{'calibrator_node'}, set(NODES) - {'calibrator_node'}])
 def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):

@@ -133,6 +133,7 @@ def test_silence_is_said_before_the_session_is_loaded(tmp_path, port, capsys, mo
         raise LoadedHere(capsys.readouterr().err)
 
     monkeypatch.setattr(stand_session, 'check', check)
+    monkeypatch.setenv('ROS_DOMAIN_ID', '42')
     words = ['stand', 'twelve_position', '--port', port[1], '--device', 'simulated']
     with pytest.raises(LoadedHere, match=r'imu_node: No frame has come since the start\. Is the'):
         main.main([*words, '--latitude', '48', '-o', str(tmp_path / 'stand')])

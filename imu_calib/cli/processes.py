@@ -18,11 +18,8 @@ import yaml
 
 from ..errors import InputError
 from ..lifetime import ENDS_WITH
+from ..network import LOOPBACK, REACH, check_domain, check_interface, kept_to, on_interface
 
-_LOOPBACK = (
-    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
-    '</General></Domain></CycloneDDS>'
-)
 _DOMAINS = range(1, 102)
 """Those whose ports lie below what Linux gives to other programs."""
 
@@ -138,9 +135,31 @@ class Processes:
 
 def private_network() -> dict[str, str]:
     """Return the variables of a domain that nobody else uses, on the loopback interface."""
-    own = {'ROS_DOMAIN_ID': str(_free_domain()), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    own = {'ROS_DOMAIN_ID': str(_free_domain()), REACH: 'LOCALHOST'}
     if 'CYCLONEDDS_URI' not in os.environ:
-        own['CYCLONEDDS_URI'] = _LOOPBACK
+        own['CYCLONEDDS_URI'] = on_interface(LOOPBACK)
+    return own
+
+
+def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]:
+    """Return the variables of a stand with real hardware: where its nodes are, and who hears them.
+
+    Args:
+        interface: By which the stand leaves this machine; None where it does not.
+        alone: Whether no driver of a table has to be found: it then needs no agreed domain.
+
+    Raises:
+        InputError: There is no such interface; the domain is the default one; or the environment
+            asks for a network and no interface is named.
+
+    """
+    if interface is not None:
+        check_interface(interface)
+    own = kept_to(interface or LOOPBACK)
+    if not alone:
+        check_domain('a table')
+    elif not os.environ.get('ROS_DOMAIN_ID', '').strip():
+        own['ROS_DOMAIN_ID'] = str(_free_domain())
     return own
 
 

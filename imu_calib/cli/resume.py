@@ -38,8 +38,9 @@ _FILES = {
 _OF_THE_RUN = frozenset({'command', 'run', 'default_of', 'last_word', 'output', 'resume', 'start'})
 """What belongs to one run rather than to the session."""
 
-_MAY_CHANGE = frozenset({'port', 'baud', 'speed'})
-"""A device comes back at another port after a power cut; how fast to simulate is no matter."""
+_MAY_CHANGE = frozenset({'port', 'baud', 'speed', 'network'})
+"""A device, or a network, comes back by another name after a power cut; how fast to simulate is no
+matter."""
 
 _OUTAGE = 10
 """How long simulated hardware is off, s of its time: longer than anybody waits for joint states."""

@@ -16,6 +16,7 @@ from ..share import shipped
 from ..turntable import load_table
 from . import options
 from .listening import listen
+from .processes import network_of_hardware
 from .terminal import OUTPUT
 from .words import Words
 
@@ -47,7 +48,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     options.add_serial_option(parser)
     options.add_site_options(parser)
     real = parser.add_argument_group(
-        'real hardware', 'The table is then led by setpoints in the ROS domain of the environment.'
+        'real hardware',
+        'The table is then led by setpoints in the ROS domain of the environment, which must not '
+        'be the default one, on the loopback interface.',
     )
     real.add_argument('--port', metavar='URL', help='where the IMU is, for instance /dev/ttyUSB0')
     real.add_argument(
@@ -58,6 +61,17 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar='BIT/S',
         help="of a serial port (default: as the device's file says, else 115200)",
+    )
+    real.add_argument(
+        '--network',
+        metavar='INTERFACE',
+        help='leave this machine by that network interface, for instance eth0: whoever is on that '
+        'network can then lead the table, unless SROS 2 is enforced',
+    )
+    real.add_argument(
+        '--stop-required',
+        action='store_true',
+        help='nothing moves without a heartbeat on the topic heartbeat',
     )
     simulated = parser.add_argument_group('simulated hardware')
     simulated.add_argument(
@@ -160,12 +174,15 @@ def _check(arguments: argparse.Namespace, words: Words) -> Calibration | None:
         if arguments.imperfections:
             raise InputError('--imperfections: of simulated hardware; leave it out with --port.')
         frames = _check_device(arguments)
+    elif arguments.network:
+        raise InputError('--network: simulated hardware stays on this machine; leave it out.')
     elif arguments.device:
         raise InputError('--device: simulated hardware has frames of its own; give --port, too.')
     site = options.stated(arguments).site(LUOYANG)
     plan, imu = load_plan(arguments.plan), load_imu(arguments.imu)
     table = None if plan.by_hand else load_table(arguments.table)
     if arguments.port:
+        network_of_hardware(arguments.network, alone=plan.by_hand)
         baud = choose_baud(arguments.baud, frames)
         if is_serial(arguments.port):
             _say_baud(arguments, frames, imu, baud)

@@ -26,7 +26,7 @@ from ..reports.parameter_table import parameter_tables
 from ..simulation import StandOptions, load_imperfections
 from ..turntable import Table, load_table
 from . import by_hand, options, resume
-from .processes import Outcome, Processes, free_port, private_network
+from .processes import Outcome, Processes, free_port, network_of_hardware, private_network
 from .stand import complete
 from .terminal import OUTPUT, progress_bar, sentence_list
 from .words import NothingComes, Words
@@ -112,12 +112,11 @@ def run(
         NotObservable: The session gives no calibration; says why.
 
     """
-    environment = {} if arguments.port else private_network()
+    environment = _network(arguments)
     given = parameters(arguments, folder)
     began = time.monotonic()
-    if environment:
-        joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
-        OUTPUT.print(f'to look on: export {joined}', markup=False)
+    joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
+    OUTPUT.print(f'to look on: export {joined}', markup=False)
     try:
         with Processes(folder, environment, (claim,)) as processes:
             outcome = _session(arguments, processes, given, words)
@@ -144,6 +143,12 @@ def run(
         f'{seconds:.0f} s; recording: {folder / resume.JOURNAL}, result: {folder / resume.RESULT}'
     )
     sentence_list('Worth knowing', calibration.findings)
+
+
+def _network(arguments: argparse.Namespace) -> dict[str, str]:
+    if not arguments.port:
+        return private_network()
+    return network_of_hardware(arguments.network, alone=load_plan(arguments.plan).by_hand)
 
 
 def _save_true_table(arguments: argparse.Namespace, folder: Path) -> None:
@@ -208,6 +213,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
             'table': arguments.table,
             'autostart': True,
             'resume': bool(arguments.resume),
+            'stop_required': arguments.stop_required,
         },
     }
     # What plays the stand, or the hand.

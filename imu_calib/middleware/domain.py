@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 
 from ..errors import InputError
+from ..network import LOOPBACK, REACH, leaving, names_interface, on_interface
 
 LAST_DOMAIN = 232
 """The ports of a higher one do not exist (RTPS: 7400 + 250 * domain)."""
 
 _REACHES = ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT')
-_LOOPBACK = 'localhost'
+_HERE = 'localhost'
 
 
 def domain_id() -> int:
@@ -33,20 +34,27 @@ def domain_id() -> int:
 def configuration() -> str:
     """Return Cyclone DDS's configuration: ROS's reach and peers, then CYCLONEDDS_URI.
 
+    The loopback interface is used unless CYCLONEDDS_URI names others: this runtime has no security
+    plug-ins, so who can send can lead the table.
+
     Raises:
-        InputError: ROS_AUTOMATIC_DISCOVERY_RANGE is none of its four words.
+        InputError: ROS_AUTOMATIC_DISCOVERY_RANGE is none of its four words, or asks for more than
+            the loopback interface while no other is named.
 
     """
-    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '').strip().upper() or 'SUBNET'
+    given = os.environ.get(REACH, '').strip().upper()
+    user = os.environ.get('CYCLONEDDS_URI', '').strip()
+    named = names_interface(user)
+    reach = given or ('SUBNET' if named else 'LOCALHOST')
     if reach not in _REACHES:
-        raise InputError(
-            f'ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}, expected one of {", ".join(_REACHES)}.'
-        )
+        raise InputError(f'{REACH} is {reach!r}, expected one of {", ".join(_REACHES)}.')
     if os.environ.get('ROS_LOCALHOST_ONLY', '').strip() == '1':
         reach = 'LOCALHOST'
-    own = _of_reach(reach)
-    user = os.environ.get('CYCLONEDDS_URI', '').strip()
-    return ','.join(part for part in (own, user) if part)
+    if not named and reach in {'SUBNET', 'SYSTEM_DEFAULT'}:
+        example = on_interface('eth0')
+        raise InputError(leaving(reach, f"set CYCLONEDDS_URI='{example}' with its name"))
+    own = '' if named else on_interface(LOOPBACK)
+    return ','.join(part for part in (own, _of_reach(reach), user) if part)
 
 
 def _of_reach(reach: str) -> str:
@@ -56,7 +64,7 @@ def _of_reach(reach: str) -> str:
     if reach == 'OFF':
         peers = []
     if reach == 'LOCALHOST':
-        peers.insert(0, _LOOPBACK)
+        peers.insert(0, _HERE)
     general = (
         '' if reach == 'SUBNET' else '<General><AllowMulticast>false</AllowMulticast></General>'
     )
