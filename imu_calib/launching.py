@@ -21,6 +21,7 @@ from .methods import METHODS
 from .model import chosen
 from .network import LOOPBACK, REACH, check_domain, kept_to
 from .plan import load_plan
+from .security import in_enclave
 from .share import named_file
 from .turntable import load_table
 
@@ -51,7 +52,8 @@ def node(*, foreign: bool = False, **options: Any) -> Any:
 
     if foreign:
         options['prefix'] = ' '.join(BECOMING)
-    return Node(additional_env={ENDS_WITH: str(os.getpid())}, **options)
+    own = {ENDS_WITH: str(os.getpid()), **in_enclave(options['executable'])}
+    return Node(additional_env=own, **options)
 
 
 def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any:

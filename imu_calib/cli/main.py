@@ -34,6 +34,7 @@ COMMANDS = {
     'montecarlo': 'repeat a simulated session with seeds',
     'info': 'what is in a recording',
     'convert': 'text files and bags of ROS 1 to a recording',
+    'security': 'keys with which the nodes of a stand prove who they are (SROS 2)',
     'schema': 'the JSON Schema of a file that you write',
 }
 """What each does; the module of its name does it."""

@@ -11,6 +11,7 @@ from typing import Any
 from .. import middleware as ros
 from ..middleware import messages
 from ..nodes import qos
+from ..security import in_enclave
 from .processes import Processes
 from .words import Words
 
@@ -145,7 +146,7 @@ class Monitor:
 @contextmanager
 def watching(processes: Processes, words: Words) -> Iterator[Monitor]:
     """Join the network of a stand's nodes with a monitor; leave it at the end of the block."""
-    os.environ.update(processes.environment)
+    os.environ.update({**in_enclave('operator'), **processes.environment})
     ros.init(args=[])
     words.nodes = processes.names
     monitor = Monitor(words)

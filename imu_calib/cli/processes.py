@@ -19,6 +19,7 @@ import yaml
 from ..errors import InputError
 from ..lifetime import ENDS_WITH
 from ..network import LOOPBACK, REACH, check_domain, check_interface, kept_to, on_interface
+from ..security import in_enclave
 
 _DOMAINS = range(1, 102)
 """Those whose ports lie below what Linux gives to other programs."""
@@ -90,7 +91,7 @@ class Processes:
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env=self._environment,
+            env={**self._environment, **in_enclave(node)},
             # Ctrl-C is for this process alone, which ends them in order.
             start_new_session=True,
             pass_fds=self._inherited,

@@ -6,6 +6,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from ...errors import ImuCalibError
+from ...security import refuse_to_pretend
 from ..domain import LAST_DOMAIN, domain_id
 from . import logging
 from .arguments import Arguments, parse
@@ -42,6 +43,7 @@ class Context:
         self.arguments = parse(sys.argv[1:] if args is None else args)
         for logger, level in self.arguments.levels:
             logging.set_logger_level(logger, _severity(level))
+        refuse_to_pretend()
         number = domain_id() if domain is None else domain
         if not 0 <= number <= LAST_DOMAIN:
             raise ImuCalibError(f'The domain is {number}, expected 0 to {LAST_DOMAIN}.')

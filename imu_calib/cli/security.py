@@ -1,0 +1,48 @@
+"""imu-calib security: the keystore with which a stand's nodes prove who they are."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..security import enclave, make_keystore
+from .terminal import OUTPUT
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
+    parser.add_argument(
+        'keystore', metavar='KEYSTORE', help='folder to create, or to bring up to date'
+    )
+    parser.add_argument(
+        '--namespace', default='', metavar='NAME', help='in which the nodes of the stand are'
+    )
+    parser.add_argument(
+        '--policy', metavar='FILE', help='of your own (default: config/security/policy.xml)'
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Make the keystore, and say how it is used.
+
+    Raises:
+        ImuCalibError: sros2 is not here, or the keystore cannot be made.
+
+    """
+    keystore = Path(arguments.keystore).expanduser().absolute()
+    policy = None if arguments.policy is None else Path(arguments.policy).expanduser()
+    enclaves = make_keystore(keystore, arguments.namespace, policy)
+    OUTPUT.print(f'{keystore} holds the keys of:', markup=False)
+    for name in enclaves:
+        OUTPUT.print(f'  {name}', markup=False)
+    OUTPUT.print(
+        'Where nodes of the stand run:\n'
+        f'  export ROS_SECURITY_KEYSTORE={keystore} ROS_SECURITY_ENABLE=true '
+        'ROS_SECURITY_STRATEGY=Enforce\n'
+        'and in the terminal of the person who leads it:\n'
+        f'  export ROS_SECURITY_ENCLAVE_OVERRIDE={enclave("operator")}\n'
+        f'{keystore / "private"} signs whom the stand trusts: keep it where no node runs.',
+        markup=False,
+        soft_wrap=True,
+    )

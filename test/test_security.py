@@ -1,0 +1,218 @@
+"""Who may say what on a stand: the policy against the nodes, and enforced against a rogue."""
+
+import json
+import xml.etree.ElementTree as ET
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from installed import has_package, needs
+from loopback import CHECKOUT, environment, patience
+from test_ros_stand import LAUNCHABLE, Network, launch, nothing_left
+
+from imu_calib.cli.processes import free_port
+from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.network import on_interface
+from imu_calib.security import enclave, policy_file
+
+INCLUDE = '{http://www.w3.org/2001/XInclude}include'
+SECURED = {'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': 'Enforce'}
+# What nodes of ROS have that this suite does not make; common/node.xml allows it.
+OF_ROS = {'/rosout', '/parameter_events'}
+VARIANTS = {
+    'turntable_node': ('TurntableNode', [{'output': 'trajectory', 'stop_required': True}, {}]),
+    'ascii_table_node': ('AsciiTableNode', [{'port': 'socket://127.0.0.1:{port}'}]),
+    'stand_node': ('StandNode', [{'port': '{port}', 'stop_required': True}]),
+    'hand_node': ('HandNode', [{'port': '{port}'}]),
+    'imu_node': (
+        'ImuNode',
+        [{'port': 'socket://127.0.0.1:{port}', 'device': 'simulated_skewed', 'imu': 'fog_skewed'}],
+    ),
+    'calibrator_node': ('CalibratorNode', [{'latitude': 30.0, 'imu': 'fog_skewed'}]),
+    'compensator_node': ('CompensatorNode', [{}]),
+}
+
+
+def profiles():
+    """Return what the policy allows: names by node, and by what may be done with them."""
+    folder = policy_file().parent
+    allowed = {}
+    for profile in ET.parse(policy_file()).getroot().iter('profile'):
+        rules = list(profile)
+        for include in profile.findall(INCLUDE):
+            rules += list(ET.parse(folder / include.get('href')).getroot())
+        node = profile.get('node')
+        kinds = allowed[node] = {'publish': set(), 'reply': set(), 'request': set()}
+        for rule in rules:
+            for kind in kinds.keys() & rule.keys():
+                kinds[kind] |= {_full(name.text, node) for name in rule}
+    return allowed
+
+
+def _full(name, node):
+    return name if name.startswith('/') else f'/{name.replace("~", node, 1)}'
+
+
+@pytest.fixture
+def created(monkeypatch, tmp_path):
+    """Make every node in every variant; return what each publishes, serves and calls."""
+    try:
+        from imu_calib import middleware as ros
+    except ImuCalibError as error:
+        pytest.skip(str(error))
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.chdir(tmp_path)
+    seen = {}
+    for kind, method in (
+        ('publish', 'create_publisher'),
+        ('reply', 'create_service'),
+        ('request', 'create_client'),
+    ):
+        make = getattr(ros.Node, method)
+
+        def note(node, type_, name, *args, kind=kind, make=make, **more):
+            seen[node.get_name()][kind].add(node.resolve_topic_name(name))
+            return make(node, type_, name, *args, **more)
+
+        monkeypatch.setattr(ros.Node, method, note)
+    for name, (kind, variants) in VARIANTS.items():
+        seen[name] = {'publish': set(), 'reply': set(), 'request': set()}
+        for variant in variants:
+            port = str(free_port())
+            given = {k: str(v).replace('{port}', port) for k, v in variant.items()}
+            words = [w for k, v in given.items() for w in ('-p', f'{k}:={v.lower()}')]
+            ros.init(args=['--ros-args', *words])
+            node = getattr(import_module(f'imu_calib.nodes.{name}'), kind)()
+            node.stop()
+            node.destroy_node()
+            ros.try_shutdown()
+    return seen
+
+
+def test_the_policy_allows_what_each_node_creates_and_no_more(created):
+    allowed = profiles()
+    nodes = {path.stem for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py')}
+    assert nodes == created.keys() <= allowed.keys()
+    parameters = {name for name in allowed['observer']['reply'] if name.startswith('/observer/')}
+    for name in nodes:
+        own = {p.replace('/observer/', f'/{name}/', 1) for p in parameters}
+        of_ros = {'publish': OF_ROS, 'reply': own, 'request': set()}
+        for kind, names in created[name].items():
+            # A name that lacks in config/security/policy.xml would be refused where it is enforced.
+            assert names - OF_ROS - own == allowed[name][kind] - of_ros[kind], (name, kind)
+
+
+def test_one_node_says_what_is_one_nodes_alone():
+    allowed = profiles()
+    of = {
+        topic: {name for name, kinds in allowed.items() if topic in kinds['publish']}
+        for kinds in allowed.values()
+        for topic in kinds['publish']
+    }
+    assert of['/turntable/setpoint'] == of['/turntable/state'] == {'turntable_node'}
+    assert of['/turntable/joint_states'] == {'ascii_table_node', 'stand_node'}
+    assert of['/calibration'] == of['/calibration/progress'] == {'calibrator_node'}
+    assert of['/estop'] == {'operator', 'stop_button'}
+    assert of['/heartbeat'] == {'stop_button'}
+    served = {name for kinds in allowed.values() for name in kinds['reply']}
+    assert allowed['operator']['request'] == {
+        name for name in served if 'param' not in name and 'type_desc' not in name
+    }
+    assert not [name for name in allowed if name != 'operator' and allowed[name]['request']]
+
+
+def test_without_ros_nobody_pretends_to_be_secure(monkeypatch):
+    try:
+        from imu_calib.middleware import dds
+    except ImportError as error:
+        pytest.skip(str(error))
+    for name, value in {**environment(), **SECURED}.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(InputError, match='ROS_SECURITY_ENABLE is true, and without ROS 2'):
+        dds.init(args=[])
+    assert not dds.ok()
+
+
+# --- enforced ------------------------------------------------------------------------------------
+
+PEER = """
+import json, sys, time
+import rclpy
+from imu_calib_msgs.msg import TurntableSetpoint
+wait = float(sys.argv[1])
+rclpy.init(args=[])
+said = {'created': False, 'matched': 0, 'seconds': 0.0}
+try:
+    node = rclpy.create_node('turntable_node')
+    output = node.create_publisher(TurntableSetpoint, '/turntable/setpoint', 1)
+    said['created'] = True
+except Exception as error:
+    said['words'] = str(error)
+else:
+    began = time.monotonic()
+    while not said['matched'] and time.monotonic() - began < wait:
+        rclpy.spin_once(node, timeout_sec=0.05)
+        said['matched'] = output.get_subscription_count()
+    said['seconds'] = time.monotonic() - began
+print('SAID ' + json.dumps(said))
+"""
+
+
+def _secured():
+    """Say why there is no security to enforce here; empty where there is."""
+    library = Path('/opt/ros/jazzy/lib/libdds_security_auth.so')
+    if not library.is_file():
+        return 'this Cyclone DDS is built without its security plug-ins'
+    return '' if has_package('sros2') else 'sros2: not installed'
+
+
+@needs('rclpy', 'rmw_cyclonedds_cpp', verbs=['launch', 'service'])
+@pytest.mark.skipif(not LAUNCHABLE, reason='not built: colcon build, source install/setup.bash')
+@pytest.mark.skipif(bool(_secured()), reason=_secured())
+def test_enforced_a_stand_runs_and_nobody_else_leads_its_table(tmp_path):
+    net = Network(tmp_path)
+    net.own['CYCLONEDDS_URI'] = on_interface('lo')
+    store, forged = keystore(net, 'keys'), keystore(net, 'forged')
+    secured = {**SECURED, 'ROS_SECURITY_KEYSTORE': str(store)}
+    launcher, net.own = net.own, {**net.own, **secured}
+    with nothing_left(net):
+        launch(net, autostart='false', view='false')
+        net.says('launch', 'Waiting for /imu/pulses.', 'Frames come in.', seconds=90)
+        asked = {'ROS_SECURITY_ENCLAVE_OVERRIDE': enclave('operator')}
+        net.own |= asked
+        # It may wait for the calibrator's first word; what it says later is in its log.
+        assert net.call('/turntable_node/start')[0]
+        net.says('launch', 'Turning', seconds=90)
+        # Who has the leader's own keys is heard: a rogue would be, by then, if it were let in.
+        known = peer(net, secured, 'turntable_node')
+        assert known['matched'] >= 1
+        wait = 3 * known['seconds'] + 3.0
+        for name in ('imu_node', 'observer', 'operator'):
+            assert not peer(net, secured, name)['created'], name
+        rogue = {**secured, 'ROS_SECURITY_KEYSTORE': str(forged)}
+        assert peer(net, rogue, 'turntable_node', wait)['matched'] == 0
+        stranger = peer(net, {'ROS_SECURITY_ENABLE': 'false'}, 'turntable_node', wait)
+        assert stranger['created']
+        assert stranger['matched'] == 0
+        net.own = {**launcher, **secured}
+        written = net.stop('launch')
+    assert 'SECURITY' not in written.replace('Found security directory', '')
+    assert 'two sources' not in written
+    assert 'Traceback' not in written
+
+
+def keystore(net, name):
+    """Make a keystore as the documentation says."""
+    net.ask('run', 'imu_calib', 'imu-calib', 'security', name)
+    return net.folder / name
+
+
+def peer(net, secured, name, wait=None):
+    """Let a node with the keys of an enclave try to lead the table; return how far it came."""
+    own = {**secured, 'ROS_SECURITY_ENCLAVE_OVERRIDE': enclave(name)}
+    words = net.ros('python3', '-c', PEER, str(patience() if wait is None else wait))
+    net.start('peer', words, **own)
+    net.processes.pop('peer').wait(timeout=patience(120))
+    (line,) = [one for one in net.log('peer').splitlines() if one.startswith('SAID ')]
+    return json.loads(line.removeprefix('SAID '))
