@@ -28,6 +28,7 @@ _NUMBERS = {
     'joint_rate': 'HZ',
     'silence': 'S',
     'garbage': 'BYTES',
+    'damage': 'PERCENT',
     'clock_jump': 'S',
 }
 
@@ -44,6 +45,7 @@ class Faults:
         joint_rate: Hz of the joint states, None as configured.
         silence: The IMU's line is dead for so long, s.
         garbage: So many bytes of nonsense come into the line.
+        damage: Of so many frames in a hundred one byte is another on the way.
         clock_jump: Added to the device's clock, s.
 
     """
@@ -55,6 +57,7 @@ class Faults:
     joint_rate: float | None = None
     silence: float = 0.0
     garbage: int = 0
+    damage: float = 0.0
     clock_jump: float = 0.0
 
     def command(self, text: str) -> None:
@@ -209,4 +212,14 @@ class SimulatedHardware:
             middle = 7
             line = line[:middle] + self._rng.bytes(self.faults.garbage) + line[middle:]
             self.faults.garbage = 0
-        return line
+        return self._damaged(line, len(samples)) if self.faults.damage else line
+
+    def _damaged(self, line: bytes, frames: int) -> bytes:
+        """Change one byte in some of the frames."""
+        if not line or not frames:
+            return line
+        changed, length = np.frombuffer(line, np.uint8).copy(), len(line) // frames
+        hit = np.flatnonzero(self._rng.uniform(size=frames) < self.faults.damage / 100)
+        places = hit * length + self._rng.integers(length, size=len(hit))
+        changed[places] ^= self._rng.integers(1, 256, size=len(hit)).astype(np.uint8)
+        return changed.tobytes()

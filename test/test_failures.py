@@ -1,0 +1,97 @@
+"""The failure table: every row has a test that exists; and a stand whose processes hang."""
+
+import ast
+import os
+import re
+import signal
+import time
+from contextlib import contextmanager
+
+import pytest
+from loopback import CHECKOUT
+
+from imu_calib.errors import ImuCalibError
+
+try:
+    from live import Stand, State
+    from test_stand import LEASE, finishes, resumes, stops
+except ImuCalibError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+PAGE = CHECKOUT / 'docs' / 'failures.md'
+TEST = re.compile(r'`(test_\w+)::(test_\w+)`')
+
+
+def rows():
+    """Return the rows of the page's tables as lists of cells."""
+    lines = [line for line in PAGE.read_text(encoding='utf-8').splitlines() if line[:1] == '|']
+    cells = [[cell.strip() for cell in line.strip('|').split('|')] for line in lines]
+    return [row for row in cells if set(row[0]) != {'-'} and row[0] != 'what fails']
+
+
+def names_in(module):
+    """Return the names of the tests of a file."""
+    tree = ast.parse((CHECKOUT / 'test' / f'{module}.py').read_text(encoding='utf-8'))
+    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+
+
+def test_every_row_of_the_failure_table_has_tests_and_every_test_exists():
+    assert len(rows()) > 25
+    for row in rows():
+        assert len(row) == 5, row
+        assert all(row), row
+        named = TEST.findall(row[-1])
+        assert named, f'no test: {row[0]}'
+        for module, name in named:
+            assert name in names_in(module), f'{row[0]}: {module}::{name}'
+
+
+@contextmanager
+def hangs(stand, node, seconds):
+    """Stop a process of a stand for so long, as a debugger or a machine without memory would."""
+    number = stand.processes.number(node)
+    os.kill(number, signal.SIGSTOP)
+    try:
+        end = time.monotonic() + seconds
+        stand.wait(lambda: time.monotonic() > end, seconds + 1.0)
+        yield
+    finally:
+        os.kill(number, signal.SIGCONT)
+
+
+@pytest.mark.parametrize('seconds', [3.0, pytest.param(30.0, marks=pytest.mark.repeats)])
+def test_every_node_may_hang_and_the_session_ends_in_the_true_parameters(tmp_path, seconds):
+    """Of ten frames one is damaged besides, in the steps between."""
+    waits = {'calibrator_timeout': 2.0, 'watchdog_timeout': 1.0}
+    with Stand(tmp_path, turntable_node=waits) as stand:
+        # Its frames wait in the line, and simulated time waits for them.
+        assert stand.reaches(State.DWELLING, step=1)
+        with hangs(stand, 'imu_node', seconds):
+            pass
+        for node, phase, step, word in (
+            ('calibrator_node', State.DWELLING, 3, 'calibrator'),
+            ('stand_node', State.TURNING, 8, 'joint state'),
+        ):
+            comes_to(stand, phase, step)
+            stand.words.clear()
+            with hangs(stand, node, seconds):
+                assert stand.reaches(State.PAUSED, seconds=30), stand.state
+            stops(stand, word)
+            resumes(stand)
+        comes_to(stand, State.TURNING, 10)
+        with hangs(stand, 'turntable_node', seconds):
+            # Nobody leads it: the table stops by itself.
+            assert stand.table_stands(LEASE)
+        stops(stand)
+        stand.fault('damage 10')
+        assert stand.call('turntable_node/start')[0]
+        assert stand.wait(lambda: stand.said('imu_node: stream', 'damaged'))
+        stand.fault('clear')
+        finishes(stand)
+
+
+def comes_to(stand, phase, step):
+    """Wait for a phase of a step or a later one; a pause for want of a peer is gone on with."""
+    if stand.state.phase == State.PAUSED:
+        resumes(stand)
+    assert stand.reaches(phase, step=step), stand.state
