@@ -38,6 +38,9 @@ def spoken():
     parts = {('calibrator_node', part) for part in first_texts(words, 'report')}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in first_texts(path, 'report')}
+        if 'Commands(' in path.read_text():
+            taken = path.with_name('commands.py')
+            parts |= {(path.stem, part) for part in first_texts(taken, 'report')}
     return parts | {('imu_node', part) for part in first_texts(HEALTH, 'Word')}
 
 
