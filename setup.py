@@ -1,5 +1,7 @@
 """Package imu_calib for pip and for colcon (ament_python)."""
 
+import os
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -12,6 +14,16 @@ def shared(folder: str) -> list[tuple[str, list[str]]]:
     files = [p for p in sorted(Path(folder).rglob('*')) if p.is_file() and p.suffix != '.pyc']
     targets = sorted({p.parent for p in files})
     return [(f'share/{NAME}/{t}', [str(p) for p in files if p.parent == t]) for t in targets]
+
+
+def messages_are_missing() -> bool:
+    """Tell whether colcon installs this package where its nodes will find no messages."""
+    prefixes = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    installs = {'install', 'develop'} & set(sys.argv)
+    packages = 'share/ament_index/resource_index/packages'
+    return bool(installs and any(prefixes)) and not any(
+        Path(prefix, packages, f'{NAME}_msgs').is_file() for prefix in prefixes
+    )
 
 
 # As `ros2 run imu_calib` and the launch files call them.
@@ -113,8 +125,18 @@ setup(
     entry_points={
         'console_scripts': [
             'imu-calib = imu_calib.cli.main:main',
-            *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
+            *(f'{node} = {NAME}.nodes.programs:{node}' for node in NODES),
         ]
     },
     zip_safe=False,
 )
+
+# At the end, where it is read: colcon looks for no package below another, and says nothing of it.
+if messages_are_missing():
+    folder = Path(__file__).resolve().parent / 'msg_defs'
+    print(  # noqa: T201
+        f'{NAME}_msgs, the messages of {NAME}, is not built, and nodes will not start without it. '
+        'Its package lies below this one, where colcon does not look. In the workspace:\n'
+        f'    ln -s {folder} src/{NAME}_msgs\nand colcon build again.',
+        file=sys.stderr,
+    )

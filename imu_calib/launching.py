@@ -30,7 +30,10 @@ _MODULES = {
     'scipy': 'python3-scipy',
     'rich': 'python3-rich',
     'serial': 'python3-serial',
-    'imu_calib_msgs': 'imu_calib_msgs (in this repository: msg_defs, built by colcon)',
+    'imu_calib_msgs': (
+        'the package of that name, the folder msg_defs of this one, below which colcon does not '
+        'look: in the workspace, `ln -s imu_calib/msg_defs src/imu_calib_msgs` and `colcon build`'
+    ),
 }
 """Python modules that the nodes need, and the packages of Ubuntu that hold them."""
 
@@ -125,8 +128,7 @@ def missing(packages: tuple[str, ...]) -> list[str]:
     distribution = os.environ.get('ROS_DISTRO', 'jazzy')
     return modules + [
         f'The package {package} is missing: sudo apt install '
-        f'ros-{distribution}-{package.replace("_", "-")}, or rosdep install --from-paths . '
-        f'--ignore-src in the workspace{_WITHOUT.get(package, "")}.'
+        f'ros-{distribution}-{package.replace("_", "-")}{_WITHOUT.get(package, "")}.'
         for package in packages
         if package not in known
     ]

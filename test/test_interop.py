@@ -35,6 +35,8 @@ def built_messages():
 def without_ros():
     """Return the environment as it is where no ROS was sourced."""
     hidden = {'PYTHONPATH', 'AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH', 'CMAKE_PREFIX_PATH'}
+    # What was sourced last, to be sourced first by what is built now.
+    hidden.add('COLCON_PREFIX_PATH')
     kept = {k: v for k, v in os.environ.items() if k not in hidden}
     kept['PATH'] = os.pathsep.join(p for p in kept['PATH'].split(os.pathsep) if '/ros/' not in p)
     return kept

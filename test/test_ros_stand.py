@@ -404,6 +404,19 @@ def test_a_table_is_not_launched_in_the_default_domain(tmp_path):
     assert 'process started' not in net.log('launch')
 
 
+@needs('launch_testing', 'launch_testing_ros')
+def test_the_stand_passes_its_launch_test(tmp_path):
+    net = Network(tmp_path)
+    given = {'plan': short_plan(tmp_path), 'frame_port': free_port(), 'latitude': LATITUDE}
+    words = [f'{name}:={value}' for name, value in given.items()]
+    with nothing_left(net):
+        file = str(CHECKOUT / 'test' / 'stand_launch.py')
+        net.start('test', net.ros('launch_test', file, *words))
+        process = net.processes.pop('test')
+        assert process.wait(timeout=patience(300)) == 0, net.log('test')
+    assert net.log('test').count('OK') == 2
+
+
 @pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
 @pytest.mark.parametrize('on_ros', [{'calibrator_node'}, set(NODES) - {'calibrator_node'}])
 def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):

@@ -47,9 +47,11 @@ def require(chosen: str) -> None:
         )
         _import(
             'imu_calib_msgs.msg',
-            'The messages of the suite are not there: {}. Build them '
-            'with `colcon build --base-paths . msg_defs` in the checkout and source '
-            'install/setup.bash.',
+            'The package imu_calib_msgs is not built, or not sourced: {}. It is the folder '
+            'msg_defs of imu_calib, below which colcon does not look. In a workspace: '
+            '`ln -s imu_calib/msg_defs src/imu_calib_msgs` and `colcon build`; in a checkout '
+            'alone: `colcon build` there, whose colcon_defaults.yaml names both; then '
+            '`source install/setup.bash`.',
         )
     else:
         for module, name in (('cyclonedds._clayer', 'Cyclone DDS'), ('rosbags.serde', 'rosbags')):

@@ -1,0 +1,29 @@
+"""The nodes' programs, as `ros2 run` starts them: a sentence where one cannot be loaded."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+
+from ..errors import ImuCalibError
+
+
+def start(node: str) -> int:
+    """Load a node and run it; return the exit code.
+
+    The runtime is chosen, and its messages are looked for, while the node's module loads.
+    """
+    try:
+        main: Callable[[], int] = import_module(f'{__package__}.{node}').main
+    except ImuCalibError as error:
+        print(f'{node}: {error}', file=sys.stderr)  # noqa: T201
+        return error.exit_code
+    return main()
+
+
+def __getattr__(name: str) -> Callable[[], int]:
+    if not name.endswith('_node'):
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return partial(start, name)
