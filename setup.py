@@ -64,6 +64,7 @@ setup(
         *shared('config'),
         *shared('launch'),
         *shared('urdf'),
+        *shared('msg_defs/action'),
         *shared('msg_defs/msg'),
     ],
     python_requires='>=3.10',

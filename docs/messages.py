@@ -1,4 +1,4 @@
-"""Write docs/messages.md: every field of every message of imu_calib_msgs, as its definition has it.
+"""Write docs/messages.md: every field of the messages and the action of imu_calib_msgs.
 
 Usage: python docs/messages.py
 """
@@ -7,13 +7,14 @@ import re
 from pathlib import Path
 
 PAGE = Path(__file__).with_suffix('.md')
-FOLDER = Path(__file__).resolve().parents[1] / 'msg_defs' / 'msg'
+FOLDER = Path(__file__).resolve().parents[1] / 'msg_defs'
 LINE = re.compile(r'(?P<kind>[\w/\[\]]+) +(?P<name>\w+)(?P<value>=\S+)? *(?:# *(?P<words>.*))?')
 
 HEAD = """# Messages
 
-The messages of the package `imu_calib_msgs` ([msg_defs/msg](../msg_defs/msg)), from which this page
-is written (`python docs/messages.py`). On which topics they go, and with which quality of service:
+The messages of the package `imu_calib_msgs` ([msg_defs/msg](../msg_defs/msg)) and its action
+([msg_defs/action](../msg_defs/action)), from which this page is written
+(`python docs/messages.py`). On which topics they go, and with which quality of service:
 [middleware.md](middleware.md#quality-of-service). The others are those of ROS: `sensor_msgs/Imu`,
 `sensor_msgs/JointState`, `sensor_msgs/Temperature`, `diagnostic_msgs/DiagnosticArray`.
 """
@@ -21,14 +22,19 @@ is written (`python docs/messages.py`). On which topics they go, and with which 
 
 def page() -> str:
     """Return the page."""
-    return HEAD + ''.join(_section(path) for path in sorted(FOLDER.glob('*.msg')))
+    messages = sorted(FOLDER.glob('msg/*.msg'))
+    actions = sorted(FOLDER.glob('action/*.action'))
+    return HEAD + ''.join(_section(path) for path in [*messages, *actions])
 
 
 def _section(path: Path) -> str:
     """Return the table of a message; a line of comment alone goes on with what is above it."""
+    parts = iter(['**result**', '**feedback**'])
     lead: list[str] = []
     rows: list[list[str]] = []
     for line in path.read_text('utf-8').splitlines():
+        if line == '---':
+            rows.append(['', '', next(parts)])
         found = LINE.fullmatch(line.strip())
         if found:
             name = found['name'] + (found['value'] or '')
@@ -46,7 +52,7 @@ def _section(path: Path) -> str:
     )
     text += '|---|---|---|\n'
     for kind, name, words in rows:
-        prose = re.sub(r'([|*<])', r'\\\1', words)
+        prose = words if words.startswith('**') else re.sub(r'([|*<])', r'\\\1', words)
         text += f'| {_code(kind)} | {_code(name)} | {prose} |\n'
     return text
 

@@ -60,6 +60,38 @@ _BUILT_IN = {
     'trajectory_msgs/msg/JointTrajectory': (
         'std_msgs/Header header\nstring[] joint_names\nJointTrajectoryPoint[] points\n'
     ),
+    'trajectory_msgs/msg/MultiDOFJointTrajectoryPoint': (
+        'geometry_msgs/Transform[] transforms\ngeometry_msgs/Twist[] velocities\n'
+        'geometry_msgs/Twist[] accelerations\nbuiltin_interfaces/Duration time_from_start\n'
+    ),
+    'trajectory_msgs/msg/MultiDOFJointTrajectory': (
+        'std_msgs/Header header\nstring[] joint_names\nMultiDOFJointTrajectoryPoint[] points\n'
+    ),
+    'geometry_msgs/msg/Transform': 'Vector3 translation\nQuaternion rotation\n',
+    'geometry_msgs/msg/Twist': 'Vector3 linear\nVector3 angular\n',
+    'control_msgs/msg/JointTolerance': (
+        'string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration\n'
+    ),
+    'control_msgs/msg/JointComponentTolerance': (
+        'uint16 X_AXIS=1\nuint16 Y_AXIS=2\nuint16 Z_AXIS=3\nuint16 TRANSLATION=4\n'
+        'uint16 ROTATION=5\nstring joint_name\nuint16 component\n'
+        'float64 position\nfloat64 velocity\nfloat64 acceleration\n'
+    ),
+    'unique_identifier_msgs/msg/UUID': 'uint8[16] uuid\n',
+    'action_msgs/msg/GoalInfo': (
+        'unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp\n'
+    ),
+    'action_msgs/msg/GoalStatus': (
+        'int8 STATUS_UNKNOWN=0\nint8 STATUS_ACCEPTED=1\nint8 STATUS_EXECUTING=2\n'
+        'int8 STATUS_CANCELING=3\nint8 STATUS_SUCCEEDED=4\nint8 STATUS_CANCELED=5\n'
+        'int8 STATUS_ABORTED=6\nGoalInfo goal_info\nint8 status\n'
+    ),
+    'action_msgs/msg/GoalStatusArray': 'GoalStatus[] status_list\n',
+    'action_msgs/srv/CancelGoal_Request': 'action_msgs/GoalInfo goal_info\n',
+    'action_msgs/srv/CancelGoal_Response': (
+        'int8 ERROR_NONE=0\nint8 ERROR_REJECTED=1\nint8 ERROR_UNKNOWN_GOAL_ID=2\n'
+        'int8 ERROR_GOAL_TERMINATED=3\nint8 return_code\naction_msgs/GoalInfo[] goals_canceling\n'
+    ),
     # The empty request of a service is one byte on the wire.
     'std_srvs/srv/Trigger_Request': 'uint8 structure_needs_at_least_one_member\n',
     'std_srvs/srv/Trigger_Response': 'bool success\nstring message\n',
@@ -72,6 +104,42 @@ _BUILT_IN = {
     'rmw_dds_common/msg/ParticipantEntitiesInfo': (
         'Gid gid\nNodeEntitiesInfo[] node_entities_info_seq\n'
     ),
+}
+
+# Goal, result and feedback, as an .action file has them between its rules.
+_ACTIONS = {
+    'control_msgs/action/FollowJointTrajectory': (
+        'trajectory_msgs/JointTrajectory trajectory\n'
+        'trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory\n'
+        'control_msgs/JointTolerance[] path_tolerance\n'
+        'control_msgs/JointComponentTolerance[] component_path_tolerance\n'
+        'control_msgs/JointTolerance[] goal_tolerance\n'
+        'control_msgs/JointComponentTolerance[] component_goal_tolerance\n'
+        'builtin_interfaces/Duration goal_time_tolerance\n'
+        '---\n'
+        'int32 SUCCESSFUL=0\nint32 INVALID_GOAL=-1\nint32 INVALID_JOINTS=-2\n'
+        'int32 OLD_HEADER_TIMESTAMP=-3\nint32 PATH_TOLERANCE_VIOLATED=-4\n'
+        'int32 GOAL_TOLERANCE_VIOLATED=-5\n'
+        'int32 error_code\nstring error_string\n'
+        '---\n'
+        'std_msgs/Header header\nstring[] joint_names\n'
+        'trajectory_msgs/JointTrajectoryPoint desired\n'
+        'trajectory_msgs/JointTrajectoryPoint actual\n'
+        'trajectory_msgs/JointTrajectoryPoint error\n'
+        'string[] multi_dof_joint_names\n'
+        'trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired\n'
+        'trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual\n'
+        'trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error\n'
+    ),
+}
+_PARTS = ('Goal', 'Result', 'Feedback')
+# What ROS makes of every action (design.ros2.org/articles/actions.html).
+_OF_ACTIONS = {
+    'SendGoal_Request': 'unique_identifier_msgs/UUID goal_id\n{action}_Goal goal\n',
+    'SendGoal_Response': 'bool accepted\nbuiltin_interfaces/Time stamp\n',
+    'GetResult_Request': 'unique_identifier_msgs/UUID goal_id\n',
+    'GetResult_Response': 'int8 status\n{action}_Result result\n',
+    'FeedbackMessage': 'unique_identifier_msgs/UUID goal_id\n{action}_Feedback feedback\n',
 }
 
 
@@ -114,6 +182,25 @@ def message_text(type_name: str) -> str:
     """
     if type_name in _BUILT_IN:
         return _BUILT_IN[type_name]
+    if '/action/' in type_name:
+        return _of_action(type_name)
+    return _text_of_file(type_name)
+
+
+def _of_action(type_name: str) -> str:
+    """Return the text of one of the messages of an action, for instance pkg/action/Name_Goal."""
+    package, _, short = type_name.partition('/action/')
+    name, _, part = short.partition('_')
+    action = f'{package}/action/{name}'
+    if part in _OF_ACTIONS:
+        return _OF_ACTIONS[part].format(action=action)
+    text = _ACTIONS.get(action) or _text_of_file(action)
+    # A rule is a line of its own; comments may hold three hyphens.
+    parts = re.split(r'^---$', text, flags=re.MULTILINE)
+    return parts[_PARTS.index(part)].lstrip('\n')
+
+
+def _text_of_file(type_name: str) -> str:
     for path in _candidates(type_name):
         if path.is_file():
             return path.read_text(encoding='utf-8')
@@ -121,10 +208,11 @@ def message_text(type_name: str) -> str:
 
 
 def _candidates(type_name: str) -> list[Path]:
-    package, _, name = type_name.partition('/msg/')
+    package, kind, name = type_name.split('/')
+    file = Path(kind, f'{name}.{kind}')
     prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    files = [Path(p) / 'share' / package / 'msg' / f'{name}.msg' for p in prefixes]
-    return [message_folder() / f'{name}.msg', *files] if package == _OWN else files
+    files = [Path(p) / 'share' / package / file for p in prefixes]
+    return [message_folder().parent / file, *files] if package == _OWN else files
 
 
 def _inner_types(type_name: str) -> list[str]:

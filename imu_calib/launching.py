@@ -74,7 +74,7 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
         given = dict(context.launch_configurations)
         if not port:
             given.pop('port', None)
-        problems = wrong(given) or missing(_viewers(given) if view else ())
+        problems = wrong(given) or missing((*(_viewers(given) if view else ()), *_led_by(given)))
         if problems:
             raise InputError(' '.join(problems))
         real = table and given.get('device') != _SIMULATED
@@ -113,6 +113,11 @@ def _viewers(given: Mapping[str, str]) -> tuple[str, ...]:
         return ()
     shows = given.get('rviz', 'false').lower() == 'true'
     return ('robot_state_publisher', 'rviz2') if shows else ('robot_state_publisher',)
+
+
+def _led_by(given: Mapping[str, str]) -> tuple[str, ...]:
+    """Name the package of the action that leads a table of ros2_control."""
+    return ('control_msgs',) if given.get('table_output') == 'trajectory' else ()
 
 
 def missing(packages: tuple[str, ...]) -> list[str]:

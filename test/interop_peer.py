@@ -38,6 +38,8 @@ def filled(kind, seed=1):
 def value(now, name, spelled, number):
     if hasattr(now, 'get_fields_and_field_types'):
         return filled(type(now), number + 1)
+    if name == 'goals_canceling':
+        return [filled(type(ros.actions.RunCalibration.Impl.CancelGoalService.Request().goal_info))]
     if name in INNER and isinstance(now, list):
         return [filled(INNER[name], number + k) for k in range(2)]
     if 'string' in spelled:
@@ -49,6 +51,8 @@ def value(now, name, spelled, number):
         return bytes([number % 4])
     if 'sequence' in spelled and 'int' in spelled:
         return [number, 0, number + 1]
+    if '[' in spelled and 'int' in spelled:
+        return [number + k for k in range(len(now))]
     if '[' in spelled:
         return [number + k / 8 for k in range(len(now))]
     if 'sequence' in spelled:
@@ -126,18 +130,35 @@ def stream(node):
     sys.stdin.read()
 
 
+SERVICES = ('SendGoal', 'GetResult', 'CancelGoal')
+
+
+def of_action(name):
+    """Return the names of all messages that ROS makes of an action."""
+    own = ['Goal', 'Result', 'Feedback', 'FeedbackMessage']
+    services = [f'{s}_{side}' for s in SERVICES[:2] for side in ('Request', 'Response')]
+    return [f'{name}_{part}' for part in own + services]
+
+
 def record():
     """Print the hash of every type, and the bytes of its filled message, as ROS has them."""
     from ament_index_python import get_package_share_directory
 
-    answers = [ros.Trigger.Request, ros.Trigger.Response]
+    action = ros.actions.RunCalibration
+    services = [ros.Trigger, *(getattr(action.Impl, f'{s}Service') for s in SERVICES)]
+    answers = [kind for s in services for kind in (s.Request, s.Response)]
+    parts = [action.Goal, action.Result, action.Feedback, action.Impl.FeedbackMessage]
     known = {}
-    for kind in [*KINDS.values(), *INNER.values(), M.TimeMsg, M.DurationMsg, *answers]:
+    others = [M.TimeMsg, M.DurationMsg, *answers, *parts]
+    for kind in [*KINDS.values(), *INNER.values(), *others]:
         package, folder = kind.__module__.split('.')[:2]
         name = f'{package}/{folder}/{kind.__name__}'
         known[name] = {'bytes': ros.serialize_message(filled(kind)).hex()}
     for name in ('Gid', 'NodeEntitiesInfo', 'ParticipantEntitiesInfo'):
         known[f'rmw_dds_common/msg/{name}'] = {}
+    # Goals of the controller have fields of one name and different kinds: their hashes are told.
+    known |= {name: {} for name in of_action('control_msgs/action/FollowJointTrajectory')}
+    known['action_msgs/msg/GoalStatusArray'] = {}
     for name, described in known.items():
         package, folder, short = name.split('/')
         share = Path(get_package_share_directory(package)) / folder

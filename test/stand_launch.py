@@ -49,4 +49,4 @@ class TheEnd(unittest.TestCase):
         launch_testing.asserts.assertExitCodes(proc_info)
 
     def test_the_table_stands(self, proc_output):
-        launch_testing.asserts.assertInStderr(proc_output, 'the table stands', 'turntable_node')
+        launch_testing.asserts.assertInStderr(proc_output, 'the table stands', 'stand_node')

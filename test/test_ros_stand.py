@@ -31,7 +31,9 @@ PACKAGE = None if SETUP is None else SETUP.parent / 'imu_calib'
 LAUNCHABLE = PACKAGE is not None and (PACKAGE / 'lib/imu_calib/stand_node').is_file()
 pytestmark = [
     needs(
-        'rclpy', 'rmw_cyclonedds_cpp', verbs=['launch', 'node', 'param', 'run', 'service', 'topic']
+        'rclpy',
+        'rmw_cyclonedds_cpp',
+        verbs=['action', 'launch', 'node', 'param', 'run', 'service', 'topic'],
     ),
     pytest.mark.skipif(not LAUNCHABLE, reason='not built: colcon build, source install/setup.bash'),
 ]
@@ -54,6 +56,8 @@ RECORDED = (
 GLOBAL = {'/clock', '/diagnostics', '/parameter_events', '/rosout'}
 NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 TRIGGER = 'std_srvs/srv/Trigger'
+GOAL = ('action', 'send_goal', '/turntable_node/run_calibration')
+GOAL += ('imu_calib_msgs/action/RunCalibration', '--feedback')
 
 
 class Network:
@@ -216,7 +220,8 @@ def session(tmp_path_factory):
         net.says('launch', 'Waiting for /imu/pulses.', 'Frames come in.')
         if BAG:
             record(net)
-        seen.started = net.call('/turntable_node/start')
+        net.start('goal', net.ros('ros2', *GOAL, '{plan: short}'))
+        net.says('goal', 'Feedback:')
         seen.parameters = net.ask('param', 'list', '/turntable_node', *look)
         seen.latitude = net.ask('param', 'get', '/calibrator_node', 'latitude', *look)
         seen.described = net.ask('param', 'describe', '/turntable_node', 'setpoint_rate', *look)
@@ -226,14 +231,28 @@ def session(tmp_path_factory):
         echoed = net.ask(*echo, *latched, '/calibration', 'imu_calib_msgs/msg/ImuCalibration')
         seen.echoed = yaml.safe_load(echoed.split('\n---')[0])
         seen.recorded = net.stop('record') if BAG else ''
+        assert net.processes.pop('goal').wait(timeout=patience()) == 0
+        seen.goal = net.log('goal')
         seen.launched = net.stop('launch')
     seen.live = Calibration.load(net.folder / 'calibration.yaml')
     return seen
 
 
 def test_a_launched_session_ends_in_the_true_parameters(session):
-    assert session.started == (True, 'Runs short.')
     check_truth(session.live)
+
+
+def test_the_tool_of_ros_runs_a_goal_to_its_calibration(session):
+    assert 'Goal finished with status: SUCCEEDED' in session.goal
+    told, result = session.goal.split('Result:\n')
+    assert re.search(r'phase: 3\n.*Turning', told)
+    # Of the twelve positions' 24 parameters, how far they are.
+    assert told.count('standard_deviations:\n- ') > 1
+    result = yaml.safe_load(result.split('\n\nGoal')[0].replace('    calibration:', 'calibration:'))
+    assert result['calibration']['status'] == VALID
+    assert result['calibration']['k_gx'] == session.live.model.vector()[0]
+    assert result['file'] == str(session.net.folder / 'calibration.yaml')
+    assert result['journal'] == str(session.net.folder / 'journal')
 
 
 def test_ctrl_c_ends_the_launched_stand_in_order(session):
@@ -307,11 +326,9 @@ def test_services_lead_a_stand_in_its_namespace(tmp_path):
 def test_a_real_stand_and_a_calibrator_alone_are_launched(tmp_path):
     net = Network(tmp_path)
     port = f'socket://127.0.0.1:{free_port()}'
-    real = {'port': port, 'device': 'simulated', 'table_output': 'trajectory', 'namespace': 'real'}
-    real |= viewed()
+    real = {'port': port, 'device': 'simulated', 'namespace': 'real', **viewed()}
     alone = {'imu_topic': '/my/imu', 'journal': 'other', 'namespace': 'alone'}
     ours = {'/real/imu/pulses', '/real/turntable/setpoint', '/alone/calibration', '/my/imu'}
-    trajectories = '/real/joint_trajectory_controller/joint_trajectory'
     with nothing_left(net):
         for name, given in (('stand', real), ('calibrator', alone)):
             words = [f'{k}:={v}' for k, v in {'latitude': LATITUDE, **given}.items()]
@@ -320,7 +337,7 @@ def test_a_real_stand_and_a_calibrator_alone_are_launched(tmp_path):
         net.says('calibrator', 'Waiting for /my/imu')
         topics = net.ask('topic', 'list', '--no-daemon', '--spin-time', '2').split()
         written = net.stop('calibrator') + net.stop('stand')
-    assert ours | {trajectories} <= set(topics)
+    assert ours <= set(topics)
     # The table's leader, the IMU and two calibrators.
     assert written.count('process has finished cleanly') == 4 + len(VIEW)
     assert 'Traceback' not in written
@@ -378,12 +395,18 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
         ('bringup', {'baud': 'fast'}, 'Argument baud:=fast'),
         ('table_view', {'rviz': 'perhaps'}, 'Argument rviz:=perhaps'),
         ('simulated_stand', {'rviz': 'true'}, 'apt install ros-jazzy-rviz2'),
+        (
+            'stand',
+            {'port': 'x', 'device': '', 'latitude': '1', 'table_output': 'trajectory'},
+            'apt install ros-jazzy-control-msgs',
+        ),
     ],
 )
 def test_what_cannot_be_launched_is_refused_before_the_first_node(name, given, sentence, tmp_path):
     net = Network(tmp_path)
-    if 'apt' in sentence and has_package('rviz2'):
-        pytest.skip('RViz is here')
+    wanted = sentence.removeprefix('apt install ros-jazzy-').replace('-', '_')
+    if 'apt' in sentence and has_package(wanted):
+        pytest.skip(f'{wanted} is here')
     words = [f'{k}:={v}' for k, v in given.items()]
     with nothing_left(net):
         net.start('launch', net.ros('ros2', 'launch', 'imu_calib', f'{name}.launch.py', *words))
@@ -402,6 +425,40 @@ def test_a_table_is_not_launched_in_the_default_domain(tmp_path):
         assert process.wait(timeout=patience(60)) != 0
     assert 'ROS_DOMAIN_ID is 0: a table is not led in the default domain' in net.log('launch')
     assert 'process started' not in net.log('launch')
+
+
+@pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
+def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
+    folder = tmp_path / 'stand'
+    words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--latitude', str(LATITUDE)]
+    parameters = stand_session.parameters(main.build_parser().parse_args(words), folder)
+    parameters['turntable_node'] |= {'autostart': False, 'supervised': False}
+    parameters['stand_node']['speed'] = 2.0
+    folder.mkdir()
+    net = Network(tmp_path)
+    library = next((PACKAGE / 'lib').glob('python3*/site-packages'))
+    alone = {'IMU_CALIB_MIDDLEWARE': 'dds', 'PYTHONPATH': str(library)}
+    with nothing_left(net):
+        for name in ('stand_node', 'imu_node', 'turntable_node'):
+            file = tmp_path / f'{name}.yaml'
+            file.write_text(yaml.safe_dump({name: {'ros__parameters': parameters[name]}}))
+            words = ['-m', f'imu_calib.nodes.{name}', '--ros-args', '--params-file', str(file)]
+            net.start(name, [sys.executable, *words], **alone)
+        net.says('turntable_node', 'Joint states come in.')
+        net.start('refused', net.ros('ros2', *GOAL, '{plan: another}'))
+        assert net.processes.pop('refused').wait(timeout=patience()) == 0
+        net.start('goal', net.ros('ros2', *GOAL, '{plan: short}'))
+        net.says('goal', 'phase: 3')
+        net.processes['goal'].send_signal(signal.SIGINT)
+        net.processes.pop('goal').wait(timeout=patience())
+        net.says('turntable_node', 'Cancelled by the client of run_calibration.')
+        rates = one_joint_state(net)[1]
+        logs = [net.stop(name) for name in ('turntable_node', 'imu_node', 'stand_node')]
+    assert 'Goal finished with status: ABORTED' in net.log('refused')
+    assert 'names the plan another, this table runs short' in net.log('refused')
+    assert 'Goal canceled' in net.log('goal')
+    assert not any(rates)
+    assert 'Traceback' not in ''.join(logs)
 
 
 @needs('launch_testing', 'launch_testing_ros')

@@ -137,16 +137,10 @@ class Watcher(ros.Node):
 
     def __init__(self):
         super().__init__('watcher')
-        self.states, self.trajectories, self.diagnostics = [], [], []
+        self.states, self.diagnostics = [], []
         kinds = ros.messages
         self.create_subscription(
             kinds.TurntableState, 'turntable/state', self.states.append, qos.latched()
-        )
-        self.create_subscription(
-            kinds.JointTrajectory,
-            'joint_trajectory_controller/joint_trajectory',
-            self.trajectories.append,
-            10,
         )
         self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.diagnostics.append, 10)
         self.estop = self.create_publisher(kinds.Bool, 'estop', 10)
@@ -568,20 +562,6 @@ def test_what_cannot_work_is_a_sentence_and_an_exit_code(session, changes, words
     assert process.returncode == 2
     assert words in err
     assert 'Traceback' not in err
-
-
-def test_a_trajectory_controller_gets_finite_trajectories(session):
-    session.open(autostart=True, output='trajectory')
-    session.reaches(Phase.TURNING)
-    session.press('pause')
-    assert session.until(lambda: len(session.watcher.trajectories) >= 2)
-    turn, stop = session.watcher.trajectories[-2:]
-    assert list(turn.joint_names) == ['outer', 'middle', 'inner']
-    assert turn.points[-1].positions[0] == pytest.approx(4 * np.pi)
-    assert max(p.velocities[0] for p in turn.points) == pytest.approx(8 * np.pi)
-    for trajectory in session.watcher.trajectories:
-        assert max(map(abs, trajectory.points[-1].velocities)) == 0
-    assert (stop.header.stamp.sec, stop.header.stamp.nanosec, len(stop.points)) == (0, 0, 1)
 
 
 def test_simulated_time_may_run_ahead_of_the_wall_clock(session):

@@ -24,6 +24,7 @@ from rclpy import (
     spin_until_future_complete,
     try_shutdown,
 )
+from rclpy.action import ActionClient
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
@@ -58,11 +59,14 @@ from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from ..errors import InputError
+from . import ros_action_types as actions
 from . import ros_messages as messages
 from . import ros_sources
 from .domain import domain_id as checked_domain
+from .ros_actions import GoalServer
 
 __all__ = [
+    'ActionClient',
     'Clock',
     'ClockType',
     'Context',
@@ -71,6 +75,7 @@ __all__ = [
     'ExternalShutdownException',
     'FloatingPointRange',
     'Future',
+    'GoalServer',
     'HistoryPolicy',
     'IntegerRange',
     'InvalidParameterTypeException',
@@ -94,6 +99,7 @@ __all__ = [
     'Time',
     'Trigger',
     'acknowledged',
+    'actions',
     'create_node',
     'deserialize_message',
     'drain',

@@ -46,8 +46,8 @@ def require(chosen: str) -> None:
             f'whose Python this is, or set {VARIABLE}=dds to do without ROS.',
         )
         _import(
-            'imu_calib_msgs.msg',
-            'The package imu_calib_msgs is not built, or not sourced: {}. It is the folder '
+            'imu_calib_msgs.action',
+            'The package imu_calib_msgs is not built, not sourced or old: {}. It is the folder '
             'msg_defs of imu_calib, below which colcon does not look. In a workspace: '
             '`ln -s imu_calib/msg_defs src/imu_calib_msgs` and `colcon build`; in a checkout '
             'alone: `colcon build` there, whose colcon_defaults.yaml names both; then '

@@ -242,7 +242,7 @@ class CalibratorNode(ros.Node):
         )
 
     def _publish_progress(self) -> None:
-        message = progress_message(self._session, self._steps, self._seconds_left)
+        message = progress_message(self._session, self._steps, self._seconds_left, self._output)
         self._progress_publisher.publish(message)
 
     def _report(self) -> None:

@@ -37,7 +37,7 @@ def sentence(session: LiveSession) -> str:
 
 
 def progress_message(
-    session: LiveSession, steps: int, seconds_left: float
+    session: LiveSession, steps: int, seconds_left: float, file: Path
 ) -> messages.CalibrationProgress:
     """Return how far a session has come.
 
@@ -45,6 +45,7 @@ def progress_message(
         session: Which one.
         steps: Of its plan, or holds.
         seconds_left: As the table's leader says, s; NaN where nobody does.
+        file: Where the result is written.
 
     """
     review = session.review
@@ -66,6 +67,8 @@ def progress_message(
         repeat_steps=[] if review is None else list(review.unsupported),
         next_attitudes=[] if guidance is None else [c.words for c in guidance.candidates],
         next_gains=[] if guidance is None else [float(c.gain) for c in guidance.candidates],
+        file=str(file.absolute()),
+        journal=str(session.journal.path.absolute()),
     )
     message.header.stamp = stamp
     return message

@@ -20,19 +20,22 @@ from ..middleware import (
     messages,
     open_drain,
     serialize_message,
+    spin_once,
 )
 from ..plan import load_plan
-from ..sequencing import Lead, Overtaken, Sequencer, State
+from ..sequencing import Sequencer, State
 from ..stream import Mode, Setpoint, SetpointBlock
 from ..turntable import load_table
 from . import qos
-from .convert import state_message, trajectory_message
+from .controller import Controller
+from .convert import state_message
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 from .heartbeat import Heartbeat
 from .publishers import OnePublisher
 from .rules import declare_rules
+from .run_action import RunAction
 from .stop import EmergencyStop, state_folder
 from .words import figures, sentence
 
@@ -45,6 +48,8 @@ _LOOK_PERIOD = 0.1
 judgement; a foreign setpoint is answered at once, without looking."""
 _LAST_HOLDS = 3
 """HOLDs sent as the node ends: one that is lost on the way has two more."""
+_LAST_ROUNDS = 20
+"""Rounds of the executor for the result of a goal to leave as the node ends; it takes three."""
 _REMEMBERED = 256
 """So many messages may be on their way back to the node that sent them."""
 
@@ -97,7 +102,7 @@ class TurntableNode(Node):
         self._sequencer = Sequencer(plan, table, declare_rules(partial(declare, self)))
         if resume:
             self._sequencer.resume()
-        self._lead = self._declare_output()
+        self._controller = self._declare_output()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._malformed = Malformed()
         self._revision = -1
@@ -138,9 +143,11 @@ class TurntableNode(Node):
         self.create_service(Trigger, '~/release', self._on_release)
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/abort', self._on_abort)
+        self._action = RunAction(self, self._sequencer, self._start, self._at_once)
         self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
         self.create_timer(_LOOK_PERIOD, self._look_around, clock=self._steady)
         self._tell()
+        self._look_around()
 
     def stop(self) -> Sequence[Any]:
         """Hold the table, as the last word; return the publishers that must be heard."""
@@ -149,21 +156,34 @@ class TurntableNode(Node):
         for _ in range(_LAST_HOLDS):
             self._send(self._sequencer.hold(self._stamp()))
         self._publish_state(self._sequencer.state())
-        outputs = [self._setpoints, self._states]
-        return outputs if self._lead is None else [*outputs, self._trajectories]
+        self._answer_the_last()
+        return [self._setpoints, self._states]
 
-    def _declare_output(self) -> Lead | None:
+    def _answer_the_last(self) -> None:
+        """Let open goals end: the client's, and the controller's, which is the stop."""
+        waits = self._action.end('The turntable node ends.')
+        if self._controller is not None:
+            waits |= not self._controller.answered
+        if waits:
+            self._sequencer.forbid('end', 'The turntable node ends.')
+        for _ in range(_LAST_ROUNDS if waits else 0):
+            spin_once(self, timeout_sec=0.0)
+        # Timers run meanwhile: it gives up on one that does not answer.
+        while self._controller is not None and not self._controller.answered:
+            spin_once(self, timeout_sec=_DRAIN_PERIOD)
+
+    def _declare_output(self) -> Controller | None:
         output = declare(
             self,
             'output',
             'setpoint',
             'setpoint: turntable/setpoint alone; trajectory: to a ros2_control controller too.',
         )
-        topic = declare(
+        action = declare(
             self,
-            'trajectory_topic',
-            'joint_trajectory_controller/joint_trajectory',
-            'Where the joint_trajectory_controller listens.',
+            'trajectory_action',
+            'joint_trajectory_controller/follow_joint_trajectory',
+            'Action control_msgs/FollowJointTrajectory of the joint_trajectory_controller.',
         )
         if output not in {'setpoint', 'trajectory'}:
             raise InputError(
@@ -171,8 +191,7 @@ class TurntableNode(Node):
             )
         if output == 'setpoint':
             return None
-        self._trajectories = self.create_publisher(messages.JointTrajectory, topic, 10)
-        return Lead(self._sequencer.table)
+        return Controller(self, action, self._sequencer, self._at_once)
 
     def _work(self) -> None:
         """Take what has come, go on, and send what is due."""
@@ -188,6 +207,7 @@ class TurntableNode(Node):
             self._start_by_itself()
         self._send_what_is_due(now)
         self._tell()
+        self._action.look(now)
 
     def _take(self, payloads: list[bytes], now: float) -> None:
         for block in decode_joints(Messages.join(payloads), self._malformed):
@@ -257,16 +277,8 @@ class TurntableNode(Node):
         """Publish a setpoint; the calibrator reads it where a trajectory moves the table, too."""
         (payload,) = encode_setpoints(SetpointBlock((setpoint,))).payloads()
         self._publish(self._setpoints, bytes(payload))
-        feedback = self._sequencer.feedback
-        if self._lead is None or feedback is None:
-            return
-        try:
-            piece = self._lead.piece(setpoint, feedback)
-        except Overtaken as error:
-            self._sequencer.fail(str(error))
-            piece = self._lead.piece(self._sequencer.hold(setpoint.stamp), feedback)
-        if piece is not None:
-            self._trajectories.publish(trajectory_message(piece, setpoint.joints))
+        if self._controller is not None:
+            self._controller.follow(setpoint, self._steady.now().nanoseconds * 1e-9)
 
     def _tell(self) -> None:
         """Publish the state when it changes, and now and then."""
@@ -312,8 +324,6 @@ class TurntableNode(Node):
     def _watch_publishers(self) -> dict[str, OnePublisher]:
         """Watch who publishes what is one node's alone; hear who else leads this table."""
         names = ['turntable/joint_states', 'calibration/progress', 'estop']
-        if self._lead is not None:
-            names.append(self._trajectories.topic_name)
         for name, kind in (
             ('turntable/setpoint', messages.TurntableSetpoint),
             ('turntable/state', messages.TurntableState),
@@ -327,6 +337,8 @@ class TurntableNode(Node):
         """Hear who says stop; hold the table while what is one node's has two publishers."""
         self._estop.look()
         now = self._steady.now().nanoseconds * 1e-9
+        if self._controller is not None:
+            self._controller.look(now, self._diagnostics)
         found = {name: watched.look(now) for name, watched in self._alone.items()}
         for name, words in found.items():
             self._sequencer.forbid(name, words)
@@ -397,6 +409,7 @@ class TurntableNode(Node):
         """Take progress of this plan: the calibrator is there, and may ask for steps again."""
         now = self._steady.now().nanoseconds * 1e-9
         self._heard_at = now
+        self._action.hear(message)
         if not self._alone['calibration/progress'].is_alone(now):
             return
         # rclpy's Time refuses what lies before 1970, where simulated time may begin.
@@ -453,9 +466,18 @@ class TurntableNode(Node):
             self._autostart = False
         except InputError as error:
             response.success, response.message = False, str(error)
+        self._at_once()
+        return response
+
+    def _start(self) -> str:
+        said = self._sequencer.start()
+        self._autostart = False
+        return said
+
+    def _at_once(self) -> None:
+        """Send and tell what has changed, before anything else comes."""
         self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
         self._tell()
-        return response
 
 
 def _content(payload: bytes) -> bytes:

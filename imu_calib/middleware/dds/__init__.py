@@ -1,6 +1,8 @@
 """The subset of rclpy over the wheel `cyclonedds`; see `imu_calib.middleware`."""
 
 from . import standard as messages
+from . import standard_actions as actions
+from .action import ActionClient, GoalServer
 from .clock import Clock, ClockType, Duration, Time
 from .codec import deserialize_message, serialize_message
 from .context import Context, get_default_context, init, ok, shutdown, try_shutdown
@@ -41,6 +43,7 @@ from .qos import (
 from .services import Trigger
 
 __all__ = [
+    'ActionClient',
     'Clock',
     'ClockType',
     'Context',
@@ -49,6 +52,7 @@ __all__ = [
     'ExternalShutdownException',
     'FloatingPointRange',
     'Future',
+    'GoalServer',
     'HistoryPolicy',
     'IntegerRange',
     'InvalidParameterTypeException',
@@ -72,6 +76,7 @@ __all__ = [
     'Time',
     'Trigger',
     'acknowledged',
+    'actions',
     'create_node',
     'deserialize_message',
     'drain',

@@ -38,7 +38,7 @@ _TEND_PERIOD = 0.1
 class Node:
     """A node with publishers, subscriptions, timers, services and parameters.
 
-    Not offered: actions, lifecycle, callback groups, parameter services (`ros2 param`), /rosout,
+    Not offered: lifecycle, callback groups, parameter services (`ros2 param`), /rosout,
     /parameter_events, content filters, serialised services, QoS beyond `QoSProfile`.
     """
 

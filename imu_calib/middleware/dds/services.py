@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import struct
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .codec import deserialize_message, serialize_message
@@ -50,7 +51,10 @@ def _ends(
 
 
 class Service:
-    """Answers requests; the callback takes request and response and returns the response."""
+    """Answers requests; the callback takes request and response and returns the response.
+
+    It may return a future of the response instead.
+    """
 
     def __init__(
         self,
@@ -72,18 +76,29 @@ class Service:
         for payload in payloads:
             request = deserialize_message(payload, self.srv_type.Request, skip=16)
             response = self.callback(request, self.srv_type.Response())
-            if not isinstance(response, self.srv_type.Response):
-                raise TypeError(
-                    f'The callback of {self.srv_name} returned {type(response).__name__}, '
-                    f'expected {self.srv_type.Response.__name__}.'
-                )
-            self.writer.write(serialize_message(response, _request_id(payload)))
+            answer = partial(self._answer, _request_id(payload))
+            if isinstance(response, Future):
+                response.add_done_callback(partial(_when_done, answer))
+            else:
+                answer(response)
         return bool(payloads)
+
+    def _answer(self, request_id: bytes, response: Any) -> None:
+        if not isinstance(response, self.srv_type.Response):
+            raise TypeError(
+                f'The callback of {self.srv_name} returned {type(response).__name__}, '
+                f'expected {self.srv_type.Response.__name__}.'
+            )
+        self.writer.write(serialize_message(response, request_id))
 
     def destroy(self) -> None:
         """Leave the service's topics."""
         self.reader.delete()
         self.writer.delete()
+
+
+def _when_done(answer: Callable[[Any], None], done: Future) -> None:
+    answer(done.result())
 
 
 def _request_id(payload: bytes) -> bytes:

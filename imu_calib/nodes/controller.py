@@ -1,0 +1,138 @@
+"""A table behind ros2_control: trajectories as goals of its joint_trajectory_controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from ..middleware import ActionClient, GoalStatus, Node, actions
+from ..sequencing import Lead, Overtaken, Sequencer
+from ..stream import Mode, Setpoint
+from .convert import trajectory_message
+from .diagnostics import Diagnostics, Level
+
+_ANSWER_TIMEOUT = 0.5
+"""s for the controller to accept a goal: as long as joint states may be silent, and shorter than
+the second by which a table is said to stall."""
+
+
+class Controller:
+    """Sends pieces of trajectories, each a goal that replaces the one before.
+
+    What the controller does not follow (a goal that it rejects, aborts, or cancels for somebody
+    else's, a goal that it does not answer) is a fault; a goal that is replaced is none. A stop
+    that it does not follow makes it cancel its goal: it then holds the table by itself.
+
+    Args:
+        node: turntable_node.
+        name: Of the action control_msgs/FollowJointTrajectory.
+        sequencer: Leads the table; hears of faults.
+        hold: Sends what the sequencer has to say now.
+
+    """
+
+    def __init__(
+        self, node: Node, name: str, sequencer: Sequencer, hold: Callable[[], None]
+    ) -> None:
+        self._kind = actions.FollowJointTrajectory
+        self._client = ActionClient(node, self._kind, name)
+        self._name = node.resolve_service_name(name)
+        self._sequencer, self._hold = sequencer, hold
+        self._lead = Lead(sequencer.table)
+        self._number = 0
+        self._asked_at: float | None = None
+        self._stops = False
+        self._handle: Any = None
+        self._fault = ''
+
+    @property
+    def answered(self) -> bool:
+        """Whether the controller has answered the last goal, or none was sent."""
+        return self._asked_at is None
+
+    def follow(self, setpoint: Setpoint, now: float) -> None:
+        """Send the piece of trajectory that is due with a setpoint.
+
+        Args:
+            setpoint: As it is sent.
+            now: Steady time, s.
+
+        """
+        at = self._sequencer.feedback
+        if at is None or not self._client.server_is_ready():
+            return
+        try:
+            piece = self._lead.piece(setpoint, at)
+        except Overtaken as error:
+            self._sequencer.fail(str(error))
+            setpoint = self._sequencer.hold(setpoint.stamp)
+            piece = self._lead.piece(setpoint, at)
+        if piece is None:
+            return
+        self._number += 1
+        self._asked_at, self._stops = now, setpoint.mode is Mode.HOLD
+        if not self._stops:
+            self._fault = ''
+        goal = self._kind.Goal(trajectory=trajectory_message(piece, self._sequencer.table.names))
+        answer = self._client.send_goal_async(goal)
+        answer.add_done_callback(partial(self._on_answer, self._number))
+
+    def look(self, now: float, diagnostics: Diagnostics) -> None:
+        """Notice a controller that is not there, or does not answer; say how it is.
+
+        Args:
+            now: Steady time, s.
+            diagnostics: Where.
+
+        """
+        missing = ''
+        if not self._client.server_is_ready():
+            missing = (
+                f'No controller serves {self._name}: start a joint_trajectory_controller, or name '
+                'its action by the parameter trajectory_action.'
+            )
+        self._sequencer.forbid('controller', missing)
+        if self._asked_at is not None and now - self._asked_at > _ANSWER_TIMEOUT:
+            self._asked_at = None
+            self._fail(f'does not answer a goal for {_ANSWER_TIMEOUT:g} s')
+        diagnostics.report(
+            'controller',
+            Level.ERROR if missing or self._fault else Level.OK,
+            missing or self._fault or 'The joint_trajectory_controller takes goals.',
+        )
+
+    def _on_answer(self, number: int, future: Any) -> None:
+        handle, newest = future.result(), number == self._number
+        if newest:
+            self._asked_at = None
+        if handle.accepted:
+            self._handle = handle
+            handle.get_result_async().add_done_callback(partial(self._on_result, number))
+        elif newest:
+            self._fail('rejects a goal')
+
+    def _on_result(self, number: int, future: Any) -> None:
+        answer = future.result()
+        if answer.status == GoalStatus.SUCCEEDED:
+            return
+        result, kind = answer.result, self._kind.Result
+        violated = {
+            kind.PATH_TOLERANCE_VIOLATED: 'the path tolerance is violated',
+            kind.GOAL_TOLERANCE_VIOLATED: 'the goal tolerance is violated',
+        }.get(result.error_code)
+        # A goal that was replaced ends as it may; a table that was off its way was off.
+        if violated is None and number != self._number:
+            return
+        cancelled = answer.status == GoalStatus.CANCELED
+        ends = 'cancels a goal, which nobody here asked for' if cancelled else 'aborts a goal'
+        words = ': '.join(filter(None, (violated, result.error_string)))
+        self._fail(f'{ends}: {words}' if words else ends)
+
+    def _fail(self, what: str) -> None:
+        self._fault = f'The controller of {self._name} {what}'.rstrip('.') + '.'
+        if self._stops and self._handle is not None:
+            # It holds the table where it is once it has no goal.
+            self._handle.cancel_goal_async()
+        self._sequencer.fail(self._fault)
+        self._hold()

@@ -1,0 +1,203 @@
+"""The action ~/run_calibration of turntable_node: start to calibration, with a way to stop it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from ..errors import InputError
+from ..middleware import GoalServer, GoalStatus, Node, actions, messages
+from ..sequencing import Phase, Sequencer
+from . import qos
+from .words import sentence
+
+_FEEDBACK_PERIOD = 0.5
+"""s between two feedbacks that say the same: as often as turntable/state."""
+_RESULT_TIMEOUT = 600.0
+"""s for the calibrator to solve a session; as long as the plan waits for its word on repeats."""
+_STOP_TIMEOUT = 10.0
+"""s that a cancelled goal waits for the table to stand: from 90 deg/s, 10 deg/s^2 brake in 9 s."""
+_FINAL = frozenset({messages.ImuCalibration.VALID, messages.ImuCalibration.INCOMPLETE})
+
+
+class RunAction:
+    """Runs the plan for a client of the action.
+
+    A goal ends with the calibrator's final result; it is aborted by whatever stops the plan but a
+    pause that somebody asked for.
+
+    Args:
+        node: turntable_node.
+        sequencer: Leads the table.
+        start: Starts the plan, and returns what that means, in words.
+        hold: Sends what the sequencer has to say now.
+
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        sequencer: Sequencer,
+        start: Callable[[], str],
+        hold: Callable[[], None],
+    ) -> None:
+        self._node, self._sequencer = node, sequencer
+        self._start, self._hold = start, hold
+        self._goal: Any = None
+        self._calibration: Any = None
+        self._progress: Any = None
+        self._since = self._told_at = 0.0
+        self._told: tuple[Any, ...] = ()
+        self._refused = ''
+        node.create_subscription(
+            messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
+        )
+        self._server = GoalServer(
+            node,
+            actions.RunCalibration,
+            '~/run_calibration',
+            accept=self._accept,
+            begin=self._begin,
+            cancel=self._on_cancel,
+        )
+
+    def hear(self, progress: Any) -> None:
+        """Take the calibrator's progress."""
+        self._progress = progress
+
+    def look(self, now: float) -> None:
+        """Tell how far it has come, and end it where it has ended.
+
+        Args:
+            now: Steady time, s.
+
+        """
+        if self._goal is None:
+            return
+        if self._refused:
+            self._end(GoalStatus.ABORTED, self._refused)
+        elif self._goal.is_cancel_requested:
+            self._finish_cancel(now)
+        else:
+            self._follow(now)
+
+    def end(self, reason: str) -> bool:
+        """End the goal that is run, because the node ends; return whether there was one."""
+        if self._goal is None:
+            return False
+        self._end(GoalStatus.ABORTED, reason)
+        return True
+
+    def _on_calibration(self, message: Any) -> None:
+        self._calibration = message
+
+    def _accept(self, goal: Any) -> bool:  # noqa: ARG002
+        """Reject a second goal: the first one goes on."""
+        if self._goal is not None:
+            self._node.get_logger().warning(
+                'A second goal for run_calibration is rejected: one is being run. Cancel it first.'
+            )
+        return self._goal is None
+
+    def _begin(self, goal: Any) -> None:
+        """Start; a refusal is told in the result, because a rejection has no words."""
+        self._goal, self._since, self._refused = goal, math.nan, ''
+        self._calibration = None
+        try:
+            self._check_plan(goal.request.plan)
+            sequencer = self._sequencer
+            if sequencer.state().phase is Phase.PAUSED and not goal.request.resume:
+                if sequencer.obstacle:
+                    raise InputError(sequencer.obstacle)
+                sequencer.abort('Begun anew.')
+            self._start()
+        except InputError as error:
+            self._refused = str(error)
+
+    def _check_plan(self, plan: str) -> None:
+        own = self._sequencer.plan.name
+        if plan not in {'', own}:
+            raise InputError(
+                f'The goal names the plan {plan}, this table runs {own}: start turntable_node and '
+                f'calibrator_node with the parameter plan:={plan}.'
+            )
+
+    def _on_cancel(self, goal: Any) -> bool:
+        """Stop the table at once; the goal ends when it stands."""
+        if goal is not self._goal:
+            return False
+        self._since = math.nan
+        # Refused where it does not run: nothing is to be stopped.
+        with suppress(InputError):
+            self._sequencer.abort('Cancelled by the client of run_calibration.')
+        self._hold()
+        return True
+
+    def _finish_cancel(self, now: float) -> None:
+        self._since = now if math.isnan(self._since) else self._since
+        at = self._sequencer.feedback
+        stands = at is None or at.still
+        if stands or now - self._since > _STOP_TIMEOUT:
+            where = 'stands' if stands else 'does not stand yet'
+            self._end(GoalStatus.CANCELED, f'Cancelled; the table {where}.')
+
+    def _follow(self, now: float) -> None:
+        state = self._sequencer.state()
+        self._tell(now, state)
+        if state.phase is Phase.DONE:
+            self._await_result(now)
+            return
+        self._since = math.nan
+        waits = state.phase is Phase.IDLE and not state.waits_for
+        if state.phase is Phase.ABORTED or state.fault or waits:
+            self._end(GoalStatus.ABORTED, state.reason or 'The plan was not started.')
+
+    def _await_result(self, now: float) -> None:
+        """Wait for the calibrator's last word once the plan is done."""
+        self._since = now if math.isnan(self._since) else self._since
+        progress = self._progress
+        if not self._sequencer.rules.supervised:
+            self._end(GoalStatus.SUCCEEDED, 'The plan is done; no calibrator was asked for.')
+        elif progress is not None and progress.state == progress.FAILED:
+            self._end(GoalStatus.ABORTED, progress.text)
+        elif progress is not None and progress.state == progress.FINISHED and self._has_result:
+            self._end(GoalStatus.SUCCEEDED, progress.text)
+        elif now - self._since > (self._goal.request.result_timeout or _RESULT_TIMEOUT):
+            waited = now - self._since
+            self._end(GoalStatus.ABORTED, f'The plan is done; no result came for {waited:.0f} s.')
+
+    @property
+    def _has_result(self) -> bool:
+        return self._calibration is not None and self._calibration.status in _FINAL
+
+    def _tell(self, now: float, state: Any) -> None:
+        summary = self._sequencer.summary
+        if summary == self._told and now - self._told_at < _FEEDBACK_PERIOD:
+            return
+        self._told, self._told_at = summary, now
+        feedback = actions.RunCalibration.Feedback(
+            step=state.step,
+            steps=state.steps,
+            position_id=state.position,
+            phase=int(state.phase),
+            text=sentence(state),
+            seconds_left=state.seconds_left,
+        )
+        if self._progress is not None:
+            feedback.parameter_names = self._progress.parameter_names
+            feedback.standard_deviations = self._progress.standard_deviations
+        self._goal.publish_feedback(feedback)
+
+    def _end(self, status: GoalStatus, message: str) -> None:
+        goal, self._goal = self._goal, None
+        result = actions.RunCalibration.Result(message=message)
+        if self._progress is not None:
+            result.file, result.journal = self._progress.file, self._progress.journal
+        if status is GoalStatus.SUCCEEDED and self._has_result:
+            result.calibration = self._calibration
+        else:
+            result.calibration.status = messages.ImuCalibration.REFUSED
+            result.calibration.status_text = message
+        goal.end(status, result)

@@ -1,0 +1,171 @@
+"""turntable_node in front of ros2_control: a table that follows goals of its action alone."""
+
+import numpy as np
+import pytest
+import test_turntable_node as stand
+from installed import has_package
+from joint_trajectory_server import ACTION, JointTrajectoryServer
+
+from imu_calib import middleware as ros
+from imu_calib.cdr import encode_joints
+from imu_calib.sequencing import Phase
+from imu_calib.stream import JointBlock
+from imu_calib.units import DEG
+
+session = stand.session
+pytestmark = pytest.mark.skipif(
+    ros.RUNTIME == 'rclpy' and not has_package('control_msgs'),
+    reason='control_msgs: not installed',
+)
+
+
+class FollowingTable(stand.FakeTable):
+    """Joints that nobody moves but the controller."""
+
+    def __init__(self, table):
+        super().__init__(table)
+        self.deaf = True
+        self.controller = JointTrajectoryServer(self.stamp)
+
+    def tick(self):
+        self.controller.work()
+        stamp = self.stamp()
+        angles, rates = self.controller.state(stamp)
+        block = JointBlock(np.array([stamp]), stand.NAMES, angles[None], rates[None])
+        for payload in encode_joints(block).payloads():
+            self.joints.publish(payload)
+
+    def at_rest(self):
+        return not any(self.controller.state(self.stamp())[1])
+
+
+@pytest.fixture
+def led(session, monkeypatch):
+    """Return a session whose table hangs on a controller, at rest and ready."""
+    monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
+
+    def open_it(rate=90, **changes):
+        session.turn_at(rate).open(output='trajectory', **changes)
+        session.controller = session.table.controller
+        session.executor.add_node(session.controller)
+        says = session.watcher.says
+        assert session.until(lambda: says('controller', 0, 'takes goals'))
+        assert session.until(lambda: session.node._sequencer.feedback is not None)
+        return session
+
+    return open_it
+
+
+def turning(session):
+    """Start, and wait until the table turns."""
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+    assert session.until(lambda: not session.table.at_rest())
+    return session
+
+
+def stops(session, *words):
+    """Whether the run is paused by a fault, which it says, and the table stands."""
+    session.reaches(Phase.PAUSED)
+    reason = session.watcher.states[-1].reason
+    return session.ends_stopped() and all(word in reason for word in words)
+
+
+def test_goals_alone_lead_the_table_through_the_plan(led):
+    session = led(1440)
+    assert session.press('start')[0]
+    session.reaches(Phase.DONE)
+    assert session.ends_stopped()
+    angles = session.controller.state(session.table.stamp())[0]
+    np.testing.assert_allclose(angles, 0.0, atol=0.01 * DEG)
+    names = {tuple(goal.joint_names) for goal in session.controller.goals}
+    assert names == {stand.NAMES}
+    # A controller whose leader dies brakes at the end of what it has.
+    for goal in session.controller.goals:
+        assert max(map(abs, goal.points[-1].velocities)) == 0
+    fastest = [max(p.velocities[0] for p in goal.points) for goal in session.controller.goals]
+    assert any(rate == pytest.approx(1440 * DEG) for rate in fastest)
+
+
+def test_a_goal_that_is_rejected_stops_the_table(led):
+    session = turning(led())
+    session.controller.rejects = True
+    assert stops(session, f'/{ACTION}', 'rejects a goal')
+    # It rejected the way to a stop, too: its goal was cancelled.
+    assert session.controller.cancelled
+
+
+@pytest.mark.parametrize(
+    ('code', 'words'),
+    [
+        ('PATH_TOLERANCE_VIOLATED', 'the path tolerance is violated: joint outer'),
+        ('GOAL_TOLERANCE_VIOLATED', 'the goal tolerance is violated: joint outer'),
+        ('INVALID_GOAL', 'aborts a goal: joint outer'),
+    ],
+)
+def test_a_goal_that_is_aborted_stops_the_table(led, code, words):
+    session = turning(led())
+    goals = len(session.controller.goals)
+    session.controller.abort(getattr(session.controller.kind.Result, code), 'joint outer')
+    assert stops(session, words)
+    # What followed was a stop and nothing else.
+    angles = session.controller.state(session.table.stamp())[0]
+    for goal in session.controller.goals[goals:]:
+        np.testing.assert_allclose(goal.points[-1].positions, angles, atol=1 * DEG)
+
+
+def test_another_client_of_the_controller_stops_the_table(led):
+    session = turning(led())
+    client = ros.ActionClient(session.watcher, session.controller.kind, ACTION)
+    assert session.until(client.server_is_ready)
+    point = ros.messages.JointTrajectoryPoint(positions=[9.0, 9.0, 9.0], velocities=[0.0] * 3)
+    point.time_from_start.sec = 60
+    goal = session.controller.kind.Goal()
+    goal.trajectory.joint_names, goal.trajectory.points = list(stand.NAMES), [point]
+    asked = client.send_goal_async(goal)
+    assert session.until(asked.done)
+    assert stops(session, 'aborts a goal: replaced')
+
+
+def test_a_goal_that_somebody_else_cancels_stops_the_table(led):
+    session = turning(led())
+    service = session.controller.kind.Impl.CancelGoalService
+    client = session.watcher.create_client(service, f'{ACTION}/_action/cancel_goal')
+    assert session.until(client.service_is_ready)
+    # No identity and no time mean all goals.
+    client.call_async(service.Request())
+    assert stops(session, 'cancels a goal, which nobody here asked for')
+
+
+def test_a_controller_that_does_not_answer_is_a_fault(led):
+    session = led()
+    session.executor.remove_node(session.controller)
+    assert session.press('start')[0]
+    session.reaches(Phase.PAUSED)
+    assert 'does not answer a goal for 0.5 s' in session.watcher.states[-1].reason
+
+
+def test_nothing_starts_without_a_controller(session):
+    session.turn_at(90).open(output='trajectory')
+    assert session.until(lambda: session.node._sequencer.feedback is not None)
+    agreed, why = session.press('start')
+    assert not agreed
+    assert why.startswith(f'No controller serves /{ACTION}: start a joint_trajectory_controller')
+
+
+def test_a_node_that_ends_leaves_the_table_on_the_way_to_a_stop(session, monkeypatch):
+    monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
+    session.turn_at(90).open(with_node=False)
+    session.executor.add_node(session.table.controller)
+    process = session.start(output='trajectory', feedback_timeout=30.0)
+    # Refused until it has found table and controller.
+    assert session.until(lambda: session.press('start')[0])
+    session.reaches(Phase.TURNING)
+    assert session.until(lambda: not session.table.at_rest())
+    process.terminate()
+    assert session.until(lambda: process.poll() is not None)
+    assert process.returncode == 0
+    # The stop was its last word: what was led before would have gone on for longer.
+    *_, led, stop = session.table.controller.ends
+    assert stop < led
+    assert session.ends_stopped()

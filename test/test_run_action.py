@@ -1,0 +1,219 @@
+"""The action of turntable_node, asked by a client of the same runtime."""
+
+import pytest
+import test_turntable_node as stand
+from loopback import patience
+
+from imu_calib import middleware as ros
+from imu_calib.sequencing import Phase
+
+session = stand.session
+ACTION = 'turntable_node/run_calibration'
+Status = ros.GoalStatus
+
+
+class Client:
+    """Sends goals to the node of a session, and keeps what comes back.
+
+    Args:
+        session: With its nodes open.
+
+    """
+
+    def __init__(self, session):
+        self.session = session
+        kind = self.kind = ros.actions.RunCalibration
+        node = session.watcher
+        self.client = ros.ActionClient(node, kind, ACTION)
+        self.feedback = []
+        # The topic, as the client of the runtime without ROS does not offer it.
+        node.create_subscription(
+            kind.Impl.FeedbackMessage, f'{ACTION}/_action/feedback', self.feedback.append, 10
+        )
+        assert session.until(self.client.server_is_ready)
+        assert session.until(lambda: session.watcher.says('joint states', 0, 'come in'))
+
+    def ask(self, **goal):
+        """Send a goal; return its handle when it is answered."""
+        asked = self.client.send_goal_async(self.kind.Goal(**goal))
+        assert self.session.until(asked.done)
+        return asked.result()
+
+    def run(self, **goal):
+        """Send a goal that is accepted; return the future of its result."""
+        handle = self.ask(**goal)
+        assert handle.accepted
+        return handle, handle.get_result_async()
+
+    def end(self, ended):
+        """Return the status and the result of a goal when it has ended."""
+        assert self.session.until(ended.done)
+        return Status(ended.result().status), ended.result().result
+
+    def cancel(self, handle):
+        """Cancel a goal; return how many the server cancels."""
+        asked = handle.cancel_goal_async()
+        assert self.session.until(asked.done)
+        return len(asked.result().goals_canceling)
+
+
+def test_a_goal_runs_the_plan_and_tells_how_far_it_is(session):
+    client = Client(session.open())
+    _, ended = client.run(plan='tiny')
+    status, result = client.end(ended)
+    assert status is Status.SUCCEEDED
+    assert result.message == 'The plan is done; no calibrator was asked for.'
+    # Nothing was calibrated, and nothing may be taken for a calibration.
+    assert result.calibration.status == ros.messages.ImuCalibration.REFUSED
+    assert session.watcher.phase is Phase.DONE
+    assert session.until(lambda: client.feedback)
+    told = [message.feedback for message in client.feedback]
+    assert {f.step for f in told} >= {0, 1, 2}
+    assert {Phase(f.phase) for f in told} >= {Phase.TURNING, Phase.DWELLING}
+    assert {f.position_id for f in told} >= {'first', 'second'}
+    assert all(f.steps == 4 for f in told)
+    assert told[0].seconds_left > told[-1].seconds_left
+    assert session.ends_stopped()
+
+
+def test_a_cancelled_goal_stops_the_table(session):
+    client = Client(session.turn_at(90).open())
+    handle, ended = client.run()
+    session.reaches(Phase.TURNING)
+    assert session.until(lambda: not session.table.at_rest())
+    assert client.cancel(handle) == 1
+    status, result = client.end(ended)
+    assert (status, result.message) == (Status.CANCELED, 'Cancelled; the table stands.')
+    assert session.table.at_rest()
+    assert session.table.setpoints[-1].mode is stand.Mode.HOLD
+    assert session.watcher.phase is Phase.ABORTED
+    assert session.ends_stopped()
+    assert client.cancel(handle) == 0
+
+
+def test_a_second_goal_is_rejected_and_the_first_goes_on(session):
+    client = Client(session.turn_at(90).open())
+    handle, _ = client.run()
+    session.reaches(Phase.TURNING)
+    assert not client.ask().accepted
+    assert session.until(lambda: session.table.table.read, 0.3)
+    assert session.watcher.phase is Phase.TURNING
+    assert client.cancel(handle) == 1
+
+
+@pytest.mark.parametrize(
+    ('goal', 'words'),
+    [
+        ({'plan': 'twelve_position'}, 'names the plan twelve_position, this table runs tiny'),
+        ({}, 'The emergency stop is on.'),
+    ],
+)
+def test_a_goal_that_cannot_be_run_says_why(session, goal, words):
+    client = Client(session.open())
+    if not goal:
+        session.watcher.estop.publish(ros.messages.Bool(data=True))
+        session.reaches(Phase.ABORTED)
+    _, ended = client.run(**goal)
+    status, result = client.end(ended)
+    assert status is Status.ABORTED
+    assert words in result.message
+    assert session.table.at_rest()
+
+
+@pytest.mark.parametrize('way', ['abort', 'silence', 'estop'])
+def test_whatever_ends_the_run_ends_the_goal_with_the_table_at_rest(session, way):
+    client = Client(session.turn_at(90).open())
+    _, ended = client.run()
+    session.reaches(Phase.TURNING)
+    if way == 'abort':
+        assert session.press('abort')[0]
+    elif way == 'silence':
+        session.table.silent = True
+    else:
+        session.watcher.estop.publish(ros.messages.Bool(data=True))
+    words = {
+        'abort': 'Aborted on request.',
+        'silence': 'No joint state from the table for 0.5 s.',
+        'estop': 'Emergency stop.',
+    }[way]
+    status, result = client.end(ended)
+    assert (status, result.message) == (Status.ABORTED, words)
+    assert session.ends_stopped()
+
+
+def test_a_pause_keeps_the_goal_and_a_goal_may_go_on_with_what_was_paused(session):
+    client = Client(session.turn_at(90).open())
+    handle, ended = client.run()
+    session.reaches(Phase.TURNING)
+    assert session.press('pause')[0]
+    session.reaches(Phase.PAUSED)
+    assert session.ends_stopped()
+    assert not ended.done()
+    assert client.cancel(handle) == 1
+    assert client.end(ended)[0] is Status.CANCELED
+    # Begun by hand, stopped by a fault, gone on with by a goal.
+    assert session.press('start')[0]
+    session.reaches(Phase.TURNING)
+    assert session.press('pause')[0]
+    session.reaches(Phase.PAUSED)
+    handle, _ = client.run(resume=True)
+    session.reaches(Phase.TURNING)
+    assert client.cancel(handle) == 1
+
+
+def finished(session, state, status):
+    """Play the calibrator's last words."""
+    publisher = session.watcher.create_publisher(
+        ros.messages.ImuCalibration, 'calibration', stand.qos.latched()
+    )
+    assert session.until(lambda: publisher.get_subscription_count() > 0)
+    publisher.publish(ros.messages.ImuCalibration(status=status, k_gx=2e-4))
+    words = {'text': '24 parameters are determined.', 'file': '/x/c.yaml', 'journal': '/x/j'}
+    session.watcher.progress.publish(
+        ros.messages.CalibrationProgress(
+            plan='tiny', state=state, parameter_names=['K_gx'], standard_deviations=[2e-6], **words
+        )
+    )
+
+
+def test_the_result_is_the_calibration_and_where_it_is(session):
+    client = Client(session.open(supervised=True, repeat_wait=0.5, calibrator_timeout=60.0))
+    progress = ros.messages.CalibrationProgress
+    calibration = ros.messages.ImuCalibration
+    session.watcher.progress.publish(
+        progress(plan='tiny', parameter_names=['K_gx'], standard_deviations=[3e-6])
+    )
+    _, ended = client.run(plan='tiny')
+    session.reaches(Phase.DONE)
+    assert not ended.done()
+    finished(session, progress.FINISHED, calibration.VALID)
+    status, result = client.end(ended)
+    assert (status, result.message) == (Status.SUCCEEDED, '24 parameters are determined.')
+    assert (result.calibration.k_gx, result.calibration.status) == (2e-4, calibration.VALID)
+    assert (result.file, result.journal) == ('/x/c.yaml', '/x/j')
+    told = client.feedback[-1].feedback
+    assert list(told.parameter_names) == ['K_gx']
+    assert list(told.standard_deviations) == [3e-6]
+
+
+def test_a_result_is_not_waited_for_for_ever(session):
+    client = Client(session.open(supervised=True, repeat_wait=0.1, calibrator_timeout=60.0))
+    session.watcher.progress.publish(ros.messages.CalibrationProgress(plan='tiny'))
+    _, ended = client.run(result_timeout=0.2)
+    status, result = client.end(ended)
+    assert status is Status.ABORTED
+    assert result.message.startswith('The plan is done; no result came')
+
+
+def test_a_node_that_ends_answers_its_client(session):
+    session.turn_at(90).open(with_node=False)
+    process = session.start(feedback_timeout=30.0)
+    client = Client(session)
+    _, ended = client.run()
+    assert session.until(lambda: session.watcher.phase is Phase.TURNING or ended.done())
+    process.terminate()
+    status, result = client.end(ended)
+    assert (status, result.message) == (Status.ABORTED, 'The turntable node ends.')
+    process.communicate(timeout=patience())
+    assert process.returncode == 0
+    assert session.ends_stopped()
