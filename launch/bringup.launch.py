@@ -32,6 +32,7 @@ ARGUMENTS = {
     'skew_topic': ('imu/skew', 'Of a skewed gyro, where there is one.'),
     'temperature_topic': ('imu/temperature', 'sensor_msgs/Temperature of the unit.'),
     'output_topic': ('imu/data_raw', 'Rates and specific forces, SI units.'),
+    'autostart': ('true', 'Whether the nodes become active by themselves; false: by a manager.'),
     'use_sim_time': ('false', 'Whether /clock is the time.'),
     'params_file': (
         str(SHARE / 'config' / 'nodes' / 'bringup.yaml'),
@@ -102,8 +103,11 @@ def _calibration(given: dict[str, str]) -> Path | str:
 
 
 def _node(name: str, given: dict[str, str], parameters: dict[str, object]) -> Action:
-    """Return a node that is started anew where it ends: a robot goes on."""
-    time = ParameterValue(given['use_sim_time'].lower() in {'true', '1'}, value_type=bool)
+    """Return a node that is started, and made active, anew where it ends: a robot goes on."""
+    flags = {
+        key: ParameterValue(given[key].lower() in {'true', '1'}, value_type=bool)
+        for key in ('use_sim_time', 'autostart')
+    }
     typed = {
         key: ParameterValue(value, value_type=type(value)) for key, value in parameters.items()
     }
@@ -111,7 +115,7 @@ def _node(name: str, given: dict[str, str], parameters: dict[str, object]) -> Ac
         package='imu_calib',
         executable=name,
         namespace=given['namespace'],
-        parameters=[given['params_file'], {'use_sim_time': time, **typed}],
+        parameters=[given['params_file'], {**flags, **typed}],
         remappings=[
             ('imu/pulses', given['imu_topic']),
             ('imu/skew', given['skew_topic']),

@@ -69,6 +69,34 @@ def test_what_cannot_be_used_is_said_in_a_sentence(folder, arguments, sentence):
         described(calibrations=folder, **arguments)
 
 
+@needs('lifecycle_msgs', verbs=['service'])
+def test_a_manager_makes_the_nodes_active(folder, tmp_path):
+    net = Network(tmp_path)
+    given = {'calibrations': folder, 'serial': 'A1', 'autostart': 'false'}
+    listed = [f'{name}:={value}' for name, value in given.items()]
+
+    def change(number):
+        """Ask for a transition of lifecycle_msgs/Transition."""
+        request = f'{{transition: {{id: {number}}}}}'
+        kind = 'lifecycle_msgs/srv/ChangeState'
+        answer = net.ask('service', 'call', '/compensator_node/change_state', kind, request)
+        return 'success=True' in answer
+
+    with nothing_left(net):
+        net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'bringup.launch.py', *listed))
+        # No node becomes active before it is configured.
+        assert not change(3)
+        assert change(1)
+        net.says('launch', 'A1.yaml is applied')
+        assert change(3)
+        net.says('launch', 'Active: samples are compensated.')
+        assert change(4)
+        net.says('launch', 'Not active: nothing is published.')
+        written = net.stop('launch')
+    assert 'Traceback' not in written
+    assert written.index('A1.yaml is applied') < written.index('Active: samples')
+
+
 @pytest.mark.skipif(not has_wheel(), reason='the wheel cyclonedds is not in this Python')
 def test_in_a_namespace_the_robots_topics_carry_rates(folder, tmp_path):
     net = Network(tmp_path)

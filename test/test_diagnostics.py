@@ -36,6 +36,8 @@ def spoken():
     """Return node and part of everything that the sources report."""
     words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_words.py'
     parts = {('calibrator_node', part) for part in first_texts(words, 'report')}
+    controller = words.with_name('controller.py')
+    parts |= {('turntable_node', part) for part in first_texts(controller, 'report')}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in first_texts(path, 'report')}
         if 'Commands(' in path.read_text():

@@ -56,8 +56,8 @@ RECORDED = (
 GLOBAL = {'/clock', '/diagnostics', '/parameter_events', '/rosout'}
 NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 TRIGGER = 'std_srvs/srv/Trigger'
-GOAL = ('action', 'send_goal', '/turntable_node/run_calibration')
-GOAL += ('imu_calib_msgs/action/RunCalibration', '--feedback')
+GOAL = ('action', 'send_goal', '--feedback', '/turntable_node/run_calibration')
+GOAL += ('imu_calib_msgs/action/RunCalibration',)
 
 
 class Network:

@@ -64,6 +64,7 @@ from . import ros_messages as messages
 from . import ros_sources
 from .domain import domain_id as checked_domain
 from .ros_actions import GoalServer
+from .ros_lifecycle import ManagedNode
 
 __all__ = [
     'ActionClient',
@@ -82,6 +83,7 @@ __all__ = [
     'InvalidParameterValueException',
     'Logger',
     'LoggingSeverity',
+    'ManagedNode',
     'Node',
     'Parameter',
     'ParameterAlreadyDeclaredException',

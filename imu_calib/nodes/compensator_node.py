@@ -57,7 +57,7 @@ class _Second:
     marked: dict[Mark, int] = field(default_factory=dict)
 
 
-class CompensatorNode(ros.Node):
+class CompensatorNode(ros.ManagedNode):
     """Publishes imu/data_raw from imu/pulses, by the calibration of a file or of a topic."""
 
     def __init__(self) -> None:
@@ -73,6 +73,9 @@ class CompensatorNode(ros.Node):
         )
         self._frame_id = declare(
             self, 'frame_id', '', "frame of the output; empty: the input's own"
+        )
+        autostart = declare(
+            self, 'autostart', True, 'Configure and activate at the start, not by a manager.'
         )
         self._file = Path(file).expanduser() if file else None
         # Whoever names a file has chosen: a stranger's message must not replace it.
@@ -97,8 +100,8 @@ class CompensatorNode(ros.Node):
         )
         self._second = _Second(time.monotonic())
         self._counted: dict[Mark, int] = dict.fromkeys(Mark, 0)
-        self._read_file()
-        self._report_calibration()
+        self._offered: Any = None
+        self._active = False
         if self._follows:
             self.create_subscription(
                 messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
@@ -122,10 +125,34 @@ class CompensatorNode(ros.Node):
         self._pulses = self._subscribe(reliable=True)
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
         self.create_timer(_SECOND, self._on_second, clock=steady)
+        self.begin(autostart=autostart)
+
+    def configure(self) -> None:
+        """Take the calibration that is there; samples that come in are left."""
+        self._version, self._compensator, self._source = None, None, ''
+        self._read_file()
+        if self._offered is not None:
+            self._on_calibration(self._offered)
+        self._report_calibration()
+
+    def activate(self) -> None:
+        """Compensate what comes in from now on."""
+        self._decoder = ImuDecoder()
+        self._counted = dict.fromkeys(Mark, 0)
+        if self._compensator is not None:
+            self._compensator = Compensator(self._compensator.calibration)
+        self._active = True
+        self._diagnostics.report('lifecycle', Level.OK, 'Active: samples are compensated.')
+
+    def deactivate(self) -> None:
+        """Give out what waits; then nothing."""
+        self.stop()
+        self._active = False
+        self._diagnostics.report('lifecycle', Level.WARN, 'Not active: nothing is published.')
 
     def stop(self) -> list[Any]:
         """Give out what waits for others to tell the sample interval."""
-        if self._compensator is not None:
+        if self._active and self._compensator is not None:
             self._publish(self._compensator.finish())
         return [self._publisher]
 
@@ -145,6 +172,8 @@ class CompensatorNode(ros.Node):
         )
 
     def _on_pulses(self, payloads: list[bytes]) -> None:
+        if not self._active:
+            return
         begun = time.perf_counter()
         self._second.taken += len(payloads)
         if self._compensator is None or self._mixed:
@@ -155,14 +184,14 @@ class CompensatorNode(ros.Node):
         self._second.work.append(time.perf_counter() - begun)
 
     def _on_skew(self, payloads: list[bytes]) -> None:
-        if self._compensator is None:
+        if self._compensator is None or not self._active:
             return
         for block in decode_skew(Messages.join(payloads), self._malformed):
             self._publish(self._compensator.take(block))
 
     def _on_temperature(self, payloads: list[bytes]) -> None:
         self._heard_temperature = time.monotonic()
-        if self._compensator is None:
+        if self._compensator is None or not self._active:
             return
         for block in decode_temperatures(Messages.join(payloads), self._malformed):
             self._publish(self._compensator.take(block))
@@ -185,6 +214,7 @@ class CompensatorNode(ros.Node):
 
     def _on_calibration(self, message: Any) -> None:
         """Take a calibration that is good over."""
+        self._offered = message
         topic = self.resolve_topic_name('calibration')
         if message.status == messages.ImuCalibration.INCOMPLETE:
             text = f'What {topic} offers is incomplete and is not used. {message.status_text}'
@@ -258,6 +288,8 @@ class CompensatorNode(ros.Node):
             self._diagnostics.report('calibration offered', Level.ERROR, str(error))
 
     def _on_second(self) -> None:
+        if not self._active:
+            return
         self._read_file()
         self._count_publishers()
         if self._unreliable:

@@ -10,7 +10,6 @@ import numpy as np
 from ..cdr import PULSES, RATES, encode_imu, encode_temperatures
 from ..devices import (
     GAP_TIMEOUT,
-    Baud,
     Chunk,
     Reception,
     Samples,
@@ -20,7 +19,7 @@ from ..devices import (
     load_format,
 )
 from ..imu import load_imu
-from ..middleware import Clock, ClockType, Node, messages, publish_all
+from ..middleware import Clock, ClockType, ManagedNode, messages, publish_all
 from ..stream import ImuBlock, Stamps, TemperatureBlock, Units
 from . import qos
 from .declared import declare
@@ -38,34 +37,39 @@ _REPORT_PERIOD = 0.25
 _NS = 1_000_000_000
 
 
-class ImuNode(Node):  # type: ignore[misc,unused-ignore]
+class ImuNode(ManagedNode):
     """Publishes imu/pulses, imu/skew and imu/temperature from a device."""
 
     def __init__(self) -> None:
         super().__init__('imu_node')
-        imu = load_imu(declare(self, 'imu', 'fog_medium', 'Name or file of the IMU.'))
-        self._format = load_format(
-            declare(self, 'device', 'simulated', "Name or file of the frames' format.")
+        self._imu = declare(self, 'imu', 'fog_medium', 'Name or file of the IMU.')
+        self._device = declare(self, 'device', 'simulated', "Name or file of the frames' format.")
+        self._port = declare(
+            self, 'port', '', 'Serial port, socket://host:port, udp://host:port, or a file.'
         )
-        self._source, baud = self._declare_source()
+        self._given_baud = declare(
+            self,
+            'baud',
+            0,
+            "Of a serial port, bit/s; 0: as the device's file says, else 115200.",
+            lower=0,
+        )
+        self._buffer = declare(
+            self, 'buffer', 1 << 18, 'Bytes that may wait before reading pauses.', lower=1 << 12
+        )
         self._frame_id = declare(self, 'frame_id', 'imu_link', 'Frame of all messages.')
-        rate = declare(
+        self._rate = declare(
             self, 'sample_rate', 0.0, "Nominal, Hz; 0: the IMU's own.", lower=0.0, upper=1e5
         )
-        gap_timeout = declare(
+        self._gap_timeout = declare(
             self, 'gap_timeout', GAP_TIMEOUT, 'Longest time without a frame, s.', lower=0.01
         )
-        self._simulated = bool(self.get_parameter('use_sim_time').value)
-        self._reception = Reception(
-            self._format,
-            imu,
-            rate,
-            gap_timeout=gap_timeout,
-            baud=baud,
-            live=self._source.live,
-            simulated=self._simulated,
+        autostart = declare(
+            self, 'autostart', True, 'Configure and activate at the start, not by a manager.'
         )
-        self._line = self._reception.clock
+        self._simulated = bool(self.get_parameter('use_sim_time').value)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        imu = load_imu(self._imu)
         self._covariances = RATES if imu.units is Units.SI else PULSES
         self._diagnostics = Diagnostics(self, imu.id)
         self._pulses = self._open_stream('imu/pulses')
@@ -76,58 +80,73 @@ class ImuNode(Node):  # type: ignore[misc,unused-ignore]
             qos_overriding_options=qos.overridable(),
         )
         self._skews = None
-        if self._format.skew is not None:
+        if load_format(self._device).skew is not None:
             self._skews = self._open_stream('imu/skew')
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer: Any = None
+        self.begin(autostart=autostart)
+
+    def configure(self) -> None:
+        """Read the files, and check the port's name; the device is not opened."""
+        frames = load_format(self._device)
+        baud = choose_baud(self._given_baud, frames)
+        self._source = Source(
+            self._port, self._now, baud.rate, self._buffer, commands=frames.commands
+        )
+        serial = is_serial(self._port)
+        self._baud_words = f'{self._port} is read at {baud}.' if serial else ''
+        self._reception = Reception(
+            frames,
+            load_imu(self._imu),
+            self._rate,
+            gap_timeout=self._gap_timeout,
+            baud=baud if serial else None,
+            live=self._source.live,
+            simulated=self._simulated,
+        )
+        self._line = self._reception.clock
         self._held: list[tuple[Samples, Stamps]] = []
         self._waiting: list[Chunk] = []
         self._second = 0
         self._started = self._silent = False
         self._reported_at = 0.0
-        self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
+
+    def activate(self) -> None:
+        """Open the device; what was known of its clock and its stream is learnt anew."""
+        self.configure()
+        if self._baud_words:
+            self.get_logger().info(self._baud_words)
+        if sent := self._source.commands:
+            self.get_logger().info(
+                f'The device is sent {len(sent.start)} commands of its file whenever its port '
+                f'opens, and {len(sent.stop)} before it is closed.'
+            )
+        self._diagnostics.report('lifecycle', Level.OK, 'Active: the device is read.')
+        self._timer = self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
+
+    def deactivate(self) -> None:
+        """Publish what has come, and close the device."""
+        self.stop()
+        self._diagnostics.report('lifecycle', Level.WARN, 'Not active: the device is not read.')
 
     def stop(self) -> Sequence[Any]:
         """Let go of the device; return the publishers that must be heard."""
+        publishers = [self._pulses] if self._skews is None else [self._pulses, self._skews]
+        if self._timer is None:
+            return publishers
+        self.destroy_timer(self._timer)
+        self._timer = None
         self._source.stop()
         self._waiting += self._source.take()
         if chunks := self._first(len(self._waiting)):
             self._take(chunks)
         self._line.settle()
         self._release()
-        return [self._pulses] if self._skews is None else [self._pulses, self._skews]
+        return publishers
 
     def _open_stream(self, topic: str) -> Any:
         return self.create_publisher(
             messages.Imu, topic, qos.stream(), qos_overriding_options=qos.overridable()
         )
-
-    def _declare_source(self) -> tuple[Source, Baud | None]:
-        """Return where the bytes come from, and the rate of a serial port."""
-        port = declare(
-            self, 'port', '', 'Serial port, socket://host:port, udp://host:port, or a file.'
-        )
-        given = declare(
-            self,
-            'baud',
-            0,
-            "Of a serial port, bit/s; 0: as the device's file says, else 115200.",
-            lower=0,
-        )
-        buffer = declare(
-            self, 'buffer', 1 << 18, 'Bytes that may wait before reading pauses.', lower=1 << 12
-        )
-        baud = choose_baud(given, self._format)
-        commands = self._format.commands
-        source = Source(port, self._now, baud.rate, buffer, commands=commands)
-        if source.commands:
-            self.get_logger().info(
-                f'The device is sent {len(commands.start)} commands of its file whenever its port '
-                f'opens, and {len(commands.stop)} before it is closed.'
-            )
-        if not is_serial(port):
-            return source, None
-        self.get_logger().info(f'{port} is read at {baud}.')
-        return source, baud
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)

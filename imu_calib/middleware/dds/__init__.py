@@ -16,6 +16,7 @@ from .executor import (
 )
 from .future import Future
 from .logging import Logger, LoggingSeverity, get_logger
+from .managed import ManagedNode
 from .node import Node, create_node
 from .node_parameters import (
     FloatingPointRange,
@@ -59,6 +60,7 @@ __all__ = [
     'InvalidParameterValueException',
     'Logger',
     'LoggingSeverity',
+    'ManagedNode',
     'Node',
     'Parameter',
     'ParameterAlreadyDeclaredException',

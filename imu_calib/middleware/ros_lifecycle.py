@@ -1,0 +1,84 @@
+"""A managed node: rclpy's, which may begin by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+
+from ..errors import ImuCalibError
+
+
+class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
+    """A node with the states of ROS 2 (design.ros2.org/articles/node_lifecycle.html).
+
+    What it does is in four steps without arguments: `configure`, `activate`, `deactivate` and
+    `cleanup`. A step that raises ImuCalibError fails, and the node stays in the state it was in.
+    """
+
+    def __init__(self, node_name: str) -> None:
+        super().__init__(node_name)
+        self._wrong: ImuCalibError | None = None
+        self._begins = False
+
+    def configure(self) -> None:
+        """Read what is needed; nothing is opened, and nothing goes out."""
+
+    def activate(self) -> None:
+        """Begin to work."""
+
+    def deactivate(self) -> None:
+        """Stop working."""
+
+    def cleanup(self) -> None:
+        """Forget what was read."""
+
+    def begin(self, *, autostart: bool) -> None:
+        """Configure and activate, where that is left to nobody else.
+
+        Raises:
+            ImuCalibError: As the step that fails.
+
+        """
+        if not autostart:
+            return
+        self._begins = True
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            if trigger() is not TransitionCallbackReturn.SUCCESS:
+                raise self._wrong or ImuCalibError('A transition failed; the log says why.')
+        self._begins = False
+
+    def on_configure(self, state: Any) -> Any:  # noqa: ARG002
+        """Take rclpy's call."""
+        return self._try(self.configure)
+
+    def on_activate(self, state: Any) -> Any:
+        """Take rclpy's call."""
+        super().on_activate(state)
+        return self._try(self.activate)
+
+    def on_deactivate(self, state: Any) -> Any:
+        """Take rclpy's call."""
+        super().on_deactivate(state)
+        return self._try(self.deactivate)
+
+    def on_cleanup(self, state: Any) -> Any:  # noqa: ARG002
+        """Take rclpy's call."""
+        return self._try(self.cleanup)
+
+    def on_shutdown(self, state: Any) -> Any:
+        """Take rclpy's call: nothing is left working."""
+        if state.label == 'active':
+            self.deactivate()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _try(self, step: Callable[[], None]) -> TransitionCallbackReturn:
+        try:
+            step()
+        except ImuCalibError as error:
+            self._wrong = error
+            if not self._begins:
+                self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
