@@ -44,8 +44,9 @@ def led(session, monkeypatch):
     """Return a session whose table hangs on a controller, at rest and ready."""
     monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
 
-    def open_it(rate=90, **changes):
-        session.turn_at(rate).open(output='trajectory', **changes)
+    def open_it(rate=90, answer_timeout=30.0):
+        monkeypatch.setattr('imu_calib.nodes.controller._ANSWER_TIMEOUT', answer_timeout)
+        session.turn_at(rate).open(output='trajectory', **stand.PATIENT)
         session.controller = session.table.controller
         session.executor.add_node(session.controller)
         says = session.watcher.says
@@ -138,7 +139,7 @@ def test_a_goal_that_somebody_else_cancels_stops_the_table(led):
 
 
 def test_a_controller_that_does_not_answer_is_a_fault(led):
-    session = led()
+    session = led(answer_timeout=0.5)
     session.executor.remove_node(session.controller)
     assert session.press('start')[0]
     session.reaches(Phase.PAUSED)

@@ -397,7 +397,12 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
         ('simulated_stand', {'rviz': 'true'}, 'apt install ros-jazzy-rviz2'),
         (
             'stand',
-            {'port': 'x', 'device': '', 'latitude': '1', 'table_output': 'trajectory'},
+            {
+                'port': 'socket://127.0.0.1:9',
+                'device': 'simulated',
+                'latitude': '1',
+                'table_output': 'trajectory',
+            },
             'apt install ros-jazzy-control-msgs',
         ),
     ],

@@ -10,6 +10,7 @@ from imu_calib.sequencing import Phase
 session = stand.session
 ACTION = 'turntable_node/run_calibration'
 Status = ros.GoalStatus
+SUPERVISED = {**stand.PATIENT, 'supervised': True, 'calibrator_timeout': 60.0}
 
 
 class Client:
@@ -58,7 +59,7 @@ class Client:
 
 
 def test_a_goal_runs_the_plan_and_tells_how_far_it_is(session):
-    client = Client(session.open())
+    client = Client(session.open(**stand.PATIENT))
     _, ended = client.run(plan='tiny')
     status, result = client.end(ended)
     assert status is Status.SUCCEEDED
@@ -77,7 +78,7 @@ def test_a_goal_runs_the_plan_and_tells_how_far_it_is(session):
 
 
 def test_a_cancelled_goal_stops_the_table(session):
-    client = Client(session.turn_at(90).open())
+    client = Client(session.turn_at(90).open(**stand.PATIENT))
     handle, ended = client.run()
     session.reaches(Phase.TURNING)
     assert session.until(lambda: not session.table.at_rest())
@@ -91,12 +92,24 @@ def test_a_cancelled_goal_stops_the_table(session):
     assert client.cancel(handle) == 0
 
 
+def test_a_goal_that_is_cancelled_as_the_table_begins_to_move_ends_when_it_stands(session):
+    client = Client(session.turn_at(90).open(**stand.PATIENT))
+    handle, ended = client.run()
+    # The joint states of this moment are those of a table at rest.
+    assert session.until(lambda: session.node._sequencer.state().phase is Phase.TURNING)
+    assert client.cancel(handle) == 1
+    before = session.table.stamp()
+    assert client.end(ended)[0] is Status.CANCELED
+    assert session.table.at_rest()
+    assert session.node._sequencer.feedback.stamp > before
+
+
 def test_a_second_goal_is_rejected_and_the_first_goes_on(session):
-    client = Client(session.turn_at(90).open())
+    client = Client(session.turn_at(90).open(**stand.PATIENT))
     handle, _ = client.run()
     session.reaches(Phase.TURNING)
     assert not client.ask().accepted
-    assert session.until(lambda: session.table.table.read, 0.3)
+    assert not session.until(session.table.at_rest, 0.3)
     assert session.watcher.phase is Phase.TURNING
     assert client.cancel(handle) == 1
 
@@ -109,7 +122,7 @@ def test_a_second_goal_is_rejected_and_the_first_goes_on(session):
     ],
 )
 def test_a_goal_that_cannot_be_run_says_why(session, goal, words):
-    client = Client(session.open())
+    client = Client(session.open(**stand.PATIENT))
     if not goal:
         session.watcher.estop.publish(ros.messages.Bool(data=True))
         session.reaches(Phase.ABORTED)
@@ -122,7 +135,8 @@ def test_a_goal_that_cannot_be_run_says_why(session, goal, words):
 
 @pytest.mark.parametrize('way', ['abort', 'silence', 'estop'])
 def test_whatever_ends_the_run_ends_the_goal_with_the_table_at_rest(session, way):
-    client = Client(session.turn_at(90).open())
+    patient = {} if way == 'silence' else stand.PATIENT
+    client = Client(session.turn_at(90).open(**patient))
     _, ended = client.run()
     session.reaches(Phase.TURNING)
     if way == 'abort':
@@ -142,7 +156,7 @@ def test_whatever_ends_the_run_ends_the_goal_with_the_table_at_rest(session, way
 
 
 def test_a_pause_keeps_the_goal_and_a_goal_may_go_on_with_what_was_paused(session):
-    client = Client(session.turn_at(90).open())
+    client = Client(session.turn_at(90).open(**stand.PATIENT))
     handle, ended = client.run()
     session.reaches(Phase.TURNING)
     assert session.press('pause')[0]
@@ -177,7 +191,7 @@ def finished(session, state, status):
 
 
 def test_the_result_is_the_calibration_and_where_it_is(session):
-    client = Client(session.open(supervised=True, repeat_wait=0.5, calibrator_timeout=60.0))
+    client = Client(session.open(**SUPERVISED, repeat_wait=0.5))
     progress = ros.messages.CalibrationProgress
     calibration = ros.messages.ImuCalibration
     session.watcher.progress.publish(
@@ -197,7 +211,7 @@ def test_the_result_is_the_calibration_and_where_it_is(session):
 
 
 def test_a_result_is_not_waited_for_for_ever(session):
-    client = Client(session.open(supervised=True, repeat_wait=0.1, calibrator_timeout=60.0))
+    client = Client(session.open(**SUPERVISED, repeat_wait=0.1))
     session.watcher.progress.publish(ros.messages.CalibrationProgress(plan='tiny'))
     _, ended = client.run(result_timeout=0.2)
     status, result = client.end(ended)

@@ -51,6 +51,10 @@ positions:
 """
 
 
+# Where node and table share a thread, what holds up one holds up both.
+PATIENT = {'feedback_timeout': 30.0, 'watchdog_timeout': 30.0}
+
+
 class FakeTable(ros.Node):
     """The simulated table on ROS's wire, at 100 Hz of the wall clock."""
 

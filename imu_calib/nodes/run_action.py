@@ -19,6 +19,8 @@ _RESULT_TIMEOUT = 600.0
 """s for the calibrator to solve a session; as long as the plan waits for its word on repeats."""
 _STOP_TIMEOUT = 10.0
 """s that a cancelled goal waits for the table to stand: from 90 deg/s, 10 deg/s^2 brake in 9 s."""
+_STANDING = 200_000_000
+"""ns of joint states after the stop: `Feedback.still` looks back for half of that."""
 _FINAL = frozenset({messages.ImuCalibration.VALID, messages.ImuCalibration.INCOMPLETE})
 
 
@@ -49,6 +51,7 @@ class RunAction:
         self._calibration: Any = None
         self._progress: Any = None
         self._since = self._told_at = 0.0
+        self._cancelled_at = 0
         self._told: tuple[Any, ...] = ()
         self._refused = ''
         node.create_subscription(
@@ -129,6 +132,8 @@ class RunAction:
         if goal is not self._goal:
             return False
         self._since = math.nan
+        at = self._sequencer.feedback
+        self._cancelled_at = 0 if at is None else at.stamp
         # Refused where it does not run: nothing is to be stopped.
         with suppress(InputError):
             self._sequencer.abort('Cancelled by the client of run_calibration.')
@@ -138,7 +143,8 @@ class RunAction:
     def _finish_cancel(self, now: float) -> None:
         self._since = now if math.isnan(self._since) else self._since
         at = self._sequencer.feedback
-        stands = at is None or at.still
+        # What was still before the stop says nothing of a table that had just been set in motion.
+        stands = at is None or (at.still and at.stamp - self._cancelled_at >= _STANDING)
         if stands or now - self._since > _STOP_TIMEOUT:
             where = 'stands' if stands else 'does not stand yet'
             self._end(GoalStatus.CANCELED, f'Cancelled; the table {where}.')
