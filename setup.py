@@ -35,6 +35,7 @@ NODES = (
     'imu_node',
     'stand_node',
     'turntable_node',
+    'web_node',
 )
 
 # The wheel has no build for other machines; there the nodes need ROS 2.
@@ -42,6 +43,8 @@ DDS = "cyclonedds>=11; platform_machine == 'x86_64'"
 
 PLOT = 'matplotlib>=3.6'
 DATA_FRAME = 'pandas>=2'
+# Scenes that survive a lost WebGL context; its assets come with the wheel.
+WEB = 'nicegui>=3'
 # The first that refuses bytes which end within a string or a sequence.
 ROSBAGS = 'rosbags>=0.11.6'
 FLEET = ['distributed>=2024.8', 'bokeh>=3.1', 'pyarrow>=15', 'duckdb>=1', 'fsspec>=2024.2']
@@ -84,6 +87,7 @@ setup(
         'ros1': [ROSBAGS],
         'pdf': ['weasyprint>=62'],
         'fleet': FLEET,
+        'web': [WEB],
         'docs': DOCS,
         'test': [
             'pytest>=7.4',
@@ -110,6 +114,9 @@ setup(
             # Recordings in buckets, from a server on this machine.
             'moto[server]>=5',
             's3fs',
+            WEB,
+            # Drives a Chromium that is there; it downloads none.
+            'playwright>=1.40',
         ],
         'dev': [
             *DOCS,

@@ -49,3 +49,8 @@ def as_offered(offered: QoSProfile) -> QoSProfile:
 def own_topic() -> QoSProfile:
     """Return the profile by which a node hears who else publishes what it alone should."""
     return QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def glimpse(depth: int) -> QoSProfile:
+    """Return the profile of who looks on: nobody waits for it, and what it misses is gone."""
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)

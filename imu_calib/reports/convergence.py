@@ -1,0 +1,129 @@
+"""How the standard deviations of a running session fall, beside what its plan predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ..model import Parameter
+from ..specification import COVERAGE, Specification, Verdict, judge
+from .parameter_table import engineering, three_digits
+
+_MOST_POINTS = 120
+"""Of a course: more than a drawing of 120 px can show."""
+_NEWS = 0.01
+"""Share by which a deviation changes before it is a point of its course. A judgement: a pixel."""
+_THERE = 1.1
+"""Times the prediction at which it counts as reached. A judgement: 10 % of a standard deviation
+takes 50 degrees of freedom to be told."""
+
+
+@dataclass(frozen=True)
+class Converging:
+    """One parameter of a session that runs; SI units.
+
+    Attributes:
+        parameter: Which.
+        value: As estimated so far; NaN while there is none.
+        std: Reached so far; NaN while it is not determined.
+        predicted: What the plan will reach; NaN where nothing is predicted.
+        limit: Largest amount that the specification allows; None where it says nothing.
+        course: Times (s since the session began) with the standard deviations reached then.
+
+    """
+
+    parameter: Parameter
+    value: float = math.nan
+    std: float = math.nan
+    predicted: float = math.nan
+    limit: float | None = None
+    course: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data determines it."""
+        return self.std > 0
+
+    @property
+    def there(self) -> bool:
+        """Whether it is as well known as the plan predicts."""
+        return self.std <= _THERE * self.predicted
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """What the value so far says of the limit; None without either."""
+        if self.limit is None or math.isnan(self.value) or not self.determined:
+            return None
+        return judge(self.value, self.std, self.limit)
+
+    @property
+    def unit(self) -> str:
+        """The unit in which engineers write it."""
+        return engineering(self.parameter).unit.replace('ug', '\u00b5g')
+
+    def shown(self, amount: float) -> str:
+        """Return an amount in that unit with three digits; a dash for what is not known."""
+        if math.isnan(amount):
+            return '\u2013'
+        return three_digits(amount / engineering(self.parameter).scale)
+
+
+class Courses:
+    """Collects the standard deviations that a calibrator reports one after the other.
+
+    Args:
+        parameters: What the session's method estimates, by name.
+        predicted: Standard deviations by name, SI; NaN or absent where nothing is predicted.
+        specification: The limits of the unit; None without.
+
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, Parameter],
+        predicted: Mapping[str, float],
+        specification: Specification | None,
+    ) -> None:
+        self._parameters = parameters
+        self._predicted = predicted
+        self._limits = specification or Specification()
+        self._points: dict[str, list[tuple[float, float]]] = {}
+        self._std: dict[str, float] = {}
+        self._values: dict[str, float] = {}
+
+    def note(self, time: float, names: Sequence[str], std: Sequence[float]) -> None:
+        """Take the deviations reached up to a time, s since the session began."""
+        for name, value in zip(names, std, strict=True):
+            self._std[name] = value
+            if not value > 0:
+                continue
+            points = self._points.setdefault(name, [])
+            if points and abs(value / points[-1][1] - 1) < _NEWS:
+                continue
+            points.append((time, value))
+            if len(points) > _MOST_POINTS:
+                del points[1:-1:2]
+
+    def value(self, name: str, value: float) -> None:
+        """Take the value of a parameter, SI."""
+        self._values[name] = value
+
+    def begin(self) -> None:
+        """Forget what was reached: another session begins."""
+        for kept in (self._points, self._std, self._values):
+            kept.clear()
+
+    def rows(self) -> tuple[Converging, ...]:
+        """Return all parameters as they are now."""
+        return tuple(
+            Converging(
+                parameter,
+                self._values.get(name, math.nan),
+                self._std.get(name, math.nan),
+                self._predicted.get(name, math.nan),
+                self._limits.limit(parameter),
+                tuple(self._points.get(name, ())),
+            )
+            for name, parameter in self._parameters.items()
+        )

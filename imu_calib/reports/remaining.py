@@ -1,0 +1,65 @@
+"""How long a session still takes by the clock on the wall, and the words for it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from datetime import datetime, timedelta
+
+_SPAN = 20.0
+"""s of the wall clock over which the stand's time is compared with it: longer than a table takes
+from one position to the next, in which simulated time runs unevenly."""
+_LEAST = 2.0
+"""s before the comparison counts."""
+_REAL = 0.1
+"""Share by which the stand's time may differ from the wall clock and be called the same: stamps
+come twice a second."""
+
+
+class Pace:
+    """Compares the stand's time with the clock on the wall."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, float]] = deque()
+
+    def note(self, stamp: float, now: float) -> None:
+        """Take a stamp of the stand that came in at a time of the steady clock, both s."""
+        if self._seen and (stamp < self._seen[-1][0] or now < self._seen[-1][1]):
+            self._seen.clear()
+        self._seen.append((stamp, now))
+        while now - self._seen[0][1] > _SPAN:
+            self._seen.popleft()
+
+    @property
+    def speed(self) -> float:
+        """Seconds of the stand in a second on the wall; 1 until more is known."""
+        if len(self._seen) < 2:
+            return 1.0
+        (stamp, begun), (last, now) = self._seen[0], self._seen[-1]
+        if now - begun < _LEAST or last <= stamp:
+            return 1.0
+        speed = (last - stamp) / (now - begun)
+        return 1.0 if abs(speed - 1) < _REAL else speed
+
+
+def in_words(seconds: float) -> str:
+    """Return a duration in two units at most.
+
+    Examples:
+        >>> in_words(42.0), in_words(754.0), in_words(7260.0)
+        ('42 s', '12 min 34 s', '2 h 1 min')
+
+    """
+    if math.isnan(seconds):
+        return 'not known'
+    whole = max(0, round(seconds))
+    hours, minutes, rest = whole // 3600, whole // 60 % 60, whole % 60
+    if hours:
+        return f'{hours} h {minutes} min'
+    return f'{minutes} min {rest} s' if minutes else f'{rest} s'
+
+
+def ends_at(seconds: float, now: datetime) -> str:
+    """Return when it is over: the time of day, with the date where that is another one."""
+    end = now + timedelta(seconds=seconds)
+    return f'{end:%H:%M}' if end.date() == now.date() else f'{end:%Y-%m-%d %H:%M}'

@@ -1,0 +1,375 @@
+"""The state of a running stand as a person looks at it, made of what its nodes say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
+from typing import Any
+
+from ..model import Parameter
+from ..reports.convergence import Converging, Courses
+from ..reports.remaining import Pace
+from ..specification import Specification
+from .samples import Streams
+
+_SILENT = 5.0
+"""s: a node speaks once or twice a second."""
+_NS = 1e-9
+
+
+class Level(IntEnum):
+    """As in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class Phase(IntEnum):
+    """As in imu_calib_msgs/TurntableState."""
+
+    IDLE = 0
+    MOVING = 1
+    SETTLING = 2
+    TURNING = 3
+    DWELLING = 4
+    PAUSED = 5
+    DONE = 6
+    ABORTED = 7
+
+
+class Outcome(Enum):
+    """How a session has ended, if it has."""
+
+    OPEN = 'open'
+    DONE = 'done'
+    INCOMPLETE = 'incomplete'
+    FAILED = 'failed'
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """What a node says of one part of itself.
+
+    Attributes:
+        source: For instance 'imu_node: stream'.
+        level: How bad it is.
+        text: A sentence.
+        figures: Values with their units, by name.
+
+    """
+
+    source: str
+    level: Level
+    text: str
+    figures: tuple[tuple[str, str], ...] = ()
+
+    def figure(self, name: str) -> str:
+        """Return a value with its unit; empty where it is not said."""
+        return dict(self.figures).get(name, '')
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """A step of the plan: where it goes, and what is done there in words."""
+
+    position: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is known of a session before it begins.
+
+    Attributes:
+        plan: Name of the plan.
+        imu: Name of the unit's type.
+        table: Name of the table; empty where a hand holds the unit.
+        steps: Of the plan; empty where a hand holds the unit.
+        parameters: What the session's method estimates.
+        predicted: (n,) standard deviations that the plan will reach, SI; NaN where unknown.
+        specification: The limits of the unit; None without.
+        joints: Names of the table's joints.
+
+    """
+
+    plan: str
+    imu: str
+    table: str
+    steps: tuple[PlannedStep, ...]
+    parameters: tuple[Parameter, ...]
+    predicted: tuple[float, ...]
+    specification: Specification | None = None
+    joints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TableState:
+    """What the table's leader says; angles in rad, rates in rad/s."""
+
+    plan: str = ''
+    step: int = 0
+    steps: int = 0
+    position: str = ''
+    phase: Phase = Phase.IDLE
+    reason: str = ''
+    joints: tuple[str, ...] = ()
+    angles: tuple[float, ...] = ()
+    rates: tuple[float, ...] = ()
+    turns_done: float = 0.0
+    seconds_left: float = math.nan
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All that a page shows, at one moment.
+
+    Attributes:
+        expected: What was known before.
+        table: What the table's leader said last; None before it was heard.
+        table_silent: For how long it has said nothing, s; 0 while it speaks.
+        calibrator_silent: Likewise of the calibrator.
+        progress: One sentence of the calibrator; empty before it was heard.
+        seen: Steps of the plan that have been begun.
+        repeats: Steps that are to be run again.
+        next: Attitudes that a hand should hold next.
+        outcome: How the session has ended.
+        outcome_text: What is said of its end.
+        rows: The parameters.
+        sentences: What the nodes say of themselves, the worst first.
+        streams: What the IMU's samples show; None before the first.
+        celsius: The unit's temperature, degrees Celsius; NaN where it is not measured.
+        speed: Seconds of the stand in a second on the wall.
+        elapsed: Since the session began, s of the stand's time.
+        answer: What was answered to the last command of a person; empty before the first.
+        report: Name of the report's file, once it is written.
+        report_text: What is said of the report.
+
+    """
+
+    expected: Expected
+    table: TableState | None = None
+    table_silent: float = 0.0
+    calibrator_silent: float = 0.0
+    progress: str = ''
+    seen: int = 0
+    repeats: tuple[int, ...] = ()
+    next: tuple[str, ...] = ()
+    outcome: Outcome = Outcome.OPEN
+    outcome_text: str = ''
+    rows: tuple[Converging, ...] = ()
+    sentences: tuple[Sentence, ...] = ()
+    streams: Streams | None = None
+    celsius: float = math.nan
+    speed: float = 1.0
+    elapsed: float = 0.0
+    answer: str = ''
+    report: str = ''
+    report_text: str = ''
+
+    @property
+    def wrong(self) -> tuple[Sentence, ...]:
+        """What a person should look at, the worst first."""
+        return tuple(s for s in self.sentences if s.level is not Level.OK)
+
+    @property
+    def wall_seconds_left(self) -> float:
+        """Time left by the clock on the wall, s; NaN where nobody knows."""
+        return math.nan if self.table is None else self.table.seconds_left / self.speed
+
+    @property
+    def share(self) -> float:
+        """How much of the session's time is over, 0 to 1."""
+        if self.outcome in {Outcome.DONE, Outcome.INCOMPLETE}:
+            return 1.0
+        left = math.nan if self.table is None else self.table.seconds_left
+        if self.table is not None and self.table.phase is Phase.DONE:
+            return 1.0
+        whole = self.elapsed + left
+        return self.elapsed / whole if whole > 0 else 0.0
+
+
+@dataclass
+class _Part:
+    sentence: Sentence
+    heard: float
+
+
+@dataclass
+class _Heard:
+    """When a node was heard last, by the steady clock."""
+
+    at: float | None = None
+
+    def silence(self, now: float) -> float:
+        """Return for how long it has been silent, s; 0 before it was ever heard."""
+        if self.at is None or now - self.at < _SILENT:
+            return 0.0
+        return now - self.at
+
+
+class Board:
+    """Takes what the nodes say, and keeps the state that pages show.
+
+    Times `now` are of the steady clock, s. Messages are taken by their fields alone: what brought
+    them does not matter.
+
+    Args:
+        expected: What is known before the session begins.
+
+    """
+
+    def __init__(self, expected: Expected) -> None:
+        self._state = Snapshot(expected)
+        predicted = (p.name for p in expected.parameters)
+        self._courses = Courses(
+            {parameter.name: parameter for parameter in expected.parameters},
+            dict(zip(predicted, expected.predicted, strict=True)),
+            expected.specification,
+        )
+        self._table, self._calibrator = _Heard(), _Heard()
+        self._parts: dict[str, _Part] = {}
+        self._pace = Pace()
+        self._first: float | None = None
+        self._worked_from: float | None = None
+
+    def take_state(self, message: Any, now: float) -> None:
+        """Take imu_calib_msgs/TurntableState."""
+        self._table.at = now
+        stamp = _seconds(message.header.stamp)
+        state = TableState(
+            message.plan,
+            int(message.step),
+            int(message.steps),
+            message.position_id,
+            Phase(message.phase),
+            message.reason,
+            tuple(message.joint_names),
+            tuple(float(a) for a in message.positions),
+            tuple(float(r) for r in message.rates),
+            float(message.turns_done),
+            float(message.seconds_left),
+        )
+        if state.phase not in {Phase.IDLE, Phase.DONE}:
+            self._first = stamp if self._first is None else self._first
+        if self._first is not None and state.phase is not Phase.DONE:
+            self._state = replace(self._state, elapsed=max(0.0, stamp - self._first))
+        self._pace.note(stamp, now)
+        self._state = replace(self._state, table=state)
+
+    def take_progress(self, message: Any, now: float) -> None:
+        """Take imu_calib_msgs/CalibrationProgress."""
+        self._calibrator.at = now
+        stamp = _seconds(message.header.stamp)
+        if stamp > 0:
+            begin = stamp if self._worked_from is None else self._worked_from
+            if stamp < begin:
+                # A new session.
+                self._courses.begin()
+                begin = stamp
+            self._worked_from = begin
+            self._courses.note(stamp - begin, message.parameter_names, message.standard_deviations)
+            if self._state.table is None:
+                self._state = replace(self._state, elapsed=stamp - begin)
+        failed = message.state == message.FAILED
+        over = self._state.outcome is not Outcome.OPEN and message.state in {
+            message.WAITING,
+            message.COLLECTING,
+            message.DETERMINED,
+        }
+        if over:
+            # The calibrator was told to begin anew.
+            self._state = replace(
+                self._state, outcome=Outcome.OPEN, outcome_text='', report='', report_text=''
+            )
+        if failed:
+            self._state = replace(self._state, outcome=Outcome.FAILED, outcome_text=message.text)
+        self._state = replace(
+            self._state,
+            progress=message.text,
+            seen=int(message.step),
+            repeats=tuple(int(step) for step in message.repeat_steps),
+            next=tuple(message.next_attitudes),
+        )
+
+    def take_calibration(self, message: Any) -> bool:
+        """Take imu_calib_msgs/ImuCalibration; return whether it is a session's last word."""
+        for name, value in _values(message):
+            self._courses.value(name, value)
+        outcomes = {
+            message.VALID: Outcome.DONE,
+            message.INCOMPLETE: Outcome.INCOMPLETE,
+            message.REFUSED: Outcome.FAILED,
+        }
+        outcome = outcomes.get(message.status)
+        if outcome is None:
+            return False
+        if outcome is not Outcome.FAILED and self._worked_from is not None:
+            known = {row.parameter.name for row in self._courses.rows()}
+            pairs = zip(message.parameter_names, message.standard_deviations, strict=True)
+            mine = [(name, std) for name, std in pairs if name in known]
+            self._courses.note(
+                self._state.elapsed, [name for name, _ in mine], [std for _, std in mine]
+            )
+        self._state = replace(self._state, outcome=outcome, outcome_text=message.status_text)
+        return True
+
+    def take_diagnostics(self, message: Any, now: float) -> None:
+        """Take diagnostic_msgs/DiagnosticArray."""
+        for status in message.status:
+            sentence = Sentence(
+                status.name,
+                Level(min(status.level[0], Level.ERROR)),
+                status.message,
+                tuple((v.key, v.value) for v in status.values),
+            )
+            self._parts[status.name] = _Part(sentence, now)
+
+    def take_temperature(self, celsius: float) -> None:
+        """Take a temperature, degrees Celsius."""
+        self._state = replace(self._state, celsius=celsius)
+
+    def take_streams(self, streams: Streams) -> None:
+        """Take what the samples show."""
+        self._state = replace(self._state, streams=streams)
+
+    def take_answer(self, text: str) -> None:
+        """Take what was answered to a command."""
+        self._state = replace(self._state, answer=text)
+
+    def take_report(self, name: str, text: str) -> None:
+        """Take the name of the report's file, empty where there is none, and what is said of it."""
+        self._state = replace(self._state, report=name, report_text=text)
+
+    def snapshot(self, now: float) -> Snapshot:
+        """Return the state at a moment."""
+        return replace(
+            self._state,
+            table_silent=self._table.silence(now),
+            calibrator_silent=self._calibrator.silence(now),
+            rows=self._courses.rows(),
+            sentences=tuple(self._sentences(now)),
+            speed=self._pace.speed,
+        )
+
+    def _sentences(self, now: float) -> Iterable[Sentence]:
+        """Return the sentences that still hold, the worst first."""
+        found = [part.sentence for part in self._parts.values() if now - part.heard < _SILENT]
+        return sorted(found, key=lambda sentence: (-sentence.level, sentence.source))
+
+
+def _values(message: Any) -> Sequence[tuple[str, float]]:
+    """Return the parameters that a calibration holds, by name, SI."""
+    further = dict(zip(message.term_parameters, message.term_values, strict=True))
+    found = []
+    for name in message.parameter_names:
+        value = further.get(name, getattr(message, name.lower(), math.nan))
+        if isinstance(value, float) and math.isfinite(value):
+            found.append((name, value))
+    return found
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + stamp.nanosec * _NS)

@@ -1,0 +1,308 @@
+"""The parts of the page as HTML: all text is escaped here, wherever it came from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import datetime
+from html import escape
+
+import numpy as np
+
+from ..imu import ImuSpec
+from ..model import TERMS
+from ..reports.allan_plot import noise_plots
+from ..reports.convergence import Converging
+from ..reports.html import facts
+from ..reports.svg import number, tag
+from ..segmentation.segment import CHANNELS
+from ..specification import COVERAGE
+from ..stream import Units
+from .board import Level, Outcome, Phase, Sentence, Snapshot
+from .samples import Streams
+from .words import headline, joint_words, time_left
+
+_LEVELS = {Level.OK: 'ok', Level.WARN: 'warn', Level.ERROR: 'error'}
+_SIGNS = {Level.OK: '\u2713', Level.WARN: '!', Level.ERROR: '\u2715'}
+"""A state is told by its sign too, not by colour alone."""
+_WIDTH, _HEIGHT = 120.0, 30.0
+_EDGE = 4.0
+"""px between the frame of a course and what is drawn in it."""
+_LEAST_DECADES = 0.5
+"""Of the axis of a course: less would show noise."""
+_OF_TERMS = {term.kind for term in TERMS}
+
+
+def banner(shown: Snapshot, now: datetime) -> str:
+    """Return what happens now, how long it still takes, and how far it is."""
+    first = headline(shown)
+    left, rests_on = time_left(shown, now)
+    table = shown.table
+    where = ''
+    if table is not None and table.steps and shown.outcome is Outcome.OPEN:
+        where = f'step {min(table.step + 1, table.steps)} of {table.steps}'
+    words = tag('h2', sign(first.level) + escape(first.now))
+    words += tag('p', escape(first.detail), class_='detail') if first.detail else ''
+    time = tag('span', 'time left', class_='small') + tag('strong', escape(left))
+    time += tag('span', escape(rests_on) or ' ', class_='small')
+    share = f'{100 * min(max(shown.share, 0.0), 1.0):.1f}%'
+    bar = tag('div', tag('div', ' ', style=f'width: {share}'), class_='bar', role='progressbar')
+    foot = tag('div', tag('span', escape(where) or ' ') + tag('span', share), class_='foot small')
+    inside = tag('div', words, class_='what') + tag('div', time, class_='time')
+    return tag(
+        'div',
+        tag('div', inside, class_='split') + bar + foot,
+        class_=f'banner {_LEVELS[first.level]}',
+        data_phase=_phase(shown),
+    )
+
+
+def _phase(shown: Snapshot) -> str:
+    if shown.outcome is not Outcome.OPEN:
+        return shown.outcome.value
+    return 'none' if shown.table is None else shown.table.phase.name.lower()
+
+
+def sign(level: Level) -> str:
+    """Return a mark for how bad something is."""
+    return tag('span', _SIGNS[level], class_=f'sign {_LEVELS[level]}', aria_label=level.name)
+
+
+def troubles(shown: Snapshot) -> str:
+    """Return what is wrong, or that nothing is."""
+    if not shown.wrong:
+        if not shown.sentences:
+            return tag('p', 'No node has said anything yet.', class_='muted')
+        return tag('p', sign(Level.OK) + 'Nothing is wrong.', class_='right')
+    return tag('ul', ''.join(_sentence(s) for s in shown.wrong), class_='sentences')
+
+
+def diagnostics(shown: Snapshot) -> str:
+    """Return all that the nodes say of themselves."""
+    rows = ''.join(_sentence(s, with_figures=True) for s in shown.sentences)
+    return tag('ul', rows, class_='sentences') if rows else tag('p', 'Nothing yet.', class_='muted')
+
+
+def _sentence(said: Sentence, *, with_figures: bool = False) -> str:
+    text = tag('b', escape(said.source)) + tag('span', escape(said.text))
+    if with_figures and said.figures:
+        figures = ', '.join(f'{name} {value}' for name, value in said.figures)
+        text += tag('span', escape(figures), class_='small')
+    return tag('li', sign(said.level) + tag('div', text), class_=_LEVELS[said.level])
+
+
+def plan(shown: Snapshot) -> str:
+    """Return the steps of the plan: those that are done, the one that runs, those to come."""
+    steps = shown.expected.steps
+    if not steps:
+        inside = ''.join(tag('li', escape(words)) for words in shown.next)
+        best = tag('p', 'Next, the best first:') + tag('ol', inside) if inside else ''
+        return best or tag('p', 'Held by hand: follow the sentence above.', class_='muted')
+    cells = []
+    for k, step in enumerate(steps):
+        kind, words = _kind(shown, k)
+        title = f'step {k + 1}, {words}: position {step.position or "-"}. {step.words}'
+        cells.append(tag('li', f'{k + 1}', class_=kind, title=title))
+    text = tag('ol', ''.join(cells), class_='steps')
+    table = shown.table
+    if table is not None and table.step < len(steps) and shown.outcome is Outcome.OPEN:
+        now = steps[table.step]
+        text += tag(
+            'p',
+            tag('b', f'Step {table.step + 1}') + escape(f': position {now.position}. {now.words}'),
+        )
+    if shown.repeats:
+        again = ', '.join(str(k + 1) for k in shown.repeats)
+        text += tag('p', escape(f'Too little data came of step {again}: to be run again.'))
+    return text
+
+
+def _kind(shown: Snapshot, step: int) -> tuple[str, str]:
+    table = shown.table
+    running = table is not None and table.phase not in {Phase.IDLE, Phase.DONE}
+    if shown.outcome is Outcome.OPEN and running and table is not None and table.step == step:
+        return 'now', 'runs'
+    if step in shown.repeats:
+        return 'again', 'to be run again'
+    if step < shown.seen:
+        return 'done', 'done'
+    return 'next', 'to come'
+
+
+def joints(shown: Snapshot) -> str:
+    """Return the angles and rates of the joints."""
+    if shown.table is None or not shown.table.joints:
+        return tag('p', 'No joint states yet.', class_='muted')
+    cells = ''.join(
+        tag('div', tag('dt', escape(name)) + tag('dd', f'{angle}{tag("span", rate)}'))
+        for name, angle, rate in joint_words(shown.table)
+    )
+    return tag('dl', cells, class_='joints')
+
+
+def parameters(shown: Snapshot) -> str:
+    """Return the parameters with the courses of their deviations."""
+    known = sum(row.determined for row in shown.rows)
+    there = sum(row.determined and row.there for row in shown.rows)
+    text = f'{known} of {len(shown.rows)} determined, {there} as well as the plan predicts.'
+    begin, end = 0.0, max([shown.elapsed, *(r.course[-1][0] for r in shown.rows if r.course)])
+    groups = {
+        'Gyros': [r for r in shown.rows if r.parameter.triad == 'g'],
+        'Accelerometers': [r for r in shown.rows if r.parameter.triad == 'a'],
+    }
+    tables = ''.join(
+        _parameter_table(title, rows, begin, end) for title, rows in groups.items() if rows
+    )
+    return tag('p', escape(text)) + tag('div', tables, class_='pair')
+
+
+_HEADINGS = (
+    ('', 'parameter'),
+    ('value', 'as estimated so far'),
+    ('\u00b1 now', 'standard deviation reached'),
+    ('plan', 'standard deviation that the plan will reach'),
+    ('unit', 'of value, deviations and limit'),
+    ('course', 'of the standard deviation, logarithmic, from the beginning to now'),
+    ('limit', 'largest amount by the specification'),
+)
+
+
+def _parameter_table(title: str, rows: Sequence[Converging], begin: float, end: float) -> str:
+    head = ''.join(
+        tag('th', escape(h) or ' ', title=words, scope='col', class_=_column(k))
+        for k, (h, words) in enumerate(_HEADINGS)
+    )
+    body = ''.join(_row(row, begin, end) for row in rows)
+    inside = tag('thead', tag('tr', head)) + tag('tbody', body)
+    return tag('div', tag('h3', title) + tag('table', inside, class_='parameters'))
+
+
+def _column(k: int) -> str:
+    return ('name', 'r', 'r', 'r', 'unit', 'course', 'r limit')[k]
+
+
+def _row(row: Converging, begin: float, end: float) -> str:
+    limit = '' if row.limit is None else f'\u00b1{row.shown(row.limit)}'
+    verdict = row.verdict
+    if verdict is not None:
+        limit += tag('span', verdict.value, class_=f'badge {verdict.value}')
+    now = row.shown(row.std) if row.determined else '\u2013'
+    cells = (
+        escape(row.parameter.name),
+        _value(row),
+        now,
+        row.shown(row.predicted),
+        escape(row.unit),
+        course(row, begin, end),
+        limit or ' ',
+    )
+    inside = ''.join(tag('td', cell, class_=_column(k)) for k, cell in enumerate(cells))
+    state = 'there' if row.determined and row.there else 'open'
+    return tag('tr', inside, class_=state, title=row.parameter.kind.value.words)
+
+
+def _value(row: Converging) -> str:
+    if math.isnan(row.value) or not row.determined:
+        return '\u2013'
+    return row.shown(row.value).replace('-', '\u2212')
+
+
+def course(row: Converging, begin: float, end: float) -> str:
+    """Draw a deviation over the session's time, with what the plan predicts and what is allowed.
+
+    The specification allows a value of zero to be uncertain by its limit: its line stands at the
+    limit over the coverage factor.
+    """
+    allowed = math.nan if row.limit is None else row.limit / COVERAGE
+    heights = [std for _, std in row.course]
+    shown = [v for v in (*heights, row.predicted, allowed) if v > 0]
+    if not shown:
+        return tag('svg', ' ', viewBox=f'0 0 {_WIDTH:g} {_HEIGHT:g}', class_='course')
+    low, high = math.log10(min(shown)), math.log10(max(shown))
+    middle, half = (low + high) / 2, max(high - low, _LEAST_DECADES) / 2
+
+    def down(value: float) -> float:
+        share = (math.log10(value) - middle) / half
+        return _HEIGHT / 2 - share * (_HEIGHT / 2 - _EDGE)
+
+    def across(time: float) -> float:
+        share = (time - begin) / (end - begin) if end > begin else 0.0
+        return _EDGE + share * (_WIDTH - 2 * _EDGE)
+
+    parts = [
+        tag('line', x1=0.0, x2=_WIDTH, y1=down(v), y2=down(v), class_=kind)
+        for v, kind in ((row.predicted, 'predicted'), (allowed, 'allowed'))
+        if v > 0
+    ]
+    points = [*row.course, (end, row.course[-1][1])] if row.course else []
+    if points:
+        path = ' '.join(f'{number(across(t))},{number(down(std))}' for t, std in points)
+        parts.append(tag('polyline', points=path, class_='way'))
+        parts.append(tag('circle', cx=across(end), cy=down(points[-1][1]), r=2.6, class_='now'))
+    words = f'{row.parameter.name}: now {row.shown(row.std)}, plan {row.shown(row.predicted)}'
+    inside = tag('title', escape(f'{words} {row.unit}')) + ''.join(parts)
+    return tag('svg', inside, viewBox=f'0 0 {_WIDTH:g} {_HEIGHT:g}', class_='course', role='img')
+
+
+def streams(shown: Snapshot, imu: ImuSpec) -> str:
+    """Return rates, gaps and temperature."""
+    said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
+    device = said.get('imu_node: stream')
+    seen = shown.streams or Streams()
+    rate = device.figure('rate') if device else ''
+    if rate in {'', 'unknown'}:
+        rate = 'not known' if math.isnan(seen.rate) else f'{seen.rate:.2f} Hz'
+    nominal = 'not stated' if imu.sample_rate is None else f'{imu.sample_rate:g} Hz'
+    lost = device.figure('lost frames') if device else ''
+    heard = said.get('calibrator_node: stream')
+    celsius = 'not measured' if math.isnan(shown.celsius) else f'{shown.celsius:.2f} \u00b0C'
+    pairs = [
+        ('sample rate', rate),
+        ('by the data sheet', nominal),
+        ('samples taken', heard.figure('samples') if heard else '-'),
+        ('lost on the way', f'{lost} frames' if lost else f'{seen.missing} by the stamps'),
+        ('temperature', celsius),
+    ]
+    return facts(pairs) + _channels(seen, imu)
+
+
+def _channels(seen: Streams, imu: ImuSpec) -> str:
+    """Return the means of the channels over the last two seconds."""
+    units = {
+        Units.PULSES: ('pulses/s', 'pulses/s'),
+        Units.COUNTS: ('counts', 'counts'),
+        Units.SI: ('rad/s', 'm/s\u00b2'),
+    }[imu.units]
+    cells = ''.join(
+        tag('div', tag('dt', name) + tag('dd', f'{_mean(mean)}{tag("span", units[k // 3])}'))
+        for k, (name, mean) in enumerate(zip(CHANNELS, seen.means.tolist(), strict=True))
+    )
+    return tag('dl', cells, class_='channels')
+
+
+def _mean(value: float) -> str:
+    if not np.isfinite(value):
+        return '\u2013'
+    text = f'{value:.1f}' if abs(value) >= 100 else f'{value:.4g}'
+    return text.replace('-', '\u2212')
+
+
+def noise(shown: Snapshot, imu: ImuSpec) -> str:
+    """Return the Allan deviation of the dwells so far."""
+    seen = shown.streams
+    if seen is None or not seen.noise:
+        return tag('p', 'It is drawn from the first dwell on.', class_='muted')
+    many = f'{seen.dwells} dwells' if seen.dwells != 1 else '1 dwell'
+    text = f'Of {many} so far; bars are one standard deviation.' if seen.dwells else 'One dwell.'
+    return tag('div', noise_plots(seen.noise, imu), class_='plot') + tag('p', text, class_='small')
+
+
+def report(shown: Snapshot) -> str:
+    """Return the link to the report, or what is said of it."""
+    if shown.outcome is Outcome.OPEN or shown.outcome is Outcome.FAILED:
+        return ''
+    if not shown.report:
+        return tag('p', escape(shown.report_text or 'The report is being written.'))
+    link = tag('a', 'Open the report', href=shown.report, target='_blank', class_='button')
+    frame = tag('iframe', ' ', src=shown.report, title='Report of the calibration')
+    return link + frame

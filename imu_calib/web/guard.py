@@ -1,0 +1,168 @@
+"""Who may look at the page, and who may move the table.
+
+A page on the loopback interface is reached by every page that the same browser shows, and by names
+that somebody else's server resolves to it (DNS rebinding). Requests are therefore taken only for
+hosts that this server has, and from pages that it has served itself (OWASP, 'Cross-Site Request
+Forgery Prevention': verifying origin; RFC 6454, section 7; Fetch Metadata, W3C).
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import socket
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any, TypeAlias
+
+Scope: TypeAlias = MutableMapping[str, Any]
+Receive: TypeAlias = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send: TypeAlias = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App: TypeAlias = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+LOOPBACK = '127.0.0.1'
+_POLICY = (
+    # NiceGUI's page holds scripts and templates that the browser compiles; nothing comes from
+    # elsewhere, nothing goes elsewhere, and no other page may frame this one.
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
+    "connect-src 'self'; worker-src 'self' blob:; object-src 'none'; base-uri 'self'; "
+    "form-action 'self'; frame-ancestors 'self'"
+)
+_HEADERS = (
+    (b'content-security-policy', _POLICY.encode()),
+    (b'x-frame-options', b'SAMEORIGIN'),
+    (b'x-content-type-options', b'nosniff'),
+    (b'referrer-policy', b'no-referrer'),
+    (b'cross-origin-resource-policy', b'same-origin'),
+    (b'cross-origin-opener-policy', b'same-origin'),
+)
+_SAFE = frozenset({'GET', 'HEAD'})
+_FAR = frozenset({'cross-site', 'same-site'})
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether a name or address is of this machine alone."""
+    if host == 'localhost':
+        return True
+    try:
+        return ipaddress.ip_address(host.strip('[]')).is_loopback
+    except ValueError:
+        return False
+
+
+class Guard:
+    """Lets requests through to a page that are meant for it and come from it (ASGI).
+
+    Args:
+        app: The page.
+        host: Interface that the server listens on.
+        port: Its port.
+
+    """
+
+    def __init__(self, app: App, host: str, port: int) -> None:
+        self._app = app
+        self._port = port
+        self._names = {'localhost', host.strip('[]').lower()}
+        if not is_loopback(host):
+            own = socket.gethostname().lower()
+            self._names |= {own, f'{own}.local', socket.getfqdn().lower()}
+        self._anywhere = not is_loopback(host)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Take a request, or refuse it."""
+        if scope['type'] not in {'http', 'websocket'}:
+            await self._app(scope, receive, send)
+            return
+        reason = self.refusal(scope)
+        if not reason:
+            await self._app(scope, receive, _with_headers(send))
+        elif scope['type'] == 'websocket':
+            # Before it is accepted: the browser is told 403.
+            await send({'type': 'websocket.close', 'code': 1008, 'reason': reason})
+        else:
+            plain = [(b'content-type', b'text/plain; charset=utf-8'), *_HEADERS]
+            await send({'type': 'http.response.start', 'status': 403, 'headers': plain})
+            await send({'type': 'http.response.body', 'body': f'{reason}\n'.encode()})
+
+    def refusal(self, scope: Scope) -> str:
+        """Return why a request is refused; empty where it is not."""
+        headers: dict[str, list[str]] = {}
+        for name, value in scope['headers']:
+            headers.setdefault(name.decode('latin-1').lower(), []).append(value.decode('latin-1'))
+        hosts, origins = headers.get('host', []), headers.get('origin', [])
+        if len(hosts) != 1 or not self._is_ours(hosts[0]):
+            return 'The page is not served under this name: use the address that was printed.'
+        socket_asked = scope['type'] == 'websocket'
+        if len(origins) > 1 or any(not _same(origin, hosts[0]) for origin in origins):
+            return 'Another page may not speak to this one.'
+        if socket_asked and not origins:
+            # Every browser names the origin of a websocket (RFC 6455, section 10.2).
+            return 'A websocket without an origin is not taken.'
+        if headers.get('sec-fetch-site', [''])[0] in _FAR and (
+            socket_asked
+            or scope['method'] not in _SAFE
+            or headers.get('sec-fetch-mode', [''])[0] != 'navigate'
+            or headers.get('sec-fetch-dest', [''])[0] != 'document'
+        ):
+            return 'Another page may not speak to this one.'
+        return ''
+
+    def _is_ours(self, value: str) -> bool:
+        """Say whether a Host header names this server.
+
+        An address in place of a name was not resolved by anybody: it cannot be rebound.
+        """
+        name, port = _split(value.lower())
+        if port != str(self._port):
+            return False
+        if name in self._names:
+            return True
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return self._anywhere or address.is_loopback
+
+
+def _split(host: str) -> tuple[str, str]:
+    """Split host:port; a port that is left out is that of http."""
+    if host.startswith('['):
+        name, _, rest = host[1:].partition(']')
+        return name, rest.removeprefix(':') or '80'
+    name, _, port = host.partition(':')
+    return name, port or '80'
+
+
+def _same(origin: str, host: str) -> bool:
+    return origin.lower() == f'http://{host.lower()}'
+
+
+def _with_headers(send: Send) -> Send:
+    async def sends(message: MutableMapping[str, Any]) -> None:
+        if message['type'] == 'http.response.start':
+            message = {**message, 'headers': [*message.get('headers', ()), *_HEADERS]}
+        await send(message)
+
+    return sends
+
+
+class Token:
+    """The secret that lets a viewer command the table.
+
+    Args:
+        secret: Empty where nobody may.
+
+    """
+
+    def __init__(self, secret: str) -> None:
+        self._secret = secret.encode()
+
+    @property
+    def exists(self) -> bool:
+        """Whether anybody may command the table at all."""
+        return bool(self._secret)
+
+    def fits(self, given: str) -> bool:
+        """Say whether it is the token, in a time that does not tell how much of it was right."""
+        return self.exists and hmac.compare_digest(given.encode(), self._secret)

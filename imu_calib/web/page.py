@@ -1,0 +1,263 @@
+"""The page: draws snapshots of a board with NiceGUI, and passes the commands of its viewers on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from ..imu import ImuSpec
+from . import drawing
+from .board import Outcome, Phase, Snapshot
+from .guard import Token
+from .shape import Link, Solid
+from .style import STYLE
+
+_GLANCE = 0.5
+"""s between two looks at the state: what is said changes once or twice a second."""
+_MOTION = 0.1
+"""s between two poses of the table."""
+_LEAST_ANGLE = 1e-4
+"""rad: a pose that differs by less is the same picture."""
+_KEY = (
+    '<div class="key"><span><i></i>standard deviation so far</span>'
+    '<span><i class="predicted"></i>what the plan will reach</span>'
+    '<span><i class="allowed"></i>half the limit of the specification</span></div>'
+)
+_HEIGHT = 340
+"""px of the table's picture."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a page shows, and where its viewers' commands go.
+
+    Attributes:
+        title: Of the page.
+        imu: What the numbers of the samples mean.
+        shape: The table; None where a hand holds the unit.
+        look: Returns the state now.
+        angles: Returns the joints' angles now by name, rad.
+        command: Takes 'start', 'pause' or 'abort' of a viewer who may.
+        token: Who may.
+        report: The report's file; it may not be there yet.
+
+    """
+
+    title: str
+    imu: ImuSpec
+    shape: Link | None
+    look: Callable[[], Snapshot]
+    angles: Callable[[], dict[str, float]]
+    command: Callable[[str], None]
+    token: Token
+    report: Path
+
+
+@dataclass
+class _Part:
+    """A part of a page that is sent when it changes."""
+
+    element: Any
+    draw: Callable[[Snapshot], str]
+    sent: str = ''
+
+    def update(self, shown: Snapshot) -> None:
+        """Send what has changed."""
+        text = self.draw(shown)
+        if text != self.sent:
+            self.sent = text
+            self.element.set_content(text)
+
+
+def build(source: Source) -> None:
+    """Lay the page out for one viewer, and keep it up to date while it is looked at."""
+    ui.add_css(STYLE)
+    parts: list[_Part] = []
+
+    def part(draw: Callable[[Snapshot], str], kind: str = '') -> None:
+        # What is drawn is escaped there (drawing): no text of a node is taken for markup.
+        element = ui.html('', sanitize=False).classes(kind)
+        parts.append(_Part(element, draw))
+
+    with ui.element('main').classes('stand'):
+        _head(source)
+        part(lambda s: drawing.banner(s, datetime.now()), 'wide')
+        control = _Control(source) if source.token.exists else None
+        with _card('Is anything wrong?', 'wide'):
+            part(drawing.troubles)
+        with _card('The report', 'wide report') as finished:
+            part(drawing.report)
+        with _card('The plan'):
+            part(drawing.plan)
+            part(drawing.joints)
+        with _card('The table' if source.shape else 'The samples'):
+            scene = _Scene(source.shape) if source.shape else None
+            if scene is None:
+                part(lambda s: drawing.streams(s, source.imu))
+        with _card('How well the parameters are known', 'wide'):
+            part(drawing.parameters)
+            ui.html(_KEY, sanitize=False)
+        if source.shape:
+            with _card('The samples'):
+                part(lambda s: drawing.streams(s, source.imu))
+        with _card('Noise: Allan deviation'):
+            noise = _Noise(source.imu)
+            part(noise.draw)
+        with _card('All that the nodes say', 'wide'):
+            part(drawing.diagnostics)
+
+    def refresh() -> None:
+        shown = source.look()
+        for one in parts:
+            one.update(shown)
+        finished.set_visibility(shown.outcome in {Outcome.DONE, Outcome.INCOMPLETE})
+        if control is not None:
+            control.update(shown)
+
+    refresh()
+    ui.timer(_GLANCE, refresh)
+    if scene is not None:
+        ui.timer(_MOTION, lambda: scene.update(source.angles()))
+
+
+def _head(source: Source) -> None:
+    shown = source.look().expected
+    where = f' on table {shown.table}' if shown.table else ' in the hand'
+    with ui.element('header').classes('wide top'):
+        ui.html(source.title, sanitize=False, tag='h1')
+        ui.label(f'plan {shown.plan}{where}, IMU {shown.imu}').classes('small')
+
+
+def _card(title: str, kind: str = '') -> Any:
+    card = ui.element('section').classes(f'card {kind}')
+    with card:
+        ui.label(title).classes('title')
+    return card
+
+
+class _Noise:
+    """Draws the Allan deviation anew only when it has grown."""
+
+    def __init__(self, imu: ImuSpec) -> None:
+        self._imu = imu
+        self._drawn = (-1, '')
+
+    def draw(self, shown: Snapshot) -> str:
+        """Return the drawing."""
+        revision = 0 if shown.streams is None else shown.streams.revision
+        if self._drawn[0] != revision:
+            self._drawn = revision, drawing.noise(shown, self._imu)
+        return self._drawn[1]
+
+
+class _Control:
+    """The buttons, for a viewer who has given the token."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._may = False
+        with _card('Control', 'wide'):
+            with ui.element('div').classes('controls') as self._locked:
+                self._input = ui.input('Token').props('dense outlined type=password')
+                self._input.on('keydown.enter', self._unlock)
+                ui.button('Unlock', on_click=self._unlock).props('no-caps unelevated')
+                self._said = ui.label('The terminal that runs the stand shows it.')
+                self._said.classes('small').props('role=status')
+            with ui.element('div').classes('controls') as self._open:
+                self._start = self._button('Start', self._ask)
+                # What stops the table is offered always: what it does may not be known here.
+                self._button('Pause', lambda: self._command('pause'), 'warning')
+                self._button('Abort', lambda: self._command('abort'), 'negative')
+                self._answer = ui.label('').classes('small').props('role=status')
+        self._open.set_visibility(False)
+        with ui.dialog() as self._dialog, ui.card():
+            ui.label('The table will move. Is everybody clear of it?')
+            with ui.element('div').classes('controls'):
+                ui.button('Yes, move', on_click=self._go).props('no-caps unelevated')
+                ui.button('No', on_click=self._dialog.close).props('no-caps flat')
+
+    def _button(
+        self, text: str, action: Callable[[], None], colour: str = 'primary'
+    ) -> ui.button:
+        return ui.button(text, on_click=action, color=colour).props('no-caps unelevated')
+
+    def _unlock(self) -> None:
+        self._may = self._source.token.fits((self._input.value or '').strip())
+        self._input.set_value('')
+        self._locked.set_visibility(not self._may)
+        self._open.set_visibility(self._may)
+        self._said.set_text('' if self._may else 'That is not the token: nothing was sent.')
+
+    def _ask(self) -> None:
+        if self._may:
+            self._dialog.open()
+
+    def _go(self) -> None:
+        self._dialog.close()
+        self._command('start')
+
+    def _command(self, name: str) -> None:
+        # A browser may send what its page does not show: who may is known here.
+        if self._may:
+            self._source.command(name)
+
+    def update(self, shown: Snapshot) -> None:
+        """Offer what can be done now."""
+        phase = None if shown.table is None else shown.table.phase
+        moving = phase in {Phase.MOVING, Phase.SETTLING, Phase.TURNING, Phase.DWELLING}
+        self._start.set_text('Resume' if phase is Phase.PAUSED else 'Start')
+        self._start.set_enabled(phase is not None and not moving)
+        self._answer.set_text(shown.answer)
+
+
+class _Scene:
+    """The table, moving."""
+
+    def __init__(self, base: Link) -> None:
+        self._moving: dict[str, tuple[Link, Any, float]] = {}
+        background = '#8d99a6'
+        with ui.scene(
+            height=_HEIGHT, grid=(2, 10), background_color=background, control_type='orbit'
+        ).classes('table-picture') as self._scene:
+            self._hang(base)
+        self._scene.move_camera(x=1.25, y=-1.35, z=0.75, look_at_x=0, look_at_y=0, look_at_z=-0.1)
+
+    def _hang(self, link: Link) -> None:
+        with self._scene.group() as frame:
+            frame.move(*link.at).rotate_R(link.turned.tolist())
+            with self._scene.group() as body:
+                if link.joint:
+                    body.rotate_R(link.pose(0.0).tolist())
+                    self._moving[link.joint] = link, body, 0.0
+                for solid in link.solids:
+                    self._put(solid)
+                for hung in link.links:
+                    self._hang(hung)
+
+    def _put(self, solid: Solid) -> None:
+        turned = solid.turned
+        if solid.kind == 'box':
+            body = self._scene.box(*solid.size)
+        elif solid.kind == 'cylinder':
+            radius, length = solid.size
+            body = self._scene.cylinder(radius, radius, length, 40)
+            # Along y there, along z here.
+            turned = turned @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+        else:
+            body = self._scene.sphere(solid.size[0])
+        body.material(solid.colour).move(*solid.at).rotate_R(turned.tolist())
+
+    def update(self, angles: dict[str, float]) -> None:
+        """Turn the joints to their angles, rad."""
+        for name, angle in angles.items():
+            if name not in self._moving:
+                continue
+            link, body, before = self._moving[name]
+            if abs(angle - before) > _LEAST_ANGLE:
+                body.rotate_R(link.pose(angle).tolist())
+                self._moving[name] = link, body, angle

@@ -1,0 +1,185 @@
+"""What the IMU's samples show while a session runs: rates, and the noise of the dwells.
+
+Samples are taken in bulk and summed; nobody waits for them, and one that the page misses is missing
+here alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..channel_noise import ChannelNoise
+from ..imu import ImuSpec
+from ..noise import session_noise
+from ..segmentation.segment import Statistics
+from ..segmentation.sensor import Sensor
+from ..segmentation.statistics import (
+    pooled_walk,
+    sample_period,
+    statistics_at_rest,
+    to_samples,
+)
+from ..stream import Floats, ImuBlock, Stamps, Units
+
+_SETTLED = 1_000_000_000
+"""ns at either end of a dwell that are left out: the table's word and the samples come by different
+ways."""
+_SHORTEST = 64
+"""Samples: five octaves of averaging times."""
+_MOST = 1 << 19
+"""Samples that are summed at once: 130 s at 4 kHz, 25 MB. A longer dwell goes on as another."""
+_GROWN = 1.5
+"""Times as many samples as when a dwell was last looked at: its curve is drawn anew."""
+_RATE_SPAN = 2_000_000_000
+"""ns over which the rates of the channels are counted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Streams:
+    """What the samples show.
+
+    Attributes:
+        rate: Samples per second by their stamps, Hz; NaN before the first two seconds.
+        means: (6,) mean of the channels over two seconds: pulses/s, counts, or rad/s and m/s^2.
+        taken: Samples that came to this page.
+        missing: Samples that lack in what came, by the stamps.
+        noise: By channel, of the dwells so far; empty before the first.
+        dwells: How many dwells the noise is of.
+        revision: Changes with the noise.
+
+    """
+
+    rate: float = float('nan')
+    means: Floats = field(default_factory=lambda: np.full(6, np.nan))
+    taken: int = 0
+    missing: int = 0
+    noise: Mapping[str, ChannelNoise] = field(default_factory=dict)
+    dwells: int = 0
+    revision: int = 0
+
+
+class Dwells:
+    """Takes samples, and sums those of the dwells.
+
+    Args:
+        imu: What the numbers mean.
+
+    """
+
+    def __init__(self, imu: ImuSpec) -> None:
+        self._imu = imu
+        self._walk = Sensor.of(imu).walk
+        self._recent: list[ImuBlock] = []
+        self._since: int | None = None
+        self._kept: list[ImuBlock] = []
+        self._looked_at = 0
+        self._statistics: list[Statistics] = []
+        self._last: int | None = None
+        self._taken = self._missing = 0
+        self._rate = float('nan')
+        self._means = np.full(6, np.nan)
+        self._noise: Mapping[str, ChannelNoise] = {}
+        self._revision = 0
+
+    def take(self, block: ImuBlock) -> None:
+        """Take samples; what lies before the newest is a second publisher's, and left out."""
+        if len(block) == 0 or (self._last is not None and int(block.stamp[0]) <= self._last):
+            return
+        self._last = int(block.stamp[-1])
+        self._taken += len(block)
+        self._recent.append(block)
+        if self._since is not None:
+            self._kept.append(block)
+        self._count_rates()
+
+    def stands(self, stamp: int) -> None:
+        """Note that the table dwells at a stamp, ns."""
+        if self._since is None:
+            self._since = stamp + _SETTLED
+            # What came a little earlier than the table's word.
+            self._kept = list(self._recent)
+            self._looked_at = 0
+
+    def moves(self, stamp: int) -> None:
+        """Note that the table does not dwell at a stamp, ns, any more."""
+        if self._since is None:
+            return
+        found = self._of_the_dwell(stamp - _SETTLED)
+        if found is not None:
+            self._statistics.append(found)
+            self._look([])
+        self._since, self._kept = None, []
+
+    def grow(self) -> None:
+        """Look at the dwell that goes on, where it has grown enough."""
+        samples = sum(len(block) for block in self._kept)
+        if self._since is None or samples < max(_SHORTEST, _GROWN * self._looked_at):
+            return
+        self._looked_at = samples
+        found = self._of_the_dwell(None)
+        if found is None:
+            return
+        if samples > _MOST:
+            self._statistics.append(found)
+            self._since, self._kept, self._looked_at = self._last, [], 0
+            self._look([])
+        else:
+            self._look([found])
+
+    @property
+    def streams(self) -> Streams:
+        """What the samples show now."""
+        return Streams(
+            self._rate,
+            self._means,
+            self._taken,
+            self._missing,
+            self._noise,
+            len(self._statistics),
+            self._revision,
+        )
+
+    def _count_rates(self) -> None:
+        """Count rates and missing samples over the last two seconds."""
+        begin, end = int(self._recent[0].stamp[0]), int(self._recent[-1].stamp[-1])
+        if end - begin < _RATE_SPAN:
+            return
+        stamp, values = _columns(self._recent)
+        self._recent = self._recent[-1:]
+        period = sample_period(stamp)
+        steps = np.rint(np.diff(stamp) * 1e-9 / period)
+        self._missing += int((steps[steps > 1] - 1).sum())
+        self._rate = 1 / period
+        whole = self._imu.units is Units.PULSES
+        self._means = values.mean(axis=0) * (self._rate if whole else 1.0)
+
+    def _of_the_dwell(self, until: int | None) -> Statistics | None:
+        if not self._kept or self._since is None:
+            return None
+        stamp, values = _columns(self._kept)
+        inside = stamp >= self._since
+        if until is not None:
+            inside &= stamp <= until
+        if inside.sum() < _SHORTEST:
+            return None
+        stamp, values = stamp[inside], values[inside]
+        samples = to_samples(stamp, values, self._imu, sample_period(stamp))
+        return statistics_at_rest(samples, self._walk)
+
+    def _look(self, going_on: list[Statistics]) -> None:
+        """Estimate the noise anew."""
+        found = [*self._statistics, *going_on]
+        walk = np.sqrt(pooled_walk(found).square)
+        walk = np.where(np.isfinite(walk) & (walk > 0), walk, self._walk)
+        self._noise = session_noise(found, walk)
+        self._revision += 1
+
+
+def _columns(blocks: list[ImuBlock]) -> tuple[Stamps, Floats]:
+    """Return (n,) stamps and (n, 6) values of blocks."""
+    stamp = np.concatenate([b.stamp for b in blocks])
+    values = np.concatenate([np.hstack([b.gyro, b.accel]) for b in blocks])
+    return stamp, values

@@ -1,0 +1,109 @@
+"""Serves the page in a thread of its own, so that whoever listens to nodes need not wait for it."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+
+import uvicorn
+from fastapi import FastAPI, Response
+from fastapi.responses import FileResponse
+from nicegui import ui
+
+from ..errors import InputError
+from . import page
+from .guard import Guard, is_loopback
+
+REPORT = '/report'
+"""Where the report is served."""
+_PATIENCE = 5.0
+"""s for the thread to end; it is left to the process then."""
+
+
+def listening_socket(host: str, port: int) -> socket.socket:
+    """Return a socket that listens.
+
+    Args:
+        host: Name or address of the interface.
+        port: 0 for one that is free.
+
+    Raises:
+        InputError: The port is taken, or there is no such interface.
+
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, 'strerror', None) or str(error)
+        raise InputError(
+            f'The page cannot be served at {host}, port {port}: {reason}. Name another port.'
+        ) from None
+
+
+def address(host: str, port: int) -> str:
+    """Return what a person types into a browser on this machine, or on another one."""
+    name = host.strip('[]')
+    if name in {'0.0.0.0', '::', ''}:
+        name = socket.gethostname()
+    return f'http://{f"[{name}]" if ":" in name else name}:{port}'
+
+
+def exposure(host: str) -> str:
+    """Say who can see the page, where that is not this machine alone; else nothing."""
+    if is_loopback(host):
+        return ''
+    return (
+        f'The page is served at {host}, without encryption: whoever reaches that interface sees the '
+        'session, and who reads along reads a token. Use a network of your own, or the loopback '
+        'interface and ssh -L.'
+    )
+
+
+class Server:
+    """A web server of one page.
+
+    Args:
+        source: What the page shows.
+        listens: As `listening_socket` returns it.
+
+    """
+
+    def __init__(self, source: page.Source, listens: socket.socket) -> None:
+        app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+        @app.get(REPORT)
+        def report() -> Response:
+            if not source.report.is_file():
+                return Response('There is no report yet.\n', 404, media_type='text/plain')
+            # It says itself what it may load: nothing.
+            return FileResponse(source.report, media_type='text/html')
+
+        @ui.page('/', title=source.title, dark=None)
+        def index() -> None:
+            page.build(source)
+
+        ui.run_with(app, show_welcome_message=False, tailwind=False)
+        host, port = listens.getsockname()[:2]
+        config = uvicorn.Config(
+            Guard(app, host, port),  # type: ignore[arg-type]
+            log_level=logging.WARNING,
+            access_log=False,
+            server_header=False,
+            lifespan='on',
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(
+            target=self._server.run, kwargs={'sockets': [listens]}, name='page', daemon=True
+        )
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End it: viewers see that the connection is gone."""
+        self._server.should_exit = True
+        self._server.force_exit = True
+        self._thread.join(_PATIENCE)

@@ -1,0 +1,131 @@
+"""What happens now, how long it still takes, and what a person should do: in sentences."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import datetime
+
+from ..reports.remaining import ends_at, in_words
+from ..units import DEG
+from .board import Level, Outcome, Phase, Snapshot, TableState
+
+_WHOLE = 2.0
+"""Times real time from which on a session is worth calling faster."""
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The first thing that a person reads.
+
+    Attributes:
+        level: How bad it is.
+        now: What happens now, a few words.
+        detail: Why, or what to do; may be empty.
+
+    """
+
+    level: Level
+    now: str
+    detail: str = ''
+
+
+def headline(shown: Snapshot) -> Headline:
+    """Return what happens now."""
+    if shown.outcome is Outcome.FAILED:
+        return Headline(Level.ERROR, 'No calibration', shown.outcome_text)
+    if shown.outcome is Outcome.INCOMPLETE:
+        return Headline(Level.WARN, 'Done, but positions are missing', shown.outcome_text)
+    if shown.outcome is Outcome.DONE:
+        return Headline(Level.OK, 'The calibration is done', shown.outcome_text)
+    if shown.calibrator_silent:
+        return Headline(
+            Level.ERROR,
+            'The calibrator is silent',
+            f'calibrator_node has said nothing for {in_words(shown.calibrator_silent)}: has it '
+            'ended? The table is stopped without it.',
+        )
+    if not shown.expected.table:
+        return _in_the_hand(shown)
+    if shown.table is None:
+        return Headline(Level.WARN, 'Waiting for the table', 'turntable_node was not heard yet.')
+    if shown.table_silent:
+        return Headline(
+            Level.ERROR,
+            'The table\u2019s leader is silent',
+            f'turntable_node has said nothing for {in_words(shown.table_silent)}: has it ended? A '
+            'table that is not led stops by itself.',
+        )
+    return _of_the_table(shown, shown.table)
+
+
+def _in_the_hand(shown: Snapshot) -> Headline:
+    if not shown.progress:
+        return Headline(Level.WARN, 'Waiting', 'calibrator_node was not heard yet.')
+    return Headline(Level.OK, shown.progress)
+
+
+def _of_the_table(shown: Snapshot, table: TableState) -> Headline:
+    where = f'position {table.position}' if table.position else 'its start'
+    if table.phase is Phase.PAUSED:
+        return Headline(Level.WARN, 'The table has stopped', table.reason)
+    if table.phase is Phase.ABORTED:
+        return Headline(Level.ERROR, 'The plan was aborted', table.reason)
+    if table.phase is Phase.DONE:
+        return Headline(Level.OK, 'The plan is done', 'The result is being computed.')
+    if table.phase is Phase.IDLE:
+        return Headline(Level.OK, 'Nothing moves', table.reason or 'The plan is not started.')
+    words = {
+        Phase.MOVING: f'The table moves to {where}',
+        Phase.SETTLING: f'The table comes to rest at {where}',
+        Phase.TURNING: f'The table turns at {where}',
+        Phase.DWELLING: f'The unit stands still at {where}',
+    }
+    return Headline(Level.OK, words[table.phase], _doing(shown, table))
+
+
+def _doing(shown: Snapshot, table: TableState) -> str:
+    """Say what is done in a step."""
+    if table.phase is Phase.TURNING:
+        rates = [
+            f'{name} {rate / DEG:.3g} deg/s'
+            for name, rate in zip(table.joints, table.rates, strict=False)
+            if abs(rate) > 0.01 * DEG
+        ]
+        turned = f'{table.turns_done:.1f} turns done'
+        return f'{", ".join([*rates, turned])}.'
+    steps = shown.expected.steps
+    if table.phase is Phase.DWELLING and table.step < len(steps):
+        return steps[table.step].words
+    return ''
+
+
+def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
+    """Return how long it still takes, and when it is over or what that rests on.
+
+    Args:
+        shown: The state.
+        now: Of the clock on the wall.
+
+    """
+    if shown.outcome is not Outcome.OPEN:
+        return 'over', f'it took {in_words(shown.elapsed)}'
+    if not shown.expected.table:
+        return 'as you hold it', f'{in_words(shown.elapsed)} so far'
+    left = shown.wall_seconds_left
+    if shown.table is None or math.isnan(left):
+        return 'not known', ''
+    if shown.table.phase in {Phase.PAUSED, Phase.ABORTED, Phase.IDLE}:
+        return in_words(left), 'once it goes on' if shown.elapsed else 'once it is started'
+    text = f'ends at {ends_at(left, now)}'
+    if shown.speed > _WHOLE:
+        text += f' ({shown.speed:.0f} times real time)'
+    return in_words(left), text
+
+
+def joint_words(table: TableState) -> list[tuple[str, str, str]]:
+    """Return name, angle and rate of every joint, in words."""
+    return [
+        (name, f'{angle / DEG:.3f}\u00b0', f'{rate / DEG:.2f} \u00b0/s')
+        for name, angle, rate in zip(table.joints, table.angles, table.rates, strict=False)
+    ]
