@@ -115,8 +115,6 @@ setup(
             'moto[server]>=5',
             's3fs',
             WEB,
-            # Drives a Chromium that is there; it downloads none.
-            'playwright>=1.40',
         ],
         'dev': [
             *DOCS,

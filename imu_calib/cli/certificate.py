@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.certifying import FORMATS, certificate
-from . import options
+from ..api.outputs import output_path
 from .terminal import OUTPUT
 
 
@@ -44,7 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the files, and say what a draft lacks."""
-    paths = [options.output_path(path) for path in arguments.output]
+    paths = [output_path(path) for path in arguments.output]
     made = certificate(
         arguments.calibration,
         arguments.fields,

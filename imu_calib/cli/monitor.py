@@ -12,6 +12,7 @@ from .. import middleware as ros
 from ..middleware import messages
 from ..nodes import qos
 from ..security import in_enclave
+from ..web.board import Board
 from .processes import Processes
 from .words import Words
 
@@ -24,6 +25,7 @@ class Monitor:
 
     Args:
         words: Shows what the nodes say of themselves.
+        board: Takes what is heard, to be shown; None where nothing is.
 
     Attributes:
         outcome: Whether there is a calibration, and what was said of it; None while it runs.
@@ -31,9 +33,10 @@ class Monitor:
 
     """
 
-    def __init__(self, words: Words) -> None:
+    def __init__(self, words: Words, board: Board | None = None) -> None:
         self._node = ros.Node('imu_calib_stand')
         self._words = words
+        self._board = board
         self._state: Any = None
         self._progress: Any = None
         self._service: Any = None
@@ -122,6 +125,8 @@ class Monitor:
 
     def _on_state(self, message: Any) -> None:
         self._state = message
+        if self._board is not None:
+            self._board.take_state(message, time.monotonic())
         now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         stopped = message.phase in {message.PAUSED, message.ABORTED}
         self.stopped = message.reason if stopped else ''
@@ -132,11 +137,15 @@ class Monitor:
 
     def _on_progress(self, message: Any) -> None:
         self._progress = message
+        if self._board is not None:
+            self._board.take_progress(message, time.monotonic())
         now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         if now > 0:
             self._span = (self._span[0] or now, now)
 
     def _on_calibration(self, message: Any) -> None:
+        if self._board is not None:
+            self._board.take_calibration(message)
         if message.status in {message.VALID, message.INCOMPLETE}:
             self.outcome = True, message.status_text
         elif message.status == message.REFUSED:
@@ -144,12 +153,12 @@ class Monitor:
 
 
 @contextmanager
-def watching(processes: Processes, words: Words) -> Iterator[Monitor]:
+def watching(processes: Processes, words: Words, board: Board | None = None) -> Iterator[Monitor]:
     """Join the network of a stand's nodes with a monitor; leave it at the end of the block."""
     os.environ.update({**in_enclave('operator'), **processes.environment})
     ros.init(args=[])
     words.nodes = processes.names
-    monitor = Monitor(words)
+    monitor = Monitor(words, board)
     try:
         yield monitor
     finally:

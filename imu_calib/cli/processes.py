@@ -10,8 +10,10 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any
 
 import yaml
@@ -67,6 +69,7 @@ class Processes:
         own = {'PYTHONUNBUFFERED': '1', ENDS_WITH: str(os.getpid())}
         self._environment = {**os.environ, **own, **environment}
         self._running: dict[str, tuple[subprocess.Popen[bytes], IO[bytes]]] = {}
+        self._needless: set[str] = set()
 
     def __enter__(self) -> Processes:
         """Return the processes; leaving the block ends them."""
@@ -74,14 +77,34 @@ class Processes:
 
     def __exit__(self, *_: object) -> None:
         """End what was started last first: who leads the table stops it."""
-        for name in reversed(self._running):
-            process, log = self._running[name]
+        self.end_all_but(())
+
+    def end_all_but(self, kept: Collection[str]) -> None:
+        """End all nodes but some, those that were started last first."""
+        for name in [n for n in reversed(self._running) if n not in kept]:
+            process, log = self._running.pop(name)
             _end(process)
             log.close()
-        self._running.clear()
 
-    def start(self, node: str, parameters: dict[str, Any]) -> None:
-        """Start a node of the suite with its parameters."""
+    def start(
+        self,
+        node: str,
+        parameters: dict[str, Any],
+        *,
+        needed: bool = True,
+        environment: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        """Start a node of the suite with its parameters.
+
+        Args:
+            node: Its name.
+            parameters: By name.
+            needed: Whether the others cannot do without it.
+            environment: Further variables, for this node alone.
+
+        """
+        if not needed:
+            self._needless.add(node)
         file = self._folder / f'{node}.yaml'
         file.write_text(yaml.safe_dump({node: {'ros__parameters': parameters}}), encoding='utf-8')
         log = (self._folder / f'{node}.log').open('ab')
@@ -91,7 +114,7 @@ class Processes:
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env={**self._environment, **in_enclave(node)},
+            env={**self._environment, **in_enclave(node), **environment},
             # Ctrl-C is for this process alone, which ends them in order.
             start_new_session=True,
             pass_fds=self._inherited,
@@ -110,19 +133,23 @@ class Processes:
         """Names of the nodes that were started."""
         return tuple(self._running)
 
+    def runs(self, node: str) -> bool:
+        """Say whether a node was started and has not ended."""
+        return node in self._running and self._running[node][0].poll() is None
+
     def number(self, node: str) -> int:
         """Return the process number of a node."""
         return self._running[node][0].pid
 
     def check(self) -> None:
-        """Make sure that all still run.
+        """Make sure that all that are needed still run.
 
         Raises:
             InputError: One has ended; its last words.
 
         """
         for node, (process, _) in self._running.items():
-            if process.poll() is not None:
+            if node not in self._needless and process.poll() is not None:
                 raise InputError(
                     f'{node} has ended ({_how(process.returncode)}): {self.last_words(node)}'
                 )

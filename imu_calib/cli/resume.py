@@ -35,7 +35,10 @@ _FILES = {
 }
 """Options that name a file, and of which kind."""
 
-_OF_THE_RUN = frozenset({'command', 'run', 'default_of', 'last_word', 'output', 'resume', 'start'})
+_OF_THE_RUN = frozenset(
+    {'command', 'run', 'default_of', 'last_word', 'output', 'resume', 'start'}
+    | {'web', 'web_host', 'control', 'verbose'}
+)
 """What belongs to one run rather than to the session."""
 
 _MAY_CHANGE = frozenset({'port', 'baud', 'speed', 'network'})

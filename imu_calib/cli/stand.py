@@ -14,7 +14,7 @@ from ..imu import ImuSpec, load_imu
 from ..plan import load_plan
 from ..share import shipped
 from ..turntable import load_table
-from . import options
+from . import options, web_page
 from .listening import listen
 from .processes import network_of_hardware
 from .terminal import OUTPUT
@@ -47,6 +47,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     options.add_method_option(parser)
     options.add_serial_option(parser)
     options.add_site_options(parser)
+    parser.add_argument(
+        '--verbose',
+        action='store_true',
+        help='print the variables of the network too, by which other programs look on',
+    )
+    web_page.add_options(parser)
     real = parser.add_argument_group(
         'real hardware',
         'The table is then led by setpoints in the ROS domain of the environment, which must not '
@@ -170,6 +176,7 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
 def _check(arguments: argparse.Namespace, words: Words) -> Calibration | None:
     """Refuse what cannot work before anything moves; return the truth of a simulation."""
     _check_baud(arguments)
+    web_page.check(arguments)
     if arguments.port:
         if arguments.imperfections:
             raise InputError('--imperfections: of simulated hardware; leave it out with --port.')

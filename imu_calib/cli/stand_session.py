@@ -9,8 +9,11 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
+
+from rich.live import Live
 
 from ..api.stated import TRUE_TABLE
 from ..calibration import Calibration
@@ -25,10 +28,13 @@ from ..prediction import check_session
 from ..reports.parameter_table import parameter_tables
 from ..simulation import StandOptions, load_imperfections
 from ..turntable import Table, load_table
-from . import by_hand, options, resume
+from ..web.board import Board
+from ..web.expectation import expectation
+from . import by_hand, options, resume, web_page
 from .processes import Outcome, Processes, free_port, network_of_hardware, private_network
 from .stand import complete
-from .terminal import OUTPUT, progress_bar, sentence_list
+from .table_view import view
+from .terminal import ERRORS, OUTPUT, sentence_list
 from .words import NothingComes, Words
 
 _ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
@@ -50,9 +56,7 @@ def check(
     # Which runtime there is, is asked here alone: the other commands need none.
     from . import monitor  # noqa: F401
 
-    stated = options.stated(arguments)
-    terms, changes, look = stated.sensor_terms, stated.changes, stated.look
-    setup = Setup(imu, plan, table, site, arguments.method, terms=terms, changes=changes, look=look)
+    setup = _setup(arguments, imu, plan, table, site)
     _check_session(setup)
     if plan.by_hand and not arguments.port and setup.method_name != free_positions.NAME:
         raise InputError(
@@ -61,6 +65,14 @@ def check(
         )
     if arguments.imperfections:
         load_imperfections(arguments.imperfections, StandOptions(), table, arguments.seed)
+
+
+def _setup(
+    arguments: argparse.Namespace, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
+) -> Setup:
+    stated = options.stated(arguments)
+    terms, changes, look = stated.sensor_terms, stated.changes, stated.look
+    return Setup(imu, plan, table, site, arguments.method, terms=terms, changes=changes, look=look)
 
 
 def _check_session(setup: Setup) -> None:
@@ -115,11 +127,19 @@ def run(
     environment = _network(arguments)
     given = parameters(arguments, folder)
     began = time.monotonic()
-    joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
-    OUTPUT.print(f'to look on: export {joined}', markup=False)
+    if environment and arguments.verbose:
+        joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
+        OUTPUT.print(f'to look on: export {joined}', markup=False)
     try:
         with Processes(folder, environment, (claim,)) as processes:
             outcome = _session(arguments, processes, given, words)
+            # Who looks on from a browser is to see the result, too.
+            processes.end_all_but({web_page.NODE})
+            if outcome.finished:
+                _print_result(arguments, folder, truth, outcome, time.monotonic() - began)
+            elif processes.runs(web_page.NODE):
+                ERRORS.print(outcome.text, style='red', markup=False)
+            web_page.stay(arguments, processes)
     except NothingComes:
         if not arguments.resume:
             # Nothing was recorded: the same command is to work once the device is there.
@@ -131,13 +151,22 @@ def run(
             arguments.last_word = f'To go on with it: {resume.command(name)}'
     if not outcome.finished:
         raise NotObservable(outcome.text)
+
+
+def _print_result(
+    arguments: argparse.Namespace,
+    folder: Path,
+    truth: Calibration | None,
+    outcome: Outcome,
+    seconds: float,
+) -> None:
+    """Print what came out, beside the truth where it is known."""
     calibration = Calibration.load(folder / resume.RESULT)
     if truth is not None:
         truth.save(folder / 'truth.yaml')
         _save_true_table(arguments, folder)
     for part in parameter_tables(calibration, truth):
         OUTPUT.print(part)
-    seconds = time.monotonic() - began
     OUTPUT.print(
         f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '
         f'{seconds:.0f} s; recording: {folder / resume.JOURNAL}, result: {folder / resume.RESULT}'
@@ -171,9 +200,18 @@ def _session(
     for node in _ORDER:
         if node in given:
             processes.start(node, given[node])
+    if web_page.NODE in given:
+        web_page.start(arguments, processes, given[web_page.NODE])
     if load_plan(arguments.plan).by_hand:
         return by_hand.follow(processes, words)
-    return _follow(processes, words)
+    site = options.stated(arguments).site(LUOYANG)
+    imu, plan, table = (
+        load_imu(arguments.imu),
+        load_plan(arguments.plan),
+        load_table(arguments.table),
+    )
+    board = Board(expectation(_setup(arguments, imu, plan, table, site)))
+    return _follow(processes, words, board, control=arguments.control)
 
 
 def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
@@ -234,7 +272,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
                 'imu': arguments.imu,
                 **played,
             }
-        return nodes
+        return nodes | web_page.parameters(arguments, nodes['calibrator_node'])
     if simulated:
         # Simulated time stands still while a busy machine catches up: that is no silence.
         nodes['turntable_node'] |= {'watchdog_timeout': 10.0, 'calibrator_timeout': 10.0}
@@ -246,7 +284,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
             'azimuth': arguments.azimuth,
             **played,
         }
-    return nodes
+    return nodes | web_page.parameters(arguments, nodes['calibrator_node'])
 
 
 def _frames(arguments: argparse.Namespace) -> str:
@@ -255,20 +293,39 @@ def _frames(arguments: argparse.Namespace) -> str:
     return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
 
 
-def _follow(processes: Processes, words: Words) -> Outcome:
-    """Watch the session until it ends, with a progress bar."""
+def _follow(processes: Processes, words: Words, board: Board, *, control: bool) -> Outcome:
+    """Watch the session until it ends, and show how far it is.
+
+    Args:
+        processes: The nodes.
+        words: Shows what they say of themselves.
+        board: Keeps what is shown.
+        control: Whether somebody can have a table that has stopped go on.
+
+    Raises:
+        InputError: A node has ended, or nothing comes.
+
+    """
     from .monitor import watching
 
-    with watching(processes, words) as monitor, progress_bar('starting') as show:
+    with (
+        watching(processes, words, board) as monitor,
+        Live(console=ERRORS, refresh_per_second=4, transient=True) as display,
+    ):
         deadline = time.monotonic() + _START
+        said = ''
         while True:
             monitor.spin(0.1)
             processes.check()
-            done = round(monitor.duration)
-            show(done, done + round(monitor.remaining), monitor.text)
+            display.update(view(board.snapshot(time.monotonic()), datetime.now(), ERRORS.width))
             if monitor.outcome is not None:
                 return Outcome(*monitor.outcome, monitor.duration)
-            if monitor.stopped:
+            if monitor.stopped and not control:
                 return Outcome(False, f'The table has stopped. {monitor.stopped}', monitor.duration)
+            if monitor.stopped != said:
+                said = monitor.stopped
+                if said:
+                    text = f'The table has stopped. {said} Go on from the page, or end with Ctrl-C.'
+                    ERRORS.print(text, style='yellow', markup=False)
             if not monitor.begun and time.monotonic() > deadline:
                 raise InputError(f'The stand does not start: {monitor.text}.')

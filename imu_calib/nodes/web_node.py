@@ -11,21 +11,17 @@ import secrets
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from .. import middleware as ros
-from ..calibrator import Setup
 from ..cdr import Kind, Malformed, Messages
-from ..errors import ImuCalibError
 from ..extras import require
 from ..middleware import messages
-from ..model import SensorModel
-from ..prediction import forecast
-from ..stream import ImuBlock, JointBlock, Mode, TemperatureBlock
-from ..units import DEG
-from ..web.board import Board, Expected, Phase, PlannedStep
+from ..stream import ImuBlock, JointBlock, TemperatureBlock
+from ..web.board import Board, Phase
+from ..web.expectation import expectation
+from ..web.guard import Token, address, exposure
 from ..web.samples import Dwells
 from ..web.shape import table_shape
 from . import qos
@@ -57,8 +53,8 @@ class WebNode(ros.Node):
     def __init__(self) -> None:
         super().__init__('web_node')
         require('nicegui', 'A page in the browser', 'web')
+        # NiceGUI takes longer to load than what the session may have wrong to be said.
         from ..web import page, server
-        from ..web.guard import Token
 
         self._setup, _ = declared_setup(self)
         host = declare(
@@ -90,7 +86,7 @@ class WebNode(ros.Node):
 
         secret = (os.environ.pop(TOKEN, '') or secrets.token_urlsafe(16)) if control else ''
         listens = server.listening_socket(host, port)
-        where = server.address(host, listens.getsockname()[1])
+        where = address(host, listens.getsockname()[1])
         self._server = server.Server(
             page.Source(
                 f'Stand: {self._setup.plan.name}',
@@ -106,10 +102,9 @@ class WebNode(ros.Node):
         )
         self._server.start()
         self._diagnostics = Diagnostics(self, self._setup.imu.id)
-        exposed = server.exposure(host)
-        self._diagnostics.report(
-            'page', Level.WARN if exposed else Level.OK, f'The page is at {where} . {exposed}'
-        )
+        exposed = exposure(host)
+        text = f'Open {where} in a browser. {exposed}'.rstrip()
+        self._diagnostics.report('page', Level.WARN if exposed else Level.OK, text)
         if secret:
             # On the screen of who started it; the log goes onto the network (/rosout).
             print(f'web_node: token for the buttons: {secret}', flush=True)  # noqa: T201
@@ -148,8 +143,7 @@ class WebNode(ros.Node):
             self, messages.JointState, 'turntable/joint_states', qos.glimpse(1)
         )
         self._clients = {
-            name: self.create_client(ros.Trigger, f'turntable_node/{name}')
-            for name in _COMMANDS
+            name: self.create_client(ros.Trigger, f'turntable_node/{name}') for name in _COMMANDS
         }
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
         self.create_timer(_DRAIN, self._look, clock=steady)
@@ -239,38 +233,6 @@ class WebNode(ros.Node):
             last = why[-1] if why else 'it gave no reason.'
             self._board.take_report('', f'The report could not be written: {last}')
         self._reporter = None
-
-
-def expectation(setup: Setup) -> Expected:
-    """Return what is known of a session before it begins."""
-    table = setup.table
-    steps = tuple(
-        PlannedStep(step.position, _words(step.mode, step.rates.tolist(), step.turns, step.dwell))
-        for step in setup.steps
-    )
-    predicted: dict[str, float] = {}
-    # Without a data sheet's noise nothing can be predicted; all else can be shown.
-    with suppress(ImuCalibError):
-        found = forecast(setup, SensorModel(), wander=True)
-        names = [parameter.name for parameter in found.parameters]
-        predicted = dict(zip(names, found.std.tolist(), strict=True))
-    return Expected(
-        setup.plan.name,
-        setup.imu.id,
-        '' if table is None else table.name,
-        steps,
-        setup.parameters,
-        tuple(predicted.get(p.name, float('nan')) for p in setup.parameters),
-        setup.imu.specification,
-        () if table is None else table.names,
-    )
-
-
-def _words(mode: Mode, rates: list[float], turns: int, dwell: float) -> str:
-    if mode is Mode.RATE:
-        rate = next((r for r in rates if r), 0.0) / DEG
-        return f'{turns} turns at {rate:g} deg/s.'
-    return f'Stands still for {dwell:g} s.'
 
 
 def _answered(name: str, response: Any) -> str:

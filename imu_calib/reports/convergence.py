@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..model import Parameter
-from ..specification import COVERAGE, Specification, Verdict, judge
+from ..specification import Specification, Verdict, judge
 from .parameter_table import engineering, three_digits
 
 _MOST_POINTS = 120

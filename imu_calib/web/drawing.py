@@ -59,7 +59,7 @@ def banner(shown: Snapshot, now: datetime) -> str:
 
 def _phase(shown: Snapshot) -> str:
     if shown.outcome is not Outcome.OPEN:
-        return shown.outcome.value
+        return str(shown.outcome.value)
     return 'none' if shown.table is None else shown.table.phase.name.lower()
 
 

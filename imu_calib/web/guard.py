@@ -50,6 +50,25 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def address(host: str, port: int) -> str:
+    """Return what a person types into a browser on this machine, or on another one."""
+    name = host.strip('[]')
+    if name in {'0.0.0.0', '::', ''}:
+        name = socket.gethostname()
+    return f'http://{f"[{name}]" if ":" in name else name}:{port}'
+
+
+def exposure(host: str) -> str:
+    """Say who can see the page, where that is not this machine alone; else nothing."""
+    if is_loopback(host):
+        return ''
+    return (
+        f'The page is served at {host}, without encryption: whoever reaches that interface sees '
+        'the session, and who reads along reads a token. Use a network of your own, or the '
+        'loopback interface and ssh -L.'
+    )
+
+
 class Guard:
     """Lets requests through to a page that are meant for it and come from it (ASGI).
 

@@ -28,6 +28,8 @@ _KEY = (
     '<span><i class="predicted"></i>what the plan will reach</span>'
     '<span><i class="allowed"></i>half the limit of the specification</span></div>'
 )
+_FPS = 10
+"""Pictures of the table in a second: as often as its joints are told."""
 _HEIGHT = 340
 """px of the table's picture."""
 
@@ -78,6 +80,7 @@ def build(source: Source) -> None:
     """Lay the page out for one viewer, and keep it up to date while it is looked at."""
     ui.add_css(STYLE)
     parts: list[_Part] = []
+    noise = _Noise(source.imu)
 
     def part(draw: Callable[[Snapshot], str], kind: str = '') -> None:
         # What is drawn is escaped there (drawing): no text of a node is taken for markup.
@@ -92,23 +95,21 @@ def build(source: Source) -> None:
             part(drawing.troubles)
         with _card('The report', 'wide report') as finished:
             part(drawing.report)
-        with _card('The plan'):
-            part(drawing.plan)
-            part(drawing.joints)
-        with _card('The table' if source.shape else 'The samples'):
-            scene = _Scene(source.shape) if source.shape else None
-            if scene is None:
+        with ui.element('div').classes('column'):
+            with _card('The plan'):
+                part(drawing.plan)
+            with _card('The samples'):
                 part(lambda s: drawing.streams(s, source.imu))
+        with _card('The table' if source.shape else 'Noise: Allan deviation'):
+            scene = _Scene(source.shape) if source.shape else None
+            part(drawing.joints if source.shape else noise.draw)
         with _card('How well the parameters are known', 'wide'):
             part(drawing.parameters)
             ui.html(_KEY, sanitize=False)
         if source.shape:
-            with _card('The samples'):
-                part(lambda s: drawing.streams(s, source.imu))
-        with _card('Noise: Allan deviation'):
-            noise = _Noise(source.imu)
-            part(noise.draw)
-        with _card('All that the nodes say', 'wide'):
+            with _card('Noise: Allan deviation', 'wide'):
+                part(noise.draw)
+        with ui.expansion('All that the nodes say').classes('card wide all'):
             part(drawing.diagnostics)
 
     def refresh() -> None:
@@ -181,9 +182,7 @@ class _Control:
                 ui.button('Yes, move', on_click=self._go).props('no-caps unelevated')
                 ui.button('No', on_click=self._dialog.close).props('no-caps flat')
 
-    def _button(
-        self, text: str, action: Callable[[], None], colour: str = 'primary'
-    ) -> ui.button:
+    def _button(self, text: str, action: Callable[[], None], colour: str = 'primary') -> ui.button:
         return ui.button(text, on_click=action, color=colour).props('no-caps unelevated')
 
     def _unlock(self) -> None:
@@ -221,11 +220,11 @@ class _Scene:
     def __init__(self, base: Link) -> None:
         self._moving: dict[str, tuple[Link, Any, float]] = {}
         background = '#8d99a6'
-        with ui.scene(
-            height=_HEIGHT, grid=(2, 10), background_color=background, control_type='orbit'
-        ).classes('table-picture') as self._scene:
+        with ui.scene(height=_HEIGHT, grid=False, background_color=background, fps=_FPS).classes(
+            'table-picture'
+        ) as self._scene:
             self._hang(base)
-        self._scene.move_camera(x=1.25, y=-1.35, z=0.75, look_at_x=0, look_at_y=0, look_at_z=-0.1)
+        self._scene.move_camera(x=1.0, y=-1.15, z=0.5, look_at_x=0, look_at_y=0, look_at_z=-0.12)
 
     def _hang(self, link: Link) -> None:
         with self._scene.group() as frame:
@@ -241,8 +240,10 @@ class _Scene:
 
     def _put(self, solid: Solid) -> None:
         turned = solid.turned
+        body: Any
         if solid.kind == 'box':
-            body = self._scene.box(*solid.size)
+            width, depth, height = solid.size
+            body = self._scene.box(width, depth, height)
         elif solid.kind == 'cylinder':
             radius, length = solid.size
             body = self._scene.cylinder(radius, radius, length, 40)

@@ -13,7 +13,7 @@ from nicegui import ui
 
 from ..errors import InputError
 from . import page
-from .guard import Guard, is_loopback
+from .guard import Guard
 
 REPORT = '/report'
 """Where the report is served."""
@@ -42,25 +42,6 @@ def listening_socket(host: str, port: int) -> socket.socket:
         ) from None
 
 
-def address(host: str, port: int) -> str:
-    """Return what a person types into a browser on this machine, or on another one."""
-    name = host.strip('[]')
-    if name in {'0.0.0.0', '::', ''}:
-        name = socket.gethostname()
-    return f'http://{f"[{name}]" if ":" in name else name}:{port}'
-
-
-def exposure(host: str) -> str:
-    """Say who can see the page, where that is not this machine alone; else nothing."""
-    if is_loopback(host):
-        return ''
-    return (
-        f'The page is served at {host}, without encryption: whoever reaches that interface sees the '
-        'session, and who reads along reads a token. Use a network of your own, or the loopback '
-        'interface and ssh -L.'
-    )
-
-
 class Server:
     """A web server of one page.
 
@@ -87,7 +68,7 @@ class Server:
         ui.run_with(app, show_welcome_message=False, tailwind=False)
         host, port = listens.getsockname()[:2]
         config = uvicorn.Config(
-            Guard(app, host, port),  # type: ignore[arg-type]
+            Guard(app, host, port),
             log_level=logging.WARNING,
             access_log=False,
             server_header=False,

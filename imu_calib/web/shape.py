@@ -157,9 +157,7 @@ def _named(joint: ElementTree.Element, end: str) -> str:
     return found.attrib['link']
 
 
-def _solids(
-    link: ElementTree.Element, materials: dict[str, str | None]
-) -> Iterator[Solid]:
+def _solids(link: ElementTree.Element, materials: dict[str, str | None]) -> Iterator[Solid]:
     for visual in link.findall('visual'):
         at, turned = _origin(visual)
         material = visual.find('material')
@@ -193,9 +191,7 @@ def _origin(element: ElementTree.Element) -> tuple[Triple, Floats]:
     if origin is None:
         return _ORIGIN, np.eye(3)
     roll, pitch, yaw = _numbers(origin.attrib.get('rpy', '0 0 0'))
-    turned = (
-        rotation(_UP, yaw) @ rotation(np.array([0.0, 1.0, 0.0]), pitch) @ rotation(_X, roll)
-    )
+    turned = rotation(_UP, yaw) @ rotation(np.array([0.0, 1.0, 0.0]), pitch) @ rotation(_X, roll)
     return _numbers(origin.attrib.get('xyz', '0 0 0')), turned
 
 

@@ -19,6 +19,7 @@ body { background: var(--ground); color: var(--ink);
 .stand h2 { font-size: 24px; line-height: 1.25; margin: 0; font-weight: 600; }
 .stand h3 { font-size: 14px; line-height: 1.3; margin: 8px 0 2px; font-weight: 600; }
 .stand p { margin: 4px 0; }
+.column { display: grid; gap: 14px; }
 .card { background: var(--card); border: 1px solid var(--line); border-radius: 8px;
   padding: 12px 16px; }
 .card > .title { font-size: 13px; font-weight: 600; color: var(--soft); margin: 0 0 6px; }
@@ -35,7 +36,8 @@ body { background: var(--ground); color: var(--ink);
 .banner .time strong { font-size: 24px; line-height: 1.25; font-weight: 600;
   font-variant-numeric: tabular-nums; }
 .banner .detail { font-size: 16px; }
-.bar { height: 8px; border-radius: 4px; background: var(--line); margin: 12px 0 4px; overflow: hidden; }
+.bar { height: 8px; border-radius: 4px; background: var(--line); margin: 12px 0 4px;
+  overflow: hidden; }
 .bar div { height: 100%; background: var(--mark); }
 .foot { display: flex; justify-content: space-between; font-variant-numeric: tabular-nums; }
 .sign { display: inline-flex; align-items: center; justify-content: center; width: 1.35em;
@@ -44,22 +46,28 @@ body { background: var(--ground); color: var(--ink);
 .sign.warn { background: var(--warn); }
 .sign.error { background: var(--error); }
 .sentences { list-style: none; margin: 0; padding: 0; }
-.sentences li { display: flex; align-items: baseline; padding: 5px 0; border-top: 1px solid var(--line); }
+.sentences li { display: flex; align-items: baseline; padding: 5px 0;
+  border-top: 1px solid var(--line); }
 .sentences li:first-child { border-top: 0; }
-.sentences li > div { display: flex; flex-direction: column; min-width: 0; overflow-wrap: anywhere; }
+.sentences li > div { display: flex; flex-direction: column; min-width: 0;
+  overflow-wrap: anywhere; }
 .sentences b { font-size: 13px; color: var(--soft); font-weight: 600; }
-.steps { list-style: none; display: flex; flex-wrap: wrap; gap: 4px; margin: 0 0 8px; padding: 0; }
+.steps { list-style: none; display: flex; flex-wrap: wrap; gap: 4px; margin: 0 0 8px; padding: 0;
+  }
 .steps li { min-width: 28px; padding: 2px 4px; text-align: center; border-radius: 4px;
   font-size: 13px; font-variant-numeric: tabular-nums; border: 1px solid var(--line); }
 .steps .done { background: var(--done); border-color: transparent; }
-.steps .now { background: var(--mark); color: var(--card); border-color: transparent; font-weight: 700; }
+.steps .now { background: var(--mark); color: var(--card); border-color: transparent;
+  font-weight: 700; }
 .steps .again { border: 2px solid var(--warn); }
-.stand dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(128px, 1fr)); gap: 8px 14px;
+.stand dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(128px, 1fr));
+  gap: 8px 14px;
   margin: 4px 0; }
 .stand dt { font-size: 12.5px; color: var(--soft); }
 .stand dd { margin: 0; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
 .stand dd span { color: var(--soft); font-size: 12.5px; margin-left: .5em; }
-.stand .channels { grid-template-columns: repeat(3, minmax(0, 1fr)); border-top: 1px solid var(--line);
+.stand .channels { grid-template-columns: repeat(3, minmax(0, 1fr));
+  border-top: 1px solid var(--line);
   padding-top: 8px; }
 .pair { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4px 26px; }
 .parameters { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums;
@@ -76,23 +84,29 @@ svg.course { display: block; width: 120px; height: 30px; }
 .course .now { fill: var(--mark); }
 .course .predicted { stroke: var(--ok); stroke-dasharray: 4 3; }
 .course .allowed { stroke: var(--error); stroke-width: 1; }
-.key { display: flex; flex-wrap: wrap; gap: 2px 18px; font-size: 12.5px; color: var(--soft); margin-top: 8px; }
+.key { display: flex; flex-wrap: wrap; gap: 2px 18px; font-size: 12.5px; color: var(--soft);
+  margin-top: 8px; }
 .key i { display: inline-block; width: 22px; height: 0; border-top: 2px solid var(--mark);
   vertical-align: .3em; margin-right: 6px; }
 .key .predicted { border-top: 2px dashed var(--ok); }
 .key .allowed { border-top: 2px solid var(--error); }
-.badge { display: inline-block; margin-left: 6px; padding: 0 6px; border-radius: 3px; color: var(--card);
+.badge { display: inline-block; margin-left: 6px; padding: 0 6px; border-radius: 3px;
+  color: var(--card);
   font-weight: 600; font-size: 11.5px; background: var(--soft); }
 .badge.pass { background: var(--ok); }
 .badge.marginal { background: var(--warn); }
 .badge.fail { background: var(--error); }
-.plot { overflow-x: auto; }
+.plot { overflow-x: auto; max-width: 900px; }
+.all .q-item, .all .q-expansion-item__content { padding: 0; }
+.all .q-item__label { font-size: 13px; font-weight: 600; color: var(--soft); }
 .plot svg { width: 100%; min-width: 560px; height: auto; display: block; }
-.plot text { font: 12px system-ui, "Segoe UI", "DejaVu Sans", Arial, sans-serif; fill: var(--ink); }
+.plot text { font: 12px system-ui, "Segoe UI", "DejaVu Sans", Arial, sans-serif;
+  fill: var(--ink); }
 .plot text.tick { font-size: 11px; fill: var(--soft); }
 .plot .grid { stroke: var(--line); }
 .plot .frame { fill: none; stroke: var(--soft); }
-.report .button { display: inline-block; padding: 6px 16px; border-radius: 6px; background: var(--mark);
+.report .button { display: inline-block; padding: 6px 16px; border-radius: 6px;
+  background: var(--mark);
   color: var(--card); text-decoration: none; font-weight: 600; }
 .report iframe { width: 100%; height: 640px; border: 1px solid var(--line); border-radius: 6px;
   margin-top: 10px; background: #fff; display: block; }

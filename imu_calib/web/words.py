@@ -14,6 +14,13 @@ _WHOLE = 2.0
 """Times real time from which on a session is worth calling faster."""
 
 
+_ENDS = {
+    Outcome.FAILED: (Level.ERROR, 'No calibration'),
+    Outcome.INCOMPLETE: (Level.WARN, 'Done, but positions are missing'),
+    Outcome.DONE: (Level.OK, 'The calibration is done'),
+}
+
+
 @dataclass(frozen=True)
 class Headline:
     """The first thing that a person reads.
@@ -32,12 +39,8 @@ class Headline:
 
 def headline(shown: Snapshot) -> Headline:
     """Return what happens now."""
-    if shown.outcome is Outcome.FAILED:
-        return Headline(Level.ERROR, 'No calibration', shown.outcome_text)
-    if shown.outcome is Outcome.INCOMPLETE:
-        return Headline(Level.WARN, 'Done, but positions are missing', shown.outcome_text)
-    if shown.outcome is Outcome.DONE:
-        return Headline(Level.OK, 'The calibration is done', shown.outcome_text)
+    if shown.outcome in _ENDS:
+        return Headline(*_ENDS[shown.outcome], shown.outcome_text)
     if shown.calibrator_silent:
         return Headline(
             Level.ERROR,
@@ -114,7 +117,7 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
         return 'as you hold it', f'{in_words(shown.elapsed)} so far'
     left = shown.wall_seconds_left
     if shown.table is None or math.isnan(left):
-        return 'not known', ''
+        return 'time left not known', ''
     if shown.table.phase in {Phase.PAUSED, Phase.ABORTED, Phase.IDLE}:
         return in_words(left), 'once it goes on' if shown.elapsed else 'once it is started'
     text = f'ends at {ends_at(left, now)}'

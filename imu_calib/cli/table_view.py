@@ -1,0 +1,87 @@
+"""The terminal of a session on a table: what happens now, the time left, what is known so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from itertools import zip_longest
+
+from rich.console import Group, RenderableType
+from rich.progress_bar import ProgressBar
+from rich.table import Table as Rows
+from rich.text import Text
+
+from ..reports.convergence import Converging
+from ..web.board import Level, Snapshot
+from ..web.words import headline, time_left
+
+_STYLES = {Level.OK: 'bold', Level.WARN: 'bold yellow', Level.ERROR: 'bold red'}
+_BAR = 30
+"""Letters."""
+_COLUMNS = ('', 'std now', 'plan', 'limit', 'unit')
+_WIDE = 78
+"""Letters for two triads side by side; 12 rows then fit a small terminal."""
+
+
+def view(shown: Snapshot, now: datetime, width: int) -> Group:
+    """Lay out a session that runs.
+
+    Args:
+        shown: Its state.
+        now: Of the clock on the wall.
+        width: Of the terminal, letters.
+
+    """
+    first = headline(shown)
+    parts: list[RenderableType] = [Text(first.now, style=_STYLES[first.level])]
+    if first.detail:
+        parts.append(Text(first.detail))
+    parts.append(_course(shown, now))
+    known = sum(row.determined for row in shown.rows)
+    parts.append(Text(f'{known} of {len(shown.rows)} parameters are determined'))
+    if known:
+        parts.append(_parameters(shown.rows, width))
+    return Group(*parts)
+
+
+def _course(shown: Snapshot, now: datetime) -> Rows:
+    """Return the bar, the step and the time left; what is not known yet is said, too."""
+    left, rests_on = time_left(shown, now)
+    table = shown.table
+    step = 'waiting'
+    if table is not None and table.steps:
+        step = f'step {min(table.step + 1, table.steps)} of {table.steps}'
+    words = [f'{left} left' if left[0].isdigit() else left, rests_on]
+    line = Rows.grid(padding=(0, 1))
+    line.add_row(
+        step,
+        ProgressBar(total=1.0, completed=shown.share, width=_BAR),
+        f'{100 * shown.share:.0f} %',
+        ', '.join(filter(None, words)),
+    )
+    return line
+
+
+def _parameters(rows: Sequence[Converging], width: int) -> Rows:
+    """Return the deviations beside what the plan will reach and what is allowed."""
+    triads = [[row for row in rows if row.parameter.triad == triad] for triad in 'ga']
+    beside = width >= _WIDE
+    if not beside:
+        triads = [[*triads[0], *triads[1]]]
+    table = Rows(box=None, pad_edge=False, header_style='bold', padding=(0, 1, 0, 0))
+    for _ in triads:
+        for heading in _COLUMNS:
+            words = heading in {'', 'unit'}
+            table.add_column(heading, justify='left' if words else 'right', no_wrap=True)
+    for row in zip_longest(*triads):
+        table.add_row(*(cell for one in row for cell in _cells(one)))
+    return table
+
+
+def _cells(row: Converging | None) -> list[RenderableType]:
+    if row is None:
+        return [''] * len(_COLUMNS)
+    limit = '' if row.limit is None else f'\u00b1{row.shown(row.limit)}'
+    style = 'dim' if not row.determined else 'green' if row.there else ''
+    now = row.shown(row.std) if row.determined else '\u2013'
+    return [row.parameter.name, Text(now, style=style), row.shown(row.predicted), limit, row.unit]

@@ -1,0 +1,134 @@
+"""The page that `imu-calib stand --web` serves: its options, its node, and how long it stays."""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+import socket
+import time
+from typing import Any
+
+from ..errors import InputError
+from ..extras import require
+from ..plan import load_plan
+from ..web.guard import LOOPBACK, address, exposure
+from .processes import Processes, free_port
+from .terminal import ERRORS, OUTPUT
+
+NODE = 'web_node'
+_PORT = 8080
+_TOKEN = 'IMU_CALIB_WEB_TOKEN'
+"""As in nodes/web_node."""
+_OF_THE_SESSION = (
+    'plan',
+    'imu',
+    'table',
+    'latitude',
+    'latitude_std',
+    'height',
+    'height_std',
+    'gravity',
+    'gravity_std',
+    'method',
+    'terms',
+    'serial_number',
+    'journal',
+    'output',
+)
+"""Parameters that the page has in common with calibrator_node."""
+_TICK = 0.2
+"""s."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the page."""
+    page = parser.add_argument_group('a page in the browser', 'Needs the extra `web`.')
+    page.add_argument(
+        '--web',
+        type=int,
+        nargs='?',
+        const=_PORT,
+        metavar='PORT',
+        help=f'show the session at http://{LOOPBACK}:PORT (default: {_PORT}; 0: a free one); the '
+        'page stays when the session is over, until Ctrl-C',
+    )
+    page.add_argument(
+        '--web-host',
+        default=LOOPBACK,
+        metavar='HOST',
+        help='interface that serves the page (default: %(default)s, which this machine alone '
+        'reaches; 0.0.0.0: all, without encryption)',
+    )
+    page.add_argument(
+        '--control',
+        action='store_true',
+        help='let the page start, pause, abort and resume the plan, for those who have the token '
+        'that is printed; a table that stops then ends nothing',
+    )
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Refuse a page that cannot be served, before anything starts.
+
+    Raises:
+        InputError: Options that do not go together, a port that is taken, or no NiceGUI.
+
+    """
+    if arguments.web is None:
+        if arguments.control or arguments.web_host != LOOPBACK:
+            name = '--control' if arguments.control else '--web-host'
+            raise InputError(f'{name}: of the page in the browser; give --web, too.')
+        return
+    if not 0 <= arguments.web < 1 << 16:
+        raise InputError(f'--web: found {arguments.web}, expected a port from 0 to 65535.')
+    if arguments.control and load_plan(arguments.plan).by_hand:
+        raise InputError('--control: a hand holds the unit; no table is to be started.')
+    require('nicegui', '--web', 'web')
+    arguments.web = arguments.web or free_port()
+    try:
+        family = socket.getaddrinfo(arguments.web_host, arguments.web)[0][0]
+        socket.create_server((arguments.web_host, arguments.web), family=family).close()
+    except OSError as error:
+        raise InputError(
+            f'--web: nothing can be served at {arguments.web_host}, port {arguments.web}: '
+            f'{error.strerror or error}. Name another port: --web {arguments.web + 1}.'
+        ) from None
+
+
+def parameters(
+    arguments: argparse.Namespace, of_the_calibrator: dict[str, Any]
+) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the page's node by its name; nothing where none is wanted."""
+    if arguments.web is None:
+        return {}
+    shared = {k: v for k, v in of_the_calibrator.items() if k in _OF_THE_SESSION}
+    own = {'host': arguments.web_host, 'port': arguments.web, 'control': arguments.control}
+    return {NODE: {**shared, **own}}
+
+
+def start(arguments: argparse.Namespace, processes: Processes, given: dict[str, Any]) -> None:
+    """Start the page, and say where it is; the session does without it where it ends."""
+    secret = secrets.token_urlsafe(16) if arguments.control else ''
+    # By the environment, which others cannot read; parameters and logs lie in files.
+    processes.start(NODE, given, needed=False, environment={_TOKEN: secret} if secret else {})
+    OUTPUT.print(f'page: {_address(arguments)}', markup=False)
+    if secret:
+        OUTPUT.print(f'token for its buttons: {secret}', markup=False)
+    if exposed := exposure(arguments.web_host):
+        ERRORS.print(exposed, style='yellow', markup=False)
+
+
+def stay(arguments: argparse.Namespace, processes: Processes) -> None:
+    """Keep the page after the session, until Ctrl-C."""
+    if arguments.web is None or not processes.runs(NODE):
+        return
+    OUTPUT.print(f'The page stays at {_address(arguments)} until Ctrl-C.', markup=False)
+    try:
+        while processes.runs(NODE):
+            time.sleep(_TICK)
+    except KeyboardInterrupt:
+        return
+
+
+def _address(arguments: argparse.Namespace) -> str:
+    return address(arguments.web_host, arguments.web)
