@@ -19,7 +19,7 @@ import numpy as np
 
 from imu_calib.bags import open_recording
 from imu_calib.cdr import Kind
-from imu_calib.cli import main, processes, stand
+from imu_calib.cli import main, processes, stand_session
 
 TICKS = os.sysconf('SC_CLK_TCK')
 
@@ -42,14 +42,16 @@ class Watched(processes.Processes):
             self.used[name] = cpu_seconds(self.number(name))
 
 
-def run(rate: float, plan: str, speed: float) -> int:
-    """Run the session; return the exit code."""
-    stand.Processes = Watched  # type: ignore[misc]
+def run(
+    rate: float, plan: str, speed: float, *further: str, processes_kind: type[Watched] = Watched
+) -> int:
+    """Run the session, with further options of the command; return the exit code."""
+    stand_session.Processes = processes_kind  # type: ignore[misc]
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / 'stand'
         arguments = ['stand', plan, '-o', str(folder), '--sample-rate', str(rate)]
         began = time.monotonic()
-        code = main.main([*arguments, '--speed', str(speed)])
+        code = main.main([*arguments, '--speed', str(speed), *further])
         wall = time.monotonic() - began
         if code:
             return code

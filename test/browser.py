@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,8 +12,15 @@ from typing import Any
 
 import pytest
 
-NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
-CHROMIUM = next(filter(None, map(shutil.which, NAMES)), None)
+NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable', 'chrome')
+CHROMIUM = next(filter(None, [os.environ.get('CHROMIUM'), *map(shutil.which, NAMES)]), None)
+_ARGUMENTS = [
+    # WebGL without a graphics card.
+    '--use-angle=swiftshader',
+    '--enable-unsafe-swiftshader',
+    # Its own sandbox refuses root, which containers are run as.
+    *(['--no-sandbox'] if os.geteuid() == 0 else []),
+]
 A4 = 695
 """CSS px between the margins of the report's pages: 184 mm."""
 
@@ -80,26 +88,34 @@ _CONTRAST = """
 
 
 @contextmanager
+def chromium() -> Iterator[Any]:
+    """A browser that is started; the test is skipped where there is none."""
+    if CHROMIUM is None:
+        pytest.skip(f'no Chromium is installed (looked for {", ".join(NAMES)})')
+    playwright = pytest.importorskip('playwright.sync_api')
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=_ARGUMENTS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextmanager
 def opened(
     path: Path, width: int, *, dark: bool = False, paper: bool = False, offline: bool = True
 ) -> Iterator[Any]:
     """A page in a window of a width; a request to anywhere fails."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=['--no-sandbox'])
-        try:
-            window = browser.new_context(
-                viewport={'width': width, 'height': 900},
-                color_scheme='dark' if dark else 'light',
-                offline=offline,
-            )
-            page = window.new_page()
-            page.emulate_media(media='print' if paper else 'screen')
-            page.goto(path.resolve().as_uri())
-            yield page
-        finally:
-            browser.close()
+    with chromium() as browser:
+        window = browser.new_context(
+            viewport={'width': width, 'height': 900},
+            color_scheme='dark' if dark else 'light',
+            offline=offline,
+        )
+        page = window.new_page()
+        page.emulate_media(media='print' if paper else 'screen')
+        page.goto(path.resolve().as_uri())
+        yield page
 
 
 def overlaps(page: Any) -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..model import Parameter
 from ..reports.convergence import Converging, Courses
-from ..reports.remaining import Pace
+from ..reports.remaining import Pace, in_words
 from ..specification import Specification
 from .samples import Streams
 
@@ -171,8 +171,14 @@ class Snapshot:
 
     @property
     def wrong(self) -> tuple[Sentence, ...]:
-        """What a person should look at, the worst first."""
-        return tuple(s for s in self.sentences if s.level is not Level.OK)
+        """What a person should look at, the worst first; how the session ended is said first."""
+        over = self.outcome is not Outcome.OPEN
+        return tuple(
+            sentence
+            for sentence in self.sentences
+            if sentence.level is not Level.OK
+            and not (over and sentence.source.endswith('calibrator_node: calibration'))
+        )
 
     @property
     def wall_seconds_left(self) -> float:
@@ -189,12 +195,6 @@ class Snapshot:
             return 1.0
         whole = self.elapsed + left
         return self.elapsed / whole if whole > 0 else 0.0
-
-
-@dataclass
-class _Part:
-    sentence: Sentence
-    heard: float
 
 
 @dataclass
@@ -230,7 +230,8 @@ class Board:
             expected.specification,
         )
         self._table, self._calibrator = _Heard(), _Heard()
-        self._parts: dict[str, _Part] = {}
+        self._parts: dict[str, Sentence] = {}
+        self._nodes: dict[str, float] = {}
         self._pace = Pace()
         self._first: float | None = None
         self._worked_from: float | None = None
@@ -325,7 +326,8 @@ class Board:
                 status.message,
                 tuple((v.key, v.value) for v in status.values),
             )
-            self._parts[status.name] = _Part(sentence, now)
+            self._parts[status.name] = sentence
+            self._nodes[_node(status.name)] = now
 
     def take_temperature(self, celsius: float) -> None:
         """Take a temperature, degrees Celsius."""
@@ -355,8 +357,16 @@ class Board:
         )
 
     def _sentences(self, now: float) -> Iterable[Sentence]:
-        """Return the sentences that still hold, the worst first."""
-        found = [part.sentence for part in self._parts.values() if now - part.heard < _SILENT]
+        """Return what the nodes say, the worst first; of a silent one, that it is silent."""
+        silent = {node: now - at for node, at in self._nodes.items() if now - at > _SILENT}
+        found = [s for s in self._parts.values() if _node(s.source) not in silent]
+        if self._state.outcome is Outcome.OPEN:
+            found += [
+                Sentence(
+                    node, Level.ERROR, f'Nothing was heard for {in_words(passed)}: has it ended?'
+                )
+                for node, passed in silent.items()
+            ]
         return sorted(found, key=lambda sentence: (-sentence.level, sentence.source))
 
 
@@ -369,6 +379,10 @@ def _values(message: Any) -> Sequence[tuple[str, float]]:
         if isinstance(value, float) and math.isfinite(value):
             found.append((name, value))
     return found
+
+
+def _node(source: str) -> str:
+    return source.partition(':')[0]
 
 
 def _seconds(stamp: Any) -> float:

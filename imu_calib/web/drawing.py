@@ -72,7 +72,9 @@ def troubles(shown: Snapshot) -> str:
     """Return what is wrong, or that nothing is."""
     if not shown.wrong:
         if not shown.sentences:
-            return tag('p', 'No node has said anything yet.', class_='muted')
+            over = shown.outcome is not Outcome.OPEN
+            text = 'The nodes have ended.' if over else 'No node has said anything yet.'
+            return tag('p', text, class_='muted')
         return tag('p', sign(Level.OK) + 'Nothing is wrong.', class_='right')
     return tag('ul', ''.join(_sentence(s) for s in shown.wrong), class_='sentences')
 
@@ -211,11 +213,11 @@ def course(row: Converging, begin: float, end: float) -> str:
     """Draw a deviation over the session's time, with what the plan predicts and what is allowed.
 
     The specification allows a value of zero to be uncertain by its limit: its line stands at the
-    limit over the coverage factor.
+    limit over the coverage factor, or at the edge where that is further off.
     """
     allowed = math.nan if row.limit is None else row.limit / COVERAGE
     heights = [std for _, std in row.course]
-    shown = [v for v in (*heights, row.predicted, allowed) if v > 0]
+    shown = [v for v in (*heights, row.predicted) if v > 0]
     if not shown:
         return tag('svg', ' ', viewBox=f'0 0 {_WIDTH:g} {_HEIGHT:g}', class_='course')
     low, high = math.log10(min(shown)), math.log10(max(shown))
@@ -223,7 +225,8 @@ def course(row: Converging, begin: float, end: float) -> str:
 
     def down(value: float) -> float:
         share = (math.log10(value) - middle) / half
-        return _HEIGHT / 2 - share * (_HEIGHT / 2 - _EDGE)
+        down = _HEIGHT / 2 - share * (_HEIGHT / 2 - _EDGE)
+        return min(max(down, 1.0), _HEIGHT - 1.0)
 
     def across(time: float) -> float:
         share = (time - begin) / (end - begin) if end > begin else 0.0

@@ -26,7 +26,8 @@ _LEAST_ANGLE = 1e-4
 _KEY = (
     '<div class="key"><span><i></i>standard deviation so far</span>'
     '<span><i class="predicted"></i>what the plan will reach</span>'
-    '<span><i class="allowed"></i>half the limit of the specification</span></div>'
+    '<span><i class="allowed"></i>half the limit of the specification, at the edge where that is '
+    'far off</span></div>'
 )
 _FPS = 10
 """Pictures of the table in a second: as often as its joints are told."""
@@ -109,7 +110,9 @@ def build(source: Source) -> None:
         if source.shape:
             with _card('Noise: Allan deviation', 'wide'):
                 part(noise.draw)
-        with ui.expansion('All that the nodes say').classes('card wide all'):
+        with ui.element('details').classes('card wide'):
+            with ui.element('summary').classes('title'):
+                ui.html('All that the nodes say', sanitize=False, tag='span')
             part(drawing.diagnostics)
 
     def refresh() -> None:

@@ -83,7 +83,7 @@ svg.course { display: block; width: 120px; height: 30px; }
 .course .way { fill: none; stroke: var(--mark); stroke-width: 1.6; }
 .course .now { fill: var(--mark); }
 .course .predicted { stroke: var(--ok); stroke-dasharray: 4 3; }
-.course .allowed { stroke: var(--error); stroke-width: 1; }
+.course .allowed { stroke: var(--error); stroke-width: 1.2; }
 .key { display: flex; flex-wrap: wrap; gap: 2px 18px; font-size: 12.5px; color: var(--soft);
   margin-top: 8px; }
 .key i { display: inline-block; width: 22px; height: 0; border-top: 2px solid var(--mark);
@@ -97,8 +97,8 @@ svg.course { display: block; width: 120px; height: 30px; }
 .badge.marginal { background: var(--warn); }
 .badge.fail { background: var(--error); }
 .plot { overflow-x: auto; max-width: 900px; }
-.all .q-item, .all .q-expansion-item__content { padding: 0; }
-.all .q-item__label { font-size: 13px; font-weight: 600; color: var(--soft); }
+summary.title { cursor: pointer; }
+details[open] > .title { margin-bottom: 8px; }
 .plot svg { width: 100%; min-width: 560px; height: auto; display: block; }
 .plot text { font: 12px system-ui, "Segoe UI", "DejaVu Sans", Arial, sans-serif;
   fill: var(--ink); }
@@ -122,6 +122,7 @@ svg.course { display: block; width: 120px; height: 30px; }
   .parameters td, .parameters th { padding-left: 3px; padding-right: 3px; }
   .parameters .course { width: 84px; }
   svg.course { width: 78px; height: 26px; }
+  .stand .channels dd span { display: block; margin-left: 0; }
   .report iframe { display: none; }
 }
 """

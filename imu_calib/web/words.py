@@ -112,14 +112,15 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
 
     """
     if shown.outcome is not Outcome.OPEN:
-        return 'over', f'it took {in_words(shown.elapsed)}'
+        return '0 s', f'it took {in_words(shown.elapsed)}'
     if not shown.expected.table:
         return 'as you hold it', f'{in_words(shown.elapsed)} so far'
     left = shown.wall_seconds_left
     if shown.table is None or math.isnan(left):
         return 'time left not known', ''
     if shown.table.phase in {Phase.PAUSED, Phase.ABORTED, Phase.IDLE}:
-        return in_words(left), 'once it goes on' if shown.elapsed else 'once it is started'
+        paused = shown.table.phase is Phase.PAUSED
+        return in_words(left), 'once it goes on' if paused else 'once it is started'
     text = f'ends at {ends_at(left, now)}'
     if shown.speed > _WHOLE:
         text += f' ({shown.speed:.0f} times real time)'
@@ -129,6 +130,11 @@ def time_left(shown: Snapshot, now: datetime) -> tuple[str, str]:
 def joint_words(table: TableState) -> list[tuple[str, str, str]]:
     """Return name, angle and rate of every joint, in words."""
     return [
-        (name, f'{angle / DEG:.3f}\u00b0', f'{rate / DEG:.2f} \u00b0/s')
+        (name, f'{_rounded(angle / DEG, 3)}\u00b0', f'{_rounded(rate / DEG, 2)} \u00b0/s')
         for name, angle, rate in zip(table.joints, table.angles, table.rates, strict=False)
     ]
+
+
+def _rounded(value: float, places: int) -> str:
+    """Return a number without the sign of a zero."""
+    return f'{round(value, places) + 0.0:.{places}f}'

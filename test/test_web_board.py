@@ -1,0 +1,394 @@
+"""What pages and terminals show of a running stand: a state made of messages, no browser."""
+
+import io
+import math
+from dataclasses import replace
+from datetime import datetime
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from imu_calib.calibrator import Setup
+from imu_calib.cli.table_view import view
+from imu_calib.earth import Site
+from imu_calib.errors import InputError
+from imu_calib.imu import load_imu
+from imu_calib.plan import load_plan
+from imu_calib.reports.convergence import Courses
+from imu_calib.reports.remaining import Pace, ends_at, in_words
+from imu_calib.stream import ImuBlock
+from imu_calib.turntable import load_table
+from imu_calib.units import DEG
+from imu_calib.web import drawing
+from imu_calib.web.board import Board, Level, Outcome, Phase
+from imu_calib.web.expectation import expectation
+from imu_calib.web.samples import Dwells
+from imu_calib.web.shape import table_shape
+from imu_calib.web.words import headline, time_left
+
+FOG = load_imu('fog_medium')
+SETUP = Setup(FOG, load_plan('twelve_position'), load_table('three_axis'), Site.at(0.6))
+NOON = datetime(2026, 3, 1, 12, 0)
+
+
+@pytest.fixture(scope='module')
+def expected():
+    return expectation(SETUP)
+
+
+def stamp(seconds):
+    return SimpleNamespace(sec=int(seconds), nanosec=round((seconds % 1) * 1e9))
+
+
+def header(seconds):
+    return SimpleNamespace(stamp=stamp(seconds))
+
+
+def state(seconds, phase=Phase.DWELLING, **changed):
+    given = {
+        'header': header(seconds),
+        'plan': 'twelve_position',
+        'step': 3,
+        'steps': 28,
+        'position_id': '2',
+        'phase': int(phase),
+        'reason': '',
+        'joint_names': ['outer', 'middle', 'inner'],
+        'positions': [0.0, 90 * DEG, 0.0],
+        'rates': [0.0, 0.0, 0.0],
+        'turns_done': 0.0,
+        'seconds_left': 600.0,
+    }
+    return SimpleNamespace(**{**given, **changed})
+
+
+def progress(seconds, std, **changed):
+    names = [parameter.name for parameter in SETUP.parameters]
+    given = {
+        'header': header(seconds),
+        'plan': 'twelve_position',
+        'step': 4,
+        'steps': 28,
+        'state': 1,
+        'text': 'It goes on.',
+        'parameter_names': names,
+        'standard_deviations': [std] * len(names),
+        'seconds_left': 600.0,
+        'repeat_steps': [],
+        'next_attitudes': [],
+    }
+    kinds = {'WAITING': 0, 'COLLECTING': 1, 'DETERMINED': 2, 'FINISHED': 3, 'FAILED': 4}
+    return SimpleNamespace(**{**given, **kinds, **changed})
+
+
+def calibration(status, text='All is well.', **values):
+    names = [parameter.name for parameter in SETUP.parameters]
+    kinds = {'VALID': 0, 'PROVISIONAL': 1, 'REFUSED': 2, 'INCOMPLETE': 3}
+    numbers = {name.lower(): values.get(name, 0.0) for name in names}
+    return SimpleNamespace(
+        status=kinds[status],
+        status_text=text,
+        parameter_names=names,
+        standard_deviations=[1e-6] * len(names),
+        term_parameters=[],
+        term_values=[],
+        **kinds,
+        **numbers,
+    )
+
+
+def said(source, level, text, **figures):
+    values = [SimpleNamespace(key=key, value=value) for key, value in figures.items()]
+    status = SimpleNamespace(name=source, level=bytes([level]), message=text, values=values)
+    return SimpleNamespace(status=[status])
+
+
+def test_what_happens_now_follows_the_tables_phase(expected):
+    board = Board(expected)
+    assert headline(board.snapshot(0.0)).now == 'Waiting for the table'
+    for phase, words in (
+        (Phase.MOVING, 'moves to position 2'),
+        (Phase.SETTLING, 'comes to rest at position 2'),
+        (Phase.TURNING, 'turns at position 2'),
+        (Phase.DWELLING, 'stands still at position 2'),
+        (Phase.DONE, 'The plan is done'),
+    ):
+        board.take_state(state(100.0, phase), 1.0)
+        first = headline(board.snapshot(1.0))
+        assert words in first.now
+        assert first.level is Level.OK
+    board.take_state(state(100.0, Phase.TURNING, rates=[0.0, 0.0, 30 * DEG], turns_done=2.4), 1.0)
+    assert headline(board.snapshot(1.0)).detail == 'inner 30 deg/s, 2.4 turns done.'
+
+
+def test_a_table_that_has_stopped_says_why_and_a_silent_leader_is_told(expected):
+    board = Board(expected)
+    board.take_state(state(100.0, Phase.PAUSED, reason='Joint inner stalls.'), 1.0)
+    first = headline(board.snapshot(1.0))
+    assert first.level is Level.WARN
+    assert first.detail == 'Joint inner stalls.'
+    assert time_left(board.snapshot(1.0), NOON) == ('10 min 0 s', 'once it goes on')
+    board.take_state(state(100.0), 1.0)
+    assert 'silent' not in headline(board.snapshot(5.0)).now
+    first = headline(board.snapshot(9.0))
+    assert first.level is Level.ERROR
+    assert '8 s' in first.detail
+    board.take_state(state(108.0), 9.0)
+    board.take_progress(progress(100.0, 1e-3), 1.0)
+    assert headline(board.snapshot(9.0)).now == 'The calibrator is silent'
+
+
+def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_over(expected):
+    board = Board(expected)
+    board.take_diagnostics(said('imu_node: stream', 0, 'Frames come in.'), 1.0)
+    board.take_diagnostics(said('stand_node: table', 1, 'It is late.'), 6.5)
+    assert [s.text for s in board.snapshot(7.0).wrong] == [
+        'Nothing was heard for 6 s: has it ended?',
+        'It is late.',
+    ]
+    board.take_diagnostics(said('imu_node: stream', 2, 'No frame has come.'), 7.0)
+    assert [s.text for s in board.snapshot(7.0).wrong] == ['No frame has come.', 'It is late.']
+    board.take_calibration(calibration('VALID'))
+    assert board.snapshot(60.0).wrong == ()
+
+
+def test_deviations_shrink_towards_what_the_plan_predicts(expected):
+    board = Board(expected)
+    board.take_progress(progress(1000.0, math.nan), 0.0)
+    assert not any(row.determined for row in board.snapshot(0.0).rows)
+    for seconds, std in ((1010.0, 4e-6), (1020.0, 3.99e-6), (1030.0, 2e-6)):
+        board.take_progress(progress(seconds, std), 0.0)
+    row = board.snapshot(0.0).rows[0]
+    # Less than a percent is no news.
+    assert row.course == ((10.0, 4e-6), (30.0, 2e-6))
+    assert row.parameter.name == 'K_gx'
+    assert (row.shown(row.std), row.unit) == ('2', 'ppm')
+    assert row.there
+    assert row.limit == FOG.specification.limit(row.parameter)
+    # Cao 2022: a plan of twelve positions and this unit reach some ppm and tenths of deg/h.
+    assert 1e-6 < row.predicted < 5e-6
+    board.take_calibration(calibration('PROVISIONAL', K_gx=0.004))
+    row = board.snapshot(0.0).rows[0]
+    assert row.verdict.value == 'fail'
+    assert board.snapshot(0.0).outcome is Outcome.OPEN
+    # Another session has nothing of the one before.
+    board.take_progress(progress(500.0, math.nan), 0.0)
+    assert board.snapshot(0.0).rows[0].course == ()
+
+
+def test_a_long_course_is_thinned_and_keeps_its_ends():
+    courses = Courses({SETUP.parameters[0].name: SETUP.parameters[0]}, {}, None)
+    for k in range(2000):
+        courses.note(float(k), ['K_gx'], [1.0 / (1 + k)])
+    (row,) = courses.rows()
+    assert len(row.course) <= 121
+    assert row.course[0] == (0.0, 1.0)
+    # The last that was more than a percent of news.
+    assert row.std == 1 / 2000
+    assert row.course[-1][1] == pytest.approx(row.std, rel=0.011)
+
+
+def test_how_a_session_ends(expected):
+    for status, outcome, level in (
+        ('VALID', Outcome.DONE, Level.OK),
+        ('INCOMPLETE', Outcome.INCOMPLETE, Level.WARN),
+        ('REFUSED', Outcome.FAILED, Level.ERROR),
+    ):
+        board = Board(expected)
+        board.take_state(state(100.0), 1.0)
+        assert board.take_calibration(calibration(status, 'Why.'))
+        shown = board.snapshot(1.0)
+        assert shown.outcome is outcome
+        assert headline(shown).level is level
+        assert headline(shown).detail == 'Why.'
+    board = Board(expected)
+    board.take_progress(progress(10.0, 1.0, state=4, text='The disk is full.'), 1.0)
+    assert headline(board.snapshot(1.0)).detail == 'The disk is full.'
+    # ~/reset begins another one.
+    board.take_progress(progress(10.0, 1.0, state=0), 1.0)
+    assert board.snapshot(1.0).outcome is Outcome.OPEN
+
+
+def test_the_time_left_is_by_the_clock_on_the_wall(expected):
+    board = Board(expected)
+    assert time_left(board.snapshot(0.0), NOON)[0] == 'time left not known'
+    for k in range(10):
+        board.take_state(state(100.0 + 20.0 * k, seconds_left=600.0 - 20.0 * k), float(k))
+    left, rests_on = time_left(board.snapshot(9.0), NOON)
+    # 420 s of the stand, 20 of which go by in one.
+    assert left == '21 s'
+    assert rests_on == 'ends at 12:00 (20 times real time)'
+    assert board.snapshot(9.0).share == pytest.approx(180 / 600)
+
+
+def test_pace_is_one_until_it_is_known_and_follows_a_change():
+    pace = Pace()
+    pace.note(5.0, 0.0)
+    assert pace.speed == 1.0
+    for k in range(1, 5):
+        pace.note(5.0 + 1.02 * k, float(k))
+    # Within the steps in which stamps come it is the wall clock's.
+    assert pace.speed == 1.0
+    for k in range(5, 60):
+        pace.note(40.0 * k, float(k))
+    assert pace.speed == pytest.approx(40.0)
+    # The stand's time began anew.
+    pace.note(0.0, 60.0)
+    assert pace.speed == 1.0
+
+
+def test_durations_and_ends_in_words():
+    assert in_words(math.nan) == 'not known'
+    assert in_words(-3.0) == '0 s'
+    assert ends_at(3600.0, NOON) == '13:00'
+    assert ends_at(86400.0, NOON) == '2026-03-02 12:00'
+
+
+def test_the_plan_shows_what_is_done_runs_comes_and_is_to_be_repeated(expected):
+    board = Board(expected)
+    board.take_state(state(100.0, step=5), 1.0)
+    board.take_progress(progress(100.0, 1.0, step=6, repeat_steps=[2]), 1.0)
+    page = ElementTree.fromstring(f'<div>{drawing.plan(board.snapshot(1.0))}</div>')
+    kinds = [item.get('class') for item in page.find('ol')]
+    assert kinds[:7] == ['done', 'done', 'again', 'done', 'done', 'now', 'next']
+    assert len(kinds) == len(SETUP.steps)
+    assert 'step 3' in ''.join(page.itertext())
+
+
+def test_no_text_of_a_node_is_taken_for_markup(expected):
+    evil = '<script>alert(1)</script><img src=x onerror=alert(1)>'
+    board = Board(replace(expected, imu=evil))
+    board.take_state(state(100.0, Phase.PAUSED, reason=evil, joint_names=[evil] * 3), 1.0)
+    board.take_progress(progress(100.0, 1.0, next_attitudes=[evil]), 1.0)
+    board.take_diagnostics(said(f'imu_node: {evil}', 2, evil, **{evil: evil}), 1.0)
+    shown = board.snapshot(1.0)
+    by_hand = replace(shown, expected=replace(expected, steps=()))
+    parts = [
+        drawing.banner(shown, NOON),
+        drawing.troubles(shown),
+        drawing.diagnostics(shown),
+        drawing.joints(shown),
+        drawing.plan(by_hand),
+        drawing.streams(shown, FOG),
+        drawing.report(replace(shown, outcome=Outcome.DONE, report_text=evil)),
+        drawing.parameters(shown),
+    ]
+    for part in parts:
+        page = ElementTree.fromstring(f'<div>{part}</div>')
+        assert not [e for e in page.iter() if e.tag in {'script', 'img'}]
+    assert sum('alert(1)' in part for part in parts) >= 5
+
+
+def blocks(imu, seconds, rate, start, rng):
+    """Samples at rest: white noise of the data sheet's random walk, counted in pulses."""
+    n = round(seconds * rate)
+    stamps = start + ((np.arange(n) + 1) * 1e9 / rate).astype(np.int64)
+    walk = np.repeat([imu.gyro.random_walk, imu.accel.random_walk], 3)
+    scale = np.repeat([imu.gyro.scale_factor, imu.accel.scale_factor], 3)
+    gained = walk / math.sqrt(rate) * rng.standard_normal((n, 6)) / scale
+    counts = np.diff(np.floor(np.cumsum(gained + 0.3, axis=0)), axis=0, prepend=0)
+    for k in range(0, n, 40):
+        yield ImuBlock(stamps[k : k + 40], counts[k : k + 40, :3], counts[k : k + 40, 3:])
+
+
+def test_the_noise_of_dwells_is_the_data_sheets_random_walk():
+    rng = np.random.default_rng(3)
+    dwells = Dwells(FOG)
+    for k in range(4):
+        begin = int(k * 200e9)
+        dwells.stands(begin)
+        for block in blocks(FOG, 120.0, 100.0, begin, rng):
+            dwells.take(block)
+            dwells.grow()
+        dwells.moves(begin + int(120e9))
+    found = dwells.streams
+    assert found.dwells == 4
+    assert found.rate == pytest.approx(100.0, rel=1e-6)
+    assert found.taken == 48000
+    # 80 s between the dwells.
+    assert found.missing == 0 or found.missing == pytest.approx(3 * 8000, rel=0.01)
+    # 0.3 pulses a sample; over two seconds a count is off by one at either end.
+    assert found.means == pytest.approx(np.full(6, 30.0), abs=1.5)
+    for name in ('gx', 'gy', 'gz'):
+        walk = found.noise[name].random_walk
+        assert abs(walk.value - FOG.gyro.random_walk) < 4.5 * walk.std
+
+
+def test_the_curve_grows_while_a_dwell_goes_on_and_turns_do_not_count():
+    rng = np.random.default_rng(4)
+    dwells = Dwells(FOG)
+    moving = list(blocks(FOG, 20.0, 100.0, 0, rng))
+    for block in moving:
+        dwells.take(block)
+        dwells.grow()
+    assert dwells.streams.revision == 0
+    dwells.stands(int(20e9))
+    revisions = []
+    for block in blocks(FOG, 60.0, 100.0, int(20e9), rng):
+        dwells.take(block)
+        dwells.grow()
+        revisions.append(dwells.streams.revision)
+    assert revisions[-1] > 3
+    assert dwells.streams.dwells == 0
+    # Samples of before, from a second publisher or a clock that was set back, are left out.
+    before = dwells.streams.taken
+    dwells.take(moving[0])
+    assert dwells.streams.taken == before
+
+
+@pytest.mark.parametrize('name', ['three_axis', 'two_axis', 'one_axis', 'two_axis_off_axis'])
+def test_the_picture_of_a_table_turns_as_the_table_does(name):
+    """The pose of the last moving link is the unit's attitude, by the kinematics of the table."""
+    table = load_table(name)
+    angles = np.array([0.4, -1.1, 2.3])[: len(table.joints)]
+    by_name = dict(zip(table.names, angles, strict=True))
+    pose, frame = np.eye(3), table_shape(table)
+    while True:
+        pose = pose @ frame.turned @ frame.pose(by_name.get(frame.joint, 0.0))
+        moving = [link for link in frame.links if any(part.joint for part in link.walk())]
+        if not moving:
+            break
+        (frame,) = moving
+    assert frame.joint == table.names[-1]
+    assert pose @ table.mount == pytest.approx(table.attitude(angles), abs=1e-12)
+
+
+def test_a_urdf_of_another_table_or_no_urdf_is_refused(tmp_path):
+    table = load_table('three_axis')
+    file = tmp_path / 'mine.urdf'
+    for text, words in (
+        ('<robot name="x"><link name="base"/></robot>', 'outer, middle, inner lack'),
+        ('<robot', 'is no XML'),
+        ('<robot><link name="a"/><link name="b"/></robot>', '2 links without a parent'),
+        ('<robot><link/></robot>', 'is no URDF'),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError, match=words):
+            table_shape(table, str(file))
+    with pytest.raises(InputError, match='cannot be read'):
+        table_shape(table, str(tmp_path / 'none.urdf'))
+
+
+def test_the_terminal_shows_deviations_predictions_limits_and_the_time_left(expected):
+    board = Board(expected)
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(view(board.snapshot(0.0), NOON, 100))
+    assert 'time left not known' in console.export_text()
+    board.take_state(state(100.0), 0.0)
+    board.take_progress(progress(90.0, math.nan), 0.0)
+    board.take_progress(progress(100.0, 4e-6), 0.0)
+    for width in (100, 60):
+        console = Console(width=width, record=True, file=io.StringIO())
+        console.print(view(board.snapshot(0.0), NOON, width))
+        text = console.export_text()
+        assert 'step 4 of 28' in text
+        assert '10 min 0 s left' in text
+        assert '24 of 24 parameters are determined' in text
+        row = next(line for line in text.splitlines() if line.startswith('K_gx')).split()
+        assert row[:2] == ['K_gx', '4']
+        assert row[3:5] == ['±3000', 'ppm']
+        assert float(row[2]) == pytest.approx(1e6 * expected.predicted[0], rel=0.01)
+        assert ('K_ax' in row) == (width == 100)

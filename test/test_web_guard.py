@@ -1,0 +1,130 @@
+"""Who may look at the page and who may move the table: requests as browsers send them."""
+
+import asyncio
+import re
+
+import pytest
+
+from imu_calib.cli.main import main
+from imu_calib.web.guard import Guard, Token, address, exposure, is_loopback
+
+OWN = b'127.0.0.1:8080'
+
+
+def asked(place, kind='http', method='GET', **headers):
+    """Send a request through a guard; return what it sends back, and whether it came through."""
+    came, sent = [], []
+
+    async def app(scope, receive, send):
+        came.append(scope)
+        await send({'type': 'http.response.start', 'status': 200, 'headers': []})
+
+    async def send(message):
+        sent.append(message)
+
+    headers = {'host': OWN, **{k.replace('_', '-'): v for k, v in headers.items()}}
+    scope = {
+        'type': kind,
+        'method': method,
+        'path': '/',
+        'headers': [(k.encode(), v) for k, v in headers.items() if v is not None],
+    }
+    asyncio.run(Guard(app, *place)(scope, None, send))
+    return bool(came), sent
+
+
+LOCAL = ('127.0.0.1', 8080)
+
+
+def test_the_page_itself_is_served_by_the_addresses_that_it_has():
+    for host in (b'127.0.0.1:8080', b'localhost:8080', b'LOCALHOST:8080', b'[::1]:8080'):
+        came, sent = asked(LOCAL, host=host)
+        assert came, host
+        headers = dict(sent[0]['headers'])
+        assert b"frame-ancestors 'self'" in headers[b'content-security-policy']
+        assert b"default-src 'self'" in headers[b'content-security-policy']
+
+
+@pytest.mark.parametrize(
+    'host',
+    [
+        b'evil.example:8080',
+        b'127.0.0.1.nip.io:8080',
+        b'127.0.0.1',
+        b'127.0.0.1:9',
+        b'192.168.0.7:8080',
+        b'[::1',
+        b'localhost:8080@evil.example',
+        b'',
+        None,
+    ],
+)
+def test_another_name_of_this_machine_is_refused(host):
+    """So is DNS rebinding: the browser sends the name that it has resolved."""
+    came, sent = asked(LOCAL, host=host)
+    assert not came
+    assert sent[0]['status'] == 403
+
+
+def test_other_pages_may_not_speak_to_this_one():
+    evil = b'http://evil.example'
+    assert not asked(LOCAL, origin=evil)[0]
+    assert not asked(LOCAL, method='POST', origin=evil)[0]
+    assert not asked(LOCAL, method='POST', origin=b'null')[0]
+    assert not asked(LOCAL, method='POST', origin=b'http://127.0.0.1:9')[0]
+    assert not asked(LOCAL, method='POST', origin=b'https://127.0.0.1:8080')[0]
+    assert asked(LOCAL, method='POST', origin=b'http://127.0.0.1:8080')[0]
+    # An image, a script, a frame, a form of another page name no origin, but where they come from.
+    for site in (b'cross-site', b'same-site'):
+        for mode, purpose in ((b'no-cors', b'image'), (b'navigate', b'iframe')):
+            far = {'sec_fetch_site': site, 'sec_fetch_mode': mode, 'sec_fetch_dest': purpose}
+            assert not asked(LOCAL, **far)[0]
+        link = {
+            'sec_fetch_site': site,
+            'sec_fetch_mode': b'navigate',
+            'sec_fetch_dest': b'document',
+        }
+        # A link leads to the page, and commands nothing.
+        assert asked(LOCAL, **link)[0]
+        assert not asked(LOCAL, method='POST', **link)[0]
+
+
+def test_a_websocket_comes_from_the_page_alone():
+    for origin in (None, b'http://evil.example', b'null', b'http://localhost:8080'):
+        came, sent = asked(LOCAL, kind='websocket', origin=origin)
+        assert not came
+        assert sent[0]['type'] == 'websocket.close'
+    assert asked(LOCAL, kind='websocket', origin=b'http://127.0.0.1:8080')[0]
+
+
+def test_on_another_interface_addresses_are_taken_and_strange_names_are_not():
+    everywhere = ('0.0.0.0', 8080)
+    assert asked(everywhere, host=b'192.168.0.7:8080')[0]
+    assert asked(('lab', 8080), host=b'lab:8080')[0]
+    assert not asked(everywhere, host=b'evil.example:8080')[0]
+    assert 'without encryption' in exposure('0.0.0.0')
+    assert not exposure('127.0.0.1')
+    assert is_loopback('::1')
+    assert not is_loopback('0.0.0.0')
+    assert address('::1', 80) == 'http://[::1]:80'
+
+
+def test_a_token_is_all_of_it_and_none_fits_nothing():
+    token = Token('secret')
+    assert token.fits('secret')
+    for wrong in ('', 'secre', 'secrets', 'Secret', 'sécret'):
+        assert not token.fits(wrong)
+    assert not Token('').fits('')
+    assert not Token('').exists
+
+
+def test_options_that_do_not_go_together_are_refused_before_anything_starts(tmp_path, capsys):
+    folder = tmp_path / 'stand'
+    for words, said in (
+        (['--control'], '--control: of the page in the browser'),
+        (['--web-host', '0.0.0.0'], '--web-host: of the page'),
+        (['--web', '70000'], 'expected a port'),
+    ):
+        assert main(['stand', 'twelve_position', '-o', str(folder), *words]) == 2
+        assert said in re.sub(r'\s+', ' ', capsys.readouterr().err)
+    assert not folder.exists()
