@@ -120,6 +120,7 @@ setup(
             *DOCS,
             PLOT,
             DATA_FRAME,
+            WEB,
             'pandas-stubs',
             'import-linter>=2.1',
             'mypy>=1.11',

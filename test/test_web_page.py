@@ -62,12 +62,11 @@ class Viewer:
         self.page.get_by_role('button', name=name, exact=True).click()
 
 
-@pytest.fixture(scope='module')
-def shown(tmp_path_factory):
-    """A stand with a page that three look at, until the end of the module."""
-    folder = tmp_path_factory.mktemp('web')
+@pytest.fixture
+def shown(tmp_path):
+    """A stand with a page that two look at."""
     port = free_port()
-    with chromium() as browser, Stand(folder, '--speed', str(SPEED), nodes=()) as stand:
+    with chromium() as browser, Stand(tmp_path, '--speed', str(SPEED), nodes=()) as stand:
         of_the_calibrator = stand.parameters['calibrator_node']
         arguments = type('', (), {'web': port, 'web_host': '127.0.0.1', 'control': True})
         stand.parameters |= web_page.parameters(arguments, of_the_calibrator)
@@ -107,6 +106,26 @@ def get(url, **headers):
         return error.code
 
 
+def refuses_strangers(port):
+    """What does not come from the page is refused, by the server itself."""
+    page = f'http://127.0.0.1:{port}/'
+    assert get(page) == 200
+    assert get(page, Host=f'evil.example:{port}') == 403
+    assert get(page, Origin='http://evil.example') == 403
+    polling = f'{page}_nicegui_ws/socket.io/?EIO=4&transport=polling'
+    assert get(polling, Origin='http://evil.example') == 403
+    upgrade = (
+        'GET /_nicegui_ws/socket.io/?EIO=4&transport=websocket HTTP/1.1\r\n'
+        'Host: 127.0.0.1:{port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n'
+        'Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n'
+        'Origin: {origin}\r\n\r\n'
+    )
+    for origin, status in (('http://evil.example', '403'), (page[:-1], '101')):
+        with socket.create_connection(('127.0.0.1', port), timeout=patience(10)) as line:
+            line.sendall(upgrade.format(port=port, origin=origin).encode())
+            assert line.recv(64).split()[1].decode() == status
+
+
 def test_a_session_is_watched_stopped_and_gone_on_with_from_the_page(shown):
     stand, desk, phone, port = shown
     # Both see the same table move.
@@ -130,6 +149,8 @@ def test_a_session_is_watched_stopped_and_gone_on_with_from_the_page(shown):
     before = stand.state.step
     assert stand.reaches(*MOVES, step=before + 1)
     assert 'a viewer of the page asks' not in log_of(stand)
+
+    refuses_strangers(port)
 
     # A fault is on the page of everybody, with what happened.
     desk.unlock(TOKEN)
@@ -175,26 +196,6 @@ def test_a_session_is_watched_stopped_and_gone_on_with_from_the_page(shown):
     for viewer in (desk, phone):
         assert viewer.hosts == {'127.0.0.1'}, 'something was asked for elsewhere'
         assert viewer.errors == []
-
-
-def test_what_does_not_come_from_the_page_is_refused(shown):
-    _, _, _, port = shown
-    page = f'http://127.0.0.1:{port}/'
-    assert get(page) == 200
-    assert get(page, Host=f'evil.example:{port}') == 403
-    assert get(page, Origin='http://evil.example') == 403
-    polling = f'{page}_nicegui_ws/socket.io/?EIO=4&transport=polling'
-    assert get(polling, Origin='http://evil.example') == 403
-    upgrade = (
-        'GET /_nicegui_ws/socket.io/?EIO=4&transport=websocket HTTP/1.1\r\n'
-        'Host: 127.0.0.1:{port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n'
-        'Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n'
-        'Origin: {origin}\r\n\r\n'
-    )
-    for origin, status in (('http://evil.example', '403'), (page[:-1], '101')):
-        with socket.create_connection(('127.0.0.1', port), timeout=patience(10)) as line:
-            line.sendall(upgrade.format(port=port, origin=origin).encode())
-            assert line.recv(64).split()[1].decode() == status
 
 
 def test_the_command_prints_page_and_token_and_keeps_the_page(tmp_path):

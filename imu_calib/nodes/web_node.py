@@ -31,7 +31,7 @@ from .entry import entry_point
 from .session_parameters import declared_setup
 
 TOKEN = 'IMU_CALIB_WEB_TOKEN'
-"""Environment variable with the token; without it the node makes one and prints it."""
+"""Environment variable with the token; without it the node makes one, and prints it."""
 _DRAIN = 0.05
 """s between two looks at what has come."""
 _GROWTH = 5.0
@@ -84,7 +84,8 @@ class WebNode(ros.Node):
         self._reporter: subprocess.Popen[bytes] | None = None
         self._listen()
 
-        secret = (os.environ.pop(TOKEN, '') or secrets.token_urlsafe(16)) if control else ''
+        given = os.environ.pop(TOKEN, '')
+        secret = (given or secrets.token_urlsafe(16)) if control else ''
         listens = server.listening_socket(host, port)
         where = address(host, listens.getsockname()[1])
         self._server = server.Server(
@@ -105,7 +106,7 @@ class WebNode(ros.Node):
         exposed = exposure(host)
         text = f'Open {where} in a browser. {exposed}'.rstrip()
         self._diagnostics.report('page', Level.WARN if exposed else Level.OK, text)
-        if secret:
+        if secret and not given:
             # On the screen of who started it; the log goes onto the network (/rosout).
             print(f'web_node: token for the buttons: {secret}', flush=True)  # noqa: T201
 
