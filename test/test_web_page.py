@@ -27,7 +27,7 @@ from imu_calib.cli.processes import free_port
 MOVES = (State.MOVING, State.TURNING, State.DWELLING, State.SETTLING)
 PHASES = {'moving', 'turning', 'dwelling', 'settling'}
 TOKEN = 'a-token-of-this-test'
-SPEED = 2.0
+SPEED = 3.0
 """Times real time: slow enough for a person, or a test, to press a button in a step."""
 
 
@@ -66,7 +66,11 @@ class Viewer:
 def shown(tmp_path):
     """A stand with a page that two look at."""
     port = free_port()
-    with chromium() as browser, Stand(tmp_path, '--speed', str(SPEED), nodes=()) as stand:
+    plan = short_plan(tmp_path, dwell=2.0)
+    with (
+        chromium() as browser,
+        Stand(tmp_path, '--speed', str(SPEED), plan=plan, nodes=()) as stand,
+    ):
         of_the_calibrator = stand.parameters['calibrator_node']
         arguments = type('', (), {'web': port, 'web_host': '127.0.0.1', 'control': True})
         stand.parameters |= web_page.parameters(arguments, of_the_calibrator)
@@ -203,12 +207,13 @@ def test_the_command_prints_page_and_token_and_keeps_the_page(tmp_path):
     folder = tmp_path / 'stand'
     words = ['stand', str(short_plan(tmp_path, dwell=2.0)), '-o', str(folder)]
     path = os.pathsep.join([str(CHECKOUT), os.environ.get('PYTHONPATH', '')])
-    command = processes.start(
-        [sys.executable, '-m', 'imu_calib.cli.main', *words, '--web', '0', '--control'],
-        env={**os.environ, **environment(), 'PYTHONPATH': path},
-        stdout=(tmp_path / 'out').open('w'),
-        stderr=(tmp_path / 'err').open('w'),
-    )
+    with (tmp_path / 'out').open('w') as stdout, (tmp_path / 'err').open('w') as stderr:
+        command = processes.start(
+            [sys.executable, '-m', 'imu_calib.cli.main', *words, '--web', '0', '--control'],
+            env={**os.environ, **environment(), 'PYTHONPATH': path},
+            stdout=stdout,
+            stderr=stderr,
+        )
 
     def out():
         return (tmp_path / 'out').read_text()
