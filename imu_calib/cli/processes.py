@@ -22,6 +22,7 @@ from ..errors import InputError
 from ..lifetime import ENDS_WITH
 from ..network import LOOPBACK, REACH, check_domain, check_interface, kept_to, on_interface
 from ..security import in_enclave
+from .terminal import ERRORS
 
 _DOMAINS = range(1, 102)
 """Those whose ports lie below what Linux gives to other programs."""
@@ -70,6 +71,7 @@ class Processes:
         self._environment = {**os.environ, **own, **environment}
         self._running: dict[str, tuple[subprocess.Popen[bytes], IO[bytes]]] = {}
         self._needless: set[str] = set()
+        self._missed: set[str] = set()
 
     def __enter__(self) -> Processes:
         """Return the processes; leaving the block ends them."""
@@ -142,17 +144,21 @@ class Processes:
         return self._running[node][0].pid
 
     def check(self) -> None:
-        """Make sure that all that are needed still run.
+        """Make sure that all that are needed still run; say once what else has ended.
 
         Raises:
             InputError: One has ended; its last words.
 
         """
         for node, (process, _) in self._running.items():
-            if node not in self._needless and process.poll() is not None:
-                raise InputError(
-                    f'{node} has ended ({_how(process.returncode)}): {self.last_words(node)}'
-                )
+            if process.poll() is None:
+                continue
+            words = f'{node} has ended ({_how(process.returncode)}): {self.last_words(node)}'
+            if node not in self._needless:
+                raise InputError(words)
+            if node not in self._missed:
+                self._missed.add(node)
+                ERRORS.print(f'{words} The session goes on without.', style='yellow', markup=False)
 
     def last_words(self, node: str) -> str:
         """Return the last line that a node wrote."""
