@@ -2,10 +2,13 @@
 
 import asyncio
 import re
+from importlib.util import find_spec
 
 import pytest
+from loopback import until
 
 from imu_calib.cli.main import main
+from imu_calib.cli.processes import Processes, private_network
 from imu_calib.web.guard import Guard, Token, address, exposure, is_loopback
 
 OWN = b'127.0.0.1:8080'
@@ -128,3 +131,16 @@ def test_options_that_do_not_go_together_are_refused_before_anything_starts(tmp_
         assert main(['stand', 'twelve_position', '-o', str(folder), *words]) == 2
         assert said in re.sub(r'\s+', ' ', capsys.readouterr().err)
     assert not folder.exists()
+
+
+@pytest.mark.skipif(find_spec('nicegui') is None, reason='NiceGUI is not installed')
+def test_a_node_that_nobody_needs_may_end_and_it_is_said_once(tmp_path, capsys):
+    # Without a latitude: it ends at once, and says why.
+    with Processes(tmp_path, private_network()) as running:
+        running.start('web_node', {'plan': 'twelve_position'}, needed=False)
+        assert until(lambda: not running.runs('web_node'))
+        running.check()
+        running.check()
+    said = capsys.readouterr().err
+    assert said.count('web_node has ended') == 1
+    assert 'latitude' in said
