@@ -44,5 +44,5 @@ def expectation(setup: Setup) -> Expected:
 def _words(mode: Mode, rates: list[float], turns: int, dwell: float) -> str:
     if mode is Mode.RATE:
         rate = next((r for r in rates if r), 0.0) / DEG
-        return f'{turns} turns at {rate:g} deg/s.'
+        return f'{turns} turn{"s" * (turns != 1)} at {rate:g} deg/s.'
     return f'Stands still for {dwell:g} s.'

@@ -125,4 +125,9 @@ details[open] > .title { margin-bottom: 8px; }
   .stand .channels dd span { display: block; margin-left: 0; }
   .report iframe { display: none; }
 }
+@media (max-width: 480px) {
+  .parameters .course { width: 62px; }
+  svg.course { width: 58px; height: 24px; }
+  .parameters td, .parameters th { padding-left: 2px; padding-right: 2px; }
+}
 """
