@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from typing import Any
@@ -291,7 +291,7 @@ class Board:
             self._state,
             progress=message.text,
             seen=int(message.step),
-            repeats=tuple(int(step) for step in message.repeat_steps),
+            repeats=tuple(self._too_little(message.repeat_steps)),
             next=tuple(message.next_attitudes),
         )
 
@@ -344,6 +344,12 @@ class Board:
     def take_report(self, name: str, text: str) -> None:
         """Take the name of the report's file, empty where there is none, and what is said of it."""
         self._state = replace(self._state, report=name, report_text=text)
+
+    def _too_little(self, steps: Iterable[int]) -> Iterator[int]:
+        """Yield the steps that left too little, but for those whose data is still to come."""
+        table = self._state.table
+        running = () if table is None or table.phase is Phase.DONE else (table.step - 1, table.step)
+        return (int(step) for step in steps if step not in running)
 
     def snapshot(self, now: float) -> Snapshot:
         """Return the state at a moment."""
