@@ -327,7 +327,7 @@ def _left_by_weighted_fit(evidence: Evidence, model: SensorModel, variances: Flo
     state, rows = equations.nominal(), equations.rows.rest[:, 3:].ravel()
     state[: equations.sensors] = model.values(PARAMETERS)
     tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
-    free = np.array([k for k, p in enumerate(PARAMETERS) if p.triad == 'a'] + tilts)
+    free = np.array([k for k, p in enumerate(PARAMETERS) if p.triad == 'a'] + tilts, dtype=np.intp)
     weights = 1 / np.sqrt(variances.ravel())
     # The second step is for what is of second order: tilts times errors of the closed form.
     for _ in range(2):
