@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imu_calib.agreement import agreement
+from imu_calib.api.comparing import compare
 from imu_calib.calibration import Calibration
+from imu_calib.cli import terminal
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
-from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, parameters_of
+from imu_calib.model import G_SENSITIVITY, PARAMETERS, SensorModel, Skewed, Triad, parameters_of
 from imu_calib.reports.side_by_side import comparison_table, in_scale_of, side_by_side
 from imu_calib.stream import Units
 from imu_calib.units import DEG_H, STANDARD_GRAVITY
@@ -106,3 +109,111 @@ def test_the_command_names_what_is_not_in_both(
     told = capsys.readouterr().out
     assert 'Only in large: R_gsx, R_gsy, R_gsz, D_gs.' in told
     assert 'G_gzz' in told
+
+
+def drawn(rng: np.random.Generator, truth: np.ndarray, spread: np.ndarray) -> Calibration:
+    """A calibration whose errors have the covariance that it states."""
+    values = truth + np.linalg.cholesky(spread) @ rng.standard_normal(len(truth))
+    return Calibration(load_imu('si'), SensorModel.from_vector(values), spread)
+
+
+def covariance(rng: np.random.Generator, scale: float) -> np.ndarray:
+    """Of 24 parameters that hang together, some known ten times better than others."""
+    mixed = rng.standard_normal((24, 24)) * np.geomspace(1, 10, 24)[:, None]
+    return np.asarray(scale**2 * (mixed @ mixed.T / 24 + np.diag(np.geomspace(0.1, 10, 24))))
+
+
+@pytest.mark.parametrize('count', [2, 4])
+def test_chance_marks_a_parameter_in_one_of_a_hundred_comparisons_at_most(count: int) -> None:
+    rng = np.random.default_rng(5)
+    truth = rng.normal(0, 1e-4, 24)
+    spreads = [covariance(rng, 1e-6 * (k + 1)) for k in range(count)]
+    runs = 2000 if count == 2 else 500
+    found = [
+        agreement([drawn(rng, truth, spread) for spread in spreads], PARAMETERS)[0]
+        for _ in range(runs)
+    ]
+    marked = sum(bool(one.names) for one in found)
+    apart = sum(not one.consistent for one in found)
+    # 1 % of the runs, and three deviations of a binomial law; Bonferroni's bound is an upper one.
+    most = 0.01 * runs + 3 * np.sqrt(0.01 * runs)
+    assert marked <= most
+    assert 0.01 * runs - 3 * np.sqrt(0.01 * runs) <= apart <= most
+    totals = np.array([one.total for one in found])
+    freedom = 24 * (count - 1)
+    assert found[0].total_freedom == freedom
+    assert totals.mean() == pytest.approx(freedom, abs=4 * np.sqrt(2 * freedom / runs))
+    each = np.array([one.chi_square for one in found]).mean(axis=0)
+    assert each == pytest.approx(np.full(24, count - 1), abs=5 * np.sqrt(2 * (count - 1) / runs))
+
+
+def test_what_has_moved_is_named_and_the_rest_is_not() -> None:
+    rng = np.random.default_rng(6)
+    truth, spread = np.zeros(24), covariance(rng, 1e-6)
+    units = [drawn(rng, truth, spread) for _ in range(3)]
+    place = [p.name for p in PARAMETERS].index('D_gy')
+    moved = np.zeros(24)
+    moved[place] = 12 * np.sqrt(spread[place, place])
+    units.append(drawn(rng, truth + moved, spread))
+    compared = compare(*units)
+    assert compared.agreement.names == ('D_gy',)
+    assert not compared.agreement.consistent
+    assert compare(*units[:3]).agreement.names == ()
+
+
+def test_chi_square_of_three_is_that_about_their_weighted_mean_and_of_a_truth_that_about_it() -> (
+    None
+):
+    stds, values = np.array([1e-6, 2e-6, 4e-6]), np.array([1e-6, 4e-6, -3e-6])
+    units = [
+        Calibration(load_imu('si'), SensorModel.from_vector(np.full(24, v)), np.eye(24) * s**2)
+        for v, s in zip(values, stds, strict=True)
+    ]
+    mean = np.sum(values / stds**2) / np.sum(1 / stds**2)
+    by_hand = np.sum((values - mean) ** 2 / stds**2)
+    for order in ([0, 1, 2], [2, 0, 1]):
+        found = compare(*(units[k] for k in order)).agreement
+        assert found.chi_square == pytest.approx(np.full(24, by_hand))
+        assert set(found.freedom) == {2}
+    exact = replace(units[0], covariance=np.zeros((24, 24)))
+    found = compare(exact, units[1], units[2]).agreement
+    about_it = np.sum((values[1:] - values[0]) ** 2 / stds[1:] ** 2)
+    assert found.chi_square == pytest.approx(np.full(24, about_it))
+    assert set(found.freedom) == {2}
+
+
+def test_the_gravity_of_one_place_makes_no_difference_between_its_calibrations() -> None:
+    doubt, here = 160e-6, {'gravity': 9.797, 'gravity_std': 160e-6 * 9.797, 'latitude_deg': 34.65}
+    own = np.eye(24) * (2e-6) ** 2
+    both = own.copy()
+    scale = [p.name for p in PARAMETERS].index('K_ax')
+    # A gravity that is wrong by e makes 1 + K wrong by e, of all three alike.
+    for k in range(3):
+        for j in range(3):
+            both[scale + k, scale + j] += doubt**2
+    values = np.zeros(24)
+    first = Calibration(load_imu('si'), SensorModel.from_vector(values), both, provenance=here)
+    values = values.copy()
+    values[scale] = 20e-6
+    second = replace(first, model=SensorModel.from_vector(values))
+    # 20 ppm are seven deviations of two sessions, and an eleventh of one of gravity.
+    assert compare(first, second).agreement.names == ('K_ax',)
+    elsewhere = replace(second, provenance={**here, 'latitude_deg': 50.0})
+    assert compare(first, elsewhere).agreement.names == ()
+
+
+def test_no_head_and_no_unit_is_cut_in_a_narrow_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [tmp_path / f'a_long_name_of_a_unit_{k}.yaml' for k in range(3)]
+    for file in files:
+        unit().save(file)
+    monkeypatch.setattr(terminal.OUTPUT, 'width', 40)
+    assert main(['compare', *map(str, files)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if '\u2026' in line] == []
+    head = next(line for line in lines if line.startswith('Table 1'))
+    row = next(line for line in lines if line.startswith('K_GX'))
+    assert row.rstrip().endswith('arcsec/p')
+    assert head.index('unit') == row.index('arcsec/p')
+    assert lines[0] == '(1) a_long_name_of_a_unit_0'

@@ -294,6 +294,41 @@ def test_a_bump_is_cut_and_a_knock_is_told_from_it() -> None:
     assert bumped.notes == ('disturbed 10.0 s after it came to rest; 0.5 s left out',)
 
 
+@pytest.mark.parametrize('rate', [1.0, 3.0])
+def test_somebody_who_walks_by_is_no_mount_shift(rate: float) -> None:
+    """Two footfalls a second for eight seconds, each sampled as noise that dies away in 0.1 s."""
+    period, count, steps = 0.01, 6000, slice(2000, 2800)
+    walk = np.repeat([0.3 * DEG / 60, 0.1 / 60], 3)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rows = rng.standard_normal((count, 6)) * walk * np.sqrt(period)
+        rows[:, 5] += 9.8 * period
+        fading = np.exp(-(np.arange(800) * period % 0.5) / 0.1)[:, None]
+        shaken = rng.standard_normal((800, 6)) * np.repeat([rate * DEG, 0.3], 3) * period
+        rows[steps] += fading * shaken
+        sound = sound_part(samples(rows, period), walk)
+        assert sound.knock is None
+        assert not sound.mask[2000:2100].all()
+
+
+def test_a_mount_shift_among_footfalls_is_found() -> None:
+    """About a level axis, by ten times what the footfalls leave in the sum of the gyros."""
+    period, rate, angle = 0.01, 0.2 * DEG, 0.2 * DEG
+    walk = np.repeat([0.3 * DEG / 60, 0.1 / 60], 3)
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((6000, 6)) * walk * np.sqrt(period)
+    rows[:, 5] += 9.8 * period
+    fading = np.exp(-(np.arange(800) * period % 0.5) / 0.1)[:, None]
+    rows[2000:2800] += fading * rng.standard_normal((800, 6)) * rate * period
+    rows[2400:2410, 0] += angle / 10
+    # From f to f - a x f.
+    rows[2410:, 4] += angle * 9.8 * period
+    found = sound_part(samples(rows, period), walk).knock
+    assert found is not None
+    # The mean of fading^2 is a tenth.
+    assert found.angle == pytest.approx(angle, abs=4 * np.sqrt(3 * 80) * rate * period)
+
+
 def test_saturated_samples_are_cut_with_their_half_second() -> None:
     rows = still(2000, np.random.default_rng(0))
     spoilt = np.zeros(2000, dtype=bool)

@@ -177,8 +177,10 @@ class _Means:
         for run in np.split(inside, np.flatnonzero(np.diff(inside) > 2) + 1):
             start, stop = int(run[0]), int(run[-1]) + 1
             turned = self.left[start:stop, :3].sum(axis=0)
-            turned = self._borne_out(turned, bad, slice(first, start), slice(stop, last))
-            one_way = _one_way(
+            tilted = self._tilted(turned, bad, slice(first, start), slice(stop, last))
+            if tilted is False:
+                turned = self._about_up(turned)
+            one_way = tilted is True or _one_way(
                 windows[start:stop, :, :3].reshape(-1, 3),
                 self.sums[start:stop, :3].sum(axis=0),
                 turned,
@@ -190,16 +192,16 @@ class _Means:
                 return Knock(start * length, stop * length, float(np.linalg.norm(turned)))
         return None
 
-    def _borne_out(
+    def _tilted(
         self, turned: Floats, bad: NDArray[np.bool_], before: slice, after: slice
-    ) -> Floats:
-        """Return a turn without its level part where the accelerometers see that there was none.
+    ) -> bool | None:
+        """Say whether accelerometers see the tilt that a turn leaves; None where they cannot tell.
 
         A turn by a small angle a takes the specific force f to f - a x f.
         """
         ends = [self.sums[part, 3:][~bad[part]] for part in (before, after)]
         if min(map(len, ends)) < _FEWEST_WINDOWS:
-            return turned
+            return None
         mean = ends[0].mean(axis=0)
         tilt = -np.cross(turned, mean)
         wanted = float(np.linalg.norm(tilt))
@@ -208,9 +210,12 @@ class _Means:
             sum(1 / len(e) for e in ends)
         )
         seen = float(along @ (ends[1].mean(axis=0) - mean))
-        if wanted < _KNOCK * std or seen > _HALF * wanted:
-            return turned
-        up = mean / np.linalg.norm(mean)
+        return None if wanted < _KNOCK * std else seen > _HALF * wanted
+
+    def _about_up(self, turned: Floats) -> Floats:
+        """Return the part of a turn that no accelerometer sees."""
+        up = np.median(self.sums[:, 3:], axis=0)
+        up = up / max(float(np.linalg.norm(up)), _TINY)
         return np.asarray(up * (up @ turned))
 
 

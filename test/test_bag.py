@@ -1,0 +1,251 @@
+"""I have a bag: an Imu topic of somebody's driver in the hand, and nobody says anything of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imu_calib
+from imu_calib.api.simulating import serialised
+from imu_calib.api.stated import Stated
+from imu_calib.bags import RecordingWriter, open_recording
+from imu_calib.calibration import Calibration
+from imu_calib.cdr import Kind
+from imu_calib.cli.main import main
+from imu_calib.config import Section
+from imu_calib.earth import Site
+from imu_calib.errors import InputError
+from imu_calib.imu import read_imu
+from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
+from imu_calib.share import named_file
+from imu_calib.simulation.hand import anyhow
+from imu_calib.stream import ImuBlock
+from imu_calib.units import DEG, STANDARD_GRAVITY
+
+TRUTH = Calibration.load(named_file('truths', 'mems_counts'))
+LATITUDE, HEIGHT = 48.1, 520.0
+UNIT = """
+id: mpu9250
+units: si
+sample_rate: 100 Hz
+gyro: {angle_random_walk: 0.01 (deg/s)/sqrt(Hz)}
+accelerometer: {velocity_random_walk: 300 ug/sqrt(Hz)}
+"""
+
+
+def recorded(folder: Path, topic: str, holds: int = 24, scale: tuple[float, float] = (1, 1)) -> str:
+    """A recording of a driver that publishes SI, times something where it does not."""
+    unit = read_imu(Section.parse(UNIT, 'the unit'))
+    session = anyhow(holds, 1)
+    site = Site.at(LATITUDE * DEG, HEIGHT)
+    with RecordingWriter(folder) as writer:
+        for block in session.blocks(unit, TRUTH.model, site, seed=1):
+            read = ImuBlock(block.stamp, block.gyro * scale[0], block.accel * scale[1], 'imu')
+            kind, messages, stamps = serialised(read)
+            writer.write(topic, kind.type_name, messages, stamps)
+    return str(folder)
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return recorded(tmp_path_factory.mktemp('bag') / 'hand', '/imu/data_raw')
+
+
+@pytest.fixture(scope='module')
+def made(bag: str) -> str:
+    file = str(Path(bag).parent / 'calibration.yaml')
+    words = ['--latitude', str(LATITUDE), '--height', str(HEIGHT), '-o', file]
+    assert main(['calibrate', bag, *words]) == 0
+    return file
+
+
+def test_latitude_is_all_that_has_to_be_said(made: str) -> None:
+    found = Calibration.load(made)
+    assert found.provenance['method'] == 'free_positions'
+    true = in_frame_of_accelerometers(TRUTH.model)
+    error = (found.values - true.vector())[FREE] / found.std[FREE]
+    # 21 errors of one deviation: beyond four in one of 750 such units.
+    assert np.abs(error).max() < 4
+    said = ' '.join(found.findings)
+    assert 'taken for rad/s and m/s^2' in said and 'turned by hand in free positions' in said
+
+
+def test_latitude_is_asked_for_with_why_and_what_else_would_do(
+    bag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['calibrate', bag]) == 2
+    text = capsys.readouterr().err.replace('\n', ' ')
+    assert re.search('give --latitude .* Gravity follows from it, .* --gravity as measured', text)
+    gravity = str(Site.at(LATITUDE * DEG, HEIGHT).gravity)
+    assert main(['calibrate', bag, '--gravity', gravity, '-o', str(tmp_path / 'c.yaml')]) == 0
+    found = Calibration.load(tmp_path / 'c.yaml')
+    error = (found.values - in_frame_of_accelerometers(TRUTH.model).vector())[FREE]
+    # The Earth rate about up is then wrong by 11 deg/h, which spreads over the attitudes.
+    assert np.abs(error / found.std[FREE]).max() < 5
+
+
+@pytest.mark.parametrize(
+    ('scale', 'sentence'),
+    [
+        ((1, 1 / STANDARD_GRAVITY), 'length of the acceleration is .* 1 would be g'),
+        ((1, 1000 / STANDARD_GRAVITY), 'length of the acceleration is'),
+        ((1 / DEG, 1), 'the gyros read up to .* deg/s would do'),
+    ],
+)
+def test_what_is_not_in_si_is_not_taken_for_it(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    scale: tuple[float, float],
+    sentence: str,
+) -> None:
+    hand = recorded(tmp_path / 'hand', '/imu', 4, scale)
+    assert main(['calibrate', hand, '--latitude', '48', '-o', str(tmp_path / 'c.yaml')]) == 2
+    text = capsys.readouterr().err.replace('\n', ' ')
+    assert re.search(f"does not say what the IMU's numbers mean.* {sentence}", text), text
+
+
+@pytest.mark.parametrize(
+    ('topic', 'target'),
+    [
+        ('/imu/data_raw', '/imu/data_calibrated'),
+        ('/mavros/imu/data', '/mavros/imu/data_calibrated'),
+        ('/camera/imu', '/camera/imu/data_raw'),
+        ('/imu/pulses', '/imu/data_raw'),
+    ],
+)
+def test_a_topic_is_called_what_it_is(tmp_path: Path, made: str, topic: str, target: str) -> None:
+    hand = recorded(tmp_path / 'hand', topic, 2)
+    done = imu_calib.compensate(hand, made, tmp_path / 'out')
+    assert done.target == target
+    with open_recording(tmp_path / 'out') as recording:
+        assert [t.name for t in recording.topics] == [target]
+        (_, block), *_ = recording.read({target: Kind.IMU})
+        assert isinstance(block, ImuBlock)
+
+
+def test_a_session_is_not_faster_than_itself(bag: str, made: str, tmp_path: Path) -> None:
+    done = imu_calib.compensate(bag, made, tmp_path / 'out')
+    assert done.marked == {}
+    words = ['--imu', 'mems_counts', '--truth', 'mems_counts']
+    assert main(['simulate', 'six_position_by_hand', '-o', str(tmp_path / 'six'), *words]) == 0
+    result = imu_calib.calibrate(tmp_path / 'six')
+    assert imu_calib.compensate(tmp_path / 'six', result, tmp_path / 'six_out').marked == {}
+    # Twice as fast as in the session is still said.
+    slow = {**result.calibration.provenance}
+    slow['highest_rate'] /= 2
+    known = replace(result.calibration, provenance=slow)
+    assert imu_calib.compensate(tmp_path / 'six', known, tmp_path / 'slow_out').marked
+
+
+def test_info_ends_with_2_where_a_topic_is_not_there(
+    bag: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['info', bag, '--imu-topic', '/nothing']) == 2
+    assert 'no such topic' in capsys.readouterr().err
+    # Nothing is wrong with what nobody says: the topics are shown.
+    assert main(['info', bag]) == 0
+    assert 'Not looked into' in capsys.readouterr().out
+
+
+def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> None:
+    looked = imu_calib.look(bag, Stated(latitude=LATITUDE))
+    assert looked.inside is not None
+    session = anyhow(24, 1)
+    holds = session.holds
+    assert len(looked.inside.rests) == pytest.approx(24, abs=1)
+    for rest in looked.inside.rests:
+        middle = rest.at + rest.seconds / 2
+        mine = np.flatnonzero((holds[:, 0] < middle) & (middle < holds[:, 1]))
+        assert len(mine) == 1
+        assert rest.heading is None
+    assert looked.inside.contradictions == ()
+
+
+def test_info_says_that_another_latitude_is_contradicted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(tmp_path / 'six')
+    assert main(['simulate', 'static_six', '-o', folder, '--seed', '1']) == 0
+    seen = imu_calib.look(folder).inside
+    assert seen is not None and seen.latitude is not None
+    latitude, std = seen.latitude
+    assert abs(latitude - 34.65) < 4 * std < 10
+    assert not any('Earth turn' in sentence for sentence in seen.contradictions)
+    capsys.readouterr()
+    assert main(['info', folder, '--latitude', '-34.65']) == 0
+    out = ' '.join(capsys.readouterr().out.split())
+    assert re.search(r'The gyros see the Earth turn .* fit a latitude of 3\d\.\d', out)
+
+
+def test_a_simulated_session_has_the_date_and_the_temperature_that_are_stated(
+    tmp_path: Path,
+) -> None:
+    words = ['--imu', 'mems_counts', '--truth', 'mems_counts']
+    when = ['--start', '2026-01-31T12:00:00Z', '--temperature', '40']
+    assert main(['simulate', 'free_positions', '-o', str(tmp_path / 'a'), *words, *when]) == 0
+    found = imu_calib.calibrate(tmp_path / 'a').calibration.provenance
+    assert found['recorded'] == '2026-01-31T12:00:00Z'
+    assert found['temperature']['mean'] == pytest.approx(40.0)
+    start = datetime(2026, 1, 31, 12, tzinfo=timezone.utc)
+    with open_recording(tmp_path / 'a') as recording:
+        assert recording.start_ns is not None
+        # The first sample is ready one interval of 10 ms after the start.
+        assert recording.start_ns * 1e-9 == pytest.approx(start.timestamp(), abs=0.02)
+    for option, value in (('--start', 'yesterday'), ('--start', '1931-01-31')):
+        assert main(['simulate', 'free_positions', '-o', str(tmp_path / 'b'), option, value]) == 2
+    assert not (tmp_path / 'b').exists()
+
+
+def test_an_interrupted_simulation_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = RecordingWriter.write
+    calls = []
+
+    def interrupted(self: RecordingWriter, *rest: object, **named: object) -> None:
+        calls.append(self.path.exists())
+        if len(calls) > 3:
+            raise KeyboardInterrupt
+        written(self, *rest, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(RecordingWriter, 'write', interrupted)
+    words = ['--imu', 'mems_counts', '--truth', 'mems_counts']
+    assert main(['simulate', 'free_positions', '-o', str(tmp_path / 'a'), *words]) == 130
+    assert calls == [True] * 4
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        ('simulate', 'free_positions', '-o', 'none/a'),
+        ('report', '{made}', '-o', 'none/r.html'),
+        ('montecarlo', 'free_positions', '-o', 'none/p.png'),
+        ('calibrate', '{bag}', '-o', 'none/c.yaml'),
+    ],
+)
+def test_a_folder_that_is_not_there_is_refused_alike(
+    words: tuple[str, ...],
+    made: str,
+    bag: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([word.format(made=made, bag=bag) for word in words]) == 2
+    assert 'the folder none does not exist.' in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_exists_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / 'a').mkdir()
+    (tmp_path / 'a' / 'mine').touch()
+    with pytest.raises(InputError, match='exists already'):
+        imu_calib.simulate('free_positions', tmp_path / 'a')
+    assert (tmp_path / 'a' / 'mine').exists()
