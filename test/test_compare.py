@@ -161,9 +161,7 @@ def test_what_has_moved_is_named_and_the_rest_is_not() -> None:
     assert compare(*units[:3]).agreement.names == ()
 
 
-def test_chi_square_of_three_is_that_about_their_weighted_mean_and_of_a_truth_that_about_it() -> (
-    None
-):
+def test_chi_square_is_that_about_the_weighted_mean_or_about_a_truth() -> None:
     stds, values = np.array([1e-6, 2e-6, 4e-6]), np.array([1e-6, 4e-6, -3e-6])
     units = [
         Calibration(load_imu('si'), SensorModel.from_vector(np.full(24, v)), np.eye(24) * s**2)

@@ -25,7 +25,7 @@ cheapest (MPU-9150), in the hand: the median of its lengths is nearer to gravity
 (1), mg (1000) and counts are not."""
 _FASTEST = 35.0
 """rad/s: 2000 deg/s, the widest range of MEMS gyros in use (MPU-9250, BMI088, ICM-20948)."""
-_LONGEST_HOLD = 30.0
+_LONGEST_HOLD = 15.0
 """s: nobody holds still for as long; a table, or a unit that was laid down, does. A judgement."""
 
 SAID_SI = (

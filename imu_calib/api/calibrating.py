@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..bags import Recording, open_recording
-from ..calibrator import Result, Setup, calibrator_of
+from ..calibrator import HandCalibrator, Result, Setup, calibrator_of
 from ..errors import InputError, NotObservable, NotStated
 from ..imu import ImuSpec
 from ..plan import Plan
@@ -206,12 +206,12 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
         calibrator.feed(block)
     lost = tuple(opened.recording.losses)
     by_hand = SAID_BY_HAND in opened.assumed
-    before = calibrator.snapshot() if by_hand else calibrator
+    before = calibrator.snapshot()
     try:
         result = calibrator.finish()
     except NotObservable as error:
-        if by_hand:
-            _check_that_it_was(opened, before.review().session)
+        if by_hand and isinstance(before, HandCalibrator):
+            _check_that_it_was(opened, before.segmented())
         raise NotObservable(' '.join([str(error), *lost, *opened.assumed])) from None
     if by_hand:
         _check_that_it_was(opened, result.session)

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from ..bags import Recording, open_recording
-from ..calibrator import Calibrator, Setup, calibrator_of
+from ..calibrator import Calibrator, HandCalibrator, Setup, calibrator_of
 from ..errors import InputError, NotObservable, NotStated
 from ..estimation.fit import check_observable
 from ..metadata import COMPENSATED
-from ..methods import free_positions
 from ..observation.earth_seen import contradicts, latitude_seen, up_rate_seen
 from ..observation.equations import Equations
 from ..plan import Plan
@@ -205,8 +204,8 @@ def _inside(opened: Opened, progress: Progress) -> Inside:
     calibrator = calibrator_of(setup)
     for block in opened.blocks(progress):
         calibrator.feed(block)
-    review = calibrator.review()
-    session, free = review.session, setup.method_name == free_positions.NAME
+    session, refusal = _segmented(calibrator)
+    free = isinstance(calibrator, HandCalibrator)
     if session.strangers:
         raise InputError(session.strangers)
     labelled = (
@@ -215,7 +214,7 @@ def _inside(opened: Opened, progress: Progress) -> Inside:
     zero = _zero(opened.recording, session)
     seen = up_rate_seen(session.segments)
     found = None if seen is None else latitude_seen(*seen)
-    contradictions = [] if review.result is not None else [review.refusal]
+    contradictions = [refusal] if refusal else []
     if seen is not None and found is not None and contradicts(*seen, setup.site.latitude):
         contradictions.insert(0, _other_latitude(seen, found, setup))
     return Inside(
@@ -223,9 +222,7 @@ def _inside(opened: Opened, progress: Progress) -> Inside:
         tuple(_turns(labelled, setup.plan, zero)),
         setup.plan.name if setup.plan.is_stated else '',
         None if free or not setup.plan.is_stated else tuple(_missing(labelled, setup.plan)),
-        _told(session, labelled, setup)
-        if review.result is None and not free
-        else _determined(setup),
+        _told(session, labelled, setup) if refusal and not free else _determined(setup),
         None if found is None else (found[0] / DEG, found[1] / DEG),
         tuple(contradictions),
         (
@@ -237,6 +234,19 @@ def _inside(opened: Opened, progress: Progress) -> Inside:
         ),
         (*opened.recording.losses, *session.losses),
     )
+
+
+def _segmented(calibrator: Calibrator | HandCalibrator) -> tuple[Segmented, str]:
+    """Return what the streams contain, and why no calibration comes of it; empty where one does."""
+    if isinstance(calibrator, Calibrator):
+        review = calibrator.review()
+        return review.session, review.refusal
+    session = calibrator.snapshot().segmented()
+    try:
+        calibrator.finish()
+    except NotObservable as error:
+        return session, str(error)
+    return session, ''
 
 
 def _other_latitude(seen: tuple[float, float], found: tuple[float, float], setup: Setup) -> str:

@@ -90,6 +90,10 @@ class HandCalibrator:
         """
         return self._solve(self._segmenter.finish())
 
+    def segmented(self) -> Segmented:
+        """End of the session: return what its streams contain, whether that can be solved or not."""
+        return self._segmenter.finish()
+
     def evidence(self, session: Segmented) -> Evidence:
         """Return the holds of a session, and the turns between them, as what `solve` works on.
 
