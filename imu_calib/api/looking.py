@@ -222,7 +222,7 @@ def _inside(opened: Opened, progress: Progress) -> Inside:
         tuple(_turns(labelled, setup.plan, zero)),
         setup.plan.name if setup.plan.is_stated else '',
         None if free or not setup.plan.is_stated else tuple(_missing(labelled, setup.plan)),
-        _told(session, labelled, setup) if refusal and not free else _determined(setup),
+        _told(session, labelled, setup, free=free) if refusal else _determined(setup),
         None if found is None else (found[0] / DEG, found[1] / DEG),
         tuple(contradictions),
         (
@@ -273,8 +273,10 @@ def _determined(setup: Setup) -> str:
     return f'the attitudes and turns determine all {len(setup.parameters)} parameters'
 
 
-def _told(session: Segmented, labelled: Labelled, setup: Setup) -> str:
-    """Say whether a session on a table determines all parameters, or what it lacks."""
+def _told(session: Segmented, labelled: Labelled, setup: Setup, *, free: bool) -> str:
+    """Say whether a session that is refused determines all parameters, or what it lacks."""
+    if free:
+        return f'{len(session.segments)} holds do not determine them all'
     try:
         evidence = Calibrator(setup).evidence(labelled, session)
         check_observable(Equations(evidence, setup.parameters))

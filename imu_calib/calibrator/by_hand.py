@@ -91,7 +91,7 @@ class HandCalibrator:
         return self._solve(self._segmenter.finish())
 
     def segmented(self) -> Segmented:
-        """End of the session: return what its streams contain, whether that can be solved or not."""
+        """End of the session: return what its streams contain, solved or not."""
         return self._segmenter.finish()
 
     def evidence(self, session: Segmented) -> Evidence:
