@@ -65,15 +65,16 @@ napoleon_use_ivar = True
 nitpick_ignore_regex = [
     (
         r'py:.*',
-        r'(numpy|np|numpy\.typing|collections|pathlib|typing|types|contextlib|pandas|matplotlib)\..*',
+        r'(numpy|np|numpy\.typing|collections|pathlib|typing|types|contextlib|datetime|pandas|matplotlib)\..*',
     ),
     ('py:class', 'Figure'),
     # Values within others, which have no page, and names for a choice of types.
     (
         'py:class',
-        r'imu_calib\.(api\.progress\.Show|channel_noise\.ChannelNoise|repetition\.Outcome)',
+        r'imu_calib\.(api\.progress\.Show|channel_noise\.ChannelNoise|repetition\.Outcome'
+        r'|agreement\..*|reports\..*|specification\..*|api\.looking\..*|api\.stated\..*)',
     ),
-    ('py:class', 'Named|AnyCalibration|Progress'),
+    ('py:class', 'Named|AnyCalibration|Progress|Assessed|Inside|Topic|Stated'),
 ]
 
 BORROWED = {
