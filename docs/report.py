@@ -1,11 +1,11 @@
 """Draw the pictures of docs/report.md: a simulated session, its report, and what a browser shows.
 
-Usage: python docs/report.py    (needs chromium and matplotlib)
+Usage: python docs/report.py    (needs chromium, playwright and matplotlib)
 """
 
+import io
 import re
 import shutil
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,6 +13,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
+from playwright.sync_api import sync_playwright
 
 from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
@@ -28,6 +30,7 @@ from imu_calib.stream import Block, ImuBlock
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG
 
+Image = NDArray[np.float32]
 HERE = Path(__file__).parent
 SITE = Site.at(34.65 * DEG, gravity=normal_gravity(34.65 * DEG))
 LOOSE = (110.0, 111.0)
@@ -62,32 +65,22 @@ def record(folder: Path) -> None:
             writer.write(f'/{topic}', kind.type_name, messages, stamp)
 
 
-def picture(html: str, target: Path) -> None:
-    """Write what a browser shows of a page, without the empty rest below it."""
-    browser = shutil.which('chromium') or shutil.which('chromium-browser') or 'google-chrome'
-    with tempfile.TemporaryDirectory() as folder:
-        page, shot = Path(folder) / 'page.html', Path(folder) / 'shot.png'
-        page.write_text(html, encoding='utf-8')
-        subprocess.run(
-            [
-                browser,
-                '--headless',
-                '--no-sandbox',
-                '--disable-gpu',
-                '--disable-background-networking',
-                '--host-resolver-rules=MAP * ~NOTFOUND',
-                f'--user-data-dir={folder}/profile',
-                '--hide-scrollbars',
-                '--window-size=900,2000',
-                f'--screenshot={shot}',
-                page.as_uri(),
-            ],
-            check=True,
-            capture_output=True,
+def shown(html: str, width: int, *, dark: bool = False, height: int = 0) -> Image:
+    """Return what a browser shows of a page; `height` px of it where that is stated."""
+    names = ('chromium', 'chromium-browser', 'google-chrome')
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=next(filter(None, map(shutil.which, names))), args=['--no-sandbox']
         )
-        image = plt.imread(shot)
-    used = np.flatnonzero(np.any(image != image[-1, :1], axis=(1, 2)))
-    plt.imsave(target, image[: used[-1] + 20])
+        page = browser.new_page(
+            viewport={'width': width, 'height': height or 200},
+            color_scheme='dark' if dark else 'light',
+            device_scale_factor=1.5 if height else 1,
+        )
+        page.set_content(html)
+        image = page.screenshot(full_page=not height)
+        browser.close()
+    return np.asarray(plt.imread(io.BytesIO(image)))
 
 
 def main() -> None:
@@ -100,13 +93,20 @@ def main() -> None:
         imu_calib(['report', made, str(folder / 'session'), '-o', str(report)])
         html = report.read_text(encoding='utf-8')
     plain = '<style>html, body { background: #fff; } body { box-shadow: none; margin: 0; }</style>'
-    html = html.replace('</head>', f'{plain}</head>')
+    whole, html = html, html.replace('</head>', f'{plain}</head>')
     start = html.index('<h1>')
     sections = re.findall(r'<section.*?</section>', html, flags=re.DOTALL)
-    end = html.index(sections[2])
-    picture(f'{html[:end]}</body></html>', HERE / 'report.png')
-    picture(f'{html[:start]}{"".join(sections[2:4])}</body></html>', HERE / 'report_course.png')
-    picture(f'{html[:start]}{sections[4]}</body></html>', HERE / 'report_noise.png')
+    by_title = {re.findall(r'<h2>(.*?)</h2>', section)[0]: section for section in sections}
+    end = html.index(by_title['Terms'])
+    course = by_title['Course of the session'] + by_title['Residuals']
+    for name, body in {
+        'report': html[start:end],
+        'report_course': course,
+        'report_noise': by_title['Noise'],
+    }.items():
+        plt.imsave(HERE / f'{name}.png', shown(f'{html[:start]}{body}</body></html>', 900))
+    phones = [shown(whole, 390, dark=dark, height=800) for dark in (False, True)]
+    plt.imsave(HERE / 'report_phone.png', np.hstack(phones))
 
 
 if __name__ == '__main__':

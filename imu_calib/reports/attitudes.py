@@ -22,7 +22,7 @@ _SIDE, _HALF = 104.0, 21.0
 """px: of a drawing, and half of the cube's edge."""
 _AZIMUTH, _ELEVATION = -32 * DEG, 26 * DEG
 """Of the eye: from south towards west, above level. No two of the six directions coincide."""
-_REACH = 1.62
+_REACH = 1.95
 """Half edges from the middle to an axis's letter; its line ends before."""
 _ROOM = 11.0
 """px between letters: their height."""
@@ -177,7 +177,7 @@ def _face(attitude: Floats, k: int, sign: int) -> str:
 
 
 def _arrow(axis: Floats, k: int) -> str:
-    (x1, y1), (x2, y2) = _screen(axis), _screen((_REACH - 0.32) * axis)
+    (x1, y1), (x2, y2) = _screen(axis), _screen((_REACH - 0.42) * axis)
     return tag('line', x1=x1, y1=y1, x2=x2, y2=y2, class_=f'line axis-line {_CLASSES[k]}') + tag(
         'circle', cx=x2, cy=y2, r=2.2, class_=_CLASSES[k]
     )
