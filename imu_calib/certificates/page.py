@@ -27,7 +27,7 @@ _UNCERTAINTY = (
 _DEFINITION = (
     'input = (I + M)\u207b\u00b9 (output \u00d7 scale factor {per} \u2212 D). M holds the '
     'scale-factor errors K on its diagonal and the misalignments E beside it (row: channel, '
-    'column: input axis), D are the biases. Misalignments are those against the axes of the table.'
+    'column: input axis), D are the biases. Misalignments are those against {frame}.'
 )
 _STATEMENTS = (
     'The results relate only to the item calibrated, as it was received and at the time and under '
@@ -167,7 +167,10 @@ def _results(certificate: Certificate) -> list[str]:
     imu = calibration.imu
     pulses = imu.units is Units.PULSES
     per = '/ sample interval' if pulses else ''
-    parts = [paragraph(_DEFINITION.format(per=per).replace('  ', ' '), 'note')]
+    by_sensors = calibration.provenance.get('frame') is not None
+    frame = 'the frame that the remarks state' if by_sensors else 'the axes of the table'
+    definition = _DEFINITION.format(per=per, frame=frame).replace('  ', ' ')
+    parts = [paragraph(definition, 'note')]
     scales = [
         ('nominal scale factor of the gyros', _scale(imu.gyro.scale_factor, imu.units, 'g')),
         ('of the accelerometers', _scale(imu.accel.scale_factor, imu.units, 'a')),

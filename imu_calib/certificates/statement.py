@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
 
-import numpy as np
-
 from ..budget import PROBABILITY, Budget
 from ..calibration import Calibration
 from ..errors import InputError
@@ -163,7 +161,8 @@ def _results(
     expanded, factor, freedom = budget.expanded, budget.coverage_factor, budget.freedom
     found = []
     for k, parameter in enumerate(calibration.parameters):
-        if not np.isfinite(calibration.std[k]):
+        # What a frame is chosen by is zero by definition, and no result.
+        if not calibration.std[k] > 0:
             continue
         value, limit = float(calibration.values[k]), specification.limit(parameter)
         said = None

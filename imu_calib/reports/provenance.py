@@ -154,7 +154,7 @@ def _clocks(facts: Facts) -> str:
     if not isinstance(clock, Mapping):
         return ''
     offset, rate = number(clock, 'offset_s'), number(clock, 'rate_ppm')
-    if offset is None or rate is None:
+    if offset is None or rate is None or not clock.get('motions'):
         return 'not compared'
     doubts = number(clock, 'offset_std_s'), number(clock, 'rate_std_ppm')
     behind = '' if doubts[0] is None else f'{_APART}{1e3 * doubts[0]:.3f}'
