@@ -150,6 +150,20 @@ def test_numbers_of_every_order_are_read(kind, order):
     assert Decoder(frames).feed(2 * line).celsius.tolist() == [value, value]
 
 
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('order', ['little', 'low_word_first'])
+def test_a_signalling_nan_is_no_number_and_no_warning(order):
+    sent = {'little': '01 00 80 7f', 'low_word_first': '00 01 7f 80'}[order]
+    fields = {
+        'gyro': {'type': 'f32', 'offset': [2, 6, 10], 'byte_order': order},
+        'accelerometer': {'type': 'i16', 'offset': [14, 16, 18]},
+    }
+    decoder = Decoder(described('none', fields=fields))
+    samples = decoder.feed(b'\xaa\x55' + bytes.fromhex(sent) + bytes(18))
+    assert len(samples) == 0
+    assert decoder.counts.unusable == 1
+
+
 @settings(deadline=None, max_examples=100)
 @given(st.integers(-(2**47), 2**47 - 1))
 def test_fp16_32_is_exact(number):

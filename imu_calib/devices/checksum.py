@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -148,6 +149,12 @@ class Checksums:
     def _crc(self, rows: Bytes) -> Words:
         shares = self._tables.reshape(-1).take(rows + self._places)
         return np.asarray(np.bitwise_xor.reduce(shares, axis=1, initial=self._constant))
+
+
+@lru_cache(maxsize=64)
+def checksums(algorithm: Algorithm, length: int, padding: int = 0) -> Checksums:
+    """Return what computes one checksum for messages of one length; its tables are made once."""
+    return Checksums(algorithm, length, padding)
 
 
 def _sums(rows: Bytes, kind: Sum) -> Words:

@@ -80,7 +80,7 @@ class Number:
             (len(rows),), code, rows, self.offset, strides=(rows.shape[1],)
         )
         if self.kind == 'f':
-            return strided.astype(np.float64)
+            return _native(strided)
         # The bits of an unsigned 64-bit number stay; differences modulo 2^64 do, too.
         return strided.astype(np.int64, casting='unsafe')
 
@@ -88,7 +88,7 @@ class Number:
         """Read a number whose bytes stand in no order, or are so many, as no processor has it."""
         if self.kind == 'f':
             native = np.ascontiguousarray(rows[:, self._places()]).view(f'<f{self.size}')
-            return native[:, 0].astype(np.float64)
+            return _native(native[:, 0])
         # At the upper end of 64 bits, so that shifting down fills up with the sign.
         padded = np.zeros((len(rows), 8), np.uint8)
         padded[:, 8 - self.size :] = rows[:, self._places()]
@@ -109,6 +109,12 @@ class Number:
         if self.order == LOW_WORD_FIRST:
             return [offset for word in words for offset in word[::-1]]
         return [offset for word in words[::-1] for offset in word]
+
+
+def _native(values: Values) -> Floats:
+    # A signalling NaN is no number like any other; numpy would warn of it on the screen.
+    with np.errstate(invalid='ignore'):
+        return values.astype(np.float64)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..share import named_file
 from ..units import Dimension
 from .checks import FrameCheck, read_algorithm, read_number_order, read_order
-from .checksum import Checksums, fits
+from .checksum import Checksums, checksums, fits
 from .commands import NOTHING, Commands, read_commands
 from .fields import Channel, DeviceTime, Fault, FrameCounter, Number
 from .messages import Message, read_message
@@ -78,7 +78,7 @@ class FrameFormat:
         check = self.check
         if check is None:
             return None
-        return Checksums(check.algorithm, check.end - check.first, check.padding)
+        return checksums(check.algorithm, check.end - check.first, check.padding)
 
     def bits_per_second(self, sample_rate: float) -> float:
         """Return what frames at a rate in Hz need of a serial port, bit/s."""

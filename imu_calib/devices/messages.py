@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 
 from ..config import Section
 from ..errors import InputError
 from .checks import read_algorithm, read_order
-from .checksum import Algorithm, Checksums, fits
+from .checksum import Algorithm, checksums, fits
 from .fields import Number
 from .numbers import whole_list
 
@@ -89,17 +88,12 @@ class Message:
         covered = np.frombuffer(message[check.first : check.last + 1 or None], np.uint8)
         if not fits(check.algorithm, len(covered)):
             return False
-        found = _checksums(check.algorithm, len(covered)).of(covered[None])
+        found = checksums(check.algorithm, len(covered)).of(covered[None])
         return int(found[0]) == _unsigned(sent, check.order)
 
 
 def _unsigned(data: bytes, order: str) -> int:
     return int.from_bytes(data, 'little' if order == '<' else 'big')
-
-
-@lru_cache(maxsize=16)
-def _checksums(algorithm: Algorithm, length: int) -> Checksums:
-    return Checksums(algorithm, length)
 
 
 @dataclass

@@ -1,0 +1,318 @@
+"""Feeds damaged bytes to everything that reads what others wrote, and watches what happens.
+
+    python benchmarks/fuzz.py [--inputs 2000] [--seed 1] [--only frames ...]
+
+Targets: frames of devices, CDR on the wire, mcap and sqlite3 files, files of people (YAML). Each
+input is a sound one that is changed in a few places: bits, bytes, lengths, pieces left out,
+doubled, put in from elsewhere. The same seed makes the same inputs. Allowed is a result or an error
+of the suite's own. Not allowed is any other exception, more memory than ten times the input and
+what `FLOOR` says, or more than `LONGEST` seconds of the processor.
+
+Exit code 1: something that is not allowed happened; the input's number is printed, and
+`--from NUMBER --inputs 1` runs it alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+import tempfile
+import time
+import traceback
+import tracemalloc
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from imu_calib.bags import open_recording
+from imu_calib.cdr import (
+    Kind,
+    Malformed,
+    Messages,
+    encode_imu,
+    encode_joints,
+    encode_setpoints,
+    encode_temperatures,
+)
+from imu_calib.cdr import decode as cdr
+from imu_calib.compensation.thermal import read_calibration
+from imu_calib.config import Section
+from imu_calib.devices import Decoder, FrameFormat, load_format, read_format
+from imu_calib.errors import ImuCalibError
+from imu_calib.imu import read_imu
+from imu_calib.plan import read_plan
+from imu_calib.stream import ImuBlock, JointBlock, Mode, Setpoint, SetpointBlock, TemperatureBlock
+from imu_calib.turntable import read_table
+
+FLOOR = 8 << 20
+"""Bytes that a target may take beside ten times its input: tables of checksums, a page cache."""
+LONGEST = 10.0
+"""s of the processor for one input, none above 100 kB: a hundred times what the slowest takes."""
+_CONFIG = Path(__file__).resolve().parents[1] / 'config'
+_NS = 1_000_000_000
+
+Feed = Callable[[bytes], object]
+
+
+@dataclass(frozen=True)
+class Target:
+    """Sound inputs, and what reads them."""
+
+    name: str
+    sound: list[bytes]
+    feed: Feed
+
+
+def mutated(content: bytes, rng: random.Random) -> bytes:
+    """Change some bytes in a few places."""
+    data = bytearray(content)
+    for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
+        at = rng.randrange(len(data)) if data else 0
+        rng.choice(_CHANGES)(data, at, rng)
+    return bytes(data)
+
+
+def _flip(data: bytearray, at: int, rng: random.Random) -> None:
+    if data:
+        data[at] ^= 1 << rng.randrange(8)
+
+
+def _overwrite(data: bytearray, at: int, rng: random.Random) -> None:
+    width = rng.choice((1, 2, 4, 8))
+    extreme = rng.choice((0, 1, 2**31 - 1, 2**32 - 1, 2**63 - 1, 2**64 - 1, rng.getrandbits(64)))
+    data[at : at + width] = (extreme % 2 ** (8 * width)).to_bytes(width, 'little')
+
+
+def _leave_out(data: bytearray, at: int, rng: random.Random) -> None:
+    del data[at : at + rng.choice((1, 4, 16, 100))]
+
+
+def _cut(data: bytearray, at: int, rng: random.Random) -> None:
+    del rng
+    del data[at:]
+
+
+def _double(data: bytearray, at: int, rng: random.Random) -> None:
+    data[at:at] = data[at : at + rng.choice((1, 8, 64, 500))]
+
+
+def _put_in(data: bytearray, at: int, rng: random.Random) -> None:
+    data[at:at] = rng.randbytes(rng.choice((1, 3, 20)))
+
+
+def _copy(data: bytearray, at: int, rng: random.Random) -> None:
+    if data:
+        width, other = rng.choice((4, 16, 64)), rng.randrange(len(data))
+        data[at : at + width] = data[other : other + width]
+
+
+_CHANGES = (_flip, _overwrite, _leave_out, _cut, _double, _put_in, _copy)
+
+
+# --- targets -------------------------------------------------------------------------------------
+
+
+def _blocks() -> dict[Kind, list[bytes]]:
+    """Return sound messages of every kind."""
+    rng = np.random.default_rng(1)
+    stamp = 1_700_000_000 * _NS + 10_000_000 * np.arange(20)
+    imu = ImuBlock(stamp, rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 'imu_link')
+    names = ('outer', 'middle', 'inner')
+    joints = JointBlock(stamp, names, rng.normal(size=(20, 3)), rng.normal(size=(20, 3)))
+    steps = [
+        Setpoint(int(t), 'p', k, str(k), Mode.POSITION, names, (0.1, 0.2, 0.3), (), 0.0, 9.0)
+        for k, t in enumerate(stamp.tolist())
+    ]
+    return {
+        Kind.IMU: encode_imu(imu).payloads(),
+        Kind.JOINTS: encode_joints(joints).payloads(),
+        Kind.SETPOINTS: encode_setpoints(SetpointBlock(tuple(steps))).payloads(),
+        Kind.TEMPERATURES: encode_temperatures(
+            TemperatureBlock(stamp, rng.normal(size=20))
+        ).payloads(),
+    }
+
+
+def _of_frames() -> Iterator[Target]:
+    for path in sorted((_CONFIG / 'devices').glob('*.yaml')):
+        frames = load_format(path)
+        yield Target(f'frames {path.stem}', [_line(frames)], partial(_decode_line, frames))
+
+
+def _line(frames: FrameFormat) -> bytes:
+    """Make sound frames of a format, whatever stands in them."""
+    rng, line = np.random.default_rng(2), []
+    sums, check = frames.checksums(), frames.check
+    for _ in range(20):
+        row = rng.integers(0, 256, (1, frames.length), np.uint8)
+        for at, value in frames.constant:
+            row[0, at] = value
+        if sums is not None and check is not None:
+            value = int(sums.of(row[:, check.first : check.end])[0])
+            order = 'little' if check.number.order == '<' else 'big'
+            content = value.to_bytes(check.number.size, order)
+            row[0, check.number.offset : check.number.end] = np.frombuffer(content, np.uint8)
+        line.append(row.tobytes())
+    return b''.join(line)
+
+
+def _decode_line(frames: FrameFormat, data: bytes) -> None:
+    decoder = Decoder(frames)
+    for start in range(0, len(data), 97):
+        decoder.feed(data[start : start + 97])
+
+
+def _of_wire() -> Iterator[Target]:
+    for kind, payloads in _blocks().items():
+        yield Target(f'wire {kind.name.lower()}', payloads, partial(_decode_message, kind))
+
+
+def _decode_message(kind: Kind, data: bytes) -> None:
+    kind.decode(Messages.join([data]), Malformed())
+    if kind is Kind.IMU:
+        cdr.ImuDecoder().decode([data], Malformed())
+
+
+def _of_bags(folder: Path) -> Iterator[Target]:
+    # Only who fuzzes bags needs rosbags, which writes them.
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    messages = _blocks()
+    for name, plugin, mode in (
+        ('mcap', StoragePlugin.MCAP, CompressionMode.NONE),
+        ('mcap_zstd', StoragePlugin.MCAP, CompressionMode.STORAGE),
+        ('sqlite3', StoragePlugin.SQLITE3, CompressionMode.NONE),
+    ):
+        path = folder / name
+        writer = Writer(path, version=9, storage_plugin=plugin)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            for topic, kind in (('/imu', Kind.IMU), ('/joints', Kind.JOINTS)):
+                connection = writer.add_connection(topic, kind.type_name, typestore=store)
+                for k, payload in enumerate(messages[kind]):
+                    writer.write(connection, 1_700_000_000 * _NS + k, payload)
+        (file,) = (p for p in path.iterdir() if p.suffix in {'.mcap', '.db3'})
+        target = folder / f'damaged{file.suffix}'
+        yield Target(f'bag {name}', [file.read_bytes()], partial(_read_bag, target))
+
+
+def _read_bag(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    with open_recording(path) as recording:
+        kinds = {kind.type_name: kind for kind in Kind}
+        topics = {t.name: kinds[t.type] for t in recording.topics if t.type in kinds}
+        for _ in recording.messages():
+            pass
+        for _ in recording.read(topics):
+            pass
+
+
+def _of_yaml() -> Iterator[Target]:
+    readers = {
+        'devices': read_format,
+        'imus': read_imu,
+        'plans': read_plan,
+        'tables': read_table,
+        'truths': read_calibration,
+    }
+    for folder, read in readers.items():
+        files = sorted((_CONFIG / folder).glob('*.yaml'))
+        sound = [_without_comments(path.read_text(encoding='utf-8')) for path in files]
+        yield Target(f'yaml {folder}', sound, partial(_read_yaml, read))
+
+
+def _without_comments(text: str) -> bytes:
+    """Return the same document, so that changes hit what counts."""
+    return yaml.safe_dump(yaml.safe_load(text), default_flow_style=None, width=200).encode()
+
+
+def _read_yaml(read: Callable[[Section], object], data: bytes) -> None:
+    read(Section.parse(data.decode('utf-8', 'replace'), 'fuzz.yaml'))
+
+
+# --- running -------------------------------------------------------------------------------------
+
+
+def trouble(target: Target, data: bytes, *, measured: bool = True) -> str:
+    """Feed one input; return what is wrong with how it ended, nothing where all is well."""
+    if measured:
+        tracemalloc.start()
+    start = time.process_time()
+    try:
+        target.feed(data)
+    except ImuCalibError:
+        pass
+    except Exception:
+        return traceback.format_exc()
+    finally:
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    taken = time.process_time() - start
+    if peak > 10 * len(data) + FLOOR:
+        return f'{peak} bytes for an input of {len(data)}\n'
+    return f'{taken:.1f} s for an input of {len(data)} bytes\n' if taken > LONGEST else ''
+
+
+def run(
+    target: Target,
+    seed: int,
+    first: int,
+    count: int,
+    longest: float = float('inf'),
+    every: int = 1,
+) -> int:
+    """Feed a target its inputs; return how many there were, below zero where one went wrong.
+
+    The memory of one in `every` inputs is measured, which takes several times as long.
+    """
+    deadline = time.monotonic() + longest
+    for number in range(first, first + count):
+        if time.monotonic() > deadline:
+            return number - first
+        rng = random.Random(f'{seed} {target.name} {number}')
+        data = mutated(rng.choice(target.sound), rng)
+        if found := trouble(target, data, measured=number % every == 0):
+            print(f'{target.name}: input {number} of seed {seed}:\n{found}')
+            return -1
+    return count
+
+
+def targets(folder: Path) -> Iterator[Target]:
+    """Yield all targets; recordings are written to a folder."""
+    yield from _of_frames()
+    yield from _of_wire()
+    yield from _of_bags(folder)
+    yield from _of_yaml()
+
+
+def main() -> int:
+    """Run all targets."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--inputs', type=int, default=2000, help='of each target')
+    parser.add_argument('--from', type=int, default=0, dest='first', help='number of the first')
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--seconds', type=float, default=float('inf'), help='most for each target')
+    parser.add_argument('--memory', type=int, default=1, help='measured of one input in so many')
+    parser.add_argument('--only', nargs='+', default=[''], help='beginnings of names of targets')
+    given = parser.parse_args()
+    wrong = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for target in targets(Path(folder)):
+            if not target.name.startswith(tuple(given.only)):
+                continue
+            done = run(target, given.seed, given.first, given.inputs, given.seconds, given.memory)
+            wrong += done < 0
+            if done >= 0:
+                print(f'{target.name:28} {done:9,} inputs, no trouble', flush=True)
+    return 1 if wrong else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

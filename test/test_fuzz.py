@@ -1,0 +1,55 @@
+"""benchmarks/fuzz.py: a few inputs of each target, and that it finds what it looks for."""
+
+import sys
+
+import numpy as np
+import pytest
+from loopback import CHECKOUT
+
+sys.path.insert(0, str(CHECKOUT / 'benchmarks'))
+
+import fuzz
+
+
+@pytest.fixture(scope='module')
+def targets(tmp_path_factory):
+    pytest.importorskip('rosbags')
+    return list(fuzz.targets(tmp_path_factory.mktemp('bags')))
+
+
+def test_a_few_damaged_inputs_of_every_target_end_as_they_may(targets):
+    assert len(targets) > 20
+    for target in targets:
+        assert fuzz.run(target, seed=2, first=0, count=4) == 4, target.name
+
+
+def test_sound_inputs_are_read(targets):
+    for target in targets:
+        for content in target.sound:
+            target.feed(content)
+
+
+@pytest.mark.parametrize(
+    'feed',
+    [
+        lambda data: {}[data],
+        lambda data: np.ones(20 << 20, np.uint8),
+        lambda data: list(range(10**6)) * 3,
+    ],
+    ids=['an exception', 'an array', 'a list'],
+)
+def test_what_is_not_allowed_is_found(feed, capsys):
+    target = fuzz.Target('broken', [b'sound'], feed)
+    assert fuzz.run(target, seed=1, first=7, count=1) == -1
+    assert 'broken: input 7 of seed 1' in capsys.readouterr().out
+
+
+def test_the_same_seed_makes_the_same_inputs():
+    seen = []
+    for _ in range(2):
+        inputs = []
+        target = fuzz.Target('kept', [bytes(100)], inputs.append)
+        assert fuzz.run(target, seed=3, first=0, count=50) == 50
+        seen.append(inputs)
+    assert seen[0] == seen[1]
+    assert len(set(seen[0])) > 40
