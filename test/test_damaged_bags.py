@@ -198,6 +198,18 @@ def test_a_file_without_footer_gives_its_whole_chunks(tmp_path, compression):
     assert 'up to log time 1700000005.995 s is whole' in losses[0]
 
 
+@pytest.mark.parametrize('length', [0, 2, 5])
+def test_a_message_index_too_short_to_be_one_is_a_stated_loss(tmp_path, length):
+    file = storage_file(write_chunks(tmp_path / 'bag'))
+    content = file.read_bytes()
+    # The recorder did not finish: the last record of the data is the short index.
+    ends = content.rindex(struct.pack('<BQI', 0x0F, 4, 0))
+    file.write_bytes(content[:ends] + struct.pack('<BQ', 0x07, length) + bytes(length))
+    found, losses = read(file)
+    assert_same(found, SESSION)
+    assert any('holds no valid record' in loss for loss in losses)
+
+
 def test_an_uncompressed_cut_chunk_gives_its_whole_records(tmp_path):
     path = write_chunks(tmp_path / 'bag')
     last, length = records(path, 6)[4]
