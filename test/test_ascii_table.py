@@ -25,6 +25,7 @@ from imu_calib.turntable import load_table
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 try:
     from imu_calib import middleware as ros
+    from imu_calib.nodes import commands
     from imu_calib.nodes.ascii_table_node import AsciiTableNode
     from imu_calib.nodes.turntable_node import TurntableNode
 except ImuCalibError as error:
@@ -362,6 +363,17 @@ def test_a_second_source_of_setpoints_is_refused_and_the_table_stands(bench):
     bench.lead(FAR)
     assert bench.until(lambda: bench.controller.count('MOVE') == 6)
     assert bench.until(lambda: bench.leader.says('source', 0, 'one source'))
+
+
+def test_where_a_message_does_not_tell_its_source_two_that_are_listed_are_two(bench, monkeypatch):
+    told = commands.drain_sources
+    monkeypatch.setattr(commands, 'drain_sources', lambda s: [(p, b'') for p, _ in told(s)])
+    bench.lead(FAR)
+    assert bench.until(lambda: bench.controller.count('MOVE') == 3)
+    before = bench.stops()
+    bench.executor.add_node(Leader('second'))
+    assert bench.until(lambda: bench.stops() > before)
+    assert bench.until(lambda: bench.leader.says('source', 2, 'two sources'))
 
 
 @pytest.mark.parametrize('bench', [('stop_required:=true',)], indirect=True)
