@@ -3,10 +3,9 @@
 import json
 import xml.etree.ElementTree as ET
 from importlib import import_module
-from pathlib import Path
 
 import pytest
-from installed import has_package, needs
+from installed import ROS, has_package, needs
 from loopback import CHECKOUT, environment, patience
 from test_ros_stand import LAUNCHABLE, Network, launch, nothing_left
 
@@ -161,7 +160,7 @@ print('SAID ' + json.dumps(said))
 
 def _secured():
     """Say why there is no security to enforce here; empty where there is."""
-    library = Path('/opt/ros/jazzy/lib/libdds_security_auth.so')
+    library = ROS.parent / 'lib' / 'libdds_security_auth.so'
     if not library.is_file():
         return 'this Cyclone DDS is built without its security plug-ins'
     return '' if has_package('sros2') else 'sros2: not installed'
