@@ -30,6 +30,9 @@ class JointTrajectoryServer(ros.Node):
         self.goals, self.ends, self.cancelled = [], [], []
         self.active = None
         self.hold(np.zeros(joints))
+
+    def serve(self):
+        """Begin to take goals."""
         self.server = ros.GoalServer(
             self,
             self.kind,

@@ -22,10 +22,14 @@ pytestmark = pytest.mark.skipif(
 class FollowingTable(stand.FakeTable):
     """Joints that nobody moves but the controller."""
 
+    serves = True
+
     def __init__(self, table):
         super().__init__(table)
         self.deaf = True
         self.controller = JointTrajectoryServer(self.stamp)
+        if self.serves:
+            self.controller.serve()
 
     def tick(self):
         self.controller.work()
@@ -86,6 +90,20 @@ def test_goals_alone_lead_the_table_through_the_plan(led):
         assert max(map(abs, goal.points[-1].velocities)) == 0
     fastest = [max(p.velocities[0] for p in goal.points) for goal in session.controller.goals]
     assert any(rate == pytest.approx(1440 * DEG) for rate in fastest)
+
+
+def test_a_plan_that_starts_by_itself_waits_for_its_controller(session, monkeypatch):
+    monkeypatch.setattr(stand, 'FakeTable', FollowingTable)
+    monkeypatch.setattr(FollowingTable, 'serves', False)
+    session.open(output='trajectory', autostart=True, **stand.PATIENT)
+    controller = session.table.controller
+    session.executor.add_node(controller)
+    says = session.watcher.says
+    assert session.until(lambda: says('controller', 2, 'No controller serves'))
+    assert session.until(lambda: says('joint states', 0, 'come in'))
+    controller.serve()
+    session.reaches(Phase.DONE)
+    assert session.ends_stopped()
 
 
 def test_a_goal_that_is_rejected_stops_the_table(led):

@@ -92,7 +92,7 @@ class Controller:
                 f'No controller serves {self._name}: start a joint_trajectory_controller, or name '
                 'its action by the parameter trajectory_action.'
             )
-        self._sequencer.forbid('controller', missing)
+        self._sequencer.forbid('controller', missing, awaited=True)
         if self._asked_at is not None and now - self._asked_at > _ANSWER_TIMEOUT:
             self._asked_at = None
             self._fail(f'does not answer a goal for {_ANSWER_TIMEOUT:g} s')

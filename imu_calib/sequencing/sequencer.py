@@ -226,19 +226,20 @@ class Sequencer:
                 self._halt(_Stage.ABORTED, 'Emergency stop.', fault=True)
         self._obstacles.emergency = obstacle if on else ''
 
-    def forbid(self, what: str, why: str) -> None:
+    def forbid(self, what: str, why: str, *, awaited: bool = False) -> None:
         """Take whether something forbids to lead the table.
 
         Args:
             what: Who says so, for instance a topic.
             why: A sentence; empty where it forbids no longer, which alone moves nothing.
+            awaited: Whether something is yet to come: no fault while the table is not led.
 
         """
         if not self._obstacles.forbid(what, why):
             return
         if self.running:
             self.fail(why)
-        else:
+        elif not awaited:
             self._remark(what, why)
 
     def fail(self, reason: str) -> None:
