@@ -58,6 +58,7 @@ NODES = ('stand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 TRIGGER = 'std_srvs/srv/Trigger'
 GOAL = ('action', 'send_goal', '--feedback', '/turntable_node/run_calibration')
 GOAL += ('imu_calib_msgs/action/RunCalibration',)
+CANCEL = 'action_msgs/srv/CancelGoal'
 
 
 class Network:
@@ -454,14 +455,16 @@ def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
         assert net.processes.pop('refused').wait(timeout=patience()) == 0
         net.start('goal', net.ros('ros2', *GOAL, '{plan: short}'))
         net.says('goal', 'phase: 3')
-        net.processes['goal'].send_signal(signal.SIGINT)
+        # No identity and no time: all goals.
+        net.ask('service', 'call', f'{GOAL[3]}/_action/cancel_goal', CANCEL, '{}')
         net.processes.pop('goal').wait(timeout=patience())
         net.says('turntable_node', 'Cancelled by the client of run_calibration.')
         rates = one_joint_state(net)[1]
         logs = [net.stop(name) for name in ('turntable_node', 'imu_node', 'stand_node')]
     assert 'Goal finished with status: ABORTED' in net.log('refused')
     assert 'names the plan another, this table runs short' in net.log('refused')
-    assert 'Goal canceled' in net.log('goal')
+    assert 'Goal finished with status: CANCELED' in net.log('goal')
+    assert 'Cancelled; the table stands.' in net.log('goal')
     assert not any(rates)
     assert 'Traceback' not in ''.join(logs)
 
