@@ -67,6 +67,8 @@ def test_a_compensator_publishes_while_it_is_active_alone(monkeypatch, file):
             return came and len(bench.payloads) > before
 
         assert manager.state == 'unconfigured'
+        # No node becomes active before it is configured; who asks for it does no harm.
+        assert not manager.to('activate')
         assert not goes_out()
         assert manager.to('configure')
         assert bench.until(lambda: bench.said('calibration', 'is applied'))

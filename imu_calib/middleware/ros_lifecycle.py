@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from ..errors import ImuCalibError
@@ -21,6 +22,17 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
         super().__init__(node_name)
         self._wrong: ImuCalibError | None = None
         self._begins = False
+        # rclpy lets a request for a transition that the state does not have end the process.
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
+
+    def _on_change_state(self, request: Any, response: Any) -> Any:
+        try:
+            return self._change_state(request, response)
+        except rclpy_implementation.RCLError as error:
+            self.get_logger().warning(f'A change of state is refused: {error}')
+            response.success = False
+            return response
 
     def configure(self) -> None:
         """Read what is needed; nothing is opened, and nothing goes out."""
