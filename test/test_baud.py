@@ -48,9 +48,15 @@ def started(monkeypatch):
             given[node] = parameters
             print(f'start {node}')
 
+        def end_all_but(self, kept):
+            pass
+
+        def runs(self, node):
+            return False
+
     monkeypatch.setattr(stand_session, 'Processes', Recorder)
     monkeypatch.setattr(
-        stand_session, '_follow', lambda *_: Outcome(False, 'The test ends here.', 0.0)
+        stand_session, '_follow', lambda *_, **__: Outcome(False, 'The test ends here.', 0.0)
     )
     return given
 

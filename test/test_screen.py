@@ -11,17 +11,21 @@ import threading
 import time
 import tty
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 from loopback import CHECKOUT, environment, until
 from test_devices import frame
 
 from imu_calib.cli.main import main
+from imu_calib.cli.processes import Outcome
 from imu_calib.cli.words import Words
 from imu_calib.devices import Source, check_port
 from imu_calib.errors import ImuCalibError, InputError
+from imu_calib.web.board import Board, Expected
 
 try:
+    from imu_calib.cli import monitor, stand_session
     from imu_calib.middleware import messages
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
@@ -307,3 +311,48 @@ def test_a_port_that_breaks_later_ends_nothing(capsys, monkeypatch):
     now += 60.0
     words.show()
     assert capsys.readouterr().err == 'imu_node: It broke.\n'
+
+
+class Stops:
+    """What the command sees of a table that stops, and goes on when it was heard twice."""
+
+    def __init__(self):
+        self.heard = 0
+        self.outcome, self.stopped, self.begun, self.text, self.duration = None, '', True, '', 7.0
+
+    def spin(self, _):
+        self.heard += 1
+        self.stopped = 'Joint inner stalls.' if self.heard in {2, 3} else ''
+        self.outcome = (True, 'Done.') if self.heard == 5 else None
+
+
+@pytest.mark.parametrize('control', [False, True])
+def test_a_table_that_stops_ends_the_command_where_nobody_can_have_it_go_on(
+    monkeypatch, capsys, control
+):
+    @contextmanager
+    def watching(*_):
+        yield Stops()
+
+    monkeypatch.setattr(monitor, 'watching', watching)
+    board = Board(Expected('short', 'fog_medium', 'three_axis', (), (), ()))
+    running = SimpleNamespace(check=lambda: None)
+    outcome = stand_session._follow(running, None, board, control=control)
+    said = ' '.join(capsys.readouterr().err.split())
+    if control:
+        assert outcome == Outcome(True, 'Done.', 7.0)
+        assert said.count('The table has stopped. Joint inner stalls. Go on from the page') == 1
+    else:
+        assert outcome == Outcome(False, 'The table has stopped. Joint inner stalls.', 7.0)
+        assert not said
+
+
+@pytest.mark.parametrize('verbose', [False, True])
+def test_how_to_look_on_is_printed_to_who_asks(tmp_path, monkeypatch, capsys, verbose):
+    def session(*_):
+        raise InputError('The test ends here.')
+
+    monkeypatch.setattr(stand_session, '_session', session)
+    words = ['--verbose'] if verbose else []
+    assert main(['stand', 'twelve_position', '-o', str(tmp_path / 'stand'), *words]) == 2
+    assert ('ROS_DOMAIN_ID' in capsys.readouterr().out) == verbose

@@ -151,7 +151,9 @@ def test_a_node_that_falls_silent_is_wrong_until_it_speaks_or_the_session_is_ove
     ]
     board.take_diagnostics(said('imu_node: stream', 2, 'No frame has come.'), 7.0)
     assert [s.text for s in board.snapshot(7.0).wrong] == ['No frame has come.', 'It is late.']
+    # The banner says how it ended, and why.
     board.take_calibration(calibration('VALID'))
+    board.take_diagnostics(said('calibrator_node: calibration', 1, 'There are findings.'), 59.0)
     assert board.snapshot(60.0).wrong == ()
 
 
