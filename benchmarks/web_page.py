@@ -3,8 +3,9 @@
     python benchmarks/web_page.py [RATE_HZ [VIEWERS [PLAN [SPEED]]]]
 
 Runs a session twice as `benchmarks/stand.py` does, without a page and with viewers of it, each a
-window of a headless Chromium without 3D, and compares. Samples are counted from the device's counter to the
-calibrator's journal. Viewers are ended with the session; what their browser takes is no node's.
+window of a headless Chromium without 3D, and compares. Samples are counted from the device's
+counter to the calibrator's journal. Viewers end with the session; what their browser takes is no
+node's.
 """
 
 from __future__ import annotations

@@ -17,6 +17,8 @@ from .guard import Guard
 
 REPORT = '/report'
 """Where the report is served."""
+_GRACE = 1
+"""s for viewers to be let go of."""
 _PATIENCE = 5.0
 """s for the thread to end; it is left to the process then."""
 
@@ -73,6 +75,7 @@ class Server:
             access_log=False,
             server_header=False,
             lifespan='on',
+            timeout_graceful_shutdown=_GRACE,
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(
@@ -86,5 +89,4 @@ class Server:
     def stop(self) -> None:
         """End it: viewers see that the connection is gone."""
         self._server.should_exit = True
-        self._server.force_exit = True
         self._thread.join(_PATIENCE)
