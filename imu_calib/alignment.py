@@ -23,7 +23,9 @@ SHOWN, SCALE = 'arcmin', ARCMIN
 
 _RESPONSES = tuple(p for p in PARAMETERS if p.kind is not ParameterKind.BIAS)
 _OF_A_TRIAD = len(_RESPONSES) // 2
+"""Responses of gyros, and of accelerometers."""
 _PAIRS = ((0, 1), (0, 2), (1, 2))
+"""Of axes."""
 _STEP = 1e-5
 """Of a response: errors of the central difference by the third order and by rounding are 1e-11."""
 

@@ -21,6 +21,8 @@ PROBABILITY = 0.95
 """Level of confidence of the expanded uncertainties."""
 
 _LEAST_FREEDOM = 1.0
+"""Fewest degrees of freedom that a coverage factor is taken from: of fewer Student's t has no
+table, and a factor beyond 12.7 would say nothing of use."""
 
 
 class Source(Enum):

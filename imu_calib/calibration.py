@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FORMAT = 1
+"""Of calibration.yaml; others are refused."""
 
 
 @dataclass(frozen=True, eq=False)

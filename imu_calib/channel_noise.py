@@ -132,6 +132,7 @@ class TriadUnits:
 
 
 _ROOT_HOUR = HOUR**0.5
+"""sqrt(s)."""
 TRIADS = (
     TriadUnits('gyro', ('gx', 'gy', 'gz'), 'deg/sqrt(h)', DEG / _ROOT_HOUR, 'deg/h', DEG_H),
     TriadUnits('accelerometer', ('ax', 'ay', 'az'), '(m/s)/sqrt(h)', 1 / _ROOT_HOUR, 'ug', MICRO_G),

@@ -11,6 +11,7 @@ import numpy as np
 from .stream import Floats
 
 _SAME_INSTANT = 1e-9
+"""s: one nanosecond, the resolution of stamps."""
 
 
 def travel_time(distance: float, rate: float, acceleration: float) -> float:

@@ -37,11 +37,17 @@ LATITUDE_STD = math.radians(0.01)
 latitude it is. Rounding alone is 0.0029 deg (GUM F.2.2.1)."""
 
 _SEMI_MAJOR_AXIS = 6378137.0
+"""m. This and the next of WGS 84 (NIMA TR8350.2, third edition, chapter 3)."""
 _FLATTENING = 1 / 298.257223563
+"""A ratio."""
 _GRAVITY_EQUATOR = 9.7803253359
+"""m/s^2, normal gravity (TR8350.2, chapter 4; the next, too)."""
 _SOMIGLIANA = 0.00193185265241
+"""k of Somigliana's formula."""
 _ECCENTRICITY_SQUARED = 0.00669437999014
+"""First eccentricity squared."""
 _CENTRIFUGAL_RATIO = 0.00344978650684
+"""Centrifugal force at the equator over gravity, m."""
 
 
 def normal_gravity(latitude: float, height: float = 0.0) -> float:

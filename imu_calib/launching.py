@@ -233,6 +233,7 @@ def _file(text: str) -> None:
 
 
 _BAUD = _whole(50, 10_000_000)
+"""bit/s: from the slowest rate that POSIX names to beyond the fastest adapter."""
 _CHECKS: dict[str, Callable[[str], Any]] = {
     'plan': load_plan,
     'imu': _unless_empty(load_imu),

@@ -16,6 +16,7 @@ ENDS_WITH = 'IMU_CALIB_ENDS_WITH'
 """Environment variable: number of the process to end with."""
 
 _SET_DEATH_SIGNAL = 1
+"""PR_SET_PDEATHSIG of linux/prctl.h."""
 
 _POLL = 0.2
 """How often it is looked for where the kernel does not tell, s. A judgement: little work, and a

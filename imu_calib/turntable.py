@@ -17,7 +17,9 @@ from .table_errors import LEVELLED, JointPoses, TableErrors, assumption, leaning
 from .units import DEG, PPM, Dimension
 
 TURN = 2 * math.pi
+"""rad."""
 _UP = np.array([0.0, 0.0, 1.0])
+"""In east, north, up."""
 _REACH_TOLERANCE = 1e-6
 """rad: rounding of rotation matrices as plans write them."""
 _WORST_CLOCK = 1e-3

@@ -10,13 +10,21 @@ from enum import Enum
 from .errors import InputError
 
 DEG = math.pi / 180
+"""rad."""
 ARCMIN = DEG / 60
+"""rad."""
 ARCSEC = DEG / 3600
+"""rad."""
 DEG_H = DEG / 3600
+"""rad/s."""
 HOUR = 3600.0
+"""s."""
 STANDARD_GRAVITY = 9.80665
+"""m/s^2 (third CGPM, 1901); what 'g' stands for in files."""
 MICRO_G = STANDARD_GRAVITY * 1e-6
+"""m/s^2."""
 PPM = 1e-6
+"""A ratio."""
 
 _ANGLES: dict[str, float] = {'rad': 1.0, 'deg': DEG, 'arcmin': ARCMIN, 'arcsec': ARCSEC}
 _ACCELERATIONS: dict[str, float] = {

@@ -25,7 +25,9 @@ _BAR = 2.0
 """Standard deviations that a bar reaches to either side: 95 percent."""
 
 _WHISKERS_95 = (2.5, 97.5)
+"""Percentiles between which 95 % lie."""
 _NORMAL_95 = 1.96
+"""Standard deviations within which 95 % of a normal law lie."""
 _POINTS = 1000
 """Of a line: as many as a picture has places."""
 

@@ -42,6 +42,7 @@ _ANGLE: Mapping[str, float] = Dimension.ANGLE.value
 _STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
 _CELSIUS = {'degC': 1.0}
 _BLOCK = 1 << 16
+"""Samples that are written at once; a choice between memory and calls."""
 _LAST_SECOND = 2**31 - 1
 """That builtin_interfaces/Time counts to."""
 

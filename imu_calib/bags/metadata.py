@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 NAME = 'metadata.yaml'
 VERSION = 9
+"""Of metadata.yaml, as rosbag2 of Jazzy writes it."""
 _KEY = 'rosbag2_bagfile_information'
 
 

@@ -22,9 +22,11 @@ if TYPE_CHECKING:
 
 _MAGIC = b'SQLite format 3\x00'
 _HEADER = 100
+"""Bytes of the header of a database (SQLite file format, section 1.3)."""
 # Python turns SQLite's own messages into text, which damaged names make impossible.
 _DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
 _MIN_ROWS, _MAX_ROWS = 2048, 65536
+"""Of a query; a choice between memory and calls."""
 # All versions of the schema have these; later ones add columns and tables.
 _EXPECTED = {
     'topics': {'id', 'name', 'type', 'serialization_format'},

@@ -29,6 +29,7 @@ Columns = TypeVar('Columns', ImuBlock, JointBlock, TemperatureBlock)
 AnyBlock = TypeVar('AnyBlock', bound=Block)
 
 _AFTER_STAMP = ENCAPSULATION + 8
+"""Where the frame of a header begins: after seconds and nanoseconds, four bytes each."""
 _LAST: dict[Callable[[bytes], Layout], Layout] = {}
 """What the last messages looked like to each parser: those of a recording look the same, chunk
 after chunk. All that a parser decides by is in the layout's fixed bytes and its size."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .messages import Bytes
 
 _FIRST_SECOND, _LAST_SECOND = -(1 << 31), (1 << 31) - 1
+"""Of builtin_interfaces/Time: 32 bits with a sign."""
 
 PULSES = (-1.0, -1.0, -1.0)
 """First elements of the three covariances of a message of pulse counts: no filter takes them."""

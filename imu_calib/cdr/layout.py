@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from .messages import Bytes
 
 ENCAPSULATION = 4
+"""Bytes of the header that says in which order bytes are (RTPS 2.5, section 10.2)."""
 _ORDERS = {b'\x00\x00': '>', b'\x00\x01': '<'}
 NS = 1_000_000_000
+"""Of a second."""
 
 
 @dataclass(frozen=True)

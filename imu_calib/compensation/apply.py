@@ -22,6 +22,7 @@ from ..stream import Floats, Units
 Marks = NDArray[np.uint8]
 
 _AXES = 3
+"""X, Y, Z."""
 _LINEAR = tuple(Product(factors) for factors in ((0,), (1,), (2,), (), (3,), (4,), (5,)))
 """What an error of a parameter of the linear model is multiplied by: rate, one, specific force."""
 
@@ -36,6 +37,7 @@ _PARITY = 6.0
 _AT_ONCE = 512
 """Samples at once: their intermediate arrays fit into a processor's cache."""
 _FULL_SCALES = np.array([32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0])
+"""Largest counts of 16, 24 and 32 bits, of either sign."""
 
 
 class Mark(IntFlag):

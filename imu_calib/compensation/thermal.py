@@ -20,6 +20,7 @@ from ..stream import Floats
 from ..yaml_text import dump, load
 
 _FORMAT = 1
+"""Of combined calibrations; others are refused."""
 _APART = 0.5
 """K: closer ones are one temperature, whose slope would be noise."""
 _MARGIN = 5.0

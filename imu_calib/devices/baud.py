@@ -9,6 +9,7 @@ from .format import FrameFormat
 DEFAULT = 115200
 """bit/s, where neither the user nor the device's file says anything."""
 _COMMON = (115200, 230400, 460800, 921600, 1843200, 3000000)
+"""Rates that are advised, bit/s: those that USB adapters for serial ports offer from 115200 on."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from .host_clock import HostClock
 from .steps import Indices, Stepper
 
 _NS = 1_000_000_000
+"""Of a second."""
 _SETTLING = _NS // 2
 """ns of samples after which the offset is fixed at the least delay: thirty bunches of a USB adapter
 (16 ms)."""

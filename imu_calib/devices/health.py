@@ -35,6 +35,7 @@ ten times what a boot loader prints."""
 _PATIENCE = 0.25
 """s: a gap this long is no delay of the host any more."""
 _NS = 1_000_000_000
+"""Of a second."""
 
 
 class Severity(IntEnum):

@@ -29,6 +29,7 @@ _PLAUSIBLE = 2e9
 is read. A judgement."""
 
 _NS = 1e9
+"""Of a second."""
 
 
 @dataclass

@@ -28,6 +28,7 @@ _QUARTER = 0.25
 """The time constant for which a plan is judged, as a fraction of the session."""
 
 _STEPS = 100
+"""Most steps of each fit; what has not converged by then is refused."""
 
 
 def with_changes(

@@ -38,18 +38,31 @@ from .likelihood import along_columns, beside, fixed, gained_by_noise
 from .wandering import STATED_TIME, Wandering
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
+"""Correlation times of drift that are tried, in lengths of the session: half decades. What is
+slower than the last is no other than a bias; the first is about one rest of a usual plan."""
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
+"""Variances of drift that are tried, over the usual variance of a rest's mean: half decades, from
+what no session shows to standard deviations ten thousand times the noise."""
 _ARRIVAL_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
+"""Variances of positioning errors that are tried, over what noise hides: half decades, from a tenth
+to standard deviations a thousand times the noise."""
 _KINDS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
 """Shares of stops in the variance of arrivals: none, all, and mixtures of both."""
 
 _CALLED_FOR = 4.5
+"""By how much a log likelihood must rise for scatter to count beyond what is known: chi-square of
+one size by 9, three standard deviations."""
 _SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
+"""Shares of the data sheet's variance that a session may have instead: standard deviations of
+nothing, a quarter, a half and all of it."""
 _LOG_ODDS = np.log([1 / 33, 1 / 33, 1 / 33, 10 / 11])
+"""Of these: ten to one for what the data sheet states, a third of the rest each."""
 _UNLIKELY = 1e-3
 """Of a case that is as good as none: it moves variances by less than their own spread by far."""
 
 _BLOCKS_FOR_A_SLOPE = 4
+"""Fewest blocks of 10 s that a slope is taken from: a line has two unknowns, and two degrees of
+freedom are left for its standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,18 +40,36 @@ _STARTS = 8
 _ITERATIONS = 100
 """Most steps. Gyros of much noise hardly see north: a step then takes a fifth off its error."""
 _OUTLYING = 1e-6
+"""Chance by which a sound rest or turn counts for less: with fifty of them, one session in 20 000
+loses one."""
 _SUSPECT = 1e-5
+"""Chance below which the worst of them is looked at closely: ten times that by which it then counts
+for less, for the first look is under scatter that an outlier itself has widened."""
 _UNLIKE = 1e-4
+"""Chance by which turns about an axis that agree count for less: of three axes and three channels,
+in one session of a thousand."""
 _ASTRAY = 1e-9
 """Chance by which a sound move is left out, by noise and what the rest of the session leaves open.
 Far smaller than that of an outlier: arrivals that both share are counted twice."""
 
 _MOST_OUTLIERS = 1 / 3
+"""Share of a session's rests, or of the turns about an axis, that may count for less. A judgement:
+where more disagree, the data does not say which of them are right."""
 _RANK = 1e-6
+"""Least eigenvalue, of a matrix with ones on its diagonal, of a direction that an outlier can take:
+rounding leaves 1e-16, and one so small is taken up by the state. A judgement between."""
 _LEFT_OUT = 1e8
+"""Times the variance of an output that is left out: it then weighs as good as nothing, and half the
+digits of a 64-bit number are left to the others."""
 _TILTED = 4.0
+"""Standard deviations of the levelling beyond which a tilt is no chance: normal noise passes them
+once in 16 000."""
 _CONTRADICTION = 5.0
+"""Standard deviations by which gyros must contradict a stated azimuth for it to be dropped: normal
+noise passes them once in 1.7 million."""
 _LEAST_AZIMUTH = 0.05 * DEG
+"""Least contradiction of a stated azimuth, rad: one written to a tenth of a degree is off by so
+much through rounding."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,6 +44,7 @@ _TEMPERATURE_TELLS = (
 """What does where it was recorded."""
 
 _LN10 = float(np.log(10.0))
+"""From natural logarithms to decimal ones."""
 
 
 class State(Enum):
@@ -148,6 +149,7 @@ def tested(
 
 
 _NONE = np.zeros((0, 0))
+"""Of families whose coefficients move no parameter."""
 
 
 def _moved(

@@ -54,7 +54,9 @@ FEWEST = 9
 """Holds below which gravity cannot tell nine parameters of the accelerometers."""
 
 _ITERATIONS = 100
+"""Most steps of a fit; what has not converged by then is refused."""
 _ROUNDS = 4
+"""Rounds in which turns that fit nothing are left out and noise is weighed anew; a cap."""
 _SIGNIFICANT = 1e-3
 """Probability of chance below which a group scatters."""
 _OUTLYING = 6.0

@@ -31,6 +31,7 @@ from .checks import conclude
 from .solution import Solution
 
 BIAS = 3
+"""Place of the bias among the unknowns of a channel: three responses come before it."""
 ILL_CONDITIONED = 100.0
 """Where two digits are lost, only errors of the attitudes tell the parameters apart."""
 

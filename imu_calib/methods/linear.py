@@ -17,7 +17,9 @@ from ..model import Triad
 from ..stream import Floats
 
 UNKNOWNS = 4
+"""Of a channel: three responses and a bias."""
 BIAS = 3
+"""Its place among them."""
 
 
 @dataclass(eq=False)

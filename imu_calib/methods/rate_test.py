@@ -20,6 +20,7 @@ from .linear import BIAS, UNKNOWNS, ChannelSystem
 _ONE_RATE = 0.2
 """Of the largest rate: spread below which a line has no slope of its own."""
 _UNKNOWNS_OF_A_LINE = 2
+"""Offset and slope."""
 _SIGNIFICANT = 1e-6
 """Probability of chance below which turns scatter."""
 

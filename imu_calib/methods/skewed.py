@@ -27,6 +27,7 @@ NAME = 'skewed'
 """The method's name in plans."""
 
 _PARAMETERS = parameters_of(skewed=1)
+"""The 24, and those of one skewed gyro."""
 
 ESTIMATES = tuple(p for p in _PARAMETERS if p.triad == 'g')
 

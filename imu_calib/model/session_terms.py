@@ -21,6 +21,7 @@ from .parameters import PARAMETERS, Parameter
 
 _BY_DEFAULT = ('D_g', 'D_a', 'K_g', 'K_a')
 _SECONDS_PER_HOUR = 3600.0
+"""Engineers write drifts per hour."""
 
 
 class Course(Enum):

@@ -30,6 +30,7 @@ from ..stamping import StampingClock, check_clock
 from ..stream import Units
 
 _NS = 1_000_000_000
+"""Of a second."""
 _UNITS = {
     Units.PULSES: messages.ImuCalibration.UNIT_PULSES,
     Units.COUNTS: messages.ImuCalibration.UNIT_COUNTS,

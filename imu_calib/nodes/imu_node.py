@@ -35,6 +35,7 @@ _MOST_WAITING = 64
 _REPORT_PERIOD = 0.25
 """s: diagnostics change four times a second at most; faster is not read."""
 _NS = 1_000_000_000
+"""Of a second."""
 
 
 class ImuNode(ManagedNode):

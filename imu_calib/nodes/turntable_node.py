@@ -54,6 +54,7 @@ _REMEMBERED = 256
 """So many messages may be on their way back to the node that sent them."""
 
 _NS = 1_000_000_000
+"""Of a second."""
 
 
 class TurntableNode(Node):

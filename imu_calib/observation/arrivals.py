@@ -21,6 +21,8 @@ from ..turntable import TURN, Table
 from ..units import DEG
 
 SAME_UP = 0.01
+"""Distance of two unit vectors up below which they are one way up: 0.6 deg, far above what encoders
+scatter by and far below the 45 deg between attitudes of any plan."""
 _MOVED = 0.05 * DEG
 """By how much the readings of a joint that has moved differ at least: far above what encoders
 scatter by (seconds of arc), far below the moves of any plan."""

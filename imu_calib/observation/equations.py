@@ -54,6 +54,7 @@ GIVEN_AZIMUTH = 1 * ARCMIN
 
 
 _X, _Y, _Z = np.eye(3)
+"""Unit vectors of the axes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,15 +30,24 @@ from .moves import Moves
 from .rows import Rows
 
 UP = np.array([0.0, 0.0, 1.0])
+"""In east, north, up."""
 _AXIS_TOLERANCE = 0.05
+"""By how much the cosine of an axis that counts as vertical may be below one: 18 deg, beyond any
+error of a table and less than half of the 45 deg to the next attitude of any plan."""
 _REMEMBERED = 21
 """Seven at each of three states: the last step, and two from which the next fits start."""
 _OF_RESTS = {'held', 'turning', 'headings', 'arms'}
 """What of a session follows from its rests and turns alone."""
 
 _QUARTZ = 50e-6
+"""Standard deviation of the rate of clocks that no motion compares, as a ratio: quartz oscillators
+are sold for 20 to 100 ppm over their temperatures."""
 _STATED_FREEDOM = 10.0
+"""Degrees of freedom that a data sheet's random walk counts for: of ten a standard deviation is
+known to 1 / sqrt(20) = 22 %. A judgement of how far units of a type differ."""
 _ENOUGH_FREEDOM = 20.0
+"""Degrees of freedom from which on a random walk needs no allowance for its own doubt, where no
+data sheet stands beside it: it is known to 1 / sqrt(40) = 16 % there."""
 
 SMALLEST_VARIANCE = 1e-24
 """Stands for zero where a noise-free session is divided by its variance, SI units squared.

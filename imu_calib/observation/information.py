@@ -22,6 +22,8 @@ _SINGULAR = 1e-10
 and a session without noise that rests on the levelling of the table has 3e-10."""
 
 _MIXED = 1e-4
+"""Length of the part of a parameter, a column of norm one, in directions that count as not
+determined: rounding of 1e-14 turns those that just count (`_SINGULAR`) by as much."""
 _MEANINGLESS = 0.01
 """Standard deviation of a scale factor or a misalignment (rad) that is of no use."""
 
@@ -29,7 +31,11 @@ _USEFUL = 0.02
 """Share of the largest coefficient of a term that any IMU may have: of ratios it leaves 0.1 %."""
 
 ALONG = 0.5
+"""Component of a unit vector from which on it counts as along an axis: below 1 / sqrt(3) = 0.577,
+so that any direction is along one at least."""
 _STRAY = 1e-3
+"""Component of a unit vector below which it is taken for zero: 3.4 arcmin, above the errors of
+encoders and axes, far below any angle that a plan asks for."""
 
 
 @dataclass(frozen=True, eq=False)

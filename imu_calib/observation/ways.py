@@ -28,6 +28,8 @@ _SHORT_STEPS = 40
 """Into which a turn by hand is cut: at most 4.5 degrees each."""
 
 _PARALLEL = 1e-6
+"""Sine of the angle between two directions below which they give no axis: rounding of 1e-16 turns
+one of so short a product by 1e-10."""
 
 
 def way(table: Table, origin: Floats, goal: Floats) -> Course:

@@ -31,6 +31,8 @@ from .schedule import duration
 
 _SENSORS = len(PARAMETERS)
 _SLANTS = (0.0, 45.0)
+"""Angles by which candidates are turned from cube-aligned attitudes, deg: half way to the next
+mixes two axes as much as can be."""
 _COMPASS = dict(zip('ENUWSD', [*np.eye(3), *-np.eye(3)], strict=True))
 _AXES = dict(zip('XYZ', np.eye(3), strict=True))
 _TRIAL_DWELL = 60.0

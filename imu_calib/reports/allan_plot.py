@@ -14,6 +14,7 @@ from .noise import written
 from .svg import COLOURS, Axis, Panel, drawing, label, legend, tag
 
 _WIDTH, _HEIGHT, _LEFT, _TOP = 372.0, 250.0, 56.0, 52.0
+"""px; layout."""
 _FRAME = 300.0
 """px wide."""
 _LEAST = 0.02

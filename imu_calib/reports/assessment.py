@@ -24,6 +24,7 @@ LIMITS = (
 """What the verdicts go by, for a person."""
 
 _WIDTH, _HEIGHT = 150.0, 16.0
+"""px; layout."""
 _SHOWN = 1.4
 """Limits that a bar reaches to either side."""
 _PLAIN = 5

@@ -26,6 +26,7 @@ _COLUMNS = 80
 _NAME = 9
 """Letters of the longest name of a parameter."""
 _WIDTH, _LEFT, _ROW, _BAR = 760.0, 58.0, 19.0, 15.0
+"""px; layout."""
 _MARGIN = 24.0
 """px."""
 _LETTER = 6.6

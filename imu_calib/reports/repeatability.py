@@ -25,6 +25,7 @@ _SURPRISING = 0.001
 _SIGNIFICANT = 3.0
 """Standard deviations: a drift by chance in one of 370 parameters."""
 _DAY = 86400.0
+"""s."""
 _FEWEST_FOR_A_DRIFT = 3
 """Dates: two always lie on a line."""
 _ALIKE = 1e-6

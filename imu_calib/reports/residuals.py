@@ -16,6 +16,7 @@ from .parameter_table import three_digits
 from .svg import Axis, Panel, drawing, label, legend
 
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 760.0, 120.0, 58.0, 34.0, 46.0
+"""px; layout."""
 _LABELS = 24
 """That stand side by side."""
 _LETTER = 6.4

@@ -18,6 +18,7 @@ _FEWEST_TICKS = 4
 _MOST_LABELS = 7
 """On a logarithmic axis."""
 _NARROW, _WIDE = 1e-3, 1e5
+"""Between which powers of ten are written out; others as 1eN."""
 
 
 def number(value: float) -> str:

@@ -15,6 +15,7 @@ from .html import scrolling, table
 from .svg import Axis, Panel, drawing, label, tag
 
 _WIDTH, _ROW, _LEFT, _TOP = 760.0, 30.0, 84.0, 14.0
+"""px; layout."""
 _LETTER = 6.4
 """px: mean width of a letter."""
 _MINUTES = 300.0

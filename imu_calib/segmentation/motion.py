@@ -20,6 +20,7 @@ _LONGEST_LOOK = 1.0
 after a silence of the joint states has moved, however long that was."""
 
 _TURN = 2 * np.pi
+"""rad."""
 _SAMPLES_FOR_ANGLES = 4096
 """Readings of a rest that are averaged, at most: at 100 Hz they leave 0.1 arcsec of noise of 7."""
 

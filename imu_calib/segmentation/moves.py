@@ -37,6 +37,7 @@ _BESIDE = 5
 """Samples beside a gap whose second differences tell how the rate bends: three of them."""
 
 _GYROS, _ACCELEROMETERS = slice(3), slice(3, 6)
+"""Their columns among the six channels."""
 
 COARSEST = 5 * DEG
 """Largest angle of one sample on a table, rad: a direction that changes from one to the next by a

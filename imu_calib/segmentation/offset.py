@@ -15,6 +15,7 @@ _CHUNK_WINDOWS = 5
 J. Appl. Physiol. 40), which half a second takes out."""
 
 _STEADY_RATE = 1.0 * DEG
+"""rad/s, with `_STEADY_FORCE`."""
 _STEADY_FORCE = 0.05 * STANDARD_GRAVITY
 """Within which the means of two half seconds agree in a hand that holds still: 0.6 deg/s and 0.02 g
 in published sessions of five MPU-9150 (mikoff/imu-calib), with room for shakier hands."""

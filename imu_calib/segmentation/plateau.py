@@ -23,6 +23,7 @@ from ..units import DEG
 from .motion import Motion
 
 _TURN = 2 * np.pi
+"""rad."""
 _SEED = np.pi
 """Angle that a line is begun with, rad. A judgement: it fits twice into the least plateau that is
 of use, a whole turn, and is long enough for a ramp to bend it visibly."""

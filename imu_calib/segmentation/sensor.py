@@ -13,9 +13,12 @@ from .pace import Pace
 from .statistics import Samples, to_samples
 
 _FULL_SCALES = (32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0)
+"""Largest counts of 16, 24 and 32 bits, of either sign."""
 _WALK_GUESS = 0.05
 """Pulses per root of a sample: weights of the first look; the walk follows from the session."""
 NEARLY = 0.999
+"""Share of its range from which on a reading counts as at its end: a range is stated to three
+digits. A judgement."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,9 @@ _WINDOWS_TO_LEARN = 50
 which change little in five seconds."""
 
 _NO_JOINTS = np.empty((0, 0))
+"""Angles of a unit that no table holds."""
 _NO_STAMPS: Stamps = np.empty(0, dtype=np.int64)
+"""Their stamps."""
 
 _WINDOWS_OF_SPAN = 20
 """Two seconds, the shortest hold that is asked for."""

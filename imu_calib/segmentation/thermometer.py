@@ -12,6 +12,8 @@ from ..stream import Floats, Stamps, TemperatureBlock
 _STEP = 1e-6
 """K: less is rounding."""
 _COLDEST, _HOTTEST = -273.15, 1000.0
+"""Within which a thermometer is believed, degrees Celsius: absolute zero, and what no electronics
+survives."""
 _CELL = 10 * 10**9
 """What a thermometer shows in 10 s is kept as one, ns: a session of a day has 8640 of them, and no
 unit warms by more than a small part of its range in that time."""

@@ -16,6 +16,7 @@ WINDOW = 0.1
 """Over which a table has to stand to be at rest, s; rates that are derived are its mean."""
 
 _WINDOW = round(WINDOW * 1e9)
+"""ns."""
 
 _JITTER = 5 * DEG
 """What the jitter of the stamps may add to the way between two joint states."""

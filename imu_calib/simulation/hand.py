@@ -34,6 +34,7 @@ _SAME = 1e-6
 _EPOCH = 1_700_000_000_000_000_000
 """ns: a date of the recording that is the same in every run."""
 AXES = np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])
+"""Of the joints that a hand is simulated by: z, y, x."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from .options import ImuOptions
 from .tracks import Track, side_by_side, trapezoid
 
 _SHORTEST, _LONGEST = 3.3, 4.0
+"""Within which the time is drawn that a hand holds an attitude, s; a choice."""
 _RATE = 180 * DEG
 """rad/s: a wrist turns a unit by half a turn in a second."""
 _ACCELERATION = 720 * DEG

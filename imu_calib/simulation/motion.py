@@ -14,6 +14,7 @@ from ..stream import Floats
 from .tracks import Track
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+"""Of the quadrature by Gauss and Legendre: exact for polynomials up to degree 7."""
 _LARGEST_TURN = 0.5
 """Largest rotation in one quadrature step, rad: four nodes then err by less than 1e-11."""
 

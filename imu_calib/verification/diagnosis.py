@@ -36,6 +36,7 @@ _FAR = 0.05
 _DETERMINED = 0.3
 """Of what was known beforehand: the session has told something, ten times in variance."""
 _LARGEST_ROTATION = 3 * DEG
+"""rad: the equations are linear, and leave out half the square of it, a thousandth."""
 _NO_SENSE = 1.0 * DEG
 """Noise over signal from which on accelerometers tell no direction."""
 _WIDE = 0.2
@@ -44,6 +45,8 @@ _WIDE_BIAS = {'g': 0.05, 'a': 0.5}
 _WIDE_G = 1e-3
 """s/m: g-sensitivity before anything is known of a unit."""
 _ALL_BUT_ZERO = 1e-9
+"""By how much a factor that is one may differ from it: what rounding leaves is far below, any wrong
+unit far above."""
 _FREED = {
     ParameterKind.BIAS: (
         'the biases are others',

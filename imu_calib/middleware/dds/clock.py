@@ -9,6 +9,7 @@ from typing import Any
 from .messages import message_class
 
 NS = 1_000_000_000
+"""Of a second."""
 
 
 class ClockType(IntEnum):

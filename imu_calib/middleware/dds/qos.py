@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 INFINITE = 2**63 - 1
+"""Longest duration, ns: the runtime's own infinity."""
 
 
 class ReliabilityPolicy(IntEnum):
