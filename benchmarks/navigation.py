@@ -31,7 +31,7 @@ from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.compensation.apply import Compensation
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import ImuSpec, load_imu
-from imu_calib.model import TERMS, SensorModel, Term, chosen
+from imu_calib.model import TERMS, SensorModel, Term, named_terms
 from imu_calib.plan import load_plan
 from imu_calib.repetition import economical, single_threaded
 from imu_calib.reports.svg import COLOURS, Axis, Panel, drawing, label, tag
@@ -172,7 +172,7 @@ def flight_of(seed: int) -> Floats:
     imu, flight = load_imu(UNIT), Flight()
     truth = Calibration.load(named_file('truths', TRUTH))
     found = session('twelve_position', seed, ())
-    found += session(PLAN, seed, (), chosen(OWN), AT_REST)
+    found += session(PLAN, seed, (), named_terms(OWN), AT_REST)
     block = flown(flight, imu, truth.model, seed, bias_instability=False)
     interval = np.full(len(block.stamp), np.median(np.diff(block.stamp)) * 1e-9)
     inputs = []

@@ -65,7 +65,7 @@ def main() -> int:
     parser.add_argument('--profile', action='store_true', help='say where the time goes')
     chosen = parser.parse_args()
     session = evidence()
-    rests, turns, moves = len(session.segments), len(session.turns), len(session.led)
+    rests, turns, moves = len(session.segments), len(session.turns), len(session.links)
     solution = joint.solve(session, terms=TERMS)  # loads what is loaded once
     print(f'{rests} rests, {turns} turns, {moves} moves, {len(solution.parameters)} parameters')
     if chosen.profile:

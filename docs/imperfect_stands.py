@@ -229,7 +229,7 @@ def stand(condition: str, grade: str, seed: int) -> tuple[SimulatedStand, Setup]
     options = read_imperfections(section, StandOptions(positioning_error=0.0), table, draw)
     imu = load_imu(grade)
     simulated = SimulatedStand(plan, table, imu, unit_of(grade, one.term), SITE, options, draw)
-    return simulated, Setup(imu, plan, table, SITE, look=True)
+    return simulated, Setup(imu, plan, table, SITE, search_terms=True)
 
 
 def blocks(condition: str, simulated: SimulatedStand) -> Iterator[Block]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .calibration import Calibration
 from .gravity import gravity_deviation, same_place, without_gravity
-from .model import Parameter, positions
+from .model import Parameter, indices_of
 from .stream import Floats
 
 FALSE_ALARM = 0.01
@@ -115,7 +115,7 @@ def _covariance(calibrations: Sequence[Calibration], parameters: Sequence[Parame
     """
     count, size = len(calibrations), len(parameters)
     whole = np.zeros((count, size, count, size))
-    places = [positions(parameters, c.parameters) for c in calibrations]
+    places = [indices_of(parameters, c.parameters) for c in calibrations]
     by_gravity = [gravity_deviation(c)[rows] for c, rows in zip(calibrations, places, strict=True)]
     for i, (one, rows) in enumerate(zip(calibrations, places, strict=True)):
         whole[i, :, i] = without_gravity(one)[np.ix_(rows, rows)]

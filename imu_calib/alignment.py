@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .model import PARAMETERS, Parameter, ParameterKind, SensorModel, Triad, positions
+from .model import PARAMETERS, Parameter, ParameterKind, SensorModel, Triad, indices_of
 from .rotations import rotation_vector
 from .stream import Floats
 from .units import ARCMIN
@@ -82,7 +82,7 @@ def free_of_frame(
         parameters: (n,) what the rows stand for; the 24 are among them.
 
     """
-    mine = positions(_RESPONSES, parameters)
+    mine = indices_of(_RESPONSES, parameters)
     square = covariance[np.ix_(mine, mine)]
     estimated = {
         triad

@@ -163,7 +163,7 @@ def effective_freedom(variances: Floats, freedom: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class BudgetLine:
     """One source of a budget.
 
     Attributes:
@@ -187,7 +187,7 @@ class Budget:
 
     """
 
-    lines: tuple[Line, ...]
+    lines: tuple[BudgetLine, ...]
 
     @classmethod
     def of(cls, shares: Shares) -> Budget:
@@ -200,7 +200,7 @@ class Budget:
             variance = np.diag(shares[source].covariance)
             std = np.sqrt(np.where(variance < 0, 0.0, variance))
             if np.nansum(std) > 0:
-                lines.append(Line(source, std, shares[source].freedom))
+                lines.append(BudgetLine(source, std, shares[source].freedom))
         return cls(tuple(lines))
 
     def with_share(self, source: Source, share: Share) -> Budget:
@@ -213,7 +213,7 @@ class Budget:
     def scaled(self, factors: Floats) -> Budget:
         """Return the budget of parameters that are (n,) times as large."""
         scale = np.abs(factors)
-        return Budget(tuple(Line(x.source, x.std * scale, x.freedom) for x in self.lines))
+        return Budget(tuple(BudgetLine(x.source, x.std * scale, x.freedom) for x in self.lines))
 
     @property
     def variances(self) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .budget import PROBABILITY, Budget, Line, Source
+from .budget import PROBABILITY, Budget, BudgetLine, Source
 from .config import Section, numbers_of
 from .errors import InputError
 from .model import Parameter
@@ -91,7 +91,7 @@ def read_budget(
         for key in ('evaluation', 'description'):
             entry.text(key, '')
         entry.finish()
-        lines.append(Line(source, rows[0], rows[1]))
+        lines.append(BudgetLine(source, rows[0], rows[1]))
     for key in _FOLLOWS:
         section.has(key)
     section.finish()

@@ -31,8 +31,8 @@ from .model import (
     Skewed,
     Term,
     Triad,
+    indices_of,
     parameters_of,
-    positions,
     skewed_parameters,
     terms_of,
 )
@@ -149,7 +149,7 @@ class Calibration:
             InputError: A parameter that counts as estimated is no finite number.
 
         """
-        std = SensorModel.from_vector(self.std[positions(PARAMETERS, self.parameters)])
+        std = SensorModel.from_vector(self.std[indices_of(PARAMETERS, self.parameters)])
         known = np.isfinite(self.std)
         needed = known | np.array([p.triad == 'g' for p in self.parameters])
         lost = needed & ~np.isfinite(self.values + self.std)
@@ -231,7 +231,7 @@ class Calibration:
                 'error_matrix': _rows(std.error_matrix),
                 'bias': _row(std.bias),
                 **{
-                    term.name: _shaped(self.std[positions(term.parameters, self.parameters)])
+                    term.name: _shaped(self.std[indices_of(term.parameters, self.parameters)])
                     for term in terms
                 },
             },
@@ -243,7 +243,7 @@ class Calibration:
             return {}
         spec = self.imu.skewed or self.imu.gyro
         mine = skewed_parameters(len(skewed.bias))
-        std = self.std[positions(mine, self.parameters)].reshape(-1, 4)
+        std = self.std[indices_of(mine, self.parameters)].reshape(-1, 4)
         return {
             'skewed_gyro': {
                 **_spec_document(spec),

@@ -18,7 +18,7 @@ from .errors import ImuCalibError, InputError
 from .imu import load_imu
 from .lifetime import ENDS_WITH
 from .methods import METHODS
-from .model import chosen
+from .model import named_terms
 from .network import LOOPBACK, REACH, check_domain, kept_to
 from .plan import load_plan
 from .security import in_enclave
@@ -241,7 +241,7 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'truth': lambda name: named_file('truths', name),
     'device': _unless_empty(load_format),
     'method': _one_of('', *METHODS),
-    'terms': chosen,
+    'terms': named_terms,
     'port': _unless_empty(check_port),
     'baud': _or('0', _BAUD),
     'table_baud': _BAUD,

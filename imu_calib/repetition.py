@@ -14,7 +14,7 @@ import numpy as np
 
 from .calibrator import Calibrator, Setup
 from .errors import ImuCalibError, NotObservable
-from .model import PARAMETERS, Parameter, SensorModel, positions
+from .model import PARAMETERS, Parameter, SensorModel, indices_of
 from .simulation import StandOptions, simulate
 from .stream import Floats
 
@@ -160,7 +160,7 @@ def run_once(study: Study, seed: int) -> Run:
     # Terms that one session shows and another does not are no parameters of the study.
     asked_for = {*PARAMETERS, *setup.parameters}
     parameters = tuple(p for p in calibration.parameters if p in asked_for)
-    places = positions(parameters, calibration.parameters)
+    places = indices_of(parameters, calibration.parameters)
     std = calibration.std[places]
     wrong = calibration.values[places] - study.truth.values(parameters)
     return Run(seed, parameters, np.where(np.isfinite(std), wrong, np.nan), std)

@@ -24,7 +24,7 @@ GENERATORS = np.array(
 """Derivatives of rotations about x, y and z at none."""
 
 
-def crossing(vector: Floats) -> Floats:
+def cross_matrix(vector: Floats) -> Floats:
     """Return the (3, 3) matrix whose product with another is the cross product with (3,)."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -41,13 +41,13 @@ def rotation(axis: Floats, angle: Floats | float) -> Floats:
         (..., 3, 3) matrices.
 
     """
-    cross = crossing(axis)
+    cross = cross_matrix(axis)
     sine = np.sin(angle)[..., None, None]
     versine = (1 - np.cos(angle))[..., None, None]
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
 
 
-def seen_turned(rows: Floats, axis: Floats, angle: Floats) -> Floats:
+def in_rotated_frame(rows: Floats, axis: Floats, angle: Floats) -> Floats:
     """Return rows @ rotation(axis, angle): vectors seen from the turned frame.
 
     Args:
@@ -60,7 +60,7 @@ def seen_turned(rows: Floats, axis: Floats, angle: Floats) -> Floats:
         return np.asarray(rows @ rotation(axis, float(angle.flat[0])))
     along = rows @ np.outer(axis, axis)
     turned = np.cos(angle)[..., None] * (rows - along)
-    return np.asarray(along + turned + np.sin(angle)[..., None] * (rows @ crossing(axis)))
+    return np.asarray(along + turned + np.sin(angle)[..., None] * (rows @ cross_matrix(axis)))
 
 
 def rotations(vectors: Floats) -> Floats:
@@ -133,5 +133,5 @@ def shortest(start: Floats, end: Floats) -> Floats:
 
     Not to the opposite one, to which any way is as short.
     """
-    cross = crossing(np.cross(start, end))
+    cross = cross_matrix(np.cross(start, end))
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + float(start @ end)))

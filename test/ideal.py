@@ -22,7 +22,7 @@ def mean_of(outputs: Floats, duration: float = 100.0) -> Statistics:
         duration=duration,
         mean=np.asarray(outputs, dtype=float),
         walk_gain=np.full(6, 1 / duration),
-        quantum=np.zeros(6),
+        quantisation_variance=np.zeros(6),
         end_points=np.asarray(outputs, dtype=float),
         blocks=tuple(np.empty((0, 4)) for _ in range(6)),
         drift=np.full(6, np.nan),

@@ -23,7 +23,7 @@ from imu_calib.changes import Changes
 from imu_calib.cli.main import main
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETERS
-from imu_calib.model.session_terms import parted
+from imu_calib.model.session_terms import split_terms
 from imu_calib.plan import load_plan
 from imu_calib.repetition import Outcome, Study
 from imu_calib.reports.parameter_table import in_scale_of
@@ -369,7 +369,7 @@ def test_repeated_sessions_are_those_of_the_command(
     def known(study: Study, runs: int, seed: int, jobs: int, _: object) -> Outcome:
         assert (runs, seed, jobs) == (2, 5, 1)
         assert study.setup.plan.name == repeated.setup.plan.name
-        assert not study.setup.look
+        assert not study.setup.search_terms
         return repeated.outcome
 
     monkeypatch.setattr(repeating, 'repeat', known)
@@ -419,7 +419,7 @@ def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(
     result: imu_calib.Result,
 ) -> None:
     mine = result.calibration
-    asked = parted('thermal:D_gx')[1]
+    asked = split_terms('thermal:D_gx')[1]
     zeros = np.zeros((len(asked), len(asked)))
     cross = np.zeros((len(mine.parameters), len(asked)))
     follows = replace(mine, changes=Changes(asked, zeros[0], zeros, cross))

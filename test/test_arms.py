@@ -38,7 +38,7 @@ def found() -> tuple[Equations, np.ndarray, np.ndarray]:
 
 
 def test_every_turn_counts_and_each_attitude_has_its_arms() -> None:
-    assert evidence().rows.felt == tuple(range(18))
+    assert evidence().layout.turns_with_accels == tuple(range(18))
     # Two across the axis and what is left along it, at each of three positions.
     assert len(evidence().arms) == 3 * 3
 
@@ -49,7 +49,7 @@ def test_what_accelerometers_read_in_turns_is_within_their_noise_at_the_truth() 
     true[:24] = true_vector(UNIT)
     true[24:27] = WORLD.azimuth, 0.0, 0.0
     # Given all else, arms are where they leave the least.
-    rows = equations.rows.turn_accels.ravel()
+    rows = equations.layout.turn_accels.ravel()
     arms = slice(equations.sensors + len(Nuisance), equations.size)
     covariance = equations.covariance(true)[np.ix_(rows, rows)]
     factor = np.linalg.cholesky(covariance)
@@ -95,14 +95,14 @@ def test_derivatives_are_those_of_the_prediction() -> None:
         step = np.zeros(equations.size)
         step[k] = 1e-4
         slope = (equations.predict(state + step) - equations.predict(state - step)) / 2e-4
-        rows = equations.rows.turn_accels.ravel()
+        rows = equations.layout.turn_accels.ravel()
         assert jacobian[rows, k] == pytest.approx(slope[rows], rel=1e-6, abs=1e-8)
 
 
 def test_turns_that_no_table_times_have_no_accelerometers() -> None:
     turns = tuple(replace(turn, seconds=None) for turn in evidence().turns)
     assert len(Arms.of(turns, SITE.up_rate)) == 0
-    assert not replace(evidence(), turns=turns).rows.felt
+    assert not replace(evidence(), turns=turns).layout.turns_with_accels
 
 
 def test_what_accelerometers_say_in_turns_is_weighed_by_arms_in_the_budget() -> None:

@@ -14,7 +14,7 @@ from test_joint import simulated
 from imu_calib.estimation.fit import Estimate, estimate
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
-from imu_calib.observation.arrivals import of_joints, of_stops
+from imu_calib.observation.positioning_errors import of_joints, of_stops
 from imu_calib.segmentation.segment import Segment, Statistics, Turn
 from imu_calib.stream import Floats
 from imu_calib.turntable import load_table
@@ -131,10 +131,10 @@ def test_errors_are_those_that_the_covariance_states(kind: str) -> None:
 
 
 def test_each_kind_is_found_for_what_it_is() -> None:
-    leaning = [estimated('stops', seed).scatter.arriving for seed in SEEDS]
+    leaning = [estimated('stops', seed).scatter.positioning for seed in SEEDS]
     assert all(found.stops > found.joints for found in leaning)
     assert [found.stops / ARCSEC for found in leaning] == pytest.approx([2.0] * 3, rel=0.35)
-    stated = [estimated('joints', seed).scatter.arriving for seed in SEEDS]
+    stated = [estimated('joints', seed).scatter.positioning for seed in SEEDS]
     assert max(found.stops for found in stated) < 1 * ARCSEC
     assert max(found.joints for found in stated) < 5 * ARCSEC
 

@@ -13,7 +13,7 @@ from sessions import LATITUDE, calibrate, quick_plan, session, stand, truth
 from test_free_positions import result as by_hand
 from test_information import ACCEL_WALK, CLOCK, GYRO_WALK, SECOND, SITE, evidence_of
 
-from imu_calib.budget import Budget, Line, Share, Source, effective_freedom, total
+from imu_calib.budget import Budget, BudgetLine, Share, Source, effective_freedom, total
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.earth import Site
@@ -125,7 +125,11 @@ def loaded(plan: str = 'twelve_position', heading: float = 0.0) -> Evidence:
     )
     quantum = np.repeat([(1e-8) ** 2, (1e-6) ** 2], 3)
     segments = tuple(
-        replace(s, attitude_error=ARCSEC, statistics=replace(s.statistics, quantum=quantum))
+        replace(
+            s,
+            attitude_error=ARCSEC,
+            statistics=replace(s.statistics, quantisation_variance=quantum),
+        )
         for s in evidence.segments
     )
     turns = tuple(replace(t, rate_error=2 * PPM, up_error=ARCSEC) for t in evidence.turns)
@@ -268,7 +272,7 @@ def test_a_tilted_table_does_what_the_budget_says_of_it() -> None:
         tilted = state.copy()
         tilted[equations.sensors + which] += LEVELLED
         outputs = equations.predict(tilted)
-        at_rest = outputs[equations.rows.rest]
+        at_rest = outputs[equations.layout.rest]
         segments = tuple(
             replace(s, statistics=replace(s.statistics, mean=row))
             for s, row in zip(evidence.segments, at_rest, strict=True)
@@ -311,7 +315,7 @@ def test_biases_that_drift_as_stated_do_what_the_budget_says_of_them() -> None:
     spread = np.sqrt(np.mean(errors**2, axis=0))
     stated = np.sqrt(np.diag(found.shares()[Source.BIAS_STATED].covariance))
     # What the session says against the data sheet takes a little off.
-    share = np.repeat(found.scatter.wandering[[0, 3]] / INSTABILITY[[0, 3]], 12)
+    share = np.repeat(found.scatter.bias_drift[[0, 3]] / INSTABILITY[[0, 3]], 12)
     assert (share > 0.8).all()
     spread *= share
     # A spread of 1500 runs errs by 2 %; eight nodes stand for a stretch: 5 sigma and a percent.
@@ -434,7 +438,7 @@ def test_degrees_of_freedom_add_up_as_in_the_guides_example() -> None:
 )
 def test_the_coverage_factor_is_students(freedom: float, factor: float) -> None:
     # JCGM 100:2008, table G.2, 95 %.
-    line = Line(Source.NOISE, np.array([2.0]), np.array([freedom]))
+    line = BudgetLine(Source.NOISE, np.array([2.0]), np.array([freedom]))
     assert Budget((line,)).coverage_factor == pytest.approx(factor, abs=0.005)
     assert Budget((line,)).expanded == pytest.approx(2 * factor, abs=0.01)
 

@@ -17,7 +17,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.compensation.apply import Compensation
 from imu_calib.compensation.thermal import combine
 from imu_calib.errors import InputError
-from imu_calib.exports import EXPORTS, Source
+from imu_calib.exports import EXPORTS, ExportSource
 from imu_calib.methods import method
 from imu_calib.observation.evidence import Evidence
 from imu_calib.segmentation.clock import ClockFit, ClockSample, fit_clock
@@ -156,11 +156,11 @@ def test_numbers_that_no_clock_has_are_refused() -> None:
 
 def test_firmware_is_told_by_which_clock_its_interval_is() -> None:
     known = replace(truth(), clock=StampingClock('stamps of A', 'clock of B', 40 * PPM, PPM))
-    exported = EXPORTS['c'](Source(known, Path('calibration.yaml')))
+    exported = EXPORTS['c'](ExportSource(known, Path('calibration.yaml')))
     assert 'divide an interval between them by 1.000040000' in exported.text
     assert any('40.0 ppm fast' in sentence for sentence in exported.findings)
     counts = replace(known, imu=replace(known.imu, units=Units.COUNTS))
-    exported = EXPORTS['c'](Source(counts, Path('calibration.yaml')))
+    exported = EXPORTS['c'](ExportSource(counts, Path('calibration.yaml')))
     assert 'fast' not in ' '.join([exported.text, *exported.findings])
 
 

@@ -8,7 +8,7 @@ import pytest
 from sessions import paper_imu, truth
 
 from imu_calib.calibration import Calibration
-from imu_calib.compensation.apply import Compensation, Mark, joined
+from imu_calib.compensation.apply import Compensation, Mark, concatenated
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, parameters_of
@@ -82,7 +82,7 @@ def test_a_sample_has_the_same_bits_alone_and_among_many(model):
     fourth = rng.normal(size=(2000, 1)) if skewed else None
     whole = compensation.apply(gyro, accel, interval, fourth)
     edges = np.unique(np.concatenate([np.arange(60), rng.integers(0, 2000, 30), [2000]]))
-    parts = joined(
+    parts = concatenated(
         [
             compensation.apply(
                 gyro[a:b], accel[a:b], interval[a:b], None if fourth is None else fourth[a:b]

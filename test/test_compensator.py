@@ -7,7 +7,7 @@ import pytest
 from sessions import truth
 from test_compensation import known, with_skew
 
-from imu_calib.compensation.apply import Mark, joined
+from imu_calib.compensation.apply import Mark, concatenated
 from imu_calib.compensation.compensator import Compensator
 from imu_calib.compensation.thermal import combine
 from imu_calib.stream import ImuBlock, SkewBlock, TemperatureBlock
@@ -55,7 +55,7 @@ def run(calibration, topics, seed=None):
                 readings += compensator.take(piece)
     readings += compensator.finish()
     stamps = np.concatenate([r.stamp for r in readings]) if readings else np.empty(0, np.int64)
-    return compensator, stamps, joined([r.values for r in readings]) if readings else None
+    return compensator, stamps, concatenated([r.values for r in readings]) if readings else None
 
 
 def at(celsius, scale=0.0, walk=1e-5):
@@ -116,5 +116,5 @@ def test_a_new_calibration_takes_over_from_the_next_sample():
     then = compensator.take(cut(block(), 1000, COUNT))
     for readings, scale, rows in ((first, 0.0, slice(0, 1000)), (then, 0.1, slice(1000, COUNT))):
         _, _, whole = run(at(20.0, scale), [block()])
-        values = joined([r.values for r in readings])
+        values = concatenated([r.values for r in readings])
         assert np.array_equal(values.force, whole.force[rows])

@@ -21,11 +21,11 @@ from test_exports import PROGRAM
 from test_information import CLOCK, SECOND, WALK, statistics
 
 from imu_calib.calibration import Calibration
-from imu_calib.compensation.apply import Compensation, Mark, joined
+from imu_calib.compensation.apply import Compensation, Mark, concatenated
 from imu_calib.compensation.thermal import combine, load_calibration
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.estimation.fit import check_observable, estimate
-from imu_calib.exports import EXPORTS, Source
+from imu_calib.exports import EXPORTS, ExportSource
 from imu_calib.gravity import gravity_slope
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
@@ -253,7 +253,7 @@ def test_samples_are_compensated_live_and_in_bulk(terms: tuple[Term, ...]) -> No
     assert whole.force == pytest.approx(force, abs=1e-11)
     assert not whole.marks.any()
     single = [applied.apply(g[None], a[None], np.array([0.01])) for g, a in zip(gyro, accel)]  # noqa: B905
-    alone = joined(single[:60])
+    alone = concatenated(single[:60])
     for part in ('rate', 'force', 'rate_covariance', 'force_covariance'):
         assert getattr(alone, part).tobytes() == getattr(whole, part)[:60].tobytes()
 
@@ -454,7 +454,7 @@ def test_exports_carry_every_parameter_or_refuse_it(terms: tuple[Term, ...]) -> 
     calibration = known(unit(terms), random_walk=[1e-5] * 6)
     sheet = load_imu('fog_medium')
     for name, export in EXPORTS.items():
-        source = Source(calibration, Path('/c.yaml'), 100.0, sheet=sheet)
+        source = ExportSource(calibration, Path('/c.yaml'), 100.0, sheet=sheet)
         # The formulas of Kalibr and imucal (test_exports.py) have a place for G and no other.
         products = [t for t in terms if t.name != 'g_sensitivity' and not t.moving]
         refused = products if name in {'kalibr', 'imucal'} else []
@@ -475,7 +475,7 @@ def test_exports_carry_every_parameter_or_refuse_it(terms: tuple[Term, ...]) -> 
 @of_sets
 def test_the_c_header_takes_every_term_off(terms: tuple[Term, ...], tmp_path: Path) -> None:
     model, (rate, force) = unit(terms), samples(8)
-    text = EXPORTS['c'](Source(known(model), Path('/c.yaml'))).text
+    text = EXPORTS['c'](ExportSource(known(model), Path('/c.yaml'))).text
     (tmp_path / 'unit.h').write_text(text)
     (tmp_path / 'main.c').write_text(PROGRAM)
     strict = ['-std=c99', '-Wall', '-Wextra', '-Wconversion', '-Wdouble-promotion', '-Werror']
@@ -496,7 +496,7 @@ def test_the_c_header_takes_every_term_off(terms: tuple[Term, ...], tmp_path: Pa
 def test_a_header_whose_rounds_would_not_end_is_refused() -> None:
     model = SensorModel().with_values(parameters_of(TERMS)[39:42], np.array([0.04, 0, 0]))
     with pytest.raises(NotObservable, match='gyro_cubic outgrow'):
-        EXPORTS['c'](Source(known(model), Path('/c.yaml')))
+        EXPORTS['c'](ExportSource(known(model), Path('/c.yaml')))
 
 
 # ---------------------------------------------------------------- sessions
@@ -585,7 +585,7 @@ def test_verify_accepts_with_every_term_and_names_the_one_that_is_missing(
     assert accepted.verdict is Verdict.PASS
     for judged in accepted.triads:
         # Nothing but rounding, and the headings of a mean, is left of it.
-        assert judged.square < 0.1 * judged.freedom
+        assert judged.chi_square < 0.1 * judged.freedom
     if len(terms) > 1:
         return
     lacking = unit(()).with_values(PARAMETERS, model.values(PARAMETERS))

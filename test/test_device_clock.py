@@ -309,7 +309,7 @@ def test_a_clock_that_is_set_is_an_error_for_ten_seconds_and_then_a_warning(tmp_
     state = Source(str(tmp_path / 'line'), lambda: 0).state
 
     def said(seconds):
-        words = health.words(state, Decoder(form).counts, clock, START, seconds)
+        words = health.statuses(state, Decoder(form).counts, clock, START, seconds)
         return next(word for word in words if word.part == 'clock')
 
     half = len(made) // 3

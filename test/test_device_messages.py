@@ -44,7 +44,7 @@ def status_of(name, *frames):
     health.take(samples, np.arange(len(frames)) * 1_000_000, 100, NS, 0.0)
     clock = DeviceClock(form.time, form.counter, 1e-3)
     state = Source('socket://127.0.0.1:1', lambda: 0).state
-    words = health.words(state, decoder.counts, clock, NS, 0.0)
+    words = health.statuses(state, decoder.counts, clock, NS, 0.0)
     (status,) = (word for word in words if word.part == 'status')
     return status.severity, status.text
 

@@ -15,7 +15,7 @@ import yaml
 from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
-from imu_calib.exports import EXPORTS, Source
+from imu_calib.exports import EXPORTS, ExportSource
 from imu_calib.imu import load_imu
 from imu_calib.middleware.dds.arguments import parse
 from imu_calib.model import SensorModel, Triad
@@ -64,7 +64,7 @@ def ours(calibration: Calibration, gyro: Floats, accel: Floats) -> tuple[Floats,
 
 
 def exported(name: str, calibration: Calibration) -> str:
-    source = Source(calibration, Path('/robot/calibration.yaml'), RATE, '/imu0')
+    source = ExportSource(calibration, Path('/robot/calibration.yaml'), RATE, '/imu0')
     return EXPORTS[name](source).text
 
 
@@ -164,7 +164,7 @@ def test_noise_from_the_data_sheet_is_in_kalibrs_units(share: float) -> None:
     sheet = load_imu('fog_medium')
     sheet = replace(sheet, accel=replace(sheet.accel, random_walk=share * 1e-3))
     file = yaml.safe_load(
-        EXPORTS['kalibr'](Source(calibration, Path('/c.yaml'), RATE, sheet=sheet)).text
+        EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml'), RATE, sheet=sheet)).text
     )
     assert file['accelerometer_noise_density'] == pytest.approx(share * 1e-3)
     assert file['gyroscope_noise_density'] == pytest.approx(sheet.gyro.random_walk)
@@ -174,7 +174,7 @@ def test_noise_from_the_data_sheet_is_in_kalibrs_units(share: float) -> None:
 def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:
     calibration = replace(unit('si'), provenance={'random_walk': WALK})
     sheet = load_imu('fog_medium')
-    found = EXPORTS['kalibr'](Source(calibration, Path('/c.yaml'), sheet=sheet))
+    found = EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml'), sheet=sheet))
     file = yaml.safe_load(found.text)
     # 0.1 deg/h over the root of an hour.
     assert file['gyroscope_random_walk'] == pytest.approx(0.1 * DEG_H / 60)
@@ -185,12 +185,12 @@ def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:
 def test_kalibr_is_refused_what_it_needs_in_words() -> None:
     calibration = unit('si')
     with pytest.raises(InputError, match='give --sample-rate'):
-        EXPORTS['kalibr'](Source(calibration, Path('/c.yaml')))
+        EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml')))
     with pytest.raises(InputError, match='noise of the accelerometers'):
-        EXPORTS['kalibr'](Source(replace(calibration, provenance={}), Path('/c.yaml'), RATE))
+        EXPORTS['kalibr'](ExportSource(replace(calibration, provenance={}), Path('/c.yaml'), RATE))
     mirrored = replace(calibration.model, gyro=Triad(np.diag([0.0, -2.0, 0.0])))
     with pytest.raises(InputError, match='gyros are'):
-        EXPORTS['kalibr'](Source(replace(calibration, model=mirrored), Path('/c.yaml'), RATE))
+        EXPORTS['kalibr'](ExportSource(replace(calibration, model=mirrored), Path('/c.yaml'), RATE))
 
 
 PROGRAM = """
@@ -280,5 +280,5 @@ def test_a_gyro_only_calibration_says_so() -> None:
     gyros_alone = replace(
         calibration, covariance=covariance, model=model, parameters=model.parameters
     )
-    left = EXPORTS['c'](Source(gyros_alone, Path('/c.yaml'))).findings
+    left = EXPORTS['c'](ExportSource(gyros_alone, Path('/c.yaml'))).findings
     assert any('accelerometers were not calibrated' in sentence for sentence in left)

@@ -24,7 +24,7 @@ from imu_calib.methods.free_positions import ESTIMATES, FREE, in_frame_of_accele
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.free import FreeEquations, led_on
-from imu_calib.observation.path import chained
+from imu_calib.observation.gyro_paths import chained
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
 from imu_calib.rotations import rotation
@@ -206,7 +206,7 @@ def test_a_plain_loop_over_the_samples_predicts_the_same() -> None:
     """Holds and turns on the Earth by the rotations themselves, no code of the package's."""
     equations, state = on_the_earth()
     evidence, model = equations.evidence, equations.model(state)
-    predicted, moved = equations.predict(state), iter(equations.rows.move)
+    predicted, moved = equations.predict(state), iter(equations.layout.move)
     east_north = state[equations.north].reshape(2, 2) * SITE.north_rate / np.sqrt(2)
     for k, hold in enumerate(evidence.segments):
         # The sixth turn is missing: a second run begins at the seventh hold.
@@ -214,7 +214,7 @@ def test_a_plain_loop_over_the_samples_predicts_the_same() -> None:
         rate, force = hold.attitude.T @ earth, hold.attitude.T @ [0, 0, SITE.gravity]
         gyro = model.gyro.response @ rate + model.gyro.bias
         accel = model.accel.response @ force + model.accel.bias
-        assert predicted[equations.rows.rest[k]] == pytest.approx([*gyro, *accel], rel=1e-12)
+        assert predicted[equations.layout.rest[k]] == pytest.approx([*gyro, *accel], rel=1e-12)
         move = next((m for m in evidence.moves if m.end == hold.start), None)
         if move is None:
             continue

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.model import PARAMETER_NAMES, SensorModel
 from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.information import reached, unobserved
+from imu_calib.observation.information import attainable_std, unobservable_in_words
 from imu_calib.plan import Plan, load_plan
 from imu_calib.segmentation.clock import ClockFit
 from imu_calib.segmentation.segment import Segment, Statistics, Turn
@@ -89,7 +89,7 @@ def by_name(deviations: Floats) -> dict[str, float]:
 
 
 def determined(evidence: Evidence) -> set[str]:
-    return {name for name, std in by_name(reached(evidence)).items() if np.isfinite(std)}
+    return {name for name, std in by_name(attainable_std(evidence)).items() if np.isfinite(std)}
 
 
 def part(evidence: Evidence, segments: int, turns: int) -> Evidence:
@@ -97,13 +97,13 @@ def part(evidence: Evidence, segments: int, turns: int) -> Evidence:
 
 
 def test_nothing_tells_nothing() -> None:
-    assert np.isnan(reached(part(evidence_of(), 0, 0))).all()
+    assert np.isnan(attainable_std(part(evidence_of(), 0, 0))).all()
 
 
 def test_twelve_positions_give_what_their_means_and_differences_give() -> None:
     # Twelve dwells of 120 s: a bias is the mean of all; a response half a difference of two and
     # two over g. Tilts, found by the same session, take next to nothing from them.
-    found = by_name(reached(by_nobodys_table(evidence_of())))
+    found = by_name(attainable_std(by_nobodys_table(evidence_of())))
     dwell = ACCEL_WALK / np.sqrt(120)
     for axis in 'xyz':
         assert found[f'D_a{axis}'] == pytest.approx(dwell / np.sqrt(12), rel=0.01)
@@ -138,7 +138,7 @@ def test_accelerometers_in_turns_are_as_good_as_rests_but_for_the_lever_arm() ->
             weights.append(weight)
     design = np.array(rows) * np.sqrt(weights)[:, None]
     std = ACCEL_WALK * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    found = by_name(reached(evidence_of()))
+    found = by_name(attainable_std(evidence_of()))
     for axis in 'xyz':
         assert found[f'D_a{axis}'] == pytest.approx(std[0], rel=0.01)
         assert found[f'K_a{axis}'] == pytest.approx(std[1] / SITE.gravity, rel=0.01)
@@ -146,7 +146,7 @@ def test_accelerometers_in_turns_are_as_good_as_rests_but_for_the_lever_arm() ->
 
 def test_an_axis_that_has_not_turned_leaves_its_responses_to_the_earth_rate() -> None:
     # docs/mathematics.md, 'Joint estimate': static dwells alone, M_g to 1 %.
-    found = by_name(reached(part(evidence_of(), 12, 12)))
+    found = by_name(attainable_std(part(evidence_of(), 12, 12)))
     assert found['K_gx'] < 1e-5
     assert found['K_gy'] < 1e-5
     assert 0.002 < found['K_gz'] < 0.02
@@ -166,11 +166,11 @@ def test_x_up_and_down_determine_the_responses_to_x() -> None:
 def test_six_positions_without_north_lean_on_the_levelling() -> None:
     # The middle joint's zero and the tilt about its axis are one and the same to six positions.
     misalignments = [n for n in PARAMETER_NAMES if n.startswith('E_a')]
-    found = by_name(reached(by_nobodys_table(evidence_of('six_position'))))
+    found = by_name(attainable_std(by_nobodys_table(evidence_of('six_position'))))
     assert max(found[n] for n in misalignments) == pytest.approx(20 * ARCSEC, rel=0.05)
     # While the unit turns, a tilt goes round in it and leaves nothing: accelerometers tell the two
     # apart. 5e-6 m/s^2 of walk over two minutes are a tenth of an arcsecond.
-    found = by_name(reached(evidence_of('six_position')))
+    found = by_name(attainable_std(evidence_of('six_position')))
     assert max(found[n] for n in misalignments) < 0.5 * ARCSEC
 
 
@@ -178,7 +178,7 @@ def test_more_data_never_makes_a_parameter_less_sure() -> None:
     evidence = evidence_of()
     last = np.full(24, np.inf)
     for segments in range(13):
-        now = reached(part(evidence, segments, 18))
+        now = attainable_std(part(evidence, segments, 18))
         assert np.all(np.nan_to_num(now, nan=np.inf) <= last * (1 + 1e-6))
         last = np.nan_to_num(now, nan=np.inf)
 
@@ -192,9 +192,9 @@ def test_any_part_of_a_session_is_fit_to_be_asked(rests: set[int], turns: set[in
         segments=tuple(whole.segments[k] for k in sorted(rests)),
         turns=tuple(whole.turns[k] for k in sorted(turns)),
     )
-    found = reached(some)
+    found = attainable_std(some)
     assert found.shape == (24,)
-    best = reached(whole)
+    best = attainable_std(whole)
     assert np.all(np.isnan(found) | (found >= best * (1 - 1e-6)))
 
 
@@ -213,7 +213,7 @@ def test_what_is_lost_does_not_depend_on_how_attitudes_miss_their_marks() -> Non
 def test_the_positioning_of_the_table_bounds_what_turns_tell() -> None:
     # One arrival for all turns about an axis: the error of its direction does not average out. Of
     # it and that of the arrival upside down the accelerometers see the sum, not the difference.
-    found = by_name(reached(replace(evidence_of(), positioning=10 * ARCSEC)))
+    found = by_name(attainable_std(replace(evidence_of(), positioning=10 * ARCSEC)))
     assert found['E_gyx'] == pytest.approx(10 * ARCSEC / np.sqrt(2), rel=0.05)
     assert found['E_ayx'] == pytest.approx(10 * ARCSEC / np.sqrt(2), rel=0.05)
     assert found['K_gx'] < 1e-5
@@ -222,7 +222,7 @@ def test_the_positioning_of_the_table_bounds_what_turns_tell() -> None:
 def test_the_words_say_what_is_missing() -> None:
     evidence = part(evidence_of(), 8, 12)
     lost = np.array([n in {'K_gz', 'E_gxz', 'E_gyz', 'K_az'} for n in PARAMETER_NAMES])
-    words = unobserved(evidence, lost)
+    words = unobservable_in_words(evidence, lost)
     assert words.startswith('No position turns Z: K_gz, E_gxz, E_gyz not observable; ')
     assert 'no position has Z vertical: K_az not observable' in words
     assert 'missing: position 9, 10, 11, 12' in words

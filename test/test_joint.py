@@ -386,9 +386,9 @@ def test_biases_are_as_sure_as_the_drift_that_the_data_sheet_states_lets_them(
 def test_a_drift_that_the_data_clearly_does_not_show_hardly_counts() -> None:
     # 20 micro-g beside a noise of 2 in every dwell: the data would show it, and does not.
     found = joint.solve(wandering(0, 0.0))
-    assert found.wandering is not None
-    assert found.wandering[3] < 1 * MICRO_G
-    assert found.wandering[0] > 0.05 * DEG_H
+    assert found.bias_drift is not None
+    assert found.bias_drift[3] < 1 * MICRO_G
+    assert found.bias_drift[0] > 0.05 * DEG_H
 
 
 def test_a_stated_drift_on_the_stand_is_in_the_standard_deviations() -> None:
@@ -397,8 +397,8 @@ def test_a_stated_drift_on_the_stand_is_in_the_standard_deviations() -> None:
     for seed in range(2):
         found = joint.solve(simulated(plan, options, seed, spec=load_imu('fog_medium')))
         assert np.abs(normalised(found)).max() < 4.5
-        assert found.wandering is not None
-        assert found.wandering[3] == pytest.approx(20 * MICRO_G, rel=0.5)
+        assert found.bias_drift is not None
+        assert found.bias_drift[3] == pytest.approx(20 * MICRO_G, rel=0.5)
 
 
 def test_moves_do_not_know_biases_better_than_a_drift_leaves_them() -> None:
@@ -407,7 +407,7 @@ def test_moves_do_not_know_biases_better_than_a_drift_leaves_them() -> None:
     # 1954, Ann. Math. Stat. 25, 252).
     spec, plan = load_imu('mems_counts'), quick_plan('twelve_position', 40.0)
     evidence = simulated(plan, stand(bias_instability=True), spec=spec)
-    assert len(evidence.led) > 6
+    assert len(evidence.links) > 6
     seen = [*evidence.segments, *evidence.turns]
     length = (max(s.end for s in seen) - min(s.start for s in seen)) / SECOND
     bound = spec.gyro.bias_instability * np.sqrt(2 / (2 + length / CORRELATION))
@@ -485,7 +485,7 @@ def test_attitudes_with_no_axis_vertical_serve_as_well() -> None:
 
 def test_the_earth_rate_seen_is_that_of_the_site() -> None:
     rng = np.random.default_rng(5)
-    seen, covariance = joint.seen_earth(
+    seen, covariance = joint.observed_earth_rate(
         estimate(evidence_of(model=truth().model, azimuth=0.4, noise=rng))
     )
     expected = [np.sin(0.4) * SITE.north_rate, np.cos(0.4) * SITE.north_rate, SITE.up_rate]

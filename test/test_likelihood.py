@@ -9,8 +9,13 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import chi2, multivariate_normal
 
-from imu_calib.estimation.likelihood import along_columns, beside, fixed, gained_by_noise
-from imu_calib.estimation.wandering import Wandering
+from imu_calib.estimation.bias_drift import BiasDrift
+from imu_calib.estimation.likelihood import (
+    gained_by_noise,
+    log_likelihood,
+    log_likelihoods_by_columns,
+    log_likelihoods_by_ratio,
+)
 from imu_calib.stream import Floats
 
 RATIOS = np.array([0.0, 0.03, 1.0, 300.0, 1e5])
@@ -35,8 +40,10 @@ def test_every_size_of_a_part_has_the_likelihood_of_its_covariance(size: int, ra
     kernels = [columns @ columns.T, np.zeros((size, size))]
     exact = [[normal(left, base + r * k) for r in RATIOS] for k in kernels]
     # Eight digits: a part 1e5 times the rest is rounded to 1e-11 of the rest.
-    assert beside(base, kernels, left, RATIOS) == pytest.approx(np.array(exact), rel=1e-8)
-    assert fixed(base, left) == pytest.approx(normal(left, base), rel=1e-12)
+    assert log_likelihoods_by_ratio(base, kernels, left, RATIOS) == pytest.approx(
+        np.array(exact), rel=1e-8
+    )
+    assert log_likelihood(base, left) == pytest.approx(normal(left, base), rel=1e-12)
 
 
 @pytest.mark.parametrize(('size', 'rank'), [(2, 1), (40, 12), (40, 60)])
@@ -48,9 +55,9 @@ def test_parts_of_few_columns_have_it_too(size: int, rank: int) -> None:
     for first, second in factors:
         kernel = first**2 * parts[0] @ parts[0].T + second**2 * parts[1] @ parts[1].T
         exact.append([normal(left, base + r * kernel) for r in RATIOS])
-    found = along_columns(base, parts, factors, left, RATIOS)
+    found = log_likelihoods_by_columns(base, parts, factors, left, RATIOS)
     assert found == pytest.approx(np.array(exact), rel=1e-8)
-    none = along_columns(base, (columns[:, :0], columns[:, :0]), factors, left, RATIOS)
+    none = log_likelihoods_by_columns(base, (columns[:, :0], columns[:, :0]), factors, left, RATIOS)
     assert none == pytest.approx(np.full_like(none, normal(left, base)), rel=1e-12)
 
 
@@ -58,7 +65,7 @@ def test_a_part_that_rounding_makes_negative_counts_as_none_there() -> None:
     columns = np.ones((3, 1)) * 1e8
     kernel = columns @ columns.T - np.diag([0.0, 0.0, 3.0])
     left = np.array([1.0, 1.0, 1.0])
-    found = beside(np.eye(3), [kernel], left, np.array([1.0]))[0, 0]
+    found = log_likelihoods_by_ratio(np.eye(3), [kernel], left, np.array([1.0]))[0, 0]
     # Across the part the three ones have nothing, along it they are nothing beside it.
     assert found == pytest.approx(-0.5 * np.log(3e16), abs=0.5)
 
@@ -71,7 +78,7 @@ def test_a_wandering_is_seen_by_stretches_as_its_instants_make_it() -> None:
     cosine, sine = np.cos(np.pi / 6), np.sin(np.pi / 6)
     answers = np.tile(np.eye(3), (4, 1, 1))
     answers[2] = 10 * np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    seen = Wandering.over(starts, durations, answers, sloped)
+    seen = BiasDrift.over(starts, durations, answers, sloped)
     time = 25.0
     grid = (np.arange(8) + 0.5) / 8
     rows = [np.full(8, 1 / 8)] * 4

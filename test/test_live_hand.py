@@ -23,7 +23,7 @@ from imu_calib.earth import Site, normal_gravity
 from imu_calib.imu import load_imu
 from imu_calib.methods.free_positions import FREE
 from imu_calib.model import PARAMETER_NAMES, ParameterKind
-from imu_calib.nodes.live import LiveSession, Phase
+from imu_calib.nodes.live import LiveSession, SessionPhase
 from imu_calib.plan import load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
@@ -214,5 +214,5 @@ def test_six_holds_and_three_turns_by_hand_live_are_those_of_the_recording(tmp_p
             session.take(Kind.IMU, encode_imu(block).payloads(), int(block.stamp[-1]))
     assert session.guidance is None
     ended(session)
-    assert session.phase is Phase.FINISHED, session.failure
+    assert session.phase is SessionPhase.FINISHED, session.failure
     assert np.array_equal(session.calibration.values, offline.finish().calibration.values)

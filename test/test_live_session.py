@@ -17,7 +17,7 @@ from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints
 from imu_calib.errors import InputError
 from imu_calib.model import SensorModel
-from imu_calib.nodes.live import LiveSession, Phase
+from imu_calib.nodes.live import LiveSession, SessionPhase
 from imu_calib.simulation import simulate
 from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.turntable import load_table
@@ -97,7 +97,7 @@ def send(session, wire, rng, start=0.0, stop=1.0):
 
 def finish(session):
     ended(session)
-    assert session.phase is Phase.FINISHED, session.failure
+    assert session.phase is SessionPhase.FINISHED, session.failure
     return session.calibration
 
 
@@ -149,7 +149,7 @@ def test_reviews_on_the_way_leave_the_result_as_it_is(tmp_path, wire):
 
 
 def test_terms_are_looked_for_when_a_session_ends_and_not_at_every_review(wire):
-    whole = fed_at_once(wire, replace(SETUP, look=True))
+    whole = fed_at_once(wire, replace(SETUP, search_terms=True))
     review, end = whole.snapshot().review(), whole.snapshot().conclude()
     assert review.result is not None
     assert end.result is not None
@@ -299,9 +299,9 @@ def test_joint_states_of_others_alone_are_named_as_they_come_and_at_the_end(tmp_
     session = begin(tmp_path / 'journal')
     session.take(Kind.JOINTS, joint_states(('gripper',), 5), 1)
     send(session, {Kind.IMU: wire[Kind.IMU][:5000]}, np.random.default_rng(3))
-    assert session.phase is not Phase.FAILED
+    assert session.phase is not SessionPhase.FAILED
     ended(session)
-    assert session.phase is Phase.FAILED
+    assert session.phase is SessionPhase.FAILED
     assert '5 joint states left out: they name gripper' in session.failure
     with pytest.raises(InputError, match='joint states name gripper; table three_axis has outer'):
         offline(tmp_path / 'journal')
@@ -328,7 +328,7 @@ def test_setpoints_of_another_plan_end_no_session_and_are_not_recorded(tmp_path,
     session.take(Kind.IMU, wire[Kind.IMU][:3000], 2)
     session.solve()
     assert until(lambda: session.poll() or session.review is not None)
-    assert session.phase is not Phase.FAILED, session.failure
+    assert session.phase is not SessionPhase.FAILED, session.failure
     rest = {**wire, Kind.IMU: wire[Kind.IMU][3000:]}
     send(session, rest, np.random.default_rng(4))
     assert session.intakes[Kind.SETPOINTS].ignored == 1

@@ -15,7 +15,7 @@ from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
 from imu_calib.imu import load_imu
 from imu_calib.metadata import describe
 from imu_calib.nodes import live
-from imu_calib.nodes.live import LiveSession, Phase
+from imu_calib.nodes.live import LiveSession, SessionPhase
 from imu_calib.plan import RateTest, load_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import simulate
@@ -77,7 +77,7 @@ def test_sixteen_numbers_live_are_those_of_the_journal(tmp_path, wire):
     session = begin(tmp_path / 'journal')
     send(session, wire)
     session = ended(session)
-    assert session.phase is Phase.FINISHED, session.failure
+    assert session.phase is SessionPhase.FINISHED, session.failure
     assert [p.name for p in session.parameters][-4:] == ['R_gsx', 'R_gsy', 'R_gsz', 'D_gs']
     assert (session.review.std > 0).sum() == len(session.parameters) == 16
     found = session.calibration
@@ -109,7 +109,7 @@ def test_a_skewed_gyro_that_nobody_publishes_ends_the_session_soon_and_by_name(
     monkeypatch.setattr(live, '_SKEW_AWAITED', 0.0)
     session = begin(tmp_path / 'journal')
     send(session, wire[:40], without={Kind.SKEW})
-    assert session.phase is Phase.FAILED
+    assert session.phase is SessionPhase.FAILED
     assert 'Nothing comes on /imu/skew' in session.failure
     assert 'D_gs' in session.failure
     session.close()
@@ -126,7 +126,7 @@ def test_other_methods_go_on_without_it_and_take_it_no_more(tmp_path, wire, monk
     session.solve()
     while not session.poll():
         time.sleep(0.01)
-    assert session.phase is Phase.COLLECTING
+    assert session.phase is SessionPhase.COLLECTING
     assert len(session.review.std) == 24
     session.close()
 
@@ -136,5 +136,5 @@ def test_who_ends_a_session_early_need_not_wait_for_the_skewed_gyro(tmp_path, wi
     send(session, wire[:40], without={Kind.SKEW})
     session.solve()
     assert session.review is None
-    assert ended(session).phase is Phase.FAILED
+    assert ended(session).phase is SessionPhase.FAILED
     assert session.without_skew

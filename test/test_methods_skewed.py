@@ -138,7 +138,7 @@ def test_what_estimated_weights_cost_is_what_they_are_off_the_true_ones() -> Non
         square += (found - best) ** 2 / runs
         if seed >= fewer:
             continue
-        added = skewed.doubt(evidence)
+        added = skewed.variance_by_weights(evidence)
         gyros = Triad.from_vector(added[:12])
         three = np.column_stack([gyros.error_matrix, gyros.bias])
         stated += np.vstack([three, added[24:]]) / fewer

@@ -15,14 +15,14 @@ from test_other_world import EPOCH, NAVIGATION, fed, true_vector
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.compensation.apply import joined
+from imu_calib.compensation.apply import concatenated
 from imu_calib.compensation.compensator import Compensator, Reading
 from imu_calib.errors import NotObservable
 from imu_calib.estimation.fit import Estimate, estimate
-from imu_calib.estimation.tested import State
+from imu_calib.estimation.term_tests import TermState
 from imu_calib.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.methods.joint import solve
-from imu_calib.model import PARAMETERS, SensorModel, Term, chosen, parameters_of
+from imu_calib.model import PARAMETERS, SensorModel, Term, named_terms, parameters_of
 from imu_calib.model.terms import DELAY, SIZE_EFFECT
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
@@ -47,7 +47,7 @@ UNIT = replace(
 """Its middle is not where the axes cross."""
 
 WORLD = World(azimuth=0.4, dwell=10.0, misses=MISSES)
-TERMS = chosen('size_effect,delay')
+TERMS = named_terms('size_effect,delay')
 FAR = 4.5
 
 
@@ -87,7 +87,7 @@ def test_places_and_delays_are_found(found: Estimate) -> None:
     # They are seen: a hundredth of a centimetre, ten microseconds.
     assert std[24:30].max() < 5e-4
     assert std[30:].max() < 5e-5
-    assert not found.astray
+    assert not found.rejected_moves
     assert not found.outliers
 
 
@@ -101,7 +101,7 @@ def test_places_and_delays_that_nobody_asked_for_are_found_and_named(moved: Evid
     off = (solution.model.values(solution.parameters) - true_values()) / solution.std
     assert np.abs(off).max() < FAR, np.round(off, 1)
     states = {test.name: test.state for test in solution.tests}
-    assert {name for name, state in states.items() if state is State.FOUND} == {
+    assert {name for name, state in states.items() if state is TermState.FOUND} == {
         'size_effect',
         'delay',
     }
@@ -121,7 +121,7 @@ def test_accelerometers_that_are_together_and_in_time_are_found_so() -> None:
     assert not [f for f in solution.findings if 'The session shows' in f]
     tests = {test.name: test for test in solution.tests}
     for name in ('size_effect', 'delay'):
-        assert tests[name].state is State.OFF
+        assert tests[name].state is TermState.OFF
         assert tests[name].log10_p > -3
 
 
@@ -144,13 +144,14 @@ def test_verify_holds_them_against_a_recording(moved: Evidence) -> None:
 
 def test_pulses_that_hide_them_refuse_them(moved: Evidence) -> None:
     coarse = tuple(
-        replace(m, gained=replace(m.gained, quantum=np.full(3, 1.0))) for m in moved.moves
+        replace(m, velocity_steps=replace(m.velocity_steps, pulse=np.full(3, 1.0)))
+        for m in moved.moves
     )
     blind = replace(moved, moves=coarse, coarse=True)
     with pytest.raises(NotObservable, match=r'do not determine size_effect \(P_axy.*pulses'):
-        estimate(blind, parameters_of(chosen('size_effect')))
+        estimate(blind, parameters_of(named_terms('size_effect')))
     with pytest.raises(NotObservable, match=r'determine delay \(T_a\)'):
-        estimate(replace(moved, moves=()), parameters_of(chosen('delay')))
+        estimate(replace(moved, moves=()), parameters_of(named_terms('delay')))
 
 
 def test_derivatives_are_those_of_the_prediction(moved: Evidence) -> None:
@@ -194,7 +195,7 @@ def compensated(unit: Unit, calibration: Calibration, sizes: Sequence[int] = (10
         first += size
     readings += compensator.finish()
     assert compensator.waiting == 0
-    values = joined([reading.values for reading in readings])
+    values = concatenated([reading.values for reading in readings])
     return Reading(np.concatenate([reading.stamp for reading in readings]), values, '')
 
 

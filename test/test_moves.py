@@ -21,12 +21,12 @@ from imu_calib.model.terms import DELAY
 from imu_calib.observation.arms import APART, LONGEST
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.gyro_paths import GyroPath, chained
 from imu_calib.observation.moves import _second_order
-from imu_calib.observation.path import Path, chained
-from imu_calib.observation.thrust import Thrust, by_places
+from imu_calib.observation.velocity_increments import VelocityIncrement, by_places
 from imu_calib.segmentation.moves import STEP_ANGLE, MoveReader, joined
 from imu_calib.segmentation.segment import Segment
-from imu_calib.segmentation.segmented import Gained, Move
+from imu_calib.segmentation.segmented import Move, VelocitySteps
 from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.statistics import Samples, statistics_at_rest
 from imu_calib.share import named_file
@@ -95,7 +95,7 @@ def test_of_a_hand_angles_alone_are_read(by_hand: bool) -> None:
     (move,) = reader.finish(PERIOD)
     # The first sample of a rest ends where it begins.
     assert move.seconds.sum() == pytest.approx((n - 40) * PERIOD)
-    assert (move.gained is None) == by_hand
+    assert (move.velocity_steps is None) == by_hand
 
 
 GRAVITY = np.array([0.0, 0.0, 9.8])
@@ -141,28 +141,33 @@ def tumbled(moved: bool = False, late: int = 0) -> tuple[Samples, Floats]:
     return Samples(stamp, increments, np.zeros(6), PERIOD, np.zeros(6)), attitude
 
 
-def pushed(samples: Samples, attitude: Floats, model: SensorModel = WRONG) -> Thrust:
+def pushed(samples: Samples, attitude: Floats, model: SensorModel = WRONG) -> VelocityIncrement:
     """The same joined to steps and led on by the true sensors."""
     steps = joined(samples)
-    path = Path.of(steps.turned, steps.counts * PERIOD, model, attitude.T @ GRAVITY)
-    return Thrust.of_each([Gained(steps.gained, steps.mean, np.zeros(3))], [path], model)[0]
+    path = GyroPath.of(steps.turned, steps.counts * PERIOD, model, attitude.T @ GRAVITY)
+    return VelocityIncrement.of_each(
+        [VelocitySteps(steps.velocity, steps.mean, np.zeros(3))], [path], model
+    )[0]
 
 
 def test_steps_hold_what_gravity_gives_on_the_way() -> None:
     samples, attitude = tumbled()
     thrust = pushed(samples, attitude)
     seconds = len(samples.stamp) * PERIOD
-    off = attitude @ thrust.whole - GRAVITY * seconds
+    off = attitude @ thrust.velocity - GRAVITY * seconds
     # What the third order of a step may turn the axes by, as above: a fifth of what the best
     # accelerometers scatter by in that time.
     assert np.abs(off).max() < 0.1 * ARCSEC * GRAVITY[2] * seconds
-    assert attitude @ thrust.lasting == pytest.approx(GRAVITY * seconds**2 / 2, abs=1e-4)
+    assert attitude @ thrust.displacement == pytest.approx(GRAVITY * seconds**2 / 2, abs=1e-4)
     # Without what the turning within steps adds it is far off.
     first = np.concatenate([[0], np.cumsum(joined(samples).counts)[:-1]]).astype(int)
-    plain = replace(joined(samples), gained=np.add.reduceat(samples.increments[:, 3:], first))
+    plain = replace(joined(samples), velocity=np.add.reduceat(samples.increments[:, 3:], first))
     path = thrust.path
-    gained = Gained(plain.gained, np.zeros_like(plain.gained), np.zeros(3))
-    far = attitude @ Thrust.of_each([gained], [path], WRONG)[0].whole - GRAVITY * seconds
+    gained = VelocitySteps(plain.velocity, np.zeros_like(plain.velocity), np.zeros(3))
+    far = (
+        attitude @ VelocityIncrement.of_each([gained], [path], WRONG)[0].velocity
+        - GRAVITY * seconds
+    )
     assert np.abs(far).max() > 1e-4
 
 
@@ -173,7 +178,7 @@ def test_a_scale_factor_that_is_far_off_leaves_what_the_variance_allows() -> Non
     bare = WRONG.accel
     triad = Triad(factors[:, None] * bare.response - np.eye(3), factors * bare.bias)
     thrust = pushed(replace(samples, increments=increments), attitude, replace(WRONG, accel=triad))
-    off = attitude @ thrust.whole - GRAVITY * len(samples.stamp) * PERIOD
+    off = attitude @ thrust.velocity - GRAVITY * len(samples.stamp) * PERIOD
     steps = joined(samples)
     move = Move(0, 1, steps.turned, steps.counts * PERIOD, np.zeros(3))
     allowed = 0.25 * GRAVITY[2] * _second_order(move)
@@ -183,7 +188,7 @@ def test_a_scale_factor_that_is_far_off_leaves_what_the_variance_allows() -> Non
 def test_accelerometers_that_are_apart_gain_what_their_places_make() -> None:
     apart, attitude = tumbled(moved=True)
     together, _ = tumbled()
-    moved = pushed(apart, attitude).whole - pushed(together, attitude).whole
+    moved = pushed(apart, attitude).velocity - pushed(together, attitude).velocity
     slopes = by_places([pushed(together, attitude)])[0]
     # What is read beyond gravity is taken off: a unit at its places reads as if it were at none.
     assert -slopes @ PLACES.ravel() == pytest.approx(moved, abs=1e-3 * np.abs(moved).max())
@@ -196,7 +201,7 @@ def test_accelerometers_that_are_apart_gain_what_their_places_make() -> None:
 def test_accelerometers_that_answer_late_gain_what_gravity_has_turned() -> None:
     samples, attitude = tumbled()
     late, _ = tumbled(late=1)
-    moved = pushed(late, attitude).whole - pushed(samples, attitude).whole
+    moved = pushed(late, attitude).velocity - pushed(samples, attitude).velocity
     predicted = -PERIOD * pushed(samples, attitude).by_delay
     # A sample is 0.9 deg at most: the second order is a hundredth of the first.
     assert predicted == pytest.approx(moved, abs=0.02 * np.abs(moved).max())
@@ -222,13 +227,13 @@ def evidence(pulse: float = FINE_PULSE) -> Evidence:
 
 def test_velocities_that_pulses_hide_do_not_count() -> None:
     coarse = paper_imu().accel.scale_factor
-    assert evidence(coarse).led.pushed == ()
-    assert len(evidence(coarse).led) == len(evidence().led)
-    assert evidence().led.pushed == tuple(range(9))
+    assert evidence(coarse).links.with_accels == ()
+    assert len(evidence(coarse).links) == len(evidence().links)
+    assert evidence().links.with_accels == tuple(range(9))
 
 
 def test_there_is_a_move_from_each_position_to_the_next_but_those_with_turns() -> None:
-    ends = [(link.first, link.second) for link in evidence().led.links]
+    ends = [(link.first, link.second) for link in evidence().links.links]
     assert ends == [(k, k + 1) for k in range(11) if k not in (3, 7)]
 
 
@@ -236,7 +241,7 @@ def test_derivatives_are_those_of_the_prediction() -> None:
     equations = Equations(evidence())
     state = equations.nominal()
     state[:27] = [*truth().model.vector(), 0.3, 1e-4, 2e-4]
-    jacobian, moves = equations.jacobian(state), equations.rows.moving
+    jacobian, moves = equations.jacobian(state), equations.layout.moving
     for k, step in enumerate(1e-6 * np.eye(len(state))):
         found = (equations.predict(state + step) - equations.predict(state - step)) / 2e-6
         # At the truth what a move is off is an arcsecond: the logarithm's own slope is one.
@@ -249,17 +254,19 @@ def test_derivatives_are_those_of_the_prediction() -> None:
 @pytest.mark.parametrize('counted', [True, False])
 def test_a_clock_that_is_faster_shortens_moves(counted: bool) -> None:
     """Pulses stay over the shorter seconds, and rates times these are less."""
-    led, model, faster = evidence().led, truth().model, 1e-4
+    led, model, faster = evidence().links, truth().model, 1e-4
     less = 1.0 if counted else 1 / (1 + faster)
     links = []
     for link in led.links:
-        move, gained = link.move, link.move.gained
+        move, gained = link.move, link.move.velocity_steps
         gained = replace(gained, velocity=gained.velocity * less, mean=gained.mean * less)
         seconds = move.seconds / (1 + faster)
-        move = replace(move, turned=move.turned * less, seconds=seconds, gained=gained)
+        move = replace(move, turned=move.turned * less, seconds=seconds, velocity_steps=gained)
         links.append(replace(link, move=move))
     world = SITE.earth_rate, SITE.specific_force
-    off = replace(led, links=tuple(links), _memo={}).off(model, *world) - led.off(model, *world)
+    off = replace(led, links=tuple(links), _memo={}).misclosures(model, *world) - led.misclosures(
+        model, *world
+    )
     slope = led.by_clock(model, SITE.specific_force, counted=counted)
     # The Earth turns by so much less, which is left out, and gravity of that.
     assert slope[:, :3] == pytest.approx(off[:, :3] / faster, abs=5e-4)
@@ -275,10 +282,10 @@ def test_a_lean_of_a_rest_shows_in_the_moves_beside_it() -> None:
     segments = list(evidence().segments)
     segments[5] = replace(segments[5], attitude=segments[5].attitude @ turned_by(lean))
     leaning = Equations(replace(evidence(), segments=tuple(segments)))
-    found = (leaning.predict(state) - equations.predict(state))[equations.rows.moving]
+    found = (leaning.predict(state) - equations.predict(state))[equations.layout.moving]
     columns = np.zeros((12, 3, 1))
     columns[5, :, 0] = lean
-    short = evidence().led.by_attitudes(truth().model, columns)[..., 0]
+    short = evidence().links.by_attitudes(truth().model, columns)[..., 0]
     short = np.concatenate([short[:, :3].ravel(), short[:, 3:].ravel()])
     angles, velocities = np.split(short, 2)
     assert angles == pytest.approx(found[: len(angles)], abs=1e-3 * ARCSEC)
@@ -301,23 +308,23 @@ def test_by_the_true_sensors_moves_are_off_by_their_noise(unit) -> None:
     real = SensorModel.from_vector(true_vector(unit))
     rate = np.array([0.0, np.cos(world.latitude), np.sin(world.latitude)]) * 7.292115e-5
     rate = turned_by(np.array([0.0, 0.0, -world.azimuth])) @ rate
-    moves = found.led
+    moves = found.links
     force = np.array([0.0, 0.0, world.gravity])
-    off = moves.off(real, rate, force)
+    off = moves.misclosures(real, rate, force)
     # The unit is where its arm says, and each accelerometer at its place.
-    arms, _ = moves.besides(real, rate)
+    arms, _ = moves.shared_velocity_errors(real, rate)
     known = np.concatenate([np.array(unit.arm) / LONGEST, PLACES.ravel() / APART])
     assert np.abs(off[:, 3:]).max() > 0.1
     off = off + arms @ known
     for scaled in np.split(off / np.sqrt(moves.variances(found.walk)), 2, axis=1):
         square = (scaled**2).sum()
-        assert len(moves.pushed) == len(moves) >= 5
+        assert len(moves.with_accels) == len(moves) >= 5
         assert chi2.ppf(1e-4, scaled.size) < square < chi2.isf(1e-4, scaled.size)
     # And all of it together, places unknown, as the covariance of the outputs has it.
     equations = Equations(found)
     state = equations.nominal()
     state[:25] = [*true_vector(unit), world.azimuth]
-    rows = equations.rows.velocity.ravel()
+    rows = equations.layout.velocity.ravel()
     left = (equations.outputs - equations.predict(state))[rows]
     square = left @ np.linalg.solve(equations.covariance(state)[np.ix_(rows, rows)], left)
     assert chi2.ppf(1e-4, len(rows)) < square < chi2.isf(1e-4, len(rows))
@@ -334,7 +341,7 @@ def test_a_gap_ends_a_move_and_no_other() -> None:
     """Half a second of samples is lost while the table goes from the second rest to the third."""
     plan = quick_plan('twelve_position', 3.0)
     setup = Setup(paper_imu(), plan, load_table('three_axis'), SITE, None)
-    whole = gathered(fed(session(plan, stand(azimuth=0.3), seed=1), setup)).led.links
+    whole = gathered(fed(session(plan, stand(azimuth=0.3), seed=1), setup)).links.links
     gap = (whole[1].move.start + whole[1].move.end) // 2
 
     def lossy():
@@ -345,13 +352,13 @@ def test_a_gap_ends_a_move_and_no_other() -> None:
             else:
                 yield name, block
 
-    left = gathered(fed(lossy(), setup)).led.links
+    left = gathered(fed(lossy(), setup)).links.links
     ends = [(link.first, link.second) for link in whole]
     assert [(link.first, link.second) for link in left] == [e for e in ends if e != (1, 2)]
 
 
 def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
-    links = evidence().led.links
+    links = evidence().links.links
     wrong = links[4].move
     bent = replace(wrong, turned=wrong.turned * (1 + 3000 * PPM))
     moves = tuple(bent if m is wrong else m for m in evidence().moves)
@@ -368,10 +375,12 @@ def test_a_move_that_does_not_fit_is_left_out_and_named() -> None:
 
 
 def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
-    links = evidence().led.links
+    links = evidence().links.links
     wrong = links[4].move
-    knocked = replace(wrong.gained, velocity=wrong.gained.velocity + np.array([0.1, 0.0, 0.0]))
-    bent = replace(wrong, gained=knocked)
+    knocked = replace(
+        wrong.velocity_steps, velocity=wrong.velocity_steps.velocity + np.array([0.1, 0.0, 0.0])
+    )
+    bent = replace(wrong, velocity_steps=knocked)
     moves = tuple(bent if m is wrong else m for m in evidence().moves)
     solution = joint.solve(replace(evidence(), moves=moves))
     (said,) = [f for f in solution.findings if 'end at rest' in f]
@@ -380,22 +389,22 @@ def test_a_velocity_that_does_not_fit_is_left_out_and_named() -> None:
         f'By the accelerometers 1 of 9 moves do not end at rest (from position {names[0]} to '
         f'{names[1]};'
     )
-    without = tuple(replace(m, gained=None) if m is wrong else m for m in evidence().moves)
+    without = tuple(replace(m, velocity_steps=None) if m is wrong else m for m in evidence().moves)
     other = joint.solve(replace(evidence(), moves=without))
     assert solution.model.vector() == pytest.approx(other.model.vector(), rel=1e-9, abs=1e-15)
 
 
 def test_moves_led_on_together_have_the_bits_of_each_alone() -> None:
     model = Calibration.load(named_file('truths', 'fog_navigation_terms')).model
-    links = evidence().led.links
+    links = evidence().links.links
     motions = [(link.move.turned, link.move.seconds, None) for link in links]
-    together = Path.of_each(motions, model)
+    together = GyroPath.of_each(motions, model)
     assert len(together) == len(links) > 5
     for path, (turned, seconds, _) in zip(together, motions, strict=True):
-        alone = Path.of(turned, seconds, model)
-        for name in ('rates', 'seconds', 'whole', 'carried'):
+        alone = GyroPath.of(turned, seconds, model)
+        for name in ('rates', 'seconds', 'rotation', 'error_transfer'):
             assert getattr(path, name).tobytes() == getattr(alone, name).tobytes(), name
-    assert Path.of_each([], model) == ()
+    assert GyroPath.of_each([], model) == ()
 
 
 def test_other_moves_leave_what_rests_and_turns_say() -> None:
@@ -403,8 +412,8 @@ def test_other_moves_leave_what_rests_and_turns_say() -> None:
     state = Equations(known).nominal()
     Equations(known).whitened(state)
     for fresh, kept in (
-        (replace(known, moves=()), known.moved_by(())),
-        (replace(known, moves=known.moves[:3]), known.moved_by(known.moves[:3])),
+        (replace(known, moves=()), known.with_moves(())),
+        (replace(known, moves=known.moves[:3]), known.with_moves(known.moves[:3])),
     ):
         assert kept.arms is known.arms
         for one, other in zip(*(Equations(e).whitened(state) for e in (fresh, kept)), strict=True):
@@ -416,8 +425,8 @@ def test_other_errors_of_the_table_lead_no_move_again(monkeypatch) -> None:
     state = Equations(known).nominal()
     Equations(known).jacobian(state)
     fresh = Equations(replace(known, table=replace(known.table, errors=errors))).by_table(state)
-    monkeypatch.setattr(Path, 'of_each', None)
-    assert np.array_equal(Equations(known.leaned_by(errors)).by_table(state), fresh)
+    monkeypatch.setattr(GyroPath, 'of_each', None)
+    assert np.array_equal(Equations(known.with_table_errors(errors)).by_table(state), fresh)
     assert fresh.any()
 
 

@@ -14,7 +14,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.errors import InputError
 from imu_calib.exports import EXPORTS
-from imu_calib.exports.exported import Source
+from imu_calib.exports.exported import ExportSource
 from imu_calib.imu import load_imu
 from imu_calib.observation.equations import Equations
 from imu_calib.plan import Plan, RateTest
@@ -75,7 +75,7 @@ def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> Non
     covariance = equations.covariance(state)
     first = 6 * len(evidence.segments)
     assert len(evidence.turns) == 6
-    assert len(evidence.led) > 5
+    assert len(evidence.links) > 5
     for k in range(first, len(left), 3):
         rows = slice(k, k + 3)
         off = np.linalg.solve(np.linalg.cholesky(covariance[rows, rows]), left[rows])
@@ -115,4 +115,4 @@ def test_kalibr_is_not_given_the_rounding_of_numbers_as_a_density_of_noise() -> 
     made = found('twelve_position')
     calibration = replace(made, provenance={**made.provenance, 'random_walk': [1e-16] * 6})
     with pytest.raises(InputError, match='does not hold the noise of the'):
-        EXPORTS['kalibr'](Source(calibration, Path('/c.yaml'), 100.0))
+        EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml'), 100.0))

@@ -80,7 +80,7 @@ def fed(
     )
     site = Site.at(world.latitude, 0.0, world.gravity)
     plan = load_plan('twelve_position') if plan is None else plan
-    setup = Setup(spec, plan, load_table('three_axis'), site, look=look)
+    setup = Setup(spec, plan, load_table('three_axis'), site, search_terms=look)
     recording = recorded(world, unit, seed)
     calibrator = Calibrator(setup)
     stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)

@@ -18,7 +18,7 @@ from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETERS, TERMS, ParameterKind, SensorModel, Term, parameters_of, term
 from imu_calib.observation.equations import Equations
 from imu_calib.plan import Position, load_plan
-from imu_calib.prediction import expected, forecast, of_each_term
+from imu_calib.prediction import expected, forecast, forecast_terms
 from imu_calib.prediction.forecast import information
 from imu_calib.share import named_file
 from imu_calib.simulation import simulate
@@ -268,14 +268,18 @@ def test_the_nineteen_are_observable_at_any_heading() -> None:
 def test_what_a_plan_tells_of_each_term_is_what_it_tells_when_asked() -> None:
     setup = Setup(IMU, NINETEEN, LEVEL, SITE)
     bare = forecast(setup, LINEAR)
-    found = {one.term.name: one for one in of_each_term(bare, setup, LINEAR)}
+    found = {one.term.name: one for one in forecast_terms(bare, setup, LINEAR)}
     assert [*found] == [t.name for t in TERMS]
-    assert {n for n, one in found.items() if not one.told} == {*ODD, 'accel_cubic', 'accel_cross'}
+    assert {n for n, one in found.items() if not one.determined} == {
+        *ODD,
+        'accel_cubic',
+        'accel_cross',
+    }
     asked = forecast(replace(setup, terms=(term('gyro_g2'),)), LINEAR)
     assert found['gyro_g2'].std.tolist() == asked.std[24:].tolist()
-    (worst,) = {round(t, 2) for p, t in found['gyro_g2'].dearer if p.name == 'D_gx'}
+    (worst,) = {round(t, 2) for p, t in found['gyro_g2'].worsened if p.name == 'D_gx'}
     assert worst == round(asked.std[9] / bare.std[9], 2) > 1.1
-    rest = of_each_term(asked, replace(setup, terms=(term('gyro_g2'),)), LINEAR)
+    rest = forecast_terms(asked, replace(setup, terms=(term('gyro_g2'),)), LINEAR)
     assert 'gyro_g2' not in {one.term.name for one in rest}
 
 

@@ -68,7 +68,7 @@ def test_velocities_of_moves_are_predicted_as_the_bound_has_them() -> None:
     # Near their nominal scale: of accelerometers that are far off steps leave more than the noise.
     model = SensorModel.from_vector(truth().model.vector() / 100)
     ahead = expected(case, model, 0.5)
-    plain = replace(ahead, moves=tuple(replace(m, gained=None) for m in ahead.moves))
+    plain = replace(ahead, moves=tuple(replace(m, velocity_steps=None) for m in ahead.moves))
     best, without = (
         np.sqrt(np.diag(information(one, model).covariance)[:24]) for one in (ahead, plain)
     )
@@ -120,7 +120,7 @@ def test_moves_that_a_session_cannot_follow_are_not_promised(sample_rate, limit,
     case = replace(setup(plan), imu=spec)
     ahead = expected(case, truth().model)
     found = gathered(fed(session(plan, economical(stand()), spec=spec), case))
-    assert len(ahead.led) == len(found.led) == led
+    assert len(ahead.links) == len(found.links) == led
 
 
 @pytest.mark.repeats
@@ -218,10 +218,10 @@ def test_a_skewed_gyro_is_predicted_as_sessions_give_it() -> None:
 def test_weights_that_are_estimates_widen_the_prediction_for_a_skewed_gyro(monkeypatch) -> None:
     unit = Calibration.load(named_file('truths', 'fog_skewed')).model
     case = Setup(load_imu('fog_skewed'), load_plan('skewed'), load_table('three_axis'), SITE)
-    real = skewed.doubt
-    monkeypatch.setattr(skewed, 'doubt', lambda evidence: 0 * real(evidence))
+    real = skewed.variance_by_weights
+    monkeypatch.setattr(skewed, 'variance_by_weights', lambda evidence: 0 * real(evidence))
     without = forecast(case, unit).std ** 2
-    monkeypatch.setattr(skewed, 'doubt', lambda evidence: 0 * real(evidence) + 4e-9)
+    monkeypatch.setattr(skewed, 'variance_by_weights', lambda evidence: 0 * real(evidence) + 4e-9)
     added = forecast(case, unit).std ** 2 - without
     assert added[np.isfinite(added)] == pytest.approx(np.full(16, 4e-9), rel=1e-6)
 

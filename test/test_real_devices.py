@@ -184,7 +184,7 @@ def test_what_a_device_says_of_itself_reaches_the_diagnostics(
     health.take(samples, np.array([0, 1_000_000]), 100, NS, 0.0)
     (tmp_path / 'line').write_bytes(b'')
     state = Source(str(tmp_path / 'line'), lambda: 0).state
-    status = {word.part: word for word in health.words(state, counts, clock, NS, 0.0)}['status']
+    status = {word.part: word for word in health.statuses(state, counts, clock, NS, 0.0)}['status']
     assert (status.severity, status.text) == (severity, f'The device reports: {words}.')
     assert status.figures == {words: '1 frames'}
 

@@ -24,7 +24,7 @@ from imu_calib.errors import InputError
 from imu_calib.imu import ImuSpec, load_imu, read_imu
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from imu_calib.reports.page import Contents, page
-from imu_calib.reports.repeatability import Repeated, repeated
+from imu_calib.reports.repeatability import RepeatedParameter, repeated
 from imu_calib.reports.svg import Axis
 from imu_calib.reports.terms import terms_section
 from imu_calib.segmentation.segmented import Rejected
@@ -241,7 +241,7 @@ def test_calibration_and_recording_on_the_command_line(
 
 def test_spread_and_drift_of_a_hand_worked_case() -> None:
     # 1, 2, 3 on days 0, 1, 2, each +-0.1: slope 1 +- 0.1 / sqrt(2), spread 1, chi-squared 200.
-    row = Repeated(
+    row = RepeatedParameter(
         PARAMETERS[0], np.array([1.0, 2.0, 3.0]), np.full(3, 0.1), np.array([0.0, 1.0, 2.0])
     )
     assert row.spread == pytest.approx(1.0) and row.stated == pytest.approx(0.1)

@@ -34,9 +34,9 @@ def test_a_row_of_angles_gives_a_row_of_matrices():
     expected = Rotation.from_rotvec(axis * angles[:, None]).as_matrix()
     assert np.abs(ours.rotation(axis, angles) - expected).max() < ROUNDING
     rows = RANDOM.normal(size=(9, 3))
-    seen = ours.seen_turned(rows, axis, angles)
+    seen = ours.in_rotated_frame(rows, axis, angles)
     assert np.abs(seen - np.einsum('ni,nij->nj', rows, expected)).max() < 4 * ROUNDING
-    one = ours.seen_turned(rows, axis, angles[:1])
+    one = ours.in_rotated_frame(rows, axis, angles[:1])
     assert np.abs(one - rows @ expected[0]).max() < 4 * ROUNDING
 
 
@@ -79,7 +79,7 @@ def test_generators_are_the_slopes_of_rotations_and_crossing_is_the_cross_produc
         slope = (ours.rotation(axis, step) - ours.rotation(axis, -step)) / (2 * step)
         assert np.abs(slope - generator).max() < step
     first, second = vectors(2.0, 2)
-    assert ours.crossing(first) @ second == pytest.approx(np.cross(first, second))
+    assert ours.cross_matrix(first) @ second == pytest.approx(np.cross(first, second))
 
 
 def test_products_are_those_of_the_matrices():

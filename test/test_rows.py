@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imu_calib.observation.rows import Rows
+from imu_calib.observation.layout import OutputLayout
 
 LAYOUTS = [
     (4, 3, 2, (0, 2), (1,)),
@@ -20,7 +20,7 @@ LAYOUTS = [
 def test_values_are_where_the_indices_say(
     counts: tuple[int, int, int, tuple[int, ...], tuple[int, ...]],
 ) -> None:
-    rows = Rows(*counts)
+    rows = OutputLayout(*counts)
     shapes = [(count, width, 2) for count, width in zip(counts[:3], (6, 6, 6), strict=True)]
     rest, turn, move = (k + np.random.default_rng(k).random(s) for k, s in enumerate(shapes))
     joined = rows.joined(rest, turn, move)
@@ -33,16 +33,16 @@ def test_values_are_where_the_indices_say(
 
 
 def test_gyros_and_accelerometers_share_out_all_outputs() -> None:
-    rows = Rows(4, 3, 2, (0, 2), (1,))
+    rows = OutputLayout(4, 3, 2, (0, 2), (1,))
     assert sorted([*rows.gyros, *rows.accels]) == list(range(len(rows)))
     assert np.array_equal(rows.channels[rows.accels].reshape(-1, 3), [[3, 4, 5]] * (4 + 2 + 1))
     assert np.array_equal(rows.channels[rows.gyros].reshape(-1, 3), [[0, 1, 2]] * (4 + 3 + 2))
 
 
 def test_each_output_is_of_one_rest_turn_or_move() -> None:
-    rows = Rows(4, 3, 2, (0, 2), (1,))
-    assert rows.stretch[rows.rest].tolist() == [[k] * 6 for k in range(4)]
-    assert rows.stretch[rows.turn].tolist() == [[k] * 3 for k in (4, 5, 6)]
-    assert rows.stretch[rows.move].tolist() == [[k] * 3 for k in (7, 8)]
-    assert rows.stretch[rows.turn_accels].tolist() == [[k] * 3 for k in (4, 6)]
-    assert rows.stretch[rows.velocity].tolist() == [[8] * 3]
+    rows = OutputLayout(4, 3, 2, (0, 2), (1,))
+    assert rows.segment[rows.rest].tolist() == [[k] * 6 for k in range(4)]
+    assert rows.segment[rows.turn].tolist() == [[k] * 3 for k in (4, 5, 6)]
+    assert rows.segment[rows.move].tolist() == [[k] * 3 for k in (7, 8)]
+    assert rows.segment[rows.turn_accels].tolist() == [[k] * 3 for k in (4, 6)]
+    assert rows.segment[rows.velocity].tolist() == [[8] * 3]

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from imu_calib.imu import load_imu
 from imu_calib.segmentation.bridging import bridged, steadily
-from imu_calib.segmentation.frozen import repeated
 from imu_calib.segmentation.grid import read_grid
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.pace import Pace
+from imu_calib.segmentation.repeated_samples import repeating_samples
 from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.statistics import gap_free, statistics_at_rest
 from imu_calib.stream import Floats, Stamps
@@ -257,7 +257,7 @@ def test_a_device_that_repeats_one_sample_is_found() -> None:
     values = codes(4000, 1.0)
     values[1000:1300] = values[999]
     values[3000:3100] = values[2999]
-    found = repeated(values, counted=False)
+    found = repeating_samples(values, counted=False)
     assert found[1000:1300].all()
     assert found[3000:3100].all()
     # Beside them a sample may be the same by chance.
@@ -267,19 +267,19 @@ def test_a_device_that_repeats_one_sample_is_found() -> None:
 def test_a_counter_that_stands_still_is_found() -> None:
     rng = np.random.default_rng(4)
     values = np.column_stack([counter(4000, r, 0.05, rng) for r in (0.3, 0.2, 0.4, 9.8, 0.01, 0.0)])
-    assert not repeated(values, counted=True).any()
+    assert not repeating_samples(values, counted=True).any()
     values[2000:2200] = values[1999]
-    assert repeated(values, counted=True)[2000:2200].all()
+    assert repeating_samples(values, counted=True)[2000:2200].all()
 
 
 @pytest.mark.parametrize('noise', [0.0, 0.01, 0.1, 0.3, 1.0, 20.0])
 def test_codes_of_little_noise_are_not_frozen(noise: float) -> None:
     values = codes(4000, noise)
-    assert not repeated(values, counted=False).any()
+    assert not repeating_samples(values, counted=False).any()
     # A level that drifts over the edge between two codes toggles there and stands still beyond.
     drifting = np.rint(np.linspace(0.2, 0.8, 4000)[:, None] + noise * (codes(4000, 1.0) - 0.4) / 9)
     if noise < 0.2:
-        assert not repeated(drifting, counted=False).any()
+        assert not repeating_samples(drifting, counted=False).any()
 
 
 # Encoders that are noisy.

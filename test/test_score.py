@@ -19,8 +19,8 @@ from imu_calib.budget import Source, total
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.estimation.fit import fit
-from imu_calib.estimation.score import Family, Residuals, Score, columns_of, log_f, times_of
-from imu_calib.estimation.tested import State, summary
+from imu_calib.estimation.score import Family, Score, WhitenedResiduals, columns_of, log_f, times_of
+from imu_calib.estimation.term_tests import TermState, summary
 from imu_calib.imu import load_imu
 from imu_calib.methods.joint import solve
 from imu_calib.model import PARAMETERS, SensorModel, Term, terms_of
@@ -196,7 +196,7 @@ def noisy(evidence: Evidence, seed: int) -> Evidence:
     equations = Equations(evidence)
     deviations = np.sqrt(equations.own_variances)
     noise = np.random.default_rng(seed).standard_normal(len(deviations)) * deviations
-    rows = equations.rows
+    rows = equations.layout
     segments = tuple(moved(s, noise[rows.rest[k]]) for k, s in enumerate(evidence.segments))
     turns = tuple(
         moved(t, np.append(noise[rows.turn[k]], np.zeros(3))) for k, t in enumerate(evidence.turns)
@@ -219,7 +219,7 @@ def test_the_power_that_is_stated_is_that_of_the_test() -> None:
         equations = Equations(evidence)
         state = fit(equations, equations.nominal())
         columns = columns_of([family], equations, state)
-        return Residuals.of(equations, state).score(family, columns[family])
+        return WhitenedResiduals.of(equations, state).score(family, columns[family])
 
     without, _ = expectation(())
     least = float(score(noisy(without, 0)).smallest(alpha)[1])
@@ -272,7 +272,7 @@ def test_a_term_that_shows_in_part_is_named_and_widens_what_it_touches() -> None
     assert len(named) == 1
     assert 'does not determine it' in named[0]
     assert 'To determine it takes static dwells with two axes at once' in named[0]
-    assert {t.name: t.state for t in found.tests}['accel_cross'] is State.NOT_DETERMINED
+    assert {t.name: t.state for t in found.tests}['accel_cross'] is TermState.NOT_DETERMINED
     off = (found.model.values(PARAMETERS) - model.values(PARAMETERS)) / found.std
     assert np.abs(off).max() < TOO_FAR
     assert found.shares is not None
@@ -367,10 +367,10 @@ def chances(evidence: Evidence, *, wander: bool = True) -> dict[str, float]:
     for course in LOOKED_FOR:
         family = Family(course.value, course=course)
         patterns = columns_of([family], equations, state)[family]
-        score = Residuals.of(equations, state).score(family, patterns)
+        score = WhitenedResiduals.of(equations, state).score(family, patterns)
         if wander:
             scatter = family.scatter(equations, state, times_of(family)[score.chosen])
-            there = Residuals.of(family.weighed(equations, scatter), state)
+            there = WhitenedResiduals.of(family.weighed(equations, scatter), state)
             score = there.score(family, patterns)
         found[course.value] = score.log_p
     return found

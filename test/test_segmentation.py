@@ -17,7 +17,7 @@ from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.plan import Plan
 from imu_calib.rotations import rotation
-from imu_calib.segmentation.cleaning import find_step, sound_part
+from imu_calib.segmentation.cleaning import find_step, sound_samples
 from imu_calib.segmentation.clock import ClockSample, fit_clock, seen_by_gyros
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.order import StampOrder
@@ -234,7 +234,7 @@ def test_a_turn_is_not_read_from_samples_that_froze_just_before_it() -> None:
     assert held
     assert found.start == sound.start
     read = found.statistics
-    spread = np.sqrt(read.quantum + read.walk_gain * stated_walk(setup) ** 2)
+    spread = np.sqrt(read.quantisation_variance + read.walk_gain * stated_walk(setup) ** 2)
     assert (np.abs(read.mean - sound.statistics.mean) < 5 * spread).all()
 
 
@@ -263,19 +263,19 @@ def test_settling_is_cut_as_long_as_the_data_shows_it() -> None:
     for decay in (0.3, 1.0):
         rows = still(2000, rng)
         rows[:, 1] += 50 * PULSE * np.exp(-time / decay) * np.cos(2 * np.pi * 3 * time)
-        sound = sound_part(samples(rows, 0.01), NO_WALK)
+        sound = sound_samples(samples(rows, 0.01), NO_WALK)
         first = int(np.argmax(sound.mask))
         # From 50 it falls below the noise of 0.1 after ln(500) = 6.2 time constants.
         assert 3 * decay < time[first] < 7 * decay + 0.5
         assert sound.mask[first:].all()
-        assert sound.knock is None
+        assert sound.mount_shift is None
         assert sound.notes == ()
 
 
 def test_a_quiet_stretch_is_sound_throughout() -> None:
     rows = still(2000, np.random.default_rng(0))
     rows[:, 3] += np.linspace(0, 0.5, 2000) * PULSE  # a drift is no disturbance
-    sound = sound_part(samples(rows, 0.01), NO_WALK)
+    sound = sound_samples(samples(rows, 0.01), NO_WALK)
     assert sound.mask.all()
     assert sound.notes == ()
 
@@ -283,13 +283,13 @@ def test_a_quiet_stretch_is_sound_throughout() -> None:
 def test_a_bump_is_cut_and_a_knock_is_told_from_it() -> None:
     rows = still(2000, np.random.default_rng(0))
     rows[1000:1010, 0] += 20 * PULSE
-    knocked = sound_part(samples(rows, 0.01), NO_WALK)
-    assert knocked.knock is not None
-    assert (knocked.knock.start, knocked.knock.stop) == (1000, 1050)
-    assert knocked.knock.angle == pytest.approx(200 * PULSE, rel=0.05)
+    knocked = sound_samples(samples(rows, 0.01), NO_WALK)
+    assert knocked.mount_shift is not None
+    assert (knocked.mount_shift.start, knocked.mount_shift.stop) == (1000, 1050)
+    assert knocked.mount_shift.angle == pytest.approx(200 * PULSE, rel=0.05)
     rows[1020:1030, 0] -= 20 * PULSE
-    bumped = sound_part(samples(rows, 0.01), NO_WALK)
-    assert bumped.knock is None
+    bumped = sound_samples(samples(rows, 0.01), NO_WALK)
+    assert bumped.mount_shift is None
     assert np.flatnonzero(~bumped.mask).tolist() == list(range(1000, 1050))
     assert bumped.notes == ('disturbed 10.0 s after it came to rest; 0.5 s left out',)
 
@@ -306,8 +306,8 @@ def test_somebody_who_walks_by_is_no_mount_shift(rate: float) -> None:
         fading = np.exp(-(np.arange(800) * period % 0.5) / 0.1)[:, None]
         shaken = rng.standard_normal((800, 6)) * np.repeat([rate * DEG, 0.3], 3) * period
         rows[steps] += fading * shaken
-        sound = sound_part(samples(rows, period), walk)
-        assert sound.knock is None
+        sound = sound_samples(samples(rows, period), walk)
+        assert sound.mount_shift is None
         assert not sound.mask[2000:2100].all()
 
 
@@ -323,7 +323,7 @@ def test_a_mount_shift_among_footfalls_is_found() -> None:
     rows[2400:2410, 0] += angle / 10
     # From f to f - a x f.
     rows[2410:, 4] += angle * 9.8 * period
-    found = sound_part(samples(rows, period), walk).knock
+    found = sound_samples(samples(rows, period), walk).mount_shift
     assert found is not None
     # The mean of fading^2 is a tenth.
     assert found.angle == pytest.approx(angle, abs=4 * np.sqrt(3 * 80) * rate * period)
@@ -333,14 +333,14 @@ def test_saturated_samples_are_cut_with_their_half_second() -> None:
     rows = still(2000, np.random.default_rng(0))
     spoilt = np.zeros(2000, dtype=bool)
     spoilt[1010:1030] = True
-    sound = sound_part(samples(rows, 0.01), NO_WALK, spoilt)
+    sound = sound_samples(samples(rows, 0.01), NO_WALK, spoilt)
     assert np.flatnonzero(~sound.mask).tolist() == list(range(1000, 1050))
 
 
 def test_an_adc_that_wavers_between_two_codes_is_no_disturbance() -> None:
     rows = np.zeros((2000, 6))
     rows[800::37] = PULSE
-    assert sound_part(samples(rows, 0.01, grid=PULSE), NO_WALK).mask.all()
+    assert sound_samples(samples(rows, 0.01, grid=PULSE), NO_WALK).mask.all()
 
 
 def blocks(means: list[float], middles: list[float], gain: float = 0.1) -> Statistics:
@@ -410,7 +410,7 @@ def test_what_an_adc_rounds_away_stays_in_the_variance() -> None:
         codes = np.rint(rng.normal(true, noise, 20000))
         found = statistics_at_rest(samples(codes, 0.01, grid=1.0), NO_WALK)
         error = abs(float(found.mean[0]) * 0.01 - true)
-        floor = float(np.sqrt(found.quantum[0])) * 0.01
+        floor = float(np.sqrt(found.quantisation_variance[0])) * 0.01
         if noise < 0.1:
             assert error == pytest.approx(0.3, abs=0.001)
             assert floor == pytest.approx(np.sqrt(1 / 12), rel=1e-3)

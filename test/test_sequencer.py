@@ -388,15 +388,15 @@ def test_joint_states_of_others_change_nothing_and_are_counted(names):
 def test_no_plan_starts_while_the_calibrator_cannot_go_on():
     stand = Stand(rules=SUPERVISED)
     stand.tick()
-    stand.sequencer.attend(True)
-    stand.sequencer.hear('The calibrator cannot go on: the disk is full.')
+    stand.sequencer.set_calibrator_present(True)
+    stand.sequencer.set_calibrator_fault('The calibrator cannot go on: the disk is full.')
     with pytest.raises(InputError, match='the disk is full'):
         stand.sequencer.start()
     # One that has finished stops nothing, and takes no new plan either.
-    stand.sequencer.hear('')
+    stand.sequencer.set_calibrator_fault('')
     stand.started()
     stand.phase(Phase.MOVING)
-    stand.sequencer.hear('It has finished.')
+    stand.sequencer.set_calibrator_fault('It has finished.')
     assert stand.tick().phase is Phase.MOVING
 
 
@@ -559,7 +559,7 @@ def test_a_start_that_waits_for_the_calibrator_is_called_off():
     stand.sequencer.start()
     stand.sequencer.forbid('estop', 'Two.')
     stand.sequencer.forbid('estop', '')
-    stand.sequencer.attend(True)
+    stand.sequencer.set_calibrator_present(True)
     for _ in range(20):
         state = stand.tick()
         assert state.phase is Phase.IDLE
@@ -614,7 +614,7 @@ SUPERVISED = Rules(repeats=2, repeat_wait=20.0)
 
 def supervised(rules=SUPERVISED):
     stand = Stand(rules=rules)
-    stand.sequencer.attend(True)
+    stand.sequencer.set_calibrator_present(True)
     return stand.started()
 
 
@@ -625,17 +625,17 @@ def test_a_start_waits_for_the_calibrator():
     for _ in range(20):
         assert stand.tick().phase is Phase.IDLE
     assert stand.sent == []
-    stand.sequencer.attend(True)
+    stand.sequencer.set_calibrator_present(True)
     stand.run(lambda state: state.phase is Phase.MOVING, 1.0)
 
 
 def test_a_silent_calibrator_stops_the_table():
     stand = turning_supervised()
-    stand.sequencer.attend(False, 'The calibrator is silent for 5 s.')
+    stand.sequencer.set_calibrator_present(False, 'The calibrator is silent for 5 s.')
     pauses(stand, 'The calibrator is silent for 5 s.')
     stand.sequencer.start()
     assert 'Waits for the calibrator' in stand.tick().reason
-    stand.sequencer.attend(True)
+    stand.sequencer.set_calibrator_present(True)
     stand.run(lambda state: state.phase is Phase.TURNING, 20.0)
 
 

@@ -23,12 +23,12 @@ from imu_calib.compensation.thermal import ThermalCalibration, by_temperature, l
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.estimation.fit import Estimate, estimate
 from imu_calib.estimation.score import families
-from imu_calib.estimation.tested import State, summary
+from imu_calib.estimation.term_tests import TermState, summary
 from imu_calib.imu import load_imu
 from imu_calib.methods import method
 from imu_calib.methods.joint import solve
-from imu_calib.model import PARAMETER_NAMES, PARAMETERS, chosen
-from imu_calib.model.session_terms import Course, parted
+from imu_calib.model import PARAMETER_NAMES, PARAMETERS, named_terms
+from imu_calib.model.session_terms import Course, split_terms
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.modulation import rates, spans
@@ -112,12 +112,12 @@ def constant(drifting: Evidence) -> Estimate:
 
 @pytest.fixture(scope='module')
 def trend(drifting: Evidence) -> Estimate:
-    return estimate(drifting, changes=parted('trend')[1])
+    return estimate(drifting, changes=split_terms('trend')[1])
 
 
 @pytest.fixture(scope='module')
 def thermal(drifting: Evidence) -> Estimate:
-    return estimate(drifting, changes=parted('thermal')[1])
+    return estimate(drifting, changes=split_terms('thermal')[1])
 
 
 def middle(evidence: Evidence) -> float:
@@ -173,7 +173,7 @@ def test_a_course_of_temperature_is_a_trend_where_it_rises_evenly(
 
 
 def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Evidence) -> None:
-    changes = parted('trend:D_gx+D_az+E_gxy+K_a')[1]
+    changes = split_terms('trend:D_gx+D_az+E_gxy+K_a')[1]
     equations = Equations(drifting, changes=changes)
     state = equations.nominal()
     rng = np.random.default_rng(3)
@@ -185,7 +185,7 @@ def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Eviden
     state[equations.changing] = size
     predicted = equations.predict(state)
     plain = Equations(drifting)
-    moves = [link.move for link in drifting.led.links]
+    moves = [link.move for link in drifting.links.links]
     parts = [*drifting.segments, *drifting.turns, *moves]
     for k, part in enumerate(parts):
         when = (part.start + part.end) / 2e9 - EPOCH - (first + last) / 2
@@ -193,7 +193,7 @@ def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Eviden
         for change, slope in zip(changes, size, strict=True):
             for parameter in change.parameters:
                 there[PARAMETERS.index(parameter)] += slope * when
-        rows = drifting.rows.stretch == k
+        rows = drifting.layout.segment == k
         off = np.abs(predicted - plain.predict(there))[rows].reshape(-1, 3).max(axis=1)
         # In moves, which are not linear, 1e-3 and 1e-6 of some radians are multiplied, and of some
         # forty m/s.
@@ -203,7 +203,7 @@ def test_the_outputs_change_as_parameters_of_each_stretch_would(drifting: Eviden
 
 def test_derivatives_are_those_of_the_prediction(drifting: Evidence) -> None:
     for text in ('trend', 'warm_up', 'thermal'):
-        equations = Equations(drifting, changes=parted(text)[1], time_constant=0.25)
+        equations = Equations(drifting, changes=split_terms(text)[1], time_constant=0.25)
         state = equations.nominal()
         found = equations.jacobian(state)[:, equations.changing]
         for k in range(len(equations.changes)):
@@ -215,7 +215,7 @@ def test_derivatives_are_those_of_the_prediction(drifting: Evidence) -> None:
 
 
 def test_what_is_kept_for_the_file_is_applied_at_every_temperature(drifting: Evidence) -> None:
-    solution = solve(drifting, changes=parted('thermal')[1])
+    solution = solve(drifting, changes=split_terms('thermal')[1])
     assert drifting.temperature is not None
     seen = drifting.temperature
     calibration = Calibration(
@@ -278,7 +278,7 @@ def warming() -> tuple[Evidence, Floats]:
 
 def test_a_warm_up_fades_at_a_rate_that_is_found(warming: tuple[Evidence, Floats]) -> None:
     evidence, wanted = warming
-    found = estimate(evidence, changes=parted('warm_up')[1])
+    found = estimate(evidence, changes=split_terms('warm_up')[1])
     assert np.abs(off(found, wanted)).max() < FAR
     first, last = ends(evidence)
     # The next two of the grid, factors of the square root of two.
@@ -308,7 +308,7 @@ def test_a_drift_that_nobody_asked_for_is_found_and_named(drifting: Evidence) ->
     wrong = (found.model.values(PARAMETERS) - truth_at(middle(drifting))) / std
     assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
     states = {test.name: test for test in found.tests}
-    assert states['trend'].state is State.FOUND
+    assert states['trend'].state is TermState.FOUND
     assert states['trend'].document()['state'] == 'found'
 
 
@@ -330,7 +330,7 @@ def test_what_follows_a_recorded_temperature_is_found_and_holds_beyond_the_sessi
     wanted = truth_at((drifting.temperature.mean - 20.0) / RISE)
     wrong = (found.model.values(PARAMETERS) - wanted) / std
     assert np.abs(wrong).max() < FAR, np.round(wrong, 1)
-    assert {test.name: test for test in found.tests}['thermal'].state is State.FOUND
+    assert {test.name: test for test in found.tests}['thermal'].state is TermState.FOUND
 
 
 def test_a_temperature_that_stays_is_no_candidate(drifting: Evidence) -> None:
@@ -365,10 +365,10 @@ def test_a_warm_up_that_nobody_asked_for_is_told_from_a_drift(
 
 
 def test_what_was_asked_for_is_on_the_screen(drifting: Evidence) -> None:
-    asked = parted('trend:D_a+K_a')[1]
+    asked = split_terms('trend:D_a+K_a')[1]
     found = solve(drifting, changes=asked)
     states = {test.name: test for test in found.tests}
-    assert states['trend'].state is State.ASKED
+    assert states['trend'].state is TermState.ASKED
     assert states['trend'].changes == asked
     assert summary(found.tests)[0] == 'terms: trend'
 
@@ -390,7 +390,7 @@ def test_outputs_rise_within_a_stretch_as_their_course_does(drifting: Evidence) 
 
 
 def test_terms_that_the_session_cannot_tell_are_refused(drifting: Evidence) -> None:
-    changes = parted('thermal')[1]
+    changes = split_terms('thermal')[1]
     with pytest.raises(NotObservable, match='no temperature'):
         estimate(replace(drifting, temperature=None), changes=changes)
     seen = drifting.temperature
@@ -400,23 +400,23 @@ def test_terms_that_the_session_cannot_tell_are_refused(drifting: Evidence) -> N
         estimate(replace(drifting, temperature=still), changes=changes)
     one = replace(drifting, segments=drifting.segments, turns=drifting.turns, moves=())
     with pytest.raises(NotObservable, match='do not determine trend'):
-        estimate(one, changes=parted('trend:E_gxy+E_gxz+E_gyx+K_g+K_gx+K_gy+K_gz')[1])
+        estimate(one, changes=split_terms('trend:E_gxy+E_gxz+E_gyx+K_g+K_gx+K_gy+K_gz')[1])
 
 
 def test_names_of_terms() -> None:
-    rest, changes = parted('g_sensitivity, trend')
+    rest, changes = split_terms('g_sensitivity, trend')
     assert (rest, [c.name for c in changes][-2:]) == ('g_sensitivity', ['K_g', 'K_a'])
     assert len(changes) == 8
-    assert parted('auto')[0] == 'auto'
-    assert [c.name for c in parted('thermal:K_ax+D_g')[1]] == ['K_ax', 'D_gx', 'D_gy', 'D_gz']
+    assert split_terms('auto')[0] == 'auto'
+    assert [c.name for c in split_terms('thermal:K_ax+D_g')[1]] == ['K_ax', 'D_gx', 'D_gy', 'D_gz']
     with pytest.raises(InputError, match='found trend and warm_up, expected one'):
-        parted('trend,warm_up')
+        split_terms('trend,warm_up')
     with pytest.raises(InputError, match="found 'K_b', expected D_g, D_a"):
-        parted('thermal:K_b')
+        split_terms('thermal:K_b')
     with pytest.raises(InputError, match='trend, warm_up, thermal'):
-        chosen('trends')
+        named_terms('trends')
     with pytest.raises(InputError, match='twelve_position estimates its own'):
-        method('twelve_position', (), parted('trend')[1])
+        method('twelve_position', (), split_terms('trend')[1])
 
 
 def test_commands_carry_them_from_the_recording_to_compensation(

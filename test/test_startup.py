@@ -20,13 +20,13 @@ from imu_calib.cli import listening, main, stand_session
 from imu_calib.cli.words import NothingComes, Words
 from imu_calib.devices import Reception, Severity, Source, choose_baud, load_format
 from imu_calib.devices.commands import Command, Commands
-from imu_calib.devices.source import Chunk, State
+from imu_calib.devices.source import Chunk, SourceState
 from imu_calib.imu import load_imu
 
 SIMULATED = load_format('simulated')
 FOG = load_imu('fog_medium')
-OPEN = State(True, False, 'It is open.')
-ENDED = State(False, True, 'It was read to its end.')
+OPEN = SourceState(True, False, 'It is open.')
+ENDED = SourceState(False, True, 'It was read to its end.')
 
 SLOW = ('scipy.special', 'scipy.linalg', 'scipy.optimize', 'scipy.stats', 'matplotlib')
 """A quarter of a second of every command each, and none is used before something is solved."""
@@ -248,10 +248,10 @@ def test_a_port_that_does_not_open_yet_is_not_called_silent():
     reception = Reception(SIMULATED, FOG)
 
     def stream(steady, state):
-        words = reception.words(state, int(steady * NS), steady)
+        words = reception.statuses(state, int(steady * NS), steady)
         return next(word for word in words if word.part == 'stream')
 
-    shut = State(False, False, 'It does not open.')
+    shut = SourceState(False, False, 'It does not open.')
     assert stream(10.0, shut).severity is Severity.WARN
     assert stream(20.0, shut).severity is Severity.WARN
     assert stream(20.1, OPEN).severity is Severity.WARN

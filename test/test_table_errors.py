@@ -17,7 +17,7 @@ from imu_calib.alignment import free_of_frame
 from imu_calib.budget import Source
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
-from imu_calib.calibrator.losses import assumed
+from imu_calib.calibrator.losses import assumption_findings
 from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
 from imu_calib.config import Section
@@ -27,10 +27,10 @@ from imu_calib.imu import load_imu
 from imu_calib.methods import joint
 from imu_calib.methods.joint import _scattering
 from imu_calib.model import PARAMETERS, ParameterKind
-from imu_calib.observation.arrivals import Arrivals
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.information import Information
+from imu_calib.observation.positioning_errors import PositioningErrors
 from imu_calib.prediction.expected import expected
 from imu_calib.prediction.forecast import information, state_at
 from imu_calib.segmentation.clock import fit_clock
@@ -244,7 +244,11 @@ def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
     ):
         evidence = replace(evidence_of(), table=table, positioning=table.positioning)
         found = estimate(evidence)
-        off = replace(found.scatter, arriving=Arrivals(joints=10 * ARCSEC), missed=1.0)
+        off = replace(
+            found.scatter,
+            positioning=PositioningErrors(joints=10 * ARCSEC),
+            positioning_probability=1.0,
+        )
         (sentence,) = [
             f for f in _scattering(replace(found, scatter=off)) if 'Positioning errors' in f
         ]
@@ -254,9 +258,9 @@ def test_arrivals_worse_than_assumed_are_not_held_against_a_statement() -> None:
 def test_a_method_that_counts_no_errors_of_a_table_assumes_none(unstated: Result) -> None:
     setup = Setup(paper_imu(), PLAN, described(), SITE)
     counted = unstated.solution
-    assert assumed(setup, counted) == [described().assumption]
+    assert assumption_findings(setup, counted) == [described().assumption]
     # The skewed gyros' method tells no sources: what is not counted is not said to be.
-    assert assumed(setup, replace(counted, shares=None)) == []
+    assert assumption_findings(setup, replace(counted, shares=None)) == []
 
 
 def test_a_session_on_such_a_table_is_reviewed_from_its_first_block_on() -> None:
@@ -284,7 +288,7 @@ def test_nothing_is_assumed_of_a_table_that_states_all_nor_without_one() -> None
     assert not any('assumed' in finding for finding in alone.findings)
     assert Source.TABLE not in {line.source for line in alone.budget.lines}
     hand = Evidence((), (), PLAN, SITE, fit_clock([]), None, np.ones(6))
-    assert (hand.level, hand.positioning) == (LEVELLED, 0.0)
+    assert (hand.levelling, hand.positioning) == (LEVELLED, 0.0)
 
 
 def test_a_file_may_state_some_and_leave_the_others() -> None:

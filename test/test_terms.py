@@ -15,9 +15,9 @@ from imu_calib.calibrator import Result, Setup
 from imu_calib.cli.main import main
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
-from imu_calib.methods import JOINT, METHODS, estimates, method
+from imu_calib.methods import JOINT, METHODS, estimated_parameters, method
 from imu_calib.methods.free_positions import in_frame_of_accelerometers
-from imu_calib.model import TERMS, chosen, looked_for, parameters_of, terms_of
+from imu_calib.model import TERMS, asks_for_search, named_terms, parameters_of, terms_of
 from imu_calib.prediction import forecast
 from imu_calib.share import named_file, share_folder
 from imu_calib.simulation import simulate
@@ -33,7 +33,7 @@ def told(truth: str, terms: str, seed: int = 0) -> tuple[Calibration, Result]:
     model = Calibration.load(named_file('truths', truth))
     imu, table = load_imu(model.imu.id), load_table('three_axis')
     blocks = simulate(PLAN, table, imu, model.model, SITE, stand(azimuth=0.4), seed)
-    return model, fed(blocks, Setup(imu, PLAN, table, SITE, terms=chosen(terms))).finish()
+    return model, fed(blocks, Setup(imu, PLAN, table, SITE, terms=named_terms(terms))).finish()
 
 
 def asked(truth: str) -> str:
@@ -64,7 +64,7 @@ def test_what_is_reached_is_what_was_predicted() -> None:
     truth = 'fog_navigation_terms'
     model, result = told(truth, asked(truth))
     imu, table = load_imu(model.imu.id), load_table('three_axis')
-    setup = Setup(imu, PLAN, table, SITE, terms=chosen(asked(truth)))
+    setup = Setup(imu, PLAN, table, SITE, terms=named_terms(asked(truth)))
     found = forecast(setup, model.model)
     assert found.refusal == ''
     assert found.parameters == result.calibration.parameters
@@ -83,30 +83,30 @@ def test_without_its_terms_the_same_session_is_wrong() -> None:
 
 
 def test_terms_are_chosen_by_name() -> None:
-    assert chosen('none') == ()
-    assert [t.name for t in chosen('gyro_cubic, g_sensitivity,gyro_cubic')] == [
+    assert named_terms('none') == ()
+    assert [t.name for t in named_terms('gyro_cubic, g_sensitivity,gyro_cubic')] == [
         'gyro_cubic',
         'g_sensitivity',
     ]
-    assert chosen('auto') == ()
-    assert [t.name for t in chosen('auto,gyro_cubic')] == ['gyro_cubic']
-    assert [looked_for(text) for text in ('auto', 'gyro_g2, auto', 'none', 'gyro_g2')] == [
+    assert named_terms('auto') == ()
+    assert [t.name for t in named_terms('auto,gyro_cubic')] == ['gyro_cubic']
+    assert [asks_for_search(text) for text in ('auto', 'gyro_g2, auto', 'none', 'gyro_g2')] == [
         True,
         True,
         False,
         False,
     ]
     with pytest.raises(InputError, match=r"No term is called 'cubic'; there are: g_sensitivity, "):
-        chosen('gyro_cubic,cubic')
+        named_terms('gyro_cubic,cubic')
 
 
 @pytest.mark.parametrize('name', sorted(METHODS))
 def test_every_method_declares_what_it_estimates(name: str) -> None:
-    parameters = estimates(name)
+    parameters = estimated_parameters(name)
     assert len(set(parameters)) == len(parameters) >= 12
     one = TERMS[1:2]
     if name in JOINT:
-        assert set(estimates(name, one)) == {*parameters, *one[0].parameters}
+        assert set(estimated_parameters(name, one)) == {*parameters, *one[0].parameters}
         return
     with pytest.raises(InputError, match=f'Method {name} estimates its own parameters'):
         method(name, one)

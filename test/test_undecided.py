@@ -13,8 +13,8 @@ from scipy.integrate import quad
 from imu_calib.budget import Source
 from imu_calib.calibrator import Calibrator, Result
 from imu_calib.estimation.score import Family, Score
-from imu_calib.estimation.tested import State, summary
-from imu_calib.estimation.undecided import log_bayes_factor, shrinkage, undecided
+from imu_calib.estimation.term_tests import TermState, summary
+from imu_calib.estimation.undecided_drifts import log_bayes_factor, shrinkage, undecided
 from imu_calib.model.session_terms import Course
 from imu_calib.stream import Floats
 
@@ -100,7 +100,7 @@ def ramp() -> tuple[Result, Result, Floats]:
     condition, grade = 'temperature ramp, not recorded', 'fog_navigation'
     simulated, setup = stand(condition, grade, SEED)
     one = Calibrator(setup)
-    other = Calibrator(replace(setup, look=False))
+    other = Calibrator(replace(setup, search_terms=False))
     for block in blocks(condition, simulated):
         one.feed(block)
         other.feed(block)
@@ -142,7 +142,7 @@ def test_a_drift_that_hides_is_named_with_what_would_tell(
     assert 'record the temperature (imu/temperature)' in told[0]
     assert not [text for text in plain.calibration.findings if 'hints at' in text]
     tests = {one.name: one for one in looked.solution.tests}
-    assert tests['trend'].state is State.OFF
+    assert tests['trend'].state is TermState.OFF
     kept = looked.calibration.provenance['tests_of_terms']['trend']['probability']
     assert 0 < kept < 1
     lines = summary(looked.solution.tests)

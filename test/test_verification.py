@@ -90,7 +90,7 @@ def test_the_right_calibration_is_accepted(seed: int) -> None:
     for judged in verification.triads:
         assert judged.diagnosis is None
         # Five standard deviations of chi-square.
-        assert abs(judged.square - judged.freedom) < 5 * np.sqrt(2 * judged.freedom)
+        assert abs(judged.chi_square - judged.freedom) < 5 * np.sqrt(2 * judged.freedom)
 
 
 def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
@@ -99,10 +99,10 @@ def test_moves_between_rests_alone_tell_scale_factors_of_gyros() -> None:
     table, plan = load_table('three_axis'), at_one_rate(PLAN)
     seen = observe(segmented(0, table, plan=plan), paper_imu(), SITE, plan, table)
     seen = replace(seen, evidence=replace(seen.evidence, turns=()))
-    assert len(seen.evidence.led) == 5
+    assert len(seen.evidence.links) == 5
     (gyros, _) = verify(calibration(), seen).triads
     assert gyros.verdict is Verdict.PASS
-    assert abs(gyros.square - gyros.freedom) < 5 * np.sqrt(2 * gyros.freedom)
+    assert abs(gyros.chi_square - gyros.freedom) < 5 * np.sqrt(2 * gyros.freedom)
     wrong = verify(gyro(g().error_matrix + 300 * PPM * np.eye(3)), seen)
     assert wrong.triads[0].verdict is Verdict.FAIL
     assert 'the scale factors are others' in symptom(wrong, gyros=True)

@@ -188,7 +188,7 @@ def open_session(bag: Named, stated: Stated) -> Opened:
         serial_of(stated, recording),
         stated.sensor_terms,
         stated.changes,
-        stated.look,
+        stated.search_terms,
     )
     return Opened(recording, setup, streams, said)
 

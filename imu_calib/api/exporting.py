@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ..calibration import write_whole
 from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..errors import InputError
-from ..exports import EXPORTS, Exported, Source
+from ..exports import EXPORTS, Exported, ExportSource
 from ..imu import ImuSpec
 from .named import Named, as_applied, as_imu
 
@@ -63,7 +63,7 @@ def export(
             f'{format} cannot carry: export one of them.'
         )
     sheet = None if imu is None else as_imu(imu)
-    exported = EXPORTS[format](Source(first_of(loaded), path, sample_rate, topic, sheet))
+    exported = EXPORTS[format](ExportSource(first_of(loaded), path, sample_rate, topic, sheet))
     if target is not None:
         write_whole(target, exported.text)
     return exported

@@ -16,11 +16,11 @@ from ..metadata import COMPENSATED
 from ..observation.earth_seen import contradicts, latitude_seen, up_rate_seen
 from ..observation.equations import Equations
 from ..plan import Plan
-from ..segmentation.alone import up_seen
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.naming import heading, up_words
 from ..segmentation.segment import Segment
 from ..segmentation.segmented import Segmented
+from ..segmentation.without_joint_states import up_by_accelerometers
 from ..turntable import TURN
 from ..units import DEG, DEG_H
 from .calibrating import Opened, open_session
@@ -320,7 +320,7 @@ def _rests(
 def _up(segment: Segment, *, free: bool) -> Any:
     """Return where up is by the accelerometers: biases that nobody knows yet included."""
     if not free:
-        return up_seen(segment)
+        return up_by_accelerometers(segment)
     force = segment.statistics.mean[3:]
     return force / np.linalg.norm(force)
 

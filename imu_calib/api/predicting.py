@@ -16,7 +16,7 @@ from ..imu import ImuSpec
 from ..methods import check_plan, closed_form_beside
 from ..model import Parameter, SensorModel
 from ..plan import Plan
-from ..prediction import Forecast, OfTerm, Reached, duration, forecast, listed, of_each_term
+from ..prediction import Forecast, Reached, TermForecast, duration, forecast, forecast_terms, listed
 from ..prediction import reach as shortest_dwells
 from ..prediction.optimise import Optimum
 from ..prediction.optimise import optimise as best_plan
@@ -53,7 +53,7 @@ class Prediction:
     setup: Setup
     forecast: Forecast
     closed_form: Forecast | None
-    terms: tuple[OfTerm, ...]
+    terms: tuple[TermForecast, ...]
 
     @property
     def std(self) -> dict[str, float]:
@@ -310,7 +310,7 @@ def predicted(setup: Setup, truth: SensorModel, *, wander: bool) -> Prediction:
     own = None
     if beside is not None:
         own = forecast(replace(setup, method=beside, terms=()), truth, wander=wander)
-    told = tuple(of_each_term(found, setup, truth, wander=wander))
+    told = tuple(forecast_terms(found, setup, truth, wander=wander))
     return Prediction(setup, found, own, told)
 
 

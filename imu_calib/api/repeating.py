@@ -170,6 +170,13 @@ def _study(
         bias_instability=wander,
     )
     setup = Setup(
-        imu, plan, table, site, stated.method, terms=terms, changes=changes, look=stated.look
+        imu,
+        plan,
+        table,
+        site,
+        stated.method,
+        terms=terms,
+        changes=changes,
+        search_terms=stated.search_terms,
     )
     return Study(setup, load_truth(truth, imu).model, economical(stand), table.azimuth)

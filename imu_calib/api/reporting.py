@@ -13,7 +13,7 @@ from ..calibration import Calibration
 from ..calibrator import Result
 from ..compensation.thermal import AnyCalibration, ThermalCalibration, load_calibration
 from ..errors import InputError
-from ..estimation.tested import State
+from ..estimation.term_tests import TermState
 from ..imu import ImuSpec
 from ..methods import JOINT
 from ..model import AUTO_TERMS, NO_TERMS, terms_of
@@ -148,7 +148,7 @@ def _terms(calibration: Calibration) -> str:
     if calibration.provenance.get('terms_looked_for'):
         tests = calibration.provenance.get('tests_of_terms', {})
         states = {n: tests.get(n.partition(':')[0], {}).get('state') for n in names}
-        names = [*(n for n in names if states[n] == State.ASKED.value), AUTO_TERMS]
+        names = [*(n for n in names if states[n] == TermState.ASKED.value), AUTO_TERMS]
     return ','.join(names) or NO_TERMS
 
 

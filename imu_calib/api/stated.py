@@ -12,8 +12,8 @@ from ..earth import MEASURED, Site
 from ..errors import InputError, NotStated
 from ..imu import ImuSpec, read_imu
 from ..metadata import SERIAL_NUMBER, described_imu, described_site, imu_key, tells_site
-from ..model import AUTO_TERMS, Term, chosen, looked_for
-from ..model.session_terms import Change, parted
+from ..model import AUTO_TERMS, Term, asks_for_search, named_terms
+from ..model.session_terms import Change, split_terms
 from ..plan import UNPLANNED, Plan, read_plan
 from ..turntable import Table, read_table
 from ..units import DEG
@@ -92,7 +92,7 @@ class Stated:
             InputError: No such term.
 
         """
-        return chosen(parted(self._terms)[0])
+        return named_terms(split_terms(self._terms)[0])
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -102,12 +102,12 @@ class Stated:
             InputError: No such term, or two that exclude each other.
 
         """
-        return parted(self._terms)[1]
+        return split_terms(self._terms)[1]
 
     @property
-    def look(self) -> bool:
+    def search_terms(self) -> bool:
         """Whether terms that the session shows are to be estimated too."""
-        return looked_for(self._terms)
+        return asks_for_search(self._terms)
 
     def site(self, otherwise: float) -> Site:
         """Return the site as it is stated; its latitude is `otherwise`, deg, where it is not.

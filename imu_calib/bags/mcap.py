@@ -18,7 +18,7 @@ from .metadata import custom_data_of
 from .storage import (
     Cache,
     Losses,
-    Stretch,
+    MessageBatch,
     Times,
     Topic,
     first_and_last,
@@ -66,7 +66,7 @@ class Unpacked:
         """Bytes of memory."""
         return int(self.buffer.nbytes + sum(2 * p.size.nbytes for p in self.channels.values()))
 
-    def stretch(self, channels: frozenset[int], position: int) -> Stretch | None:
+    def batch(self, channels: frozenset[int], position: int) -> MessageBatch | None:
         """Return the messages of some channels, in the order of the file; None without any."""
         placed = [p for i, p in self.channels.items() if i in channels]
         if not placed:
@@ -79,7 +79,7 @@ class Unpacked:
             offset, size = offset[order], size[order]
         log_ns = min(p.log_ns for p in placed)
         times = partial(_times, self.buffer, offset)
-        return Stretch(Messages(self.buffer, offset, size), log_ns, position, times)
+        return MessageBatch(Messages(self.buffer, offset, size), log_ns, position, times)
 
 
 class McapStorage:
@@ -128,7 +128,7 @@ class McapStorage:
             merged.update(custom_data_of(pairs.get('serialized_metadata', '')) if own else pairs)
         return merged
 
-    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[Stretch]]:
+    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""
         channels = {
             topic: frozenset(c.id for c in self._catalogue.channels.values() if c.topic == topic)
@@ -139,13 +139,13 @@ class McapStorage:
 
     def _read(
         self, channels: frozenset[int], wanted: list[frozenset[int]], cache: Cache
-    ) -> Iterator[Stretch]:
+    ) -> Iterator[MessageBatch]:
         for chunk in self._chunks if channels else ():
             if not _may_hold(chunk, channels):
                 continue
             users = sum(_may_hold(chunk, others) for others in wanted)
             unpacked = cache.get((self.path, chunk.start), partial(self._load, chunk), users)
-            stretch = unpacked.stretch(channels, chunk.end)
+            stretch = unpacked.batch(channels, chunk.end)
             if stretch is not None:
                 yield stretch
 

@@ -17,9 +17,9 @@ from .merge import Piece, merge
 from .storage import (
     Cache,
     Losses,
+    MessageBatch,
     RecordingError,
     Storage,
-    Stretch,
     Times,
     Topic,
     first_and_last,
@@ -296,7 +296,7 @@ def _topics(storages: Sequence[Storage], counts: Mapping[str, int]) -> tuple[Top
 
 
 def _decoded(
-    kind: Kind, stretches: Sequence[tuple[int, Iterator[Stretch]]], malformed: Malformed
+    kind: Kind, stretches: Sequence[tuple[int, Iterator[MessageBatch]]], malformed: Malformed
 ) -> Iterator[Piece]:
     """Decode one topic, file after file."""
     for base, cursor in stretches:
@@ -306,7 +306,7 @@ def _decoded(
                 yield Piece(block, stretch.log_ns, base + stretch.position)
 
 
-def _as_recorded(stretch: Stretch, malformed: Malformed) -> tuple[Messages, Times]:
+def _as_recorded(stretch: MessageBatch, malformed: Malformed) -> tuple[Messages, Times]:
     """Return messages with their times; those that do not unpack are left out of both."""
     times, messages = stretch.times(), stretch.messages
     if not messages.payload(0).startswith(ZSTD_MAGIC):

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..cdr import Messages
 from .metadata import custom_data_of
-from .storage import Cache, Described, Losses, RecordingError, Stretch, Times, Topic
+from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,12 +63,12 @@ class SqliteStorage:
         except _DAMAGE as error:
             raise RecordingError(f'{path.name} is not a sound sqlite3 file: {error}.') from None
 
-    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[Stretch]]:
+    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""
         del cache  # The operating system holds what several topics read.
         return {topic: self._read(tuple(self._ids.get(topic, ()))) for topic in topics}
 
-    def _read(self, topics: tuple[int, ...]) -> Iterator[Stretch]:
+    def _read(self, topics: tuple[int, ...]) -> Iterator[MessageBatch]:
         """Read windows of row ids, wider ones where the topic is rare."""
         start, width = self._first, _MIN_ROWS
         with closing(self._connect()) as database:
@@ -77,7 +77,7 @@ class SqliteStorage:
                 if rows:
                     log_ns = _log_time(database, start)
                     times = partial(self._times, topics, start, following, len(rows), log_ns)
-                    yield Stretch(_messages(rows), log_ns, self._position(following), times)
+                    yield MessageBatch(_messages(rows), log_ns, self._position(following), times)
                 wider = len(rows) < width // 8
                 width = min(2 * width, _MAX_ROWS) if wider else max(width // 2, _MIN_ROWS)
                 start = following

@@ -76,7 +76,7 @@ class Topic:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class MessageBatch:
     """Messages of one topic that were loaded together.
 
     Attributes:
@@ -167,7 +167,7 @@ class Storage(Protocol):
     def topics(self) -> Mapping[str, Topic]:
         """Topics by name."""
 
-    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[Stretch]]:
+    def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""
 
 

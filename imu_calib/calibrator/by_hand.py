@@ -12,7 +12,7 @@ from ..budget import Budget
 from ..calibration import Calibration, ResidualRow
 from ..errors import NotObservable
 from ..gravity import gravity_covariance, with_gravity
-from ..methods import estimates
+from ..methods import estimated_parameters
 from ..methods.free_positions import (
     FEWEST,
     FREE,
@@ -154,7 +154,7 @@ class HandCalibrator:
         std = np.sqrt(guidance.std**2 + share)[FREE]
         if result is not None:
             std = result.calibration.std[: len(PARAMETERS)][FREE]
-        return HandReview(session, estimates(NAME), std, (), result, refusal, guidance)
+        return HandReview(session, estimated_parameters(NAME), std, (), result, refusal, guidance)
 
     def conclude(self) -> HandReview:
         """End of the session: `review` solves it as `finish` does."""
@@ -193,7 +193,10 @@ class HandCalibrator:
             replace(
                 s,
                 position=str(k + 1),
-                statistics=replace(s.statistics, quantum=s.statistics.quantum + _LEAST_STD**2),
+                statistics=replace(
+                    s.statistics,
+                    quantisation_variance=s.statistics.quantisation_variance + _LEAST_STD**2,
+                ),
             )
             for k, s in enumerate(segments)
         )
@@ -214,7 +217,7 @@ class HandCalibrator:
         kept = tuple(
             link.move
             for link, variance in zip(
-                evidence.led.links, evidence.led.variances(walk)[:, :3], strict=True
+                evidence.links.links, evidence.links.variances(walk)[:, :3], strict=True
             )
             if link.move.filled <= _LOST * (variance.mean() - link.move.filled)
         )
@@ -222,7 +225,7 @@ class HandCalibrator:
 
     def _result(self, session: Segmented, evidence: Evidence, fit: FreeFit) -> Result:
         setup = self._setup
-        segments, turns = evidence.segments, len(evidence.led)
+        segments, turns = evidence.segments, len(evidence.links)
         std = np.sqrt(evidence.variances())
         residuals = tuple(
             Residual(str(s.position), s.start, value, deviation)
@@ -231,8 +234,8 @@ class HandCalibrator:
         findings = [_FRAME, *term_words(fit), *scatter_words(fit.scatter)]
         if turns < len(segments) - 1:
             findings.append(f'{len(segments) - 1 - turns} turns are lost (gaps, saturation).')
-        if fit.dropped:
-            names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.dropped)
+        if fit.rejected_moves:
+            names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
             findings.append(f'Turns that do not fit the rest are left out: from hold {names}.')
         findings += [f'{loss}.' for loss in session.losses]
         solution = Solution(

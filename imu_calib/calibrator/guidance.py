@@ -13,12 +13,12 @@ from itertools import product
 
 import numpy as np
 
-from ..methods.free_positions import ESTIMATES, FEWEST, FREE, started
+from ..methods.free_positions import ESTIMATES, FEWEST, FREE, initial_equations
 from ..model import AXES, PARAMETERS, ParameterKind
 from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations
+from ..observation.ideal_moves import ideal_move_by_hand, next_hold
 from ..observation.information import Information, log_determinant
-from ..observation.ways import next_hold, short_move
 from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
 
@@ -108,7 +108,7 @@ def guide(
     if not holds:
         candidates = tuple(Candidate(w, u, 0.0) for w, u in _directions())
         return _told(holding, hold_seconds, 0, std, candidates, enough=False)
-    equations, values = started(evidence)
+    equations, values = initial_equations(evidence)
     base = equations.whitened(values)[0]
     base = np.vstack([np.eye(len(ESTIMATES), base.shape[1]) / _widths()[:, None], base])
     now = log_determinant(base.T @ base, len(ESTIMATES))
@@ -186,7 +186,7 @@ def _further(equations: FreeEquations, values: Floats, up: Floats, seconds: floa
     evidence = equations.evidence
     last = evidence.segments[-1]
     further = next_hold(last, up, seconds)
-    move = short_move(last, further, equations.model(values), evidence.site)
+    move = ideal_move_by_hand(last, further, equations.model(values), evidence.site)
     pair = replace(evidence, segments=(last, further), moves=(move,))
     two = replace(equations, evidence=pair)
     state = two.nominal()

@@ -31,12 +31,12 @@ def nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
     return ' '.join([text, *(f'{sentence}.' for sentence in sentences)])
 
 
-def what_was_lost(
+def loss_findings(
     setup: Setup, evidence: Evidence, labelled: Labelled, session: Segmented
 ) -> list[str]:
     """Say what of the session was not used or fits no plan, and what of the plan is missing."""
     sentences = []
-    missing = evidence.missing()
+    missing = evidence.missing_positions()
     if missing:
         sentences.append(f'Missing from the recording: position {", ".join(missing)}.')
     if setup.plan.is_stated:
@@ -75,7 +75,7 @@ def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
     return [f'{fit}: {"; ".join(names)}: {becomes}.']
 
 
-def assumed(setup: Setup, solution: Solution) -> list[str]:
+def assumption_findings(setup: Setup, solution: Solution) -> list[str]:
     """Say what is assumed of the table, which its file does not state, where a method counts it."""
     table = None if setup.plan.by_hand or solution.shares is None else setup.table
     return [table.assumption] if table is not None and table.assumption else []

@@ -21,15 +21,15 @@ from ..methods import (
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import AXES, Parameter, SensorModel
-from ..model.motion import any_of_motion
+from ..model.motion import has_motion_terms
 from ..observation.evidence import Evidence
-from ..observation.information import reached
+from ..observation.information import attainable_std
 from ..segmentation.labelling import Labelled, label
 from ..segmentation.segmented import Segmented
 from ..segmentation.segmenter import Segmenter
 from ..stream import Block
 from ..table_clock import clock_share
-from .losses import assumed, nothing_found, what_was_lost
+from .losses import assumption_findings, loss_findings, nothing_found
 from .provenance import noise, provenance, stamping
 from .results import Result, Review
 from .setup import Setup
@@ -57,7 +57,7 @@ class Calibrator:
         check_plan(setup.method_name, setup.plan, setup.site)
         self._setup = setup
         asked = setup.method_name, setup.terms, setup.changes
-        self._solver = method(*asked, look=setup.look)
+        self._solver = method(*asked, look=setup.search_terms)
         self._glance = provisional(*asked)
         self._segmenter = Segmenter(setup.imu, setup.table)
         self._gathered: tuple[tuple[object, ...], Evidence] | None = None
@@ -138,7 +138,7 @@ class Calibrator:
         """Return the standard deviations of what is determined already, NaN for the rest."""
         parameters = tuple(p for p in self._setup.parameters if p.row < len(AXES))
         try:
-            noise_alone = reached(self.evidence(labelled, session), parameters)
+            noise_alone = attainable_std(self.evidence(labelled, session), parameters)
         except NotObservable:
             return {}
         setup, ideal = self._setup, SensorModel()
@@ -168,7 +168,7 @@ class Calibrator:
         setup, parts = self._setup, (labelled.segments, labelled.turns, session)
         if self._gathered is None or self._gathered[0] != parts:
             found = Evidence.of(labelled, session, setup.plan, setup.imu, setup.site, setup.table)
-            self._gathered = parts, replace(found, coarse=any_of_motion(setup.terms))
+            self._gathered = parts, replace(found, coarse=has_motion_terms(setup.terms))
         return self._gathered[1]
 
     def _estimate(
@@ -218,7 +218,7 @@ class Calibrator:
         if not used.segments and not used.turns:
             raise NotObservable(nothing_found(session, labelled, setup))
         evidence = self._evidence(used, session)
-        lost = what_was_lost(setup, evidence, labelled, session)
+        lost = loss_findings(setup, evidence, labelled, session)
         try:
             solver = self._solver if final else self._glance
             solution, comparison = self._estimate(evidence, labelled, session, solver)
@@ -226,11 +226,11 @@ class Calibrator:
             raise type(error)(' '.join([str(error), *lost])) from None
         contradiction = comparison.finding() if comparison is not None else []
         findings = (
-            *(() if final or not setup.look else _LATER),
+            *(() if final or not setup.search_terms else _LATER),
             *solution.findings,
             *contradiction,
             *lost,
-            *assumed(setup, solution),
+            *assumption_findings(setup, solution),
         )
         calibration = Calibration(
             setup.imu,

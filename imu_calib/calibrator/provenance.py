@@ -9,7 +9,7 @@ from ..instants import iso
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import terms_of
-from ..model.session_terms import Change, spelled
+from ..model.session_terms import Change, terms_in_words
 from ..noise import session_noise
 from ..observation.evidence import Evidence
 from ..segmentation.segmented import Segmented
@@ -31,11 +31,11 @@ def provenance(
     residuals = np.array([r.value for r in solution.residuals]).reshape(-1, 6)
     rms = np.sqrt((residuals**2).mean(axis=0)) if len(residuals) else np.full(6, np.nan)
     special: dict[str, object] = {}
-    missing = evidence.missing()
+    missing = evidence.missing_positions()
     if missing:
         special['missing_positions'] = missing
-    if solution.wandering is not None:
-        special['bias_wander'] = [float(v) for v in solution.wandering]
+    if solution.bias_drift is not None:
+        special['bias_wander'] = [float(v) for v in solution.bias_drift]
     if comparison is not None:
         special['closed_form'] = comparison.document()
     if solution.tests:
@@ -43,8 +43,11 @@ def provenance(
     return {
         'recorded': iso(session.start),
         'method': setup.method_name,
-        'terms': [*(t.name for t in terms_of(solution.parameters)), *spelled(_changing(solution))],
-        'terms_looked_for': setup.look and bool(solution.tests),
+        'terms': [
+            *(t.name for t in terms_of(solution.parameters)),
+            *terms_in_words(_changing(solution)),
+        ],
+        'terms_looked_for': setup.search_terms and bool(solution.tests),
         'plan': setup.plan.name or None,
         'table': setup.table.name if setup.table is not None else None,
         'table_clock_std': setup.table.clock if setup.table is not None else None,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration
-from ..estimation.tested import summary
+from ..estimation.term_tests import summary
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import Parameter

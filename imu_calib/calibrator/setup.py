@@ -7,7 +7,7 @@ from functools import cached_property
 
 from ..earth import Site
 from ..imu import ImuSpec
-from ..methods import JOINT, default_method, estimates
+from ..methods import JOINT, default_method, estimated_parameters
 from ..model import Parameter, Term
 from ..model.session_terms import Change
 from ..plan import Plan, Step
@@ -28,7 +28,7 @@ class Setup:
         serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
         terms: To be estimated besides what the method estimates.
         changes: Coefficients of the session's terms, likewise.
-        look: Whether terms that the session shows are estimated too.
+        search_terms: Whether terms that the session shows are estimated too.
 
     """
 
@@ -40,7 +40,7 @@ class Setup:
     serial_number: str = ''
     terms: tuple[Term, ...] = ()
     changes: tuple[Change, ...] = ()
-    look: bool = False
+    search_terms: bool = False
 
     @property
     def method_name(self) -> str:
@@ -55,7 +55,7 @@ class Setup:
             InputError: There is no such method, or it knows no terms.
 
         """
-        return estimates(self.method_name, self.terms)
+        return estimated_parameters(self.method_name, self.terms)
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:

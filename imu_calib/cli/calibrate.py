@@ -87,11 +87,12 @@ def show(result: Result, truth: Calibration | None = None) -> None:
         OUTPUT.print(line, markup=False)
     if result.comparison is not None:
         OUTPUT.print(result.comparison.sentence(), markup=False)
-    if solution.wandering is not None and solution.wandering.any():
+    if solution.bias_drift is not None and solution.bias_drift.any():
         OUTPUT.print(
             f'the standard deviations allow for bias drift of '
-            f'{solution.wandering[0] / DEG_H:.2g} deg/h and {solution.wandering[3] / MICRO_G:.2g} '
-            'ug over 1000 s or so (data sheet, and what the session shows)'
+            f'{solution.bias_drift[0] / DEG_H:.2g} deg/h and '
+            f'{solution.bias_drift[3] / MICRO_G:.2g} ug '
+            'over 1000 s or so (data sheet, and what the session shows)'
         )
     OUTPUT.print(
         f'gravity {setup["gravity"]:.6f} m/s^2 ({_source(setup)}), {_doubt(setup)}; '

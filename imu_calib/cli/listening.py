@@ -53,7 +53,7 @@ def _decided(source: Source, reception: Reception, words: Words) -> bool:
     if chunks:
         reception.take(chunks, now, steady)
     silent = came = False
-    for word in reception.words(state, now, steady):
+    for word in reception.statuses(state, now, steady):
         came |= word.figures.get('bytes', '0') != '0'
         silent |= word.part == 'stream' and word.severity is Severity.ERROR
         words.note(f'imu_node: {word.part}', word.severity, word.text, came=came)

@@ -16,7 +16,7 @@ from ..errors import InputError, NotObservable
 from ..methods import METHODS, free_positions
 from ..model import Parameter, SensorModel, parameters_of, terms_of
 from ..plan import Plan, Position, Step, load_plan
-from ..prediction import Forecast, OfTerm, duration
+from ..prediction import Forecast, TermForecast, duration
 from ..reports.parameter_table import decimals, engineering
 from ..share import share_folder
 from ..stream import Mode
@@ -248,7 +248,7 @@ def _show_forecast(
         )
 
 
-def _show_terms(found: Sequence[OfTerm]) -> None:
+def _show_terms(found: Sequence[TermForecast]) -> None:
     if not found:
         return
     rows = Rows(box=None, pad_edge=False, header_style='bold')
@@ -256,8 +256,8 @@ def _show_terms(found: Sequence[OfTerm]) -> None:
         rows.add_column(heading, justify='right' if heading == 'std' else 'left')
     for one in found:
         shown = engineering(one.term.parameters[0])
-        worst = float(one.std.max()) / shown.scale if one.told else np.nan
-        words = _costs(one.dearer) if one.told else f'takes {one.term.needs}'
+        worst = float(one.std.max()) / shown.scale if one.determined else np.nan
+        words = _costs(one.worsened) if one.determined else f'takes {one.term.needs}'
         rows.add_row(one.term.name, _cell(worst), shown.unit, words)
     OUTPUT.print(
         '\nWhat it would determine of each term (--terms), added alone: the worst channel.'

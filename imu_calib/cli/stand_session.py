@@ -71,8 +71,10 @@ def _setup(
     arguments: argparse.Namespace, imu: ImuSpec, plan: Plan, table: Table | None, site: Site
 ) -> Setup:
     stated = options.stated(arguments)
-    terms, changes, look = stated.sensor_terms, stated.changes, stated.look
-    return Setup(imu, plan, table, site, arguments.method, terms=terms, changes=changes, look=look)
+    terms, changes, look = stated.sensor_terms, stated.changes, stated.search_terms
+    return Setup(
+        imu, plan, table, site, arguments.method, terms=terms, changes=changes, search_terms=look
+    )
 
 
 def _check_session(setup: Setup) -> None:

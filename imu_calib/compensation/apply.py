@@ -63,7 +63,7 @@ _FORCE_UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
 
 
 @dataclass(frozen=True, eq=False)
-class Compensated:
+class CompensatedSamples:
     """Samples in SI units along the body axes.
 
     Attributes:
@@ -163,12 +163,16 @@ class Compensation:
     def noise(self, interval: Floats) -> Floats:
         """Return the variances of single samples by noise and steps, (n, channels) SI."""
         tau = interval[:, None] / self._faster
-        quantum = self._quantum / (tau * tau) if self._units is Units.PULSES else self._quantum
-        return np.asarray(self._power / tau + quantum)
+        quantisation = (
+            self._quantisation_variance / (tau * tau)
+            if self._units is Units.PULSES
+            else self._quantisation_variance
+        )
+        return np.asarray(self._power / tau + quantisation)
 
     def apply(
         self, gyro: Floats, accel: Floats, interval: Floats, skewed: Floats | None = None
-    ) -> Compensated:
+    ) -> CompensatedSamples:
         """Return rates and specific forces.
 
         Args:
@@ -186,11 +190,11 @@ class Compensation:
             self._apply(raw[k : k + _AT_ONCE], interval[k : k + _AT_ONCE])
             for k in range(0, len(raw), _AT_ONCE)
         ]
-        return joined(parts)
+        return concatenated(parts)
 
     # Infinite values are marked, not warned of.
     @np.errstate(invalid='ignore')
-    def _apply(self, raw: Floats, interval: Floats) -> Compensated:
+    def _apply(self, raw: Floats, interval: Floats) -> CompensatedSamples:
         tau = interval[:, None] / self._faster
         outputs = raw * self._scale
         if self._units is Units.PULSES:
@@ -216,7 +220,7 @@ class Compensation:
             force_covariance[marks & _FORCE_UNKNOWN > 0, 0] = -1.0
         if not self._known_force:
             force_covariance[:, 0] = -1.0
-        return Compensated(rate, force, rate_covariance, force_covariance, marks, parity)
+        return CompensatedSamples(rate, force, rate_covariance, force_covariance, marks, parity)
 
     def _bent(self, both: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Return covariances of rate and force as the terms' slopes at the samples change them."""
@@ -236,7 +240,7 @@ class Compensation:
         self._limit = _NEARLY * np.array([spec.range for spec in specs])
         self._bias = bias
         steps = {Units.PULSES: 1 / 6, Units.COUNTS: 1 / 12, Units.SI: 0.0}
-        self._quantum = self._scale**2 * steps[self._units]
+        self._quantisation_variance = self._scale**2 * steps[self._units]
 
     def _weights(self, specs: list[TriadSpec]) -> Floats:
         """Return the weights of the gyros: by their random walk, else alike."""
@@ -281,7 +285,7 @@ class Compensation:
         for k, parameter in enumerate(parameters):
             reach = gyros if parameter.triad == 'g' else accels
             # Those of skewed gyros that the samples come without.
-            if parameter.row < reach.shape[1] and not PRODUCTS[parameter].none:
+            if parameter.row < reach.shape[1] and not PRODUCTS[parameter].is_zero:
                 effect[self._levers.index(PRODUCTS[parameter]), :, k] = reach[:, parameter.row]
         spread = np.einsum('amp,pq,bnq->abmn', effect, square, effect)
         # Errors act against the output, whose sign the square does not see.
@@ -300,8 +304,12 @@ class Compensation:
         for k, product in enumerate(self._levers[len(_LINEAR) :], len(_LINEAR)):
             levers[:, k] = product.value(both)
         products = levers[:, self._first] * levers[:, self._second]
-        quantum = self._quantum / (tau * tau) if self._units is Units.PULSES else self._quantum
-        return np.concatenate([products, self._power / tau + quantum], axis=1)
+        quantisation = (
+            self._quantisation_variance / (tau * tau)
+            if self._units is Units.PULSES
+            else self._quantisation_variance
+        )
+        return np.concatenate([products, self._power / tau + quantisation], axis=1)
 
     def _judge(self, raw: Floats, outputs: Floats, rate: Floats) -> Marks:
         marks = np.full(len(raw), self._mark, np.uint8)
@@ -325,15 +333,17 @@ class Compensation:
 def _levers(parameters: tuple[Parameter, ...]) -> tuple[Product, ...]:
     """Return what errors of parameters are multiplied by, each once."""
     products = (PRODUCTS[parameter] for parameter in parameters)
-    return tuple(dict.fromkeys((*_LINEAR, *(product for product in products if not product.none))))
+    return tuple(
+        dict.fromkeys((*_LINEAR, *(product for product in products if not product.is_zero)))
+    )
 
 
-def joined(parts: list[Compensated]) -> Compensated:
+def concatenated(parts: list[CompensatedSamples]) -> CompensatedSamples:
     """Return samples that follow each other as one; at least one part."""
     if len(parts) == 1:
         return parts[0]
     parities = [p.parity for p in parts if p.parity is not None]
-    return Compensated(
+    return CompensatedSamples(
         np.concatenate([p.rate for p in parts]),
         np.concatenate([p.force for p in parts]),
         np.concatenate([p.rate_covariance for p in parts]),

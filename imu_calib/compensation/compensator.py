@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
-from .apply import Compensated, Compensation, Mark, joined
+from .apply import CompensatedSamples, Compensation, Mark, concatenated
 from .in_motion import Applied, InMotion
 from .sample_clock import SampleClock
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
@@ -39,7 +39,7 @@ class Reading:
     """
 
     stamp: Stamps
-    values: Compensated
+    values: CompensatedSamples
     frame_id: str
 
     def __len__(self) -> int:
@@ -277,7 +277,7 @@ class Compensator:
                 self.counts[mark] += int(np.count_nonzero(values.marks & mark))
         return Applied(block.stamp, values, block.frame_id, interval, self._ready[False])
 
-    def _with_skewed(self, block: ImuBlock, interval: Floats) -> Compensated:
+    def _with_skewed(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
         """Compensate with the fourth gyro where there is a value of the same stamp."""
         stamp, gyro = self._skewed_until(int(block.stamp[-1]))
         place = np.minimum(np.searchsorted(stamp, block.stamp), max(len(stamp) - 1, 0))
@@ -290,7 +290,7 @@ class Compensator:
             fourth = gyro[place[run]][:, None] if there[first] else None
             way = self._ready[fourth is not None]
             parts.append(way.apply(block.gyro[run], block.accel[run], interval[run], fourth))
-        return joined(parts)
+        return concatenated(parts)
 
     def _skewed_until(self, end: int) -> tuple[Stamps, Floats]:
         """Take out the skewed gyro's samples up to a stamp."""

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model import AXES, terms_of
-from ..model.motion import MOTION, any_of_motion, delay, of_motion, places, slopes
+from ..model.motion import MOTION, delay, has_motion_terms, motion_parameters, places, slopes
 from ..stream import Floats, Stamps
-from .apply import Compensated, Compensation
+from .apply import CompensatedSamples, Compensation
 
 _NEXT = 1.5
 """Sample intervals to the next sample, at most: beyond it one is missing."""
@@ -37,7 +37,7 @@ class Applied:
     """
 
     stamp: Stamps
-    values: Compensated
+    values: CompensatedSamples
     frame_id: str
     interval: Floats
     ready: Compensation
@@ -48,12 +48,12 @@ class Applied:
     @property
     def moving(self) -> bool:
         """Whether motion adds anything by the calibration."""
-        return any_of_motion(terms_of(self.ready.calibration.model.parameters))
+        return has_motion_terms(terms_of(self.ready.calibration.model.parameters))
 
     def cut(self, start: int, stop: int) -> Applied:
         """Return some of the samples."""
         part, v = slice(start, stop), self.values
-        values = Compensated(
+        values = CompensatedSamples(
             v.rate[part],
             v.force[part],
             v.rate_covariance[part],
@@ -139,7 +139,7 @@ def _doubt(samples: Applied, by_each: Floats, seconds: Floats) -> Floats:
     left out.
     """
     calibration = samples.ready.calibration
-    own = of_motion(calibration.parameters)
+    own = motion_parameters(calibration.parameters)
     index = [calibration.parameters.index(p) for p in own]
     square = calibration.covariance[np.ix_(index, index)]
     columns = by_each[:, :, [MOTION.index(p) for p in own]]
@@ -191,7 +191,7 @@ class _Changes:
         earlier, later = beside[own].astype(np.intp), beside[own + 1].astype(np.intp)
         return cls(parts, own - earlier, own + later, (earlier + later) * samples.interval)
 
-    def of_each(self, which: Callable[[Compensated], Floats]) -> Floats:
+    def of_each(self, which: Callable[[CompensatedSamples], Floats]) -> Floats:
         """Return by how much rates or forces change, (n, 3) per s."""
         values = np.concatenate([which(part.values) for part in self.all])
         known = self.seconds > 0

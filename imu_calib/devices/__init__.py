@@ -6,9 +6,9 @@ from .decoder import Counts, Decoder, Samples
 from .delays import Drift
 from .device_clock import DeviceClock, Jump
 from .format import FrameFormat, load_format, read_format
-from .health import Health, Severity, Word
+from .health import Health, PartStatus, Severity
 from .reception import GAP_TIMEOUT, Reception
-from .source import Chunk, Source, State, check_port, is_serial, steady_time
+from .source import Chunk, Source, SourceState, check_port, is_serial, steady_time
 
 __all__ = [
     'CATALOGUE',
@@ -24,13 +24,13 @@ __all__ = [
     'FrameFormat',
     'Health',
     'Jump',
+    'PartStatus',
     'Reception',
     'Samples',
     'Severity',
     'Source',
-    'State',
+    'SourceState',
     'Sum',
-    'Word',
     'Xor',
     'check_port',
     'choose_baud',

@@ -15,7 +15,7 @@ from .decoder import Counts, Samples
 from .device_clock import DeviceClock
 from .format import FrameFormat
 from .gravity import Gravity
-from .source import State
+from .source import SourceState
 
 _REMEMBERED = 10.0
 """s that an event is still said."""
@@ -47,7 +47,7 @@ class Severity(IntEnum):
 
 
 @dataclass(frozen=True)
-class Word:
+class PartStatus:
     """What is said of one part."""
 
     part: str
@@ -175,9 +175,9 @@ class Health:
         late = now - self._heard > self._gap_timeout * _NS
         return late and passed > min(self._gap_timeout, _PATIENCE)
 
-    def words(
-        self, state: State, counts: Counts, clock: DeviceClock, now: int, steady: float
-    ) -> list[Word]:
+    def statuses(
+        self, state: SourceState, counts: Counts, clock: DeviceClock, now: int, steady: float
+    ) -> list[PartStatus]:
         """Return what is to be said now."""
         if self._begun is None and (state.open or state.ended):
             self._begun = now
@@ -192,14 +192,14 @@ class Health:
             *self._status(steady),
         ]
 
-    def _port(self, state: State) -> Word:
+    def _port(self, state: SourceState) -> PartStatus:
         figures = {'bytes': str(self._bytes)}
         if not (state.open or state.ended):
             severity = Severity.ERROR if state.tried else Severity.WARN
-            return Word('port', severity, state.text, figures)
+            return PartStatus('port', severity, state.text, figures)
         if self._caution:
-            return Word('port', Severity.WARN, f'{state.text} {self._caution}', figures)
-        return Word('port', Severity.OK, state.text, figures)
+            return PartStatus('port', Severity.WARN, f'{state.text} {self._caution}', figures)
+        return PartStatus('port', Severity.OK, state.text, figures)
 
     def _note_events(self, counts: Counts, steady: float) -> None:
         seen, self._seen = self._seen, replace(counts)
@@ -224,8 +224,8 @@ class Health:
         self._events = {k: v for k, v in self._events.items() if steady - v[1] < _REMEMBERED}
 
     def _stream(
-        self, state: State, counts: Counts, clock: DeviceClock, now: int, steady: float
-    ) -> Word:
+        self, state: SourceState, counts: Counts, clock: DeviceClock, now: int, steady: float
+    ) -> PartStatus:
         figures = {
             'rate': 'unknown' if self._rate is None else f'{self._rate:.2f} Hz',
             'nominal rate': 'unknown' if self._nominal is None else f'{self._nominal:g} Hz',
@@ -239,9 +239,9 @@ class Health:
         }
         if self._format.others:
             figures['other messages'] = str(counts.others)
-        return Word('stream', *self._stream_sentence(state, now, steady), figures)
+        return PartStatus('stream', *self._stream_sentence(state, now, steady), figures)
 
-    def _stream_sentence(self, state: State, now: int, steady: float) -> tuple[Severity, str]:
+    def _stream_sentence(self, state: SourceState, now: int, steady: float) -> tuple[Severity, str]:
         if self._heard is None:
             return self._before_the_first(now)
         if self.silent(now, steady) and not state.ended:
@@ -269,10 +269,10 @@ class Health:
             )
         return Severity.WARN, 'The first frame has not come yet.'
 
-    def _what_comes(self, state: State, steady: float) -> Word:
+    def _what_comes(self, state: SourceState, steady: float) -> PartStatus:
         """Say whether it is what the files of device and IMU describe."""
         if self._heard is None and (what := self._strange(state, steady)):
-            return Word(
+            return PartStatus(
                 'format',
                 Severity.ERROR,
                 f'{what} no frame of the format {self._format.name}: this is another '
@@ -280,10 +280,12 @@ class Health:
                 "device's file, and at its top how the device is to be set up.",
             )
         if self._misfit:
-            return Word('format', Severity.ERROR, self._misfit)
-        return Word('format', Severity.OK, f'Frames of the format {self._format.name} are read.')
+            return PartStatus('format', Severity.ERROR, self._misfit)
+        return PartStatus(
+            'format', Severity.OK, f'Frames of the format {self._format.name} are read.'
+        )
 
-    def _strange(self, state: State, steady: float) -> str:
+    def _strange(self, state: SourceState, steady: float) -> str:
         """Say what comes where no frame will; nothing where one may."""
         first, last = self._first_bytes, self._last_bytes
         enough = self._bytes >= _STRANGE * self._format.length
@@ -294,7 +296,7 @@ class Health:
             return f'{state.text} It holds'
         return ''
 
-    def _clock(self, clock: DeviceClock, steady: float) -> Word:
+    def _clock(self, clock: DeviceClock, steady: float) -> PartStatus:
         drift = clock.drift
         figures = {'jumps': str(clock.jumps)}
         if clock.offset is not None:
@@ -311,16 +313,16 @@ class Health:
             by = '' if last.seconds is None else f' By {last.seconds:.3g} s.'
             when = f' {last.elapsed / _NS:.3f} s after the first sample.'
             severity = Severity.ERROR if 'jump' in self._events else Severity.WARN
-            return Word('clock', severity, f'{last.reason}{by}{when}', figures)
+            return PartStatus('clock', severity, f'{last.reason}{by}{when}', figures)
         certain = 0.0 if drift is None else abs(drift.ppm) - 3 * drift.std
         if certain > _DRIFT_TOLERANCE and clock.drift_counts:
             text = 'The device counts time or samples otherwise than the host.'
-            return Word('clock', Severity.WARN, text, figures)
+            return PartStatus('clock', Severity.WARN, text, figures)
         settled = clock.offset is not None
         text = 'Stamps follow the device.' if settled else 'The offset of the clock is not known.'
-        return Word('clock', Severity.OK, text, figures)
+        return PartStatus('clock', Severity.OK, text, figures)
 
-    def _status(self, steady: float) -> list[Word]:
+    def _status(self, steady: float) -> list[PartStatus]:
         if not self._format.faults:
             return []
         for words in self._faults_new:
@@ -331,5 +333,5 @@ class Health:
         if now:
             text = f'The device reports: {", ".join(sorted(now))}.'
             grave = any(fault.error and fault.words in now for fault in self._format.faults)
-            return [Word('status', Severity.ERROR if grave else Severity.WARN, text, figures)]
-        return [Word('status', Severity.OK, 'The device reports no fault.', figures)]
+            return [PartStatus('status', Severity.ERROR if grave else Severity.WARN, text, figures)]
+        return [PartStatus('status', Severity.OK, 'The device reports no fault.', figures)]

@@ -10,8 +10,8 @@ from .baud import Baud, too_slow
 from .decoder import Decoder, Samples
 from .device_clock import DeviceClock
 from .format import FrameFormat
-from .health import Health, Word
-from .source import Chunk, State
+from .health import Health, PartStatus
+from .source import Chunk, SourceState
 
 GAP_TIMEOUT = 0.5
 """Longest time without a frame, s, where nobody says another. A judgement: the slowest of the
@@ -80,6 +80,6 @@ class Reception:
         self.health.take(samples, elapsed, len(data), now, steady)
         return samples, elapsed
 
-    def words(self, state: State, now: int, steady: float) -> list[Word]:
+    def statuses(self, state: SourceState, now: int, steady: float) -> list[PartStatus]:
         """Return what is to be said now of port, format, stream, clock and device."""
-        return self.health.words(state, self._decoder.counts, self.clock, now, steady)
+        return self.health.statuses(state, self._decoder.counts, self.clock, now, steady)

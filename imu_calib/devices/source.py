@@ -74,7 +74,7 @@ def steady_time() -> int:
 
 
 @dataclass(frozen=True)
-class State:
+class SourceState:
     """How a source is.
 
     Attributes:
@@ -139,7 +139,7 @@ class Source:
         self._waiting = 0
         self._changed = threading.Condition()
         self._stopping = threading.Event()
-        self.state = State(False, False, f'{url} is not open yet.', tried=False)
+        self.state = SourceState(False, False, f'{url} is not open yet.', tried=False)
         self._thread = threading.Thread(target=self._run, name=f'read {url}', daemon=True)
 
     def start(self) -> None:
@@ -181,10 +181,10 @@ class Source:
             try:
                 line = self._kind(*self._where)
             except Exception as error:  # Drivers raise what they like, termios.error for one.
-                self.state = State(False, False, _does_not_open(self.url, error))
+                self.state = SourceState(False, False, _does_not_open(self.url, error))
             else:
                 with contextlib.closing(line):
-                    self.state = State(True, False, f'{self.url} is open.')
+                    self.state = SourceState(True, False, f'{self.url} is open.')
                     self._read(line)
             if self.state.ended:
                 return
@@ -207,12 +207,12 @@ class Source:
             else:
                 self._send(line, self.commands.stop)
         except Exception as error:
-            self.state = State(False, False, f'{self.url} broke: {_reason(error)}')
+            self.state = SourceState(False, False, f'{self.url} broke: {_reason(error)}')
             return
         if self._kind is File:
-            self.state = State(False, True, f'{self.url} was read to its end.')
+            self.state = SourceState(False, True, f'{self.url} was read to its end.')
         else:
-            self.state = State(False, False, f'{self.url} was closed by the other end.')
+            self.state = SourceState(False, False, f'{self.url} was closed by the other end.')
 
     def _send(self, line: Line, commands: tuple[Command, ...]) -> None:
         """Send commands and wait after each as long as its device needs."""

@@ -15,7 +15,7 @@ from ..errors import NotObservable
 from ..model.session_terms import Change, Course, names_of
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
-from ..observation.information import Information, before, told
+from ..observation.information import Information, determined, nominal_information
 from ..observation.modulation import TIME_CONSTANTS, check_temperature, courses
 from ..stream import Floats
 from .converge import least_squares
@@ -66,8 +66,8 @@ def with_changes(
 
 def _told(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Say of coefficients (k,) and of parameters (n,) whether the session tells them."""
-    found = before(equations)
-    parameters = told(found, equations.parameters)
+    found = nominal_information(equations)
+    parameters = determined(found, equations.parameters)
     std = np.sqrt(np.diag(found.covariance)[equations.changing])
     moves = [change_of(equations, c) for c in equations.changes]
     limits = [USEFUL_CHANGE if c.of_scale_factor else np.inf for c in equations.changes]
@@ -96,7 +96,7 @@ def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray
     )
 
 
-def timed(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
+def with_time_constant(equations: Equations, state: Floats) -> tuple[Equations, Floats]:
     """Choose the time constant of a warm-up that explains most, and go there.
 
     Args:

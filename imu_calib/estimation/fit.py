@@ -21,19 +21,25 @@ from numpy.typing import NDArray
 from ..budget import Share, Source
 from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
-from ..model.motion import of_motion
+from ..model.motion import motion_parameters
 from ..model.session_terms import Change
-from ..observation.arrivals import NO_ARRIVALS
 from ..observation.equations import Equations, Nuisance
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
-from ..observation.information import Information, before, told, undetermined, unobserved
-from ..observation.lacking import advice, lost
+from ..observation.information import (
+    Information,
+    determined,
+    nominal_information,
+    undetermined_in_words,
+    unobservable_in_words,
+)
+from ..observation.lacking import advice, lacking_parameters
+from ..observation.positioning_errors import NO_POSITIONING_ERRORS
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..units import DEG
-from .changing import doubt_of_time_constant, timed, with_changes
+from .changing import doubt_of_time_constant, with_changes, with_time_constant
 from .converge import least_squares
-from .excess import Excess, excess
+from .excess_scatter import ExcessScatter, excess
 from .score import with_parameters
 
 _STARTS = 8
@@ -82,29 +88,29 @@ class Outlier:
     Attributes:
         name: Position and kind, for a person.
         rows: Its rows among the equations.
-        square: By how much chi-square would fall without it.
+        chi_square: By how much chi-square would fall without it.
 
     """
 
     name: str
     rows: NDArray[np.intp]
-    square: float
+    chi_square: float
 
 
 @dataclass(frozen=True)
-class Astray:
+class RejectedMove:
     """A move that is left out, or its velocity alone.
 
     Attributes:
         positions: That it leads from and to.
-        off: By how much its end by the gyros is off what the encoders show, rad; or how fast it is
-            by the accelerometers where it stands, m/s.
+        misclosure: By how much its end by the gyros is off what the encoders show, rad; or how fast
+            it is by the accelerometers where it stands, m/s.
         velocity: Whether it is the velocity.
 
     """
 
     positions: tuple[str, str]
-    off: float
+    misclosure: float
     velocity: bool = False
 
 
@@ -122,7 +128,7 @@ class Estimate:
         gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
         turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
             for less; 1 where they agree.
-        astray: Moves that were left out.
+        rejected_moves: Moves that were left out.
         constant: Coefficients of the session's terms that it cannot tell, left out.
         between: (n, n) what the doubt of a warm-up's time constant adds to the covariance, which
             holds it.
@@ -133,11 +139,11 @@ class Estimate:
     state: Floats
     covariance: Floats
     condition: float
-    scatter: Excess
+    scatter: ExcessScatter
     outliers: tuple[Outlier, ...]
     gain: Floats
     turns_scatter: float = 1.0
-    astray: tuple[Astray, ...] = ()
+    rejected_moves: tuple[RejectedMove, ...] = ()
     constant: tuple[Change, ...] = ()
     between: Floats | None = None
 
@@ -147,16 +153,16 @@ class Estimate:
         return float(self.state[index]), float(np.sqrt(self.covariance[index, index]))
 
     @property
-    def calm(self) -> Equations:
+    def without_scatter(self) -> Equations:
         """The equations with the noise that is known beforehand: nothing that the session shows."""
-        return replace(self.equations, extra=self.scatter.stated, arriving=NO_ARRIVALS)
+        return replace(self.equations, extra=self.scatter.stated, positioning=NO_POSITIONING_ERRORS)
 
     @property
-    def set_aside(self) -> int:
+    def downweighted_outputs(self) -> int:
         """How many outputs count for less, or not at all."""
         inflation = self.equations.inflation
         down = 0 if inflation is None else int(np.count_nonzero(inflation > 1))
-        return down + 3 * len(self.astray)
+        return down + 3 * len(self.rejected_moves)
 
     def shares(self) -> dict[Source, Share]:
         """Return the covariance of the parameters by source: of the outputs, and of the priors."""
@@ -213,13 +219,13 @@ def estimate(
     check_observable(equations)
     equations, constant = with_changes(equations, changes)
     # Moves lead from attitude to attitude of a table that is known; they say less of where it is.
-    moving = of_motion(parameters)
+    moving = motion_parameters(parameters)
     resting = replace(
         equations,
         parameters=tuple(p for p in parameters if p not in moving),
-        evidence=evidence.moved_by(()),
+        evidence=evidence.with_moves(()),
     )
-    resting, state = timed(resting, _start(resting))
+    resting, state = with_time_constant(resting, _start(resting))
     state = fit(resting, state)
     resting = _headed(_levelled(resting, state), state)
     state = fit(resting, state)
@@ -238,12 +244,14 @@ def estimate(
         found = replace(found, turns_scatter=scatter)
     between = doubt_of_time_constant(found.equations, found.state)
     covariance = found.covariance if between is None else found.covariance + between
-    return replace(found, covariance=covariance, astray=astray, constant=constant, between=between)
+    return replace(
+        found, covariance=covariance, rejected_moves=astray, constant=constant, between=between
+    )
 
 
 def _moves_that_fit(
     resting: Equations, state: Floats, moves: tuple[Move, ...]
-) -> tuple[Evidence, tuple[Astray, ...]]:
+) -> tuple[Evidence, tuple[RejectedMove, ...]]:
     """Choose the moves that rests and turns bear out: return the session with them.
 
     A gyro beyond its range, one that does not answer in proportion, or a table whose joints are
@@ -256,8 +264,8 @@ def _moves_that_fit(
         moves: All of it.
 
     """
-    evidence = resting.evidence.moved_by(moves)
-    if not len(evidence.led):
+    evidence = resting.evidence.with_moves(moves)
+    if not len(evidence.links):
         return resting.evidence, ()
     scatter = excess(resting, state)
     kept: tuple[Move, ...] = ()
@@ -266,21 +274,21 @@ def _moves_that_fit(
         if not astray:
             return evidence, ()
         if _count(fitting) <= _count(kept):
-            return evidence.moved_by(fitting), astray
+            return evidence.with_moves(fitting), astray
         # Moves show arrivals that hide in the noise of rests: with those that fit, others may.
         kept = fitting
-        moved = replace(resting, evidence=evidence.moved_by(kept))
-        scatter = replace(scatter, arriving=excess(moved, state).arriving)
+        moved = replace(resting, evidence=evidence.with_moves(kept))
+        scatter = replace(scatter, positioning=excess(moved, state).positioning)
 
 
 def _count(moves: Sequence[Move]) -> int:
     """Return the number of rotations and velocities."""
-    return sum(1 if move.gained is None else 2 for move in moves)
+    return sum(1 if move.velocity_steps is None else 2 for move in moves)
 
 
 def _judged(
     resting: Equations, state: Floats, evidence: Evidence
-) -> tuple[tuple[Move, ...], tuple[Astray, ...]]:
+) -> tuple[tuple[Move, ...], tuple[RejectedMove, ...]]:
     """Hold each move against rests and turns, which scatter as they are said to."""
     known = Information.of(resting.whitened(state)[0]).covariance
     moving = replace(resting, evidence=evidence, extra=())
@@ -293,16 +301,16 @@ def _judged(
         spread = covariance[np.ix_(rows, rows)] + slopes @ known @ slopes.T
         return bool(off @ np.linalg.solve(spread, off) <= scipy.special.chdtri(3, _ASTRAY))
 
-    velocities = dict(zip(moving.rows.pushed, moving.rows.velocity, strict=True))
-    for k, (link, rows) in enumerate(zip(evidence.led.links, moving.rows.move, strict=True)):
+    velocities = dict(zip(moving.layout.moves_with_accels, moving.layout.velocity, strict=True))
+    for k, (link, rows) in enumerate(zip(evidence.links.links, moving.layout.move, strict=True)):
         ends = [str(evidence.segments[end].position) for end in (link.first, link.second)]
         if not fits(rows):
             off = float(np.linalg.norm(predicted[rows]))
-            astray.append(Astray((ends[0], ends[1]), off))
+            astray.append(RejectedMove((ends[0], ends[1]), off))
         elif k in velocities and not fits(velocities[k]):
             off = float(np.linalg.norm(predicted[velocities[k]]))
-            astray.append(Astray((ends[0], ends[1]), off, velocity=True))
-            kept.append(replace(link.move, gained=None))
+            astray.append(RejectedMove((ends[0], ends[1]), off, velocity=True))
+            kept.append(replace(link.move, velocity_steps=None))
         else:
             kept.append(link.move)
     return tuple(kept), tuple(astray)
@@ -321,7 +329,7 @@ def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Es
         if found is None:
             break
         outliers.append(found)
-        equations = _weighed_down(equations, found.rows, 1 + found.square)
+        equations = _weighed_down(equations, found.rows, 1 + found.chi_square)
         plain = fit(equations, state)
         scatter = excess(equations, plain)
         weighted = with_scatter(equations, scatter)
@@ -366,8 +374,8 @@ def _turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations,
 def _of_turns(evidence: Evidence) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
     """Return the axes (k,) of turns with the rows (k, 3) of their gyros; of accelerometers too."""
     axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
-    rows = evidence.rows
-    return [(axes, rows.turn), (axes[list(rows.felt)], rows.turn_accels)]
+    rows = evidence.layout
+    return [(axes, rows.turn), (axes[list(rows.turns_with_accels)], rows.turn_accels)]
 
 
 def _turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
@@ -393,9 +401,9 @@ def check_observable(equations: Equations) -> None:
     """
     evidence = equations.evidence
     plain = replace(equations, parameters=PARAMETERS)
-    open_ones = lost(plain)
+    open_ones = lacking_parameters(plain)
     if open_ones.any():
-        text = unobserved(evidence, open_ones)
+        text = unobservable_in_words(evidence, open_ones)
         # A plan says itself what is missing of it.
         raise NotObservable(text if evidence.plan.is_stated else f'{text} {advice(plain)}')
     if equations.parameters != PARAMETERS:
@@ -410,12 +418,14 @@ def _check_terms(equations: Equations) -> None:
 
     """
     parameters = equations.parameters
-    known = told(before(equations), parameters)
+    known = determined(nominal_information(equations), parameters)
     missing = [p for p, sure in zip(parameters, known, strict=True) if not sure]
     if not missing:
         return
     terms = terms_of(missing) or terms_of(parameters)
-    raise NotObservable(' '.join(undetermined(equations.evidence, term, missing) for term in terms))
+    raise NotObservable(
+        ' '.join(undetermined_in_words(equations.evidence, term, missing) for term in terms)
+    )
 
 
 def _start(equations: Equations) -> Floats:
@@ -463,9 +473,9 @@ def _least_squares(jacobian: Floats, left: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(jacobian / scale, left, rcond=None)[0] / scale)
 
 
-def with_scatter(equations: Equations, scatter: Excess) -> Equations:
+def with_scatter(equations: Equations, scatter: ExcessScatter) -> Equations:
     """Return the equations with what scatters in their covariance."""
-    return replace(equations, extra=scatter.extra, arriving=scatter.arriving)
+    return replace(equations, extra=scatter.extra, positioning=scatter.positioning)
 
 
 def _levelled(equations: Equations, state: Floats) -> Equations:
@@ -476,7 +486,7 @@ def _levelled(equations: Equations, state: Floats) -> Equations:
     """
     first = equations.sensors + Nuisance.TILT_X
     seen = float(np.abs(state[first : first + 2]).max())
-    level = equations.evidence.level
+    level = equations.evidence.levelling
     return replace(equations, levelled=seen) if seen > _TILTED * level else equations
 
 
@@ -505,7 +515,7 @@ def _weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) -
 
 def _candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[np.intp]]]:
     """Name what may be an outlier as a whole: three outputs of one kind at a time."""
-    rows = evidence.rows
+    rows = evidence.layout
     found = []
     for segment, mine in zip(evidence.segments, rows.rest, strict=True):
         found.append((f'the gyros at position {segment.position}', mine[:3]))
@@ -517,16 +527,16 @@ def _candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[n
         found += zip(turned, rows.turn, strict=True)
         found += [
             (f'the accelerometers in {turned[k]}', mine)
-            for k, mine in zip(rows.felt, rows.turn_accels, strict=True)
+            for k, mine in zip(rows.turns_with_accels, rows.turn_accels, strict=True)
         ]
     moved = []
-    for link in evidence.led.links:
+    for link in evidence.links.links:
         ends = [evidence.segments[end].position for end in (link.first, link.second)]
         moved.append(f'the move from position {ends[0]} to {ends[1]}')
     found += zip(moved, rows.move, strict=True)
     found += [
         (f'the velocity of {moved[k]}', mine)
-        for k, mine in zip(rows.pushed, rows.velocity, strict=True)
+        for k, mine in zip(rows.moves_with_accels, rows.velocity, strict=True)
     ]
     return found
 
@@ -559,7 +569,7 @@ def _outlier(
         here = fit(others, state)
         square, freedom = _fall(others, here, rows)
         limit = scipy.special.chdtri(max(freedom, 1), _OUTLYING)
-        if freedom and square > limit and (best is None or square > best.square):
+        if freedom and square > limit and (best is None or square > best.chi_square):
             best = Outlier(name, rows, square)
     return best
 

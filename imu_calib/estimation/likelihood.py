@@ -26,7 +26,7 @@ _LARGEST = float(np.log(8.0))
 it is larger once in four times, and channels that are eight times off are no noise."""
 
 
-def fixed(covariance: Floats, left: Floats) -> float:
+def log_likelihood(covariance: Floats, left: Floats) -> float:
     """Return the log likelihood of what is left, (r,), with a covariance (r, r)."""
     _, z, size = _rooted(covariance, left)
     return -0.5 * float(z @ z) - size
@@ -71,7 +71,9 @@ def gained_by_noise(
     return max(0.0, off(start)[0] - float(found.fun))
 
 
-def beside(base: Floats, kernels: Sequence[Floats], left: Floats, ratios: Floats) -> Floats:
+def log_likelihoods_by_ratio(
+    base: Floats, kernels: Sequence[Floats], left: Floats, ratios: Floats
+) -> Floats:
     """Return the log likelihoods of what is left with the covariances base + ratio kernel.
 
     Args:
@@ -89,7 +91,7 @@ def beside(base: Floats, kernels: Sequence[Floats], left: Floats, ratios: Floats
     return np.array([_along(kernel, z, ratios) for kernel in reduced]) - size
 
 
-def along_columns(
+def log_likelihoods_by_columns(
     base: Floats,
     columns: Sequence[Floats],
     factors: Sequence[Floats],

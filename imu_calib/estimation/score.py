@@ -25,21 +25,21 @@ from ..model import (
     Parameter,
     ParameterKind,
     Term,
+    indices_of,
     parameters_of,
-    positions,
     terms_of,
 )
-from ..model.motion import of_motion
+from ..model.motion import motion_parameters
 from ..model.session_terms import LOOKED_FOR, Change, Course, session_term
 from ..observation.equations import Equations
-from ..observation.information import Information, meant, useful
+from ..observation.information import Information, useful_limit, with_nominal_attitudes
 from ..observation.modulation import TIME_CONSTANTS, warms
 from ..observation.modulation import columns as modulated
 from ..stream import Floats
 from ..table_errors import TableErrors
 from ..units import ARCMIN, ARCSEC, DEG, MICRO_G
 from .changing import USEFUL_CHANGE, change_of
-from .excess import Excess, excess
+from .excess_scatter import ExcessScatter, excess
 
 _SEEN = 10.0
 """Standard deviations by which a coefficient of the largest useful size must move the outputs: a
@@ -95,9 +95,9 @@ class Family:
     def freed(self, equations: Equations, size: float) -> Equations:
         """Return equations whose table has this error alone, each of a standard deviation, rad."""
         errors = replace(TableErrors(), **{self.name: size})
-        return replace(equations, evidence=equations.evidence.leaned_by(errors))
+        return replace(equations, evidence=equations.evidence.with_table_errors(errors))
 
-    def scatter(self, equations: Equations, state: Floats, time_constant: float) -> Excess:
+    def scatter(self, equations: Equations, state: Floats, time_constant: float) -> ExcessScatter:
         """Return what scatters beside the noise once the family explains what it can.
 
         Scatter that is estimated without a term that is missing holds the term, and hides it.
@@ -119,20 +119,20 @@ class Family:
     @property
     def held(self) -> frozenset[ParameterKind]:
         """What is zero for certain if it is off: else what it does to velocities is allowed for."""
-        return frozenset(p.kind for p in of_motion(self.parameters))
+        return frozenset(p.kind for p in motion_parameters(self.parameters))
 
-    def weighed(self, equations: Equations, scatter: Excess) -> Equations:
+    def weighed(self, equations: Equations, scatter: ExcessScatter) -> Equations:
         """Return the equations with the scatter under which the family is tested.
 
         A bias that wanders is no drift: a term of the session takes the place of wandering, which
         then seems less than the data sheet states, and is counted in full.
         """
-        extra = scatter.extra if self.course is None else (*scatter.extra, *scatter.spared)
-        return replace(equations, extra=extra, arriving=scatter.arriving, held=self.held)
+        extra = scatter.extra if self.course is None else (*scatter.extra, *scatter.absent_drift)
+        return replace(equations, extra=extra, positioning=scatter.positioning, held=self.held)
 
     def judged(self, equations: Equations) -> NDArray[np.bool_]:
         """Return which outputs (m,) tell how well the covariance is known."""
-        of_accels = equations.rows.channels >= len(AXES)
+        of_accels = equations.layout.channels >= len(AXES)
         if self.term is None:
             # Errors of the table and terms of the session enter both triads.
             return np.ones_like(of_accels)
@@ -150,7 +150,7 @@ def columns_of(
 
     Attitudes count as they are meant: what the last digits of an encoder would tell is not seen.
     """
-    ideal = replace(equations, evidence=meant(equations.evidence))
+    ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
     parameters = tuple(p for family in found for p in family.parameters)
     slopes = ideal.by_parameters(state, (*parameters, *PARAMETERS))
     result: dict[Family, tuple[Pattern, ...]] = {}
@@ -162,8 +162,8 @@ def columns_of(
             columns = family.freed(ideal, _TABLE).by_table(state)
             result[family] = ((columns, np.full(columns.shape[1], _TABLE)),)
         else:
-            sizes = np.array([useful(p) for p in family.parameters])
-            places = positions(family.parameters, parameters)
+            sizes = np.array([useful_limit(p) for p in family.parameters])
+            places = indices_of(family.parameters, parameters)
             result[family] = ((slopes[:, places] * sizes, sizes),)
     return result
 
@@ -206,7 +206,7 @@ def families(equations: Equations) -> tuple[Family, ...]:
     """Return all that is off and can be told of at all."""
     on = terms_of(equations.parameters)
     found = [Family(term.name, term) for term in TERMS if term not in on]
-    if not equations.rows.pushed:
+    if not equations.layout.moves_with_accels:
         found = [family for family in found if not family.held]
     evidence = equations.evidence
     if not equations.changes:
@@ -229,7 +229,7 @@ def scores_of(
 ) -> dict[Family, Score]:
     """Test families about a solution, each as if it were zero for certain."""
     held = dict.fromkeys(family.held for family in patterns)
-    residuals = {one: Residuals.of(replace(equations, held=one), state) for one in held}
+    residuals = {one: WhitenedResiduals.of(replace(equations, held=one), state) for one in held}
     return {f: residuals[f.held].score(f, columns) for f, columns in patterns.items()}
 
 
@@ -305,24 +305,24 @@ class Score:
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class WhitenedResiduals:
     """The residuals of a session about a solution, in standard deviations, freed of the state.
 
     Attributes:
         equations: With the covariance that is assumed.
         basis: (m + 4, n) orthonormal, of what the state explains.
-        left: (m + 4,) residuals less what the state explains.
+        whitened: (m + 4,) residuals less what the state explains.
         factor: (m, m) lower triangle of the covariance of the outputs.
 
     """
 
     equations: Equations
     basis: Floats
-    left: Floats
+    whitened: Floats
     factor: Floats
 
     @classmethod
-    def of(cls, equations: Equations, state: Floats) -> Residuals:
+    def of(cls, equations: Equations, state: Floats) -> WhitenedResiduals:
         """Whiten the equations of a session at a solution."""
         jacobian, left = equations.whitened(state)
         norms = np.linalg.norm(jacobian, axis=0)
@@ -341,7 +341,7 @@ class Residuals:
         return [self._score(family, *pattern) for pattern in patterns]
 
     def _score(self, family: Family, columns: Floats, sizes: Floats) -> Score:
-        count, rows = len(sizes), len(self.left)
+        count, rows = len(sizes), len(self.whitened)
         white = np.zeros((rows, count))
         white[: len(columns)] = scipy.linalg.solve_triangular(
             self.factor, columns, lower=True, check_finite=False
@@ -349,9 +349,9 @@ class Residuals:
         directions, values, axes = np.linalg.svd(_without(white, self.basis), full_matrices=False)
         sound = values > _SEEN
         directions, values, axes = directions[:, sound], values[sound], axes[sound]
-        along = directions.T @ self.left
+        along = directions.T @ self.whitened
         judged = np.append(family.judged(self.equations), np.zeros(rows - len(columns), dtype=bool))
-        rest = (self.left - directions @ along)[judged]
+        rest = (self.whitened - directions @ along)[judged]
         taken = (self.basis[judged] ** 2).sum() + (directions[judged] ** 2).sum()
         freedom = float(judged.sum() - taken)
         scale = float(rest @ rest) / freedom if freedom >= 1 else 1.0

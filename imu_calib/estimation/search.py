@@ -20,26 +20,26 @@ import scipy
 
 from ..budget import Share, Source
 from ..errors import NotObservable
-from ..model import PARAMETERS, Parameter, parameters_of, positions, terms_of
+from ..model import PARAMETERS, Parameter, indices_of, parameters_of, terms_of
 from ..model.session_terms import Change, Course
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
-from ..observation.information import before, told
+from ..observation.information import determined, nominal_information
 from ..stream import Floats
-from .changing import timed, with_changes
+from .changing import with_changes, with_time_constant
 from .fit import Estimate, estimate, fit
 from .score import (
     Family,
     Pattern,
-    Residuals,
     Score,
+    WhitenedResiduals,
     columns_of,
     families,
     most_significant,
     scores_of,
     times_of,
 )
-from .undecided import Undecided, undecided
+from .undecided_drifts import UndecidedDrifts, undecided
 
 CHANCE = 1e-3
 """By which a session without any of them has a family found, all families together."""
@@ -90,7 +90,7 @@ class Search:
         leverage: How parameters (n,) move by each coefficient (k,) of a term that is off, (n, k),
             SI units.
         probability: Of drifts that are off, each; empty where nothing was looked for.
-        plain: The estimate before anything was found.
+        before_search: The estimate before anything was found.
         by_drifts: (n, n) what of `doubt` is of drifts that are not shown.
 
     """
@@ -102,7 +102,7 @@ class Search:
     doubt: Floats
     leverage: Mapping[Family, Floats]
     probability: Mapping[Family, float]
-    plain: Estimate
+    before_search: Estimate
     by_drifts: Floats
 
     def shares(self) -> dict[Source, Share]:
@@ -172,10 +172,10 @@ class _Model:
             here = replace(here, changes=tuple(kept))
             return here, np.concatenate([there, list(kept.values())])
         here, _ = with_changes(replace(here, changes=()), self.changes)
-        return timed(here, np.concatenate([there, np.zeros(len(here.changes))]))
+        return with_time_constant(here, np.concatenate([there, np.zeros(len(here.changes))]))
 
 
-def searched(
+def search_terms(
     evidence: Evidence,
     parameters: tuple[Parameter, ...] = PARAMETERS,
     changes: tuple[Change, ...] = (),
@@ -221,8 +221,8 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
     is missing makes outliers, and outliers make a family that is not there.
     """
     views = [(_restored(start, first), first.state)]
-    if first.set_aside:
-        views.append((first.calm, first.state))
+    if first.downweighted_outputs:
+        views.append((first.without_scatter, first.state))
     found: list[Found] = []
     while True:
         model = start.with_found(found)
@@ -277,7 +277,7 @@ def _limit(open_ones: Sequence[Family]) -> float:
 def _restored(start: _Model, first: Estimate) -> Equations:
     """Return the equations with all moves, nothing set aside, and the noise that is stated."""
     evidence = replace(first.equations.evidence, moves=start.evidence.moves)
-    return replace(first.calm, evidence=evidence, inflation=None)
+    return replace(first.without_scatter, evidence=evidence, inflation=None)
 
 
 def _under_own_scatter(
@@ -301,7 +301,7 @@ def _under_own_scatter(
             return scores | {f: replace(scores[f], statistic=0.0) for f in suspect[k:]}
         time = times_of(family)[scores[family].chosen]
         scattering = family.weighed(equations, family.scatter(equations, state, time))
-        scores[family] = Residuals.of(scattering, state).score(family, columns[family])
+        scores[family] = WhitenedResiduals.of(scattering, state).score(family, columns[family])
     return scores
 
 
@@ -314,7 +314,7 @@ def _confirmed(
     spare more of them than they have coefficients.
     """
     kept = []
-    spared = first.set_aside - trial.set_aside
+    spared = first.downweighted_outputs - trial.downweighted_outputs
     needed = sum(one.spares for one in found)
     for k, one in enumerate(found):
         if one.spares and spared <= needed:
@@ -324,7 +324,7 @@ def _confirmed(
         # Of a table that errs, patterns are as many as there are outputs: terms alone are rivals.
         others = [f for f in families(without) if not f.of_table or f == one.family]
         columns = columns_of(others, without, state)
-        residuals = Residuals.of(one.family.weighed(without, trial.scatter), state)
+        residuals = WhitenedResiduals.of(one.family.weighed(without, trial.scatter), state)
         scores = {f: residuals.score(f, columns[f]) for f in others}
         here, limit = scores[one.family], _limit(families(without))
         if here.log_p >= limit:
@@ -353,7 +353,7 @@ def _size(
     if family.term is not None:
         terms = (*terms_of(model.parameters), family.term)
         trial = Equations(model.evidence, parameters_of(terms), doubts=model.doubts)
-        if told(before(trial), trial.parameters).all():
+        if determined(nominal_information(trial), trial.parameters).all():
             return (), 0.0
     two = float(scipy.special.ndtr(2.0))
     wider = float(scipy.special.stdtrit(score.rank, two)) / 2
@@ -377,11 +377,11 @@ def _concluded(
     named = [one.family for one in found]
     off = [f for f in families(equations) if f not in named]
     columns = columns_of(off, equations, state)
-    residuals = Residuals.of(equations, state)
+    residuals = WhitenedResiduals.of(equations, state)
     of_session = [f for f in off if f.course is not None]
     beside = residuals
-    if of_session and current.scatter.spared:
-        beside = Residuals.of(of_session[0].weighed(equations, current.scatter), state)
+    if of_session and current.scatter.absent_drift:
+        beside = WhitenedResiduals.of(of_session[0].weighed(equations, current.scatter), state)
     drifting = {f: beside.scores(f, columns[f]) for f in of_session}
     others = {f: columns[f] for f in off if f not in of_session}
     scores = scores_of(others, equations, state)
@@ -400,7 +400,7 @@ def _concluded(
     doubt = np.zeros((n, n))
     for one in found:
         doubt += _by_rivals(current, one)
-    drifts = Undecided({}, np.zeros((n, n)))
+    drifts = UndecidedDrifts({}, np.zeros((n, n)))
     if weigh:
         possible = {
             f: list(zip(drifting[f], map(slopes, columns[f]), strict=True)) for f in of_session
@@ -431,7 +431,7 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
     mine = set(found.family.parameters)
     common = [k for k, p in enumerate(equations.parameters) if p not in mine]
     own = [k for k, p in enumerate(equations.parameters) if p in mine]
-    left = current_square(equations, current.state)
+    left = current_chi_square(equations, current.state)
     model = _Model(
         equations.evidence, equations.parameters, equations.changes, equations.doubts
     ).without(found.family)
@@ -441,8 +441,8 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
             state = fit(other, start)
         except NotObservable:
             continue
-        kept = positions([equations.parameters[k] for k in common], other.parameters)
-        weight = 1 / (1 + np.exp(min(50.0, (current_square(other, state) - left) / 2)))
+        kept = indices_of([equations.parameters[k] for k in common], other.parameters)
+        weight = 1 / (1 + np.exp(min(50.0, (current_chi_square(other, state) - left) / 2)))
         off = np.zeros(n)
         off[common] = state[kept] - current.state[common]
         off[own] = -current.state[own]
@@ -450,7 +450,7 @@ def _by_rivals(current: Estimate, found: Found) -> Floats:
     return doubt
 
 
-def current_square(equations: Equations, state: Floats) -> float:
+def current_chi_square(equations: Equations, state: Floats) -> float:
     """Return chi-square at a state."""
     left = equations.whitened(state)[1]
     return float(left @ left)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from . import c_header, imucal, kalibr, ros
-from .exported import Exported, Source
+from .exported import Exported, ExportSource
 
-EXPORTS: dict[str, Callable[[Source], Exported]] = {
+EXPORTS: dict[str, Callable[[ExportSource], Exported]] = {
     'ros': ros.export,
     'kalibr': kalibr.export,
     'imucal': imucal.export,
     'c': c_header.export,
 }
 
-__all__ = ['EXPORTS', 'Exported', 'Source']
+__all__ = ['EXPORTS', 'ExportSource', 'Exported']

@@ -14,7 +14,7 @@ from ..imu import ImuSpec
 from ..model import AXES, Product, SensorModel, terms_of
 from ..stream import Floats, Units
 from ..units import DEG, PPM, STANDARD_GRAVITY
-from .exported import Exported, Source, always_left_out
+from .exported import Exported, ExportSource, always_left_out
 
 _EXACT = 1e-17
 """Relative error that is left: that of a double."""
@@ -30,7 +30,7 @@ _OUTPUT = {
 }
 
 
-def export(source: Source) -> Exported:
+def export(source: ExportSource) -> Exported:
     """Return the header.
 
     Raises:

@@ -16,7 +16,7 @@ from ..units import PPM
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ExportSource:
     """A calibration to be exported.
 
     Attributes:

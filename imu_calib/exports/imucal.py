@@ -15,7 +15,7 @@ import numpy as np
 from ..model import Triad
 from ..stream import Floats, Units
 from ..units import DEG
-from .exported import Exported, Source, always_left_out
+from .exported import Exported, ExportSource, always_left_out
 
 _FORMAT = '2.0.0'
 _UNITS = {
@@ -25,7 +25,7 @@ _UNITS = {
 }
 
 
-def export(source: Source) -> Exported:
+def export(source: ExportSource) -> Exported:
     """Return a TurntableCalibrationInfo.
 
     Raises:

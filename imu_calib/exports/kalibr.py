@@ -22,7 +22,7 @@ from ..imu import TriadSpec
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..stream import Floats, Units
 from ..units import HOUR
-from .exported import Exported, Source, always_left_out
+from .exported import Exported, ExportSource, always_left_out
 
 _HEAD = """\
 # {imu} by imu_calib, in Kalibr's scale-misalignment model: raw = M x + b, x in rad/s and m/s^2.
@@ -32,7 +32,7 @@ _HEAD = """\
 """
 
 
-def export(source: Source) -> Exported:
+def export(source: ExportSource) -> Exported:
     """Return imu.yaml.
 
     Raises:
@@ -87,7 +87,7 @@ def _lower(response: Floats, name: str) -> tuple[Floats, Floats]:
     return np.tril((signs[:, None] * upper).T), rotation
 
 
-def _noise(source: Source) -> tuple[dict[str, float], list[str]]:
+def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
     """Return densities and random walks of Kalibr, and what of them is no measured value.
 
     Raises:

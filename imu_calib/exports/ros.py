@@ -5,10 +5,10 @@ from __future__ import annotations
 import yaml
 
 from ..errors import InputError
-from .exported import Exported, Source, left_out
+from .exported import Exported, ExportSource, left_out
 
 
-def export(source: Source) -> Exported:
+def export(source: ExportSource) -> Exported:
     """Return parameters that point the node to the calibration file.
 
     The file is named, not copied: the node reads it anew when it changes.

@@ -16,7 +16,7 @@ from ..bags.files import find_files
 from ..bags.storage import Losses
 from ..calibrator import Result
 from ..errors import ImuCalibError, InputError
-from ..model import PARAMETER_NAMES, PARAMETERS, positions
+from ..model import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..reports.assessment import assess
 from ..share import named_file
 from ..specification import Verdict
@@ -187,7 +187,7 @@ def _calibrated(result: Result) -> dict[str, Any]:
     """Return what a calibration gives to its row; NaN where a triad was not estimated."""
     found = result.calibration
     setup, session = found.provenance, result.session
-    mine = positions(PARAMETERS, found.parameters)
+    mine = indices_of(PARAMETERS, found.parameters)
     verdicts = [one.verdict for one in assess(found, found.imu.specification)]
     worst = next((v for v in (Verdict.FAIL, Verdict.MARGINAL, Verdict.PASS) if v in verdicts), None)
     temperature = session.temperature

@@ -127,7 +127,7 @@ def _in_table_time(solve: Callable[[Evidence], Solution], evidence: Evidence) ->
     return solve(in_table_time(evidence))
 
 
-def estimates(name: str, terms: tuple[Term, ...] = ()) -> tuple[Parameter, ...]:
+def estimated_parameters(name: str, terms: tuple[Term, ...] = ()) -> tuple[Parameter, ...]:
     """Return the parameters that a method estimates, terms added.
 
     Raises:

@@ -19,7 +19,7 @@ from ..observation.level import Accelerometers, Tilt, widened_for_tilt
 from ..rotations import angle_between
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM
-from .rate_test import RateTest
+from .rate_test import RateTestEquations
 from .solution import Residual, Solution
 
 _SIGNIFICANT = 1e-6
@@ -111,7 +111,7 @@ def conclude(
     check_axes(model.gyro.response, 'gyros', 'whole turns' if evidence.turns else 'the Earth rate')
     if with_accels:
         check_axes(model.accel.response, 'accelerometers', 'gravity')
-    notes = [*findings, *far_scales(model), *clocks(evidence)]
+    notes = [*findings, *far_scales(model), *clock_finding(evidence)]
     gyro = _fit(evidence, model, slice(0, 3), estimated=6)
     accel = _fit(evidence, model, slice(3, 6), estimated=14) if with_accels else None
     widened = covariance.copy()
@@ -128,14 +128,14 @@ def conclude(
                 'within them (positioning errors that the table does not state, drift): their '
                 'standard deviations are widened.'
             )
-    scatter, of_turns = RateTest.of(evidence).scatter() if evidence.turns else (1.0, 0)
+    scatter, of_turns = RateTestEquations.of(evidence).scatter() if evidence.turns else (1.0, 0)
     if scatter > 1:
         # Scale factors and misalignments of the gyros rest on the turns, their biases do not.
         on_turns = [p.triad == 'g' and p.kind in _ON_TURNS for p in parameters]
         factors = np.where(on_turns, np.sqrt(scatter), 1.0)
         widened *= np.outer(factors, factors)
         freedom = np.where(on_turns, np.minimum(freedom, of_turns), freedom)
-        notes.append(turns_scatter(scatter))
+        notes.append(turns_scatter_finding(scatter))
     beyond = {Source.SCATTER: Share(widened - covariance, freedom)}
     rate, earth = gyro.vector, gyro.covariance * (gyro.scatter if gyro.significant else 1.0)
     if accel is not None and accelerometers is not None and not evidence.plan.by_hand:
@@ -181,7 +181,7 @@ def _tilt(accel: _Fit) -> Tilt:
     return Tilt(accel.vector / size, float(np.sqrt(square)) / size)
 
 
-def turns_scatter(scatter: float) -> str:
+def turns_scatter_finding(scatter: float) -> str:
     """Say by how much turns scatter beyond their noise.
 
     Args:
@@ -195,7 +195,7 @@ def turns_scatter(scatter: float) -> str:
     )
 
 
-def clocks(evidence: Evidence) -> list[str]:
+def clock_finding(evidence: Evidence) -> list[str]:
     """Mention clocks that the session does not compare well: their rate goes straight into K_g.
 
     Returns:
@@ -324,7 +324,7 @@ def _left_by_weighted_fit(evidence: Evidence, model: SensorModel, variances: Flo
 
     """
     equations = Equations(replace(evidence, turns=(), moves=()))
-    state, rows = equations.nominal(), equations.rows.rest[:, 3:].ravel()
+    state, rows = equations.nominal(), equations.layout.rest[:, 3:].ravel()
     state[: equations.sensors] = model.values(PARAMETERS)
     tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
     free = np.array([k for k, p in enumerate(PARAMETERS) if p.triad == 'a'] + tilts, dtype=np.intp)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..model import Parameter, positions
+from ..model import Parameter, indices_of
 from ..stream import Floats
 from .solution import Solution
 
@@ -41,7 +41,7 @@ class Comparison:
         """Compare what both estimate."""
         parameters = tuple(p for p in joint.parameters if p in closed.parameters)
         values = [s.model.values(parameters) for s in (joint, closed)]
-        deviations = [s.std[positions(parameters, s.parameters)] for s in (joint, closed)]
+        deviations = [s.std[indices_of(parameters, s.parameters)] for s in (joint, closed)]
         larger = np.maximum(deviations[0], deviations[1])
         off = values[1] - values[0]
         # Without noise both deviations are zero, and so is what they differ by but for rounding.

@@ -35,7 +35,7 @@ from ..model import (
 from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations, led_on
 from ..observation.information import Information
-from ..observation.rows import Indices
+from ..observation.layout import Indices
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY
 from .solution import Solution
@@ -83,7 +83,7 @@ class FreeFit:
         condition: Condition number of the system, columns scaled to unit length.
         scatter: (3,) by how much accelerometers and gyros at rest and turns scatter more than
             their noise, as standard deviations.
-        dropped: Indices of the holds before turns that fit nothing.
+        rejected_moves: Indices of the holds before turns that fit nothing.
         shares: The covariance by source.
         chance: Probability that chance alone would show the terms as clearly; 1 without terms.
 
@@ -95,7 +95,7 @@ class FreeFit:
     residuals: Floats
     condition: float
     scatter: Floats
-    dropped: tuple[int, ...]
+    rejected_moves: tuple[int, ...]
     shares: Shares
     chance: float = 1.0
 
@@ -107,12 +107,12 @@ class _State:
     equations: FreeEquations
     values: Floats
     scatter: Floats
-    dropped: tuple[int, ...] = ()
+    rejected_moves: tuple[int, ...] = ()
 
     @property
     def groups(self) -> tuple[Indices, ...]:
         """Which outputs scatter alike: see `FreeFit.scatter`."""
-        rows = self.equations.rows
+        rows = self.equations.layout
         return rows.rest[:, 3:].ravel(), rows.rest[:, :3].ravel(), rows.move.ravel()
 
     def rows(self) -> tuple[Floats, Floats]:
@@ -134,7 +134,7 @@ class _State:
 
     def scattering(self, scatter: Floats) -> _State:
         """Return the state with the noise of each group (3,) times as large."""
-        inflation = np.ones(len(self.equations.rows))
+        inflation = np.ones(len(self.equations.layout))
         for rows, factor in zip(self.groups, scatter, strict=True):
             inflation[rows] = factor**2
         return replace(
@@ -151,12 +151,12 @@ class _State:
     def without(self, wild: int) -> _State:
         """Return the state without a move: it parts a run in two, and north is found anew."""
         evidence = self.equations.evidence
-        link = evidence.led.links[wild]
+        link = evidence.links.links[wild]
         moves = tuple(move for move in evidence.moves if move is not link.move)
         equations = replace(self.equations, evidence=replace(evidence, moves=moves), inflation=None)
         values = equations.nominal()
         values[: equations.sensors] = self.values[: equations.sensors]
-        dropped = tuple(sorted((*self.dropped, link.first)))
+        dropped = tuple(sorted((*self.rejected_moves, link.first)))
         return _State(equations, values, np.ones(3), dropped)
 
 
@@ -175,7 +175,7 @@ def solve(evidence: Evidence) -> FreeFit:
             f'{len(evidence.segments)} holds were found; gravity needs {FEWEST} or more in '
             'different attitudes to determine the accelerometers, 20 or more for a good result.'
         )
-    start = _State(*started(evidence), np.ones(3))
+    start = _State(*initial_equations(evidence), np.ones(3))
     _check_observable(start)
     state = _weighed(start)
     chance = _chance(state, G_SENSITIVITY)
@@ -198,10 +198,10 @@ def solve(evidence: Evidence) -> FreeFit:
         equations.model(values),
         parameters,
         of_all(information.covariance[sensors, sensors], 0.0),
-        (equations.outputs - equations.predict(values))[equations.rows.rest],
+        (equations.outputs - equations.predict(values))[equations.layout.rest],
         information.condition,
         state.scatter,
-        state.dropped,
+        state.rejected_moves,
         {
             source: Share(of_all(share.covariance, 0.0), of_all(share.freedom, np.inf))
             for source, share in found.items()
@@ -210,7 +210,7 @@ def solve(evidence: Evidence) -> FreeFit:
     )
 
 
-def started(evidence: Evidence) -> tuple[FreeEquations, Floats]:
+def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
     """Return the equations in the attitudes that gravity and gyros show, and where they start.
 
     Raises:
@@ -290,7 +290,7 @@ def _check_observable(state: _State) -> None:
         if any(name[2] == 'g' for name in names):
             words.append('turn it by a quarter turn or more about different axes between holds')
         raise NotObservable(
-            f'{len(evidence.segments)} holds and {len(evidence.led)} turns do not determine '
+            f'{len(evidence.segments)} holds and {len(evidence.links)} turns do not determine '
             f'{", ".join(names)}: {"; ".join(words)}.'
         )
 
@@ -389,7 +389,7 @@ def _scatter(state: _State) -> Floats:
 def _wild_turn(state: _State) -> int | None:
     """Find the turn that stands far out of the rest, if any does."""
     left = state.scattering(np.ones(3)).rows()[1]
-    size = np.linalg.norm(left[state.equations.rows.move], axis=1)
+    size = np.linalg.norm(left[state.equations.layout.move], axis=1)
     if not len(size):
         return None
     # Across the vertical: about it nothing is left, since headings are sought.

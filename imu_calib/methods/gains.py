@@ -90,7 +90,7 @@ class Gains:
         """Return the derivatives of the parameters by the outputs but those of moves, (n, m)."""
         s = len(evidence.segments)
         parameters = self.parameters
-        where = replace(evidence, moves=()).rows
+        where = replace(evidence, moves=()).layout
         rows = np.zeros((len(parameters), len(where)))
         for row, parameter in zip(rows, parameters, strict=True):
             column = BIAS if parameter.column is None else parameter.column
@@ -197,7 +197,7 @@ def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, fl
     return np.asarray(gain), float(values[0] / values[-1])
 
 
-def rate_test(evidence: Evidence) -> tuple[Floats, float]:
+def rate_test_weights(evidence: Evidence) -> tuple[Floats, float]:
     """Return the weights (3, t) on turns that give the responses, and the condition number.
 
     Least squares of the outputs on the rate about the axis that is up, with an offset of its own
@@ -221,22 +221,22 @@ def rate_test(evidence: Evidence) -> tuple[Floats, float]:
     attitudes = np.argmax(ups @ ups.T > _SAME_UP, axis=1)
     offsets = (attitudes[:, None] == np.unique(attitudes)).astype(float)
     scale = np.abs(rates).max()
-    names = [*(responses('g', axis) for axis in range(3)), *['biases'] * offsets.shape[1]]
+    names = [*(response_names('g', axis) for axis in range(3)), *['biases'] * offsets.shape[1]]
     gain, condition = inverse(np.hstack([inputs / scale, offsets]), names, 'The turns')
     return gain[:3] / scale, condition
 
 
-def responses(triad: str, axis: int) -> str:
+def response_names(triad: str, axis: int) -> str:
     """Name the parameters that say what a triad answers to one axis."""
     return ', '.join(p.name for p in PARAMETERS if p.triad == triad and p.column == axis)
 
 
-def biases(triad: str) -> str:
+def bias_names(triad: str) -> str:
     """Name the biases of a triad."""
     return ', '.join(p.name for p in PARAMETERS if p.triad == triad and p.column is None)
 
 
-def once(evidence: Evidence) -> Floats:
+def position_weights(evidence: Evidence) -> Floats:
     """Return the weight of each stretch, (s,): a position measured twice counts as one."""
     names = [segment.position for segment in evidence.segments]
     return np.array([1 / names.count(name) for name in names])

@@ -17,10 +17,10 @@ import scipy
 from ..changes import Changes
 from ..errors import Contradiction, NotObservable
 from ..estimation.converge import NotConverged
-from ..estimation.fit import Astray, Estimate, Outlier, estimate
-from ..estimation.search import searched
-from ..estimation.tested import findings, tested
-from ..estimation.warmth import moved_temperature
+from ..estimation.fit import Estimate, Outlier, RejectedMove, estimate
+from ..estimation.search import search_terms
+from ..estimation.temperature_change import temperature_finding
+from ..estimation.term_tests import findings, tested
 from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course, names_of
 from ..observation.equations import Equations, Nuisance
@@ -28,7 +28,14 @@ from ..observation.evidence import Evidence
 from ..observation.modulation import spans
 from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
-from .checks import WrongLatitude, check_axes, check_latitude, clocks, far_scales, turns_scatter
+from .checks import (
+    WrongLatitude,
+    check_axes,
+    check_latitude,
+    clock_finding,
+    far_scales,
+    turns_scatter_finding,
+)
 from .solution import Residual, Solution
 
 _TELLING = 0.1
@@ -71,13 +78,13 @@ def solve(
 
     """
     try:
-        search = searched(evidence, parameters_of(terms), changes, look=look)
+        search = search_terms(evidence, parameters_of(terms), changes, look=look)
     except NotConverged:
         if not evidence.plan.by_hand:
             _check_that_no_latitude_converges(evidence)
         raise
     if search.found and not evidence.plan.by_hand:
-        _check_that_no_latitude_explains(search.plain)
+        _check_that_no_latitude_explains(search.before_search)
     found = _concluded(search.estimate)
     return replace(
         found,
@@ -119,12 +126,12 @@ def _check_that_no_latitude_explains(plain: Estimate) -> None:
     """
     equations, evidence = plain.equations, plain.equations.evidence
     try:
-        check_latitude(evidence, *seen_earth(plain))
+        check_latitude(evidence, *observed_earth_rate(plain))
     except WrongLatitude as error:
         if error.misfit > _NEAR:
             return
         there = replace(evidence, site=replace(evidence.site, latitude=error.seen))
-        if not searched(there, equations.parameters, equations.changes).found:
+        if not search_terms(there, equations.parameters, equations.changes).found:
             raise
     except Contradiction:
         return
@@ -148,7 +155,7 @@ def _check_that_no_latitude_converges(evidence: Evidence) -> None:
     latitude = float(np.arctan2(rate[2], np.hypot(rate[0], rate[1])))
     try:
         there = estimate(replace(evidence, site=replace(evidence.site, latitude=latitude)))
-        check_latitude(evidence, *seen_earth(there))
+        check_latitude(evidence, *observed_earth_rate(there))
     except WrongLatitude:
         raise
     except NotObservable:
@@ -161,7 +168,7 @@ def _concluded(found: Estimate) -> Solution:
     model = equations.model(found.state)
     check_axes(model.gyro.response, 'gyros', 'the turns and the Earth')
     check_axes(model.accel.response, 'accelerometers', 'gravity')
-    earth, earth_covariance = seen_earth(found)
+    earth, earth_covariance = observed_earth_rate(found)
     if not evidence.plan.by_hand:
         check_latitude(evidence, earth, earth_covariance)
     azimuth, azimuth_std = found.nuisance(Nuisance.AZIMUTH)
@@ -174,8 +181,8 @@ def _concluded(found: Estimate) -> Solution:
         float(earth[2]),
         float(np.sqrt(earth_covariance[2, 2])),
         found.condition,
-        (*_findings(found), *far_scales(model), *clocks(evidence)),
-        found.scatter.wandering,
+        (*_findings(found), *far_scales(model), *clock_finding(evidence)),
+        found.scatter.bias_drift,
         equations.parameters,
         changes=_changes(found),
     )
@@ -199,7 +206,7 @@ def _changes(found: Estimate) -> Changes | None:
 
 def _residuals(found: Estimate) -> tuple[Residual, ...]:
     equations, evidence = found.equations, found.equations.evidence
-    rest = equations.rows.rest
+    rest = equations.layout.rest
     left = (equations.outputs - equations.predict(found.state))[rest]
     std = np.linalg.norm(equations.factor(found.state), axis=1)[rest]
     return tuple(
@@ -208,7 +215,7 @@ def _residuals(found: Estimate) -> tuple[Residual, ...]:
     )
 
 
-def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
+def observed_earth_rate(found: Estimate) -> tuple[Floats, Floats]:
     """Return the Earth rate that the gyros see, free in size and direction, and its covariance.
 
     It is taken out of the tilts that the session shows, whose uncertainty is in its own. The noise
@@ -219,11 +226,11 @@ def seen_earth(found: Estimate) -> tuple[Floats, Floats]:
         (3,) rad/s, level but at the heading of the attitudes, and (3, 3).
 
     """
-    return _free_earth(found.calm, found.state)
+    return _free_earth(found.without_scatter, found.state)
 
 
 def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
-    """Return `seen_earth` about a state (n,), by the covariance of `plain`."""
+    """Return `observed_earth_rate` about a state (n,), by the covariance of `plain`."""
     sensors = plain.sensors
     free = scipy.linalg.solve_triangular(plain.factor(state), plain.by_rate(state), lower=True)
     jacobian, left = plain.whitened(state)
@@ -246,12 +253,13 @@ def _findings(found: Estimate) -> list[str]:
     notes = []
     if found.outliers:
         names = ', '.join(
-            f'{o.name} ({np.sqrt(o.square):.0f} sigma{_leaning(found, o)})' for o in found.outliers
+            f'{o.name} ({np.sqrt(o.chi_square):.0f} sigma{_leaning(found, o)})'
+            for o in found.outliers
         )
         notes.append(f'Does not fit the rest and counts for less: {names}.')
     notes += _astray(found)
     if found.turns_scatter > 1:
-        notes.append(turns_scatter(found.turns_scatter))
+        notes.append(turns_scatter_finding(found.turns_scatter))
     if found.equations.any_heading:
         azimuth, std = found.nuisance(Nuisance.AZIMUTH)
         notes.append(
@@ -260,13 +268,13 @@ def _findings(found: Estimate) -> list[str]:
         )
     if found.equations.levelled is not None:
         tilts = [found.nuisance(which)[0] for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
-        tilt, level = float(np.linalg.norm(tilts)), found.equations.evidence.level
+        tilt, level = float(np.linalg.norm(tilts)), found.equations.evidence.levelling
         notes.append(
             f'The table is tilted by {tilt / ARCSEC:.0f} arcsec, more than the '
             f'{level / ARCSEC:.3g} arcsec to which it was taken to be level.'
         )
     notes += [_constant(found)] if found.constant else []
-    return [*notes, *moved_temperature(found), *_scattering(found)]
+    return [*notes, *temperature_finding(found), *_scattering(found)]
 
 
 def _leaning(found: Estimate, outlier: Outlier) -> str:
@@ -276,7 +284,7 @@ def _leaning(found: Estimate, outlier: Outlier) -> str:
     for less: two, as noise does.
     """
     equations = found.equations
-    if not any(np.array_equal(rows, outlier.rows) for rows in equations.rows.rest[:, 3:]):
+    if not any(np.array_equal(rows, outlier.rows) for rows in equations.layout.rest[:, 3:]):
         return ''
     force = equations.predict(found.state)[outlier.rows]
     # Channels lie along their axes but for milliradians, and so does what is off.
@@ -303,11 +311,11 @@ def _constant(found: Estimate) -> str:
 def _astray(found: Estimate) -> list[str]:
     """Say which moves were left out, or their velocities, by how much, and what does so."""
     notes = []
-    turned = [move for move in found.astray if not move.velocity]
-    pushed = [move for move in found.astray if move.velocity]
-    led = found.equations.evidence.led
+    turned = [move for move in found.rejected_moves if not move.velocity]
+    pushed = [move for move in found.rejected_moves if move.velocity]
+    led = found.equations.evidence.links
     if turned:
-        angle = max(move.off for move in turned) / ARCSEC
+        angle = max(move.misclosure for move in turned) / ARCSEC
         notes.append(
             f'By the gyros {len(turned)} of {len(turned) + len(led)} moves end elsewhere than by '
             f'the encoders ({_ways(turned)}; {angle:.3g} arcsec at most): they are left out. Rates '
@@ -315,17 +323,18 @@ def _astray(found: Estimate) -> list[str]:
             'table whose axes are not where its description says.'
         )
     if pushed:
-        speed = max(move.off for move in pushed)
+        speed = max(move.misclosure for move in pushed)
         notes.append(
-            f'By the accelerometers {len(pushed)} of {len(pushed) + len(led.pushed)} moves do not '
-            f'end at rest ({_ways(pushed)}; {speed:.3g} m/s at most): their velocities are left '
-            'out. Accelerometers that do not answer in proportion do so, and a unit that vibrates '
+            f'By the accelerometers {len(pushed)} of {len(pushed) + len(led.with_accels)} moves '
+            f'do not end at rest ({_ways(pushed)}; {speed:.3g} m/s at most): their velocities '
+            'are left out. '
+            'Accelerometers that do not answer in proportion do so, and a unit that vibrates '
             'in its mount.'
         )
     return notes
 
 
-def _ways(moves: Sequence[Astray]) -> str:
+def _ways(moves: Sequence[RejectedMove]) -> str:
     """Name the first of several moves."""
     names = ', '.join(' to '.join(move.positions) for move in moves[:_NAMED])
     more = '' if len(moves) <= _NAMED else f' and {len(moves) - _NAMED} more'
@@ -340,8 +349,8 @@ def _scattering(found: Estimate) -> list[str]:
     known = f"the table's description states {stated}"
     if evidence.table is not None and 'positioning' in evidence.table.assumed:
         known = f'{stated} are assumed of the table'
-    joints, stops = scatter.arriving.joints, scatter.arriving.stops
-    if scatter.missed < _SAID:
+    joints, stops = scatter.positioning.joints, scatter.positioning.stops
+    if scatter.positioning_probability < _SAID:
         # The deviations allow for it by its probability; it is not what happened.
         joints = stops = 0.0
     if joints > _TELLING * evidence.positioning:
@@ -360,10 +369,10 @@ def _scattering(found: Estimate) -> list[str]:
         ('gyros', 0, DEG_H, 'deg/h'),
         ('accelerometers', 3, MICRO_G, 'ug'),
     ):
-        wandering, stated_of = scatter.wandering[first], evidence.instability[first]
+        wandering, stated_of = scatter.bias_drift[first], evidence.instability[first]
         if wandering > (1 + _TELLING) * stated_of:
             stated = f'{stated_of / unit:.3g} {symbol}' if stated_of else 'none'
-            if scatter.swift[first // 3]:
+            if scatter.fast_drift[first // 3]:
                 notes.append(
                     f'The {name} scatter from rest to rest by {wandering / unit:.2g} {symbol}, '
                     'more than their noise, and swifter than biases drift (the description of '

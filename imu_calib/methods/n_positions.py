@@ -15,7 +15,15 @@ from ..model import G_SENSITIVITIES, G_SENSITIVITY, Parameter, parameters_of
 from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
-from .gains import BIAS, Gains, biases, inverse, once, rate_test, responses
+from .gains import (
+    BIAS,
+    Gains,
+    bias_names,
+    inverse,
+    position_weights,
+    rate_test_weights,
+    response_names,
+)
 from .solution import Solution
 
 ESTIMATES = parameters_of([G_SENSITIVITY])
@@ -31,11 +39,14 @@ def solve(evidence: Evidence) -> Solution:
     if evidence.azimuth is None:
         raise NotObservable(
             'Positions by least squares need north: give the azimuth of the table (in its YAML, or '
-            f'with --azimuth). {biases("g")} and the g-sensitivities cannot be determined.'
+            f'with --azimuth). {bias_names("g")} and the g-sensitivities cannot be determined.'
         )
-    turned, _ = rate_test(evidence)
+    turned, _ = rate_test_weights(evidence)
     fitted, condition = force_weights(
-        evidence.attitudes()[:, 2], once(evidence), evidence.positions_in_words(), ESTIMATES
+        evidence.attitudes()[:, 2],
+        position_weights(evidence),
+        evidence.positions_in_words(),
+        ESTIMATES,
     )
     g = evidence.site.gravity
     rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
@@ -76,8 +87,8 @@ def check_turns(plan: Plan) -> None:
     for axis, name in enumerate('XYZ'):
         if not any(up[axis] > 1 - 1e-6 for up in turned):
             raise NotObservable(
-                f'Plan {plan.name} has no rate test about {name}: {responses("g", axis)} cannot be '
-                'determined.'
+                f'Plan {plan.name} has no rate test about {name}: {response_names("g", axis)} '
+                'cannot be determined.'
             )
 
 
@@ -109,9 +120,9 @@ def force_weights(
 
 
 def _names(parameters: tuple[Parameter, ...]) -> Sequence[str]:
-    names = [biases('a'), *(responses('a', axis) for axis in range(3))]
+    names = [bias_names('a'), *(response_names('a', axis) for axis in range(3))]
     sensitive = [p for p in parameters if p in G_SENSITIVITIES]
     if not sensitive:
         return names
     own = [', '.join(p.name for p in sensitive if p.column == axis) for axis in range(3)]
-    return [f'{a}, {b}' for a, b in zip([biases('g'), *own], names, strict=True)]
+    return [f'{a}, {b}' for a, b in zip([bias_names('g'), *own], names, strict=True)]

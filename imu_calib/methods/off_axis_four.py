@@ -14,7 +14,7 @@ from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
 from ..units import DEG_H
-from .gains import BIAS, biases, responses
+from .gains import BIAS, bias_names, response_names
 from .solution import Solution
 from .static_six import gyros_only, require_north
 
@@ -59,8 +59,8 @@ def _weights(attitudes: Floats, site: Site, where: str) -> Floats:
     Source: off-axis 2019, section 2; docs/mathematics.md, 'Gyros from the Earth rate'.
     """
     for rate, lost, place in (
-        (site.north_rate, f'{responses("g", 0)}, {responses("g", 1)}', 'near a pole'),
-        (abs(site.up_rate), responses('g', 2), 'near the equator'),
+        (site.north_rate, f'{response_names("g", 0)}, {response_names("g", 1)}', 'near a pole'),
+        (abs(site.up_rate), response_names('g', 2), 'near the equator'),
     ):
         if rate < _LEAST_RATE:
             raise NotObservable(f'The input is too small {place}: {lost} cannot be determined.')
@@ -71,8 +71,8 @@ def _weights(attitudes: Floats, site: Site, where: str) -> Floats:
         if not mine.any():
             column = 'XY'.index(words[0])
             raise NotObservable(
-                f'No position with {words} was found in {where}: {responses("g", column)}, '
-                f'{responses("g", 2)}, {biases("g")} cannot be determined.'
+                f'No position with {words} was found in {where}: {response_names("g", column)}, '
+                f'{response_names("g", 2)}, {bias_names("g")} cannot be determined.'
             )
         share[mine] = 1 / mine.sum()
     x_north, x_south, y_north, y_south = shares
@@ -80,7 +80,7 @@ def _weights(attitudes: Floats, site: Site, where: str) -> Floats:
     if np.any(np.abs(np.abs(ups) - 1) > 1 - _ALONG) or abs(ups.sum()) > 1 - _ALONG:
         raise NotObservable(
             f'Z must be up twice and down twice in {where}, found {np.round(ups, 2).tolist()}: '
-            f'{responses("g", 2)}, {biases("g")} cannot be determined.'
+            f'{response_names("g", 2)}, {bias_names("g")} cannot be determined.'
         )
     result = np.empty((BIAS + 1, len(attitudes)))
     result[0] = (x_north - x_south) / (2 * site.north_rate)

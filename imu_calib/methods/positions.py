@@ -18,7 +18,7 @@ from ..stream import Floats
 from .checks import conclude
 from .gains import Gains
 from .linear import BIAS, UNKNOWNS, ChannelSystem, SolvedTriad, solve_triad
-from .rate_test import RateTest
+from .rate_test import RateTestEquations
 from .solution import Solution
 
 _PASSES = 2
@@ -50,16 +50,18 @@ def solve_gyros(evidence: Evidence, bias: BiasEquation) -> SolvedTriad:
         NotObservable: An axis about which nothing turned.
 
     """
-    test = RateTest.of(evidence)
+    test = RateTestEquations.of(evidence)
     solved = _gyros(evidence, test, bias, test.outputs)
     for _ in range(_PASSES):
-        test = RateTest.of(evidence, solved.triad.response)
+        test = RateTestEquations.of(evidence, solved.triad.response)
         outputs = test.outputs - test.off_axis @ solved.triad.response.T
         solved = _gyros(evidence, test, bias, outputs)
     return solved
 
 
-def _gyros(evidence: Evidence, test: RateTest, bias: BiasEquation, turned: Floats) -> SolvedTriad:
+def _gyros(
+    evidence: Evidence, test: RateTestEquations, bias: BiasEquation, turned: Floats
+) -> SolvedTriad:
     """Solve for (t, 3) outputs of the turns as if the vertical axis alone had turned."""
     at_rest = len(evidence.segments)
     outputs = np.vstack([evidence.outputs()[:, :3], turned])
@@ -115,7 +117,7 @@ def _accelerometers(evidence: Evidence, outputs: Floats) -> SolvedTriad:
 def _up_and_down(evidence: Evidence) -> tuple[Floats, Floats]:
     """Weights that average an axis's up and down positions, each (3, s, 6 - 3)."""
     axes = evidence.vertical_axes()
-    shares = evidence.shares()[:, 3:]
+    shares = evidence.position_weights()[:, 3:]
     names = [s.position for s in evidence.segments]
     result = []
     for sign, word in ((1, 'up'), (-1, 'down')):

@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import NotObservable
 from ..model import PARAMETERS
 from ..observation.evidence import Evidence
-from .gains import BIAS, Gains, biases, once, rate_test
+from .gains import BIAS, Gains, bias_names, position_weights, rate_test_weights
 from .n_positions import force_weights
 from .solution import Solution
 
@@ -28,16 +28,18 @@ def solve(evidence: Evidence) -> Solution:
     if evidence.azimuth is None:
         raise NotObservable(
             'Positions held against north need it: give the azimuth of the table (in its YAML, or '
-            f'with --azimuth). {biases("g")} cannot be determined.'
+            f'with --azimuth). {bias_names("g")} cannot be determined.'
         )
-    turned, condition = rate_test(evidence)
+    turned, condition = rate_test_weights(evidence)
     count = len({s.position for s in evidence.segments})
-    mean = once(evidence) / count
+    mean = position_weights(evidence) / count
     rates = evidence.attitudes().transpose(0, 2, 1) @ evidence.site.earth_rate
     gyro = np.zeros((BIAS + 1, len(rates) + len(evidence.turns)))
     gyro[:BIAS, len(rates) :] = turned
     gyro[BIAS] = np.concatenate([mean, -(mean @ rates) @ turned])
     ups = evidence.attitudes()[:, 2]
-    fitted, spread = force_weights(ups, once(evidence), f'{count} positions', PARAMETERS)
+    fitted, spread = force_weights(
+        ups, position_weights(evidence), f'{count} positions', PARAMETERS
+    )
     accel = np.vstack([fitted[1:] / evidence.site.gravity, fitted[:1]])
     return Gains(gyro, accel, max(condition, spread)).conclude(evidence, north_known=True)

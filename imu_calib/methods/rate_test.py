@@ -26,7 +26,7 @@ _SIGNIFICANT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class RateTest:
+class RateTestEquations:
     """The turns of a session as equations for the gyros' responses.
 
     Attributes:
@@ -45,7 +45,7 @@ class RateTest:
     off_axis: Floats
 
     @classmethod
-    def of(cls, evidence: Evidence, response: Floats | None = None) -> RateTest:
+    def of(cls, evidence: Evidence, response: Floats | None = None) -> RateTestEquations:
         """Collect the turns of a session.
 
         Args:

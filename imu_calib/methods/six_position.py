@@ -33,7 +33,7 @@ def solve(evidence: Evidence) -> Solution:
 
 
 def _bias_equation(evidence: Evidence) -> BiasEquation:
-    shares = evidence.shares()[:, :3]
+    shares = evidence.position_weights()[:, :3]
     positions = len({s.position for s in evidence.segments})
     if not positions:
         raise NotObservable('No position of the plan was found: nothing can be determined.')

@@ -15,12 +15,12 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import NotObservable
-from ..model import SensorModel, Skewed, Triad, parameters_of, positions, skewed_parameters
+from ..model import SensorModel, Skewed, Triad, indices_of, parameters_of, skewed_parameters
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..stream import Floats
 from ..units import DEG, DEG_H
-from .checks import check_axes, clocks, far_scales
-from .gains import BIAS, biases, inverse, responses
+from .checks import check_axes, clock_finding, far_scales
+from .gains import BIAS, bias_names, inverse, response_names
 from .solution import Solution
 
 NAME = 'skewed'
@@ -88,8 +88,10 @@ class RatePoints:
             assert turn.skewed is not None
             outputs.append(np.append(turn.statistics.mean[:3], turn.skewed.mean[0]))
             gain = np.append(turn.statistics.walk_gain[:3], turn.skewed.walk_gain[0])
-            quantum = np.append(turn.statistics.quantum[:3], turn.skewed.quantum[0])
-            own.append(walk**2 * gain + quantum)
+            quantisation = np.append(
+                turn.statistics.quantisation_variance[:3], turn.skewed.quantisation_variance[0]
+            )
+            own.append(walk**2 * gain + quantisation)
             each = turn.each
             several = each is not None and each.shape == (len(each), 4) and len(each) > 1
             scatter = np.full(4, np.nan)
@@ -120,8 +122,8 @@ class RatePoints:
         """
         scale = float(np.abs(self.inputs).max())
         design = np.column_stack([self.inputs / scale, np.ones(len(self.inputs))])
-        names = [f'{responses("g", j)}, R_gs{axis}' for j, axis in enumerate('xyz')]
-        names.append(f'{biases("g")}, D_gs')
+        names = [f'{response_names("g", j)}, R_gs{axis}' for j, axis in enumerate('xyz')]
+        names.append(f'{bias_names("g")}, D_gs')
         condition = inverse(design, names, f'{len(design)} turns')[1]
         result = []
         for channel in range(4):
@@ -181,7 +183,7 @@ def solve(evidence: Evidence) -> Solution:
         'The accelerometers were not calibrated: this method knows the gyros alone.',
         *_parity(points, unknowns, sure),
         *far_scales(model),
-        *clocks(evidence),
+        *clock_finding(evidence),
     ]
     unknown = float('nan')
     return Solution(
@@ -202,7 +204,7 @@ def solve(evidence: Evidence) -> Solution:
 def _gain(evidence: Evidence, weights: Floats) -> Floats:
     """Put (4, 4, u) weights in the order of the parameters and of `Solution.gain`, (n, m + u)."""
     seen = [k for k, turn in enumerate(evidence.turns) if turn.skewed is not None]
-    resting = replace(evidence, moves=()).rows
+    resting = replace(evidence, moves=()).layout
     columns = np.column_stack([resting.turn[seen], len(resting) + np.arange(len(seen))])
     result = np.zeros((len(_PARAMETERS), len(resting) + len(seen)))
     for row, p in zip(result, _PARAMETERS, strict=True):
@@ -211,7 +213,7 @@ def _gain(evidence: Evidence, weights: Floats) -> Floats:
     return result
 
 
-def doubt(evidence: Evidence) -> Floats:
+def variance_by_weights(evidence: Evidence) -> Floats:
     """Return what the variances of all parameters gain because the weights are estimates.
 
     To second order: a pooled variance of f degrees of freedom errs by 2/f of its square, and moves
@@ -237,7 +239,7 @@ def doubt(evidence: Evidence) -> Floats:
     return np.asarray(np.diag(_in_order(np.diag(added.ravel()))))
 
 
-def bound(points: RatePoints, extra: Floats | None = None) -> Floats:
+def gauss_markov_bound(points: RatePoints, extra: Floats | None = None) -> Floats:
     """Return the least covariance (4, 4) of the skewed gyro's responses and bias (Gauss-Markov).
 
     Args:
@@ -304,7 +306,7 @@ def _covariance(
 def _in_order(square: Floats) -> Floats:
     """Put (16, 16), channel by channel, in the order of the 24 and the four; NaN elsewhere."""
     places = [4 * p.row + (BIAS if p.column is None else p.column) for p in ESTIMATES]
-    of_gyros = positions(ESTIMATES, _PARAMETERS)
+    of_gyros = indices_of(ESTIMATES, _PARAMETERS)
     result = np.full((len(_PARAMETERS), len(_PARAMETERS)), np.nan)
     result[np.ix_(of_gyros, of_gyros)] = square[np.ix_(places, places)]
     return result

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..budget import Shares
 from ..changes import Changes
-from ..estimation.tested import Tested
+from ..estimation.term_tests import TermTest
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
 
@@ -46,7 +46,7 @@ class Solution:
         earth_up_std: Its standard deviation, rad/s.
         condition: Condition number of the system solved, columns scaled to unit length.
         findings: What a person should know, in sentences.
-        wandering: (6,) standard deviation of wandering biases that the covariance allows for,
+        bias_drift: (6,) standard deviation of wandering biases that the covariance allows for,
             rad/s and m/s^2; None for a method that knows of no such thing.
         parameters: (n,) what the rows of the covariance stand for.
         shares: The covariance by source, which adds up to it; None for a method that does not tell.
@@ -68,11 +68,11 @@ class Solution:
     earth_up_std: float
     condition: float
     findings: tuple[str, ...]
-    wandering: Floats | None = None
+    bias_drift: Floats | None = None
     parameters: tuple[Parameter, ...] = PARAMETERS
     shares: Shares | None = None
     changes: Changes | None = None
-    tests: tuple[Tested, ...] = ()
+    tests: tuple[TermTest, ...] = ()
     gain: Floats | None = None
 
     def __post_init__(self) -> None:

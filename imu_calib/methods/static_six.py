@@ -17,7 +17,7 @@ from ..model import PARAMETERS, ParameterKind
 from ..observation.evidence import Evidence
 from ..plan import Plan
 from ..stream import Floats
-from .gains import BIAS, Gains, biases, inverse, once, responses
+from .gains import BIAS, Gains, bias_names, inverse, position_weights, response_names
 from .solution import Solution
 
 ESTIMATES = tuple(p for p in PARAMETERS if p.triad == 'g')
@@ -36,7 +36,10 @@ def solve(evidence: Evidence) -> Solution:
     """
     require_north(evidence)
     weights, condition = _weights(
-        evidence.attitudes(), evidence.site, once(evidence), evidence.positions_in_words()
+        evidence.attitudes(),
+        evidence.site,
+        position_weights(evidence),
+        evidence.positions_in_words(),
     )
     gyro = np.vstack([weights[:BIAS] / EARTH_RATE, weights[BIAS:]])
     return gyros_only(evidence, gyro, condition)
@@ -63,10 +66,10 @@ def require_north(evidence: Evidence) -> None:
 
     """
     if evidence.azimuth is None:
-        lost = ', '.join(responses('g', axis) for axis in range(3))
+        lost = ', '.join(response_names('g', axis) for axis in range(3))
         raise NotObservable(
             'Where Earth rate is the input, north must be known: give the azimuth of the table (in '
-            f'its YAML, or with --azimuth). {lost}, {biases("g")} cannot be determined.'
+            f'its YAML, or with --azimuth). {lost}, {bias_names("g")} cannot be determined.'
         )
 
 
@@ -97,7 +100,7 @@ def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
 def _weights(attitudes: Floats, site: Site, weights: Floats, what: str) -> tuple[Floats, float]:
     """Return (4, s) weights for responses to omega_ie and bias, and the condition number."""
     rates = attitudes.transpose(0, 2, 1) @ site.earth_rate / EARTH_RATE
-    names = [*(responses('g', axis) for axis in range(3)), biases('g')]
+    names = [*(response_names('g', axis) for axis in range(3)), bias_names('g')]
     root = np.sqrt(weights)
     design = np.column_stack([rates, np.ones(len(rates))]) * root[:, None]
     gain, condition = inverse(design, names, what)

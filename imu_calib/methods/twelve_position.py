@@ -40,7 +40,7 @@ def _bias_weights(evidence: Evidence) -> tuple[Floats, list[str]]:
     """Average the groups in which the Earth rate cancels (eqs. 13 and 14)."""
     axes = [axis for axis, _ in evidence.vertical_axes()]
     names = [s.position for s in evidence.segments]
-    shares = evidence.shares()[:, :3]
+    shares = evidence.position_weights()[:, :3]
     inputs = np.transpose(evidence.attitudes(), (0, 2, 1))
     rows, incomplete = [], []
     for axis in range(3):

@@ -9,7 +9,7 @@ from .parameters import (
     PARAMETERS,
     Parameter,
     Product,
-    positions,
+    indices_of,
     skewed_parameters,
 )
 from .sensors import (
@@ -30,8 +30,8 @@ from .terms import (
     NO_TERMS,
     TERMS,
     Term,
-    chosen,
-    looked_for,
+    asks_for_search,
+    named_terms,
     term,
 )
 
@@ -59,11 +59,11 @@ __all__ = [
     'Term',
     'Triad',
     'Unit',
+    'asks_for_search',
     'by_name',
-    'chosen',
-    'looked_for',
+    'indices_of',
+    'named_terms',
     'parameters_of',
-    'positions',
     'regressors',
     'skewed_parameters',
     'term',

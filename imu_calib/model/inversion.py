@@ -51,7 +51,7 @@ def inverted(model: Nonlinear, linear: Floats, gain: Floats) -> tuple[Floats, ND
         if not len(at):
             break
         inputs = found[at]
-        left = inputs - linear[at] + through(model.extra(inputs), gain)
+        left = inputs - linear[at] + times_transpose(model.extra(inputs), gain)
         step = _solved(np.eye(6) + gain @ model.extra_slopes(inputs), left)
         found[at] = inputs - step
         small = np.abs(step).max(axis=1) <= _CONVERGED * (1 + np.abs(inputs).max(axis=1))
@@ -61,7 +61,7 @@ def inverted(model: Nonlinear, linear: Floats, gain: Floats) -> tuple[Floats, ND
     return found, done
 
 
-def through(columns: Floats, matrix: Floats) -> Floats:
+def times_transpose(columns: Floats, matrix: Floats) -> Floats:
     """Return (n, k) columns times the transpose of an (m, k) matrix, summed column by column.
 
     A BLAS product of many rows may round otherwise than that of one.

@@ -31,12 +31,12 @@ MOTION = (*SIZE_EFFECT.parameters, *DELAY.parameters)
 """The seven."""
 
 
-def of_motion(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+def motion_parameters(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """Return those that only motion shows."""
     return tuple(p for p in parameters if p.kind in OF_MOTION)
 
 
-def any_of_motion(terms: Iterable[Term]) -> bool:
+def has_motion_terms(terms: Iterable[Term]) -> bool:
     """Say whether any of the terms has such parameters."""
     return any(term.kind in OF_MOTION for term in terms)
 

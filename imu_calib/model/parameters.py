@@ -71,7 +71,7 @@ class Product:
     scale: float = 1.0
 
     @property
-    def none(self) -> bool:
+    def is_zero(self) -> bool:
         """Whether it is zero whatever the inputs are."""
         return self.scale == 0
 
@@ -179,7 +179,7 @@ def linear_product(parameter: Parameter) -> Product:
     return Product((parameter.column + (len(AXES) if parameter.triad == 'a' else 0),))
 
 
-def positions(wanted: Sequence[Parameter], among: Sequence[Parameter]) -> list[int]:
+def indices_of(wanted: Sequence[Parameter], among: Sequence[Parameter]) -> list[int]:
     """Return where parameters stand in a longer list.
 
     Raises:

@@ -308,7 +308,7 @@ class SensorModel:
             (parameter.channel, float(value), product)
             for name, values in self.terms.items()
             for (parameter, product), value in zip(term(name).products, values, strict=True)
-            if value and not product.none
+            if value and not product.is_zero
         )
 
     def extra(self, inputs: Floats) -> Floats:

@@ -120,7 +120,7 @@ def session_term(text: str) -> tuple[Change, ...]:
     )
 
 
-def parted(text: str) -> tuple[str, tuple[Change, ...]]:
+def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
     """Take the terms of a session out of a list with commas between.
 
     Returns:
@@ -162,7 +162,7 @@ def names_of(changes: Sequence[Change]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(c.course.value for c in changes))
 
 
-def spelled(changes: Sequence[Change]) -> list[str]:
+def terms_in_words(changes: Sequence[Change]) -> list[str]:
     """Return terms as a person would ask for them (`session_term`), in order."""
     found = []
     for course in dict.fromkeys(c.course for c in changes):

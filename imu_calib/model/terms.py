@@ -69,7 +69,7 @@ class Term:
     @property
     def linear(self) -> bool:
         """Whether the outputs stay linear in the inputs with it."""
-        return all(p.none or (len(p.factors) == 1 and not p.absolute) for _, p in self.products)
+        return all(p.is_zero or (len(p.factors) == 1 and not p.absolute) for _, p in self.products)
 
     @property
     def triad(self) -> str:
@@ -246,7 +246,7 @@ G_SENSITIVITIES: tuple[Parameter, ...] = G_SENSITIVITY.parameters
 """The nine that make 33."""
 
 
-def chosen(text: str) -> tuple[Term, ...]:
+def named_terms(text: str) -> tuple[Term, ...]:
     """Return the terms that a person names: 'none', or names with commas between, 'auto' left out.
 
     Raises:
@@ -259,7 +259,7 @@ def chosen(text: str) -> tuple[Term, ...]:
     return tuple(dict.fromkeys(term(name) for name in names if name != AUTO_TERMS))
 
 
-def looked_for(text: str) -> bool:
+def asks_for_search(text: str) -> bool:
     """Say whether a person asks for the terms that the session shows: 'auto' among the names."""
     return AUTO_TERMS in [name.strip() for name in text.split(',')]
 

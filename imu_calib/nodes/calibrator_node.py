@@ -20,10 +20,10 @@ from .diagnostics import Diagnostics, Level
 from .done import DoneWord
 from .entry import entry_point
 from .hearing import Hearing
-from .live import LiveSession, Phase
+from .live import LiveSession, SessionPhase
 from .publishers import OnePublisher
 from .session_parameters import declared_setup
-from .session_words import journal_words, progress_message, report, sentence
+from .session_words import journal_words, progress_message, report, session_sentence
 
 _TICK = 0.005
 """s: five samples at 1 kHz; a queue of the middleware holds many times that."""
@@ -214,7 +214,7 @@ class CalibratorNode(ros.Node):
         """Publish the calibration where there is news of it, and the progress."""
         session = self._session
         now = self.get_clock().now().to_msg()
-        if session.phase is Phase.FAILED:
+        if session.phase is SessionPhase.FAILED:
             self._result_publisher.publish(
                 refusal_message(
                     self._setup.imu, self._setup.plan.name, session.failure, session.frame_id, now
@@ -222,7 +222,7 @@ class CalibratorNode(ros.Node):
             )
         elif session.calibration is not None and self._is_news(session.calibration):
             self._shown = session.calibration
-            final = session.phase is Phase.FINISHED
+            final = session.phase is SessionPhase.FINISHED
             status = messages.ImuCalibration.PROVISIONAL
             if final:
                 status = final_status(session.calibration)
@@ -237,7 +237,7 @@ class CalibratorNode(ros.Node):
     def _is_news(self, calibration: Calibration) -> bool:
         return (
             self._shown is None
-            or self._session.phase is Phase.FINISHED
+            or self._session.phase is SessionPhase.FINISHED
             or calibration.provenance['samples'] != self._shown.provenance['samples']
         )
 
@@ -252,7 +252,7 @@ class CalibratorNode(ros.Node):
         """Write the result; return why not, or nothing."""
         calibration = self._session.calibration
         if calibration is None:
-            return sentence(self._session)
+            return session_sentence(self._session)
         try:
             calibration.save(self._output)
         except InputError as error:
@@ -265,7 +265,7 @@ class CalibratorNode(ros.Node):
         """End the session with what is here."""
         session = self._session
         response.success = not session.over
-        response.message = sentence(self._session)
+        response.message = session_sentence(self._session)
         review = session.review
         if self._setup.table is None and review is not None and review.result is None:
             # In the hand there is always another hold to be made.

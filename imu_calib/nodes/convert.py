@@ -24,7 +24,7 @@ from ..model import (
     terms_of,
 )
 from ..plausibility import check_plausible
-from ..sequencing import State
+from ..sequencing import SequencerState
 from ..sequencing.trajectory import Piece
 from ..stamping import StampingClock, check_clock
 from ..stream import Units
@@ -265,7 +265,7 @@ def _empty(imu: ImuSpec, status: int, text: str, frame_id: str, stamp: Any) -> A
     return message
 
 
-def state_message(state: State, joints: tuple[str, ...], stamp: int) -> Any:
+def state_message(state: SequencerState, joints: tuple[str, ...], stamp: int) -> Any:
     """Return imu_calib_msgs/TurntableState; the stamp is in ns."""
     message = messages.TurntableState(
         plan=state.plan,

@@ -26,7 +26,7 @@ from . import qos
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .line import Line
+from .frame_server import FrameServer
 
 _STEP = 0.1
 """s of simulated time at once."""
@@ -46,7 +46,7 @@ class HandNode(ros.Node):
             self, 'speed', 0.0, 'times the wall clock at most; 0: as fast as is followed', lower=0.0
         )
         port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
-        self._line = Line(port)
+        self._line = FrameServer(port)
         self._diagnostics = Diagnostics(self, 'simulated hand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self.create_subscription(

@@ -245,7 +245,7 @@ class ImuNode(ManagedNode):
         if steady - self._reported_at < _REPORT_PERIOD and silent == self._silent:
             return
         self._reported_at, self._silent = steady, silent
-        for word in self._reception.words(self._source.state, now, steady):
+        for word in self._reception.statuses(self._source.state, now, steady):
             self._diagnostics.report(word.part, Level(word.severity), word.text, **word.figures)
 
 

@@ -9,7 +9,7 @@ from ..stream import Block, SetpointBlock
 
 
 @dataclass(eq=False)
-class Intake:
+class TopicIntake:
     """One topic of the session.
 
     Attributes:

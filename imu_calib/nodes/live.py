@@ -21,7 +21,7 @@ from ..errors import ImuCalibError, InputError
 from ..model import Parameter, skewed_parameters
 from ..segmentation.segmenter import INTERRUPTION, interruption
 from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
-from .intake import Intake
+from .intake import TopicIntake
 from .solving import Solver
 
 _LATE = 500_000_000
@@ -32,7 +32,7 @@ _SKEW_AWAITED = 10.0
 """How much the IMU may say while a skewed gyro says nothing: s by its stamps and by the clock."""
 
 
-class Phase(IntEnum):
+class SessionPhase(IntEnum):
     """As in imu_calib_msgs/CalibrationProgress."""
 
     WAITING = 0
@@ -79,8 +79,8 @@ class LiveSession:
         self.setup = setup
         self.journal = journal
         now = time.monotonic()
-        self.intakes = {k: Intake(k, topic, Malformed(), now) for k, topic in topics.items()}
-        self.phase = Phase.WAITING
+        self.intakes = {k: TopicIntake(k, topic, Malformed(), now) for k, topic in topics.items()}
+        self.phase = SessionPhase.WAITING
         self.failure = ''
         self.trouble = ''
         self.notes: list[str] = []
@@ -110,7 +110,7 @@ class LiveSession:
     @property
     def over(self) -> bool:
         """Whether nothing is taken in any more."""
-        return self.phase in {Phase.FINISHED, Phase.FAILED}
+        return self.phase in {SessionPhase.FINISHED, SessionPhase.FAILED}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -123,7 +123,7 @@ class LiveSession:
         return self.review.guidance if isinstance(self.review, HandReview) else None
 
     @property
-    def _leader(self) -> Intake:
+    def _leader(self) -> TopicIntake:
         """The topic that says how far the session has come."""
         return self.intakes[Kind.JOINTS if Kind.JOINTS in self.intakes else Kind.IMU]
 
@@ -239,7 +239,7 @@ class LiveSession:
 
     def fail(self, reason: str) -> None:
         """End the session without a result."""
-        self.phase = Phase.FAILED
+        self.phase = SessionPhase.FAILED
         self.failure = reason
         self.calibration = None
         # What came in is kept, to be looked into; more would not make it better.
@@ -269,19 +269,19 @@ class LiveSession:
             # It was begun before the last data came in.
             self.solve()
         elif result is not None and not self.trouble:
-            self.phase = Phase.DETERMINED
+            self.phase = SessionPhase.DETERMINED
             self.calibration = self._with_notes(result.calibration)
             if self.guidance is not None and self.guidance.stage is Stage.ENOUGH:
                 self.end()
         elif self.intakes[Kind.IMU].count:
-            self.phase = Phase.COLLECTING
+            self.phase = SessionPhase.COLLECTING
             self.calibration = None
 
     def _finish(self, review: Review) -> None:
         if review.result is None:
             self.fail(review.refusal)
         elif self._close_journal(finished=True):
-            self.phase = Phase.FINISHED
+            self.phase = SessionPhase.FINISHED
             self.calibration = self._with_notes(review.result.calibration)
         else:
             self.fail(f'The session cannot be kept: {self.trouble}')
@@ -299,7 +299,7 @@ class LiveSession:
             return False
         return True
 
-    def _write(self, intake: Intake, messages: Messages, now: int) -> None:
+    def _write(self, intake: TopicIntake, messages: Messages, now: int) -> None:
         try:
             self.journal.write(intake.topic, intake.kind.type_name, messages, now)
         except InputError as error:

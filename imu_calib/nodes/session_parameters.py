@@ -11,8 +11,8 @@ from ..errors import InputError
 from ..imu import load_imu
 from ..metadata import describe
 from ..middleware import Node
-from ..model import AUTO_TERMS, chosen, looked_for
-from ..model.session_terms import parted
+from ..model import AUTO_TERMS, asks_for_search, named_terms
+from ..model.session_terms import split_terms
 from ..plan import load_plan
 from ..turntable import load_table
 from ..units import DEG
@@ -49,8 +49,8 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
     wanted = declare(
         node, 'terms', AUTO_TERMS, 'that the joint estimate adds; auto: those that show'
     )
-    named, changes = parted(wanted)
-    terms, look = chosen(named), looked_for(wanted)
+    named, changes = split_terms(wanted)
+    terms, look = named_terms(named), asks_for_search(wanted)
     serial = declare(node, 'serial_number', '', 'of the unit; empty: not stated')
     if math.isnan(latitude):
         raise InputError('Parameter latitude: give the latitude of the stand, in degrees.')

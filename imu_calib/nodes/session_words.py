@@ -12,13 +12,13 @@ from ..middleware import messages
 from ..model import Parameter
 from ..reports.parameter_table import engineering
 from .diagnostics import Diagnostics, Level
-from .live import LiveSession, Phase
+from .live import LiveSession, SessionPhase
 
 _SILENCE_BY_HAND = 2.0
 """s: a driver that pauses so long is gone, where no table says that time goes on; a choice."""
 
 
-def sentence(session: LiveSession) -> str:
+def session_sentence(session: LiveSession) -> str:
     """Say how far a session has come, or what is wrong with it."""
     if session.failure or session.trouble:
         return session.failure or session.trouble
@@ -27,11 +27,11 @@ def sentence(session: LiveSession) -> str:
     if session.guidance is not None and not session.over:
         return session.guidance.text
     words = {
-        Phase.WAITING: f'Waiting for {imu.topic}.',
-        Phase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined.',
-        Phase.DETERMINED: f'{known} parameters are determined, and still improve.',
-        Phase.FINISHED: f'{known} parameters are determined.',
-        Phase.FAILED: session.failure,
+        SessionPhase.WAITING: f'Waiting for {imu.topic}.',
+        SessionPhase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined.',
+        SessionPhase.DETERMINED: f'{known} parameters are determined, and still improve.',
+        SessionPhase.FINISHED: f'{known} parameters are determined.',
+        SessionPhase.FAILED: session.failure,
     }
     return words[session.phase]
 
@@ -59,8 +59,8 @@ def progress_message(
         step=session.steps_seen if guidance is None else guidance.holds,
         steps=steps,
         # A full disk stops the table: what it would do now could not be kept.
-        state=int(Phase.FAILED if session.trouble else session.phase),
-        text=sentence(session),
+        state=int(SessionPhase.FAILED if session.trouble else session.phase),
+        text=session_sentence(session),
         parameter_names=names,
         standard_deviations=([math.nan] * len(names) if review is None else review.std.tolist()),
         seconds_left=seconds_left,
@@ -85,12 +85,12 @@ def report(session: LiveSession, diagnostics: Diagnostics, imu_timeout: float) -
     """
     _report_imu(session, diagnostics, imu_timeout)
     level = Level.OK
-    if session.phase is Phase.FAILED:
+    if session.phase is SessionPhase.FAILED:
         level = Level.ERROR
-    elif session.phase is Phase.FINISHED and session.calibration is not None:
+    elif session.phase is SessionPhase.FINISHED and session.calibration is not None:
         level = Level.WARN if session.calibration.findings else Level.OK
     figures = {} if session.review is None else _worst(session.review)
-    text = sentence(session)
+    text = session_sentence(session)
     if session.guidance is not None and not session.over:
         known = int((session.review.std > 0).sum()) if session.review is not None else 0
         total = len(session.parameters)

@@ -31,7 +31,7 @@ from .commands import Commands
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .line import Line
+from .frame_server import FrameServer
 
 _STEP = 0.1
 """s of simulated time at once."""
@@ -58,7 +58,7 @@ class StandNode(ros.Node):
         )
         self._pace = _Pace(speed)
         port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
-        self._line = Line(port)
+        self._line = FrameServer(port)
         self._diagnostics = Diagnostics(self, 'simulated stand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self._joint_publisher = self.create_publisher(

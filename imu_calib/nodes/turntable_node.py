@@ -23,7 +23,7 @@ from ..middleware import (
     spin_once,
 )
 from ..plan import load_plan
-from ..sequencing import Sequencer, State
+from ..sequencing import Sequencer, SequencerState
 from ..stream import Mode, Setpoint, SetpointBlock
 from ..turntable import load_table
 from . import qos
@@ -223,7 +223,7 @@ class TurntableNode(Node):
                 f'No joint state from the table for {self._watchdog:g} s.{self._of_others()}'
             )
         silence = now - self._heard_at
-        self._sequencer.attend(
+        self._sequencer.set_calibrator_present(
             silence <= self._calibrator_timeout,
             f'The calibrator is silent for {self._calibrator_timeout:g} s.',
         )
@@ -290,7 +290,7 @@ class TurntableNode(Node):
             return
         self._publish_state(sequencer.state())
 
-    def _publish_state(self, state: State) -> None:
+    def _publish_state(self, state: SequencerState) -> None:
         self._published = self._sequencer.summary
         self._published_at = self._steady.now().nanoseconds * 1e-9
         message = state_message(state, self._sequencer.table.names, self._stamp())
@@ -391,7 +391,7 @@ class TurntableNode(Node):
                 f'{self._sequencer.plan.name}: its progress does not count.',
             )
             return
-        self._sequencer.hear(fault)
+        self._sequencer.set_calibrator_fault(fault)
         self._diagnostics.report(
             'calibrator',
             Level.ERROR if failed else Level.OK,
@@ -419,7 +419,7 @@ class TurntableNode(Node):
         if self._sequencer.reviewing:
             self._sequencer.review(stamp, repeat_steps)
         if stamp:
-            self._sequencer.hear_what_is_done(int(message.step), repeat_steps)
+            self._sequencer.skip_done(int(message.step), repeat_steps)
 
     def _on_estop(self) -> None:
         """Hold the table until `~/release`, and do not start by itself any more."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ..sequencing import Phase, State
+from ..sequencing import Phase, SequencerState
 from ..units import DEG
 
 
-def sentence(state: State) -> str:
+def sentence(state: SequencerState) -> str:
     """Say in a sentence what goes on; it changes with step and phase alone."""
     if state.waits_for:
         return f'Waits for {state.waits_for}.'
@@ -18,7 +18,7 @@ def sentence(state: State) -> str:
     return f'{state.phase.name.capitalize()}: step {state.step + 1} of {state.steps}, {where}.'
 
 
-def figures(state: State, joints: tuple[str, ...]) -> dict[str, str]:
+def figures(state: SequencerState, joints: tuple[str, ...]) -> dict[str, str]:
     """Return what a person wants to see of a state, with units."""
     told = {
         'plan': state.plan,

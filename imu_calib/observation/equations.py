@@ -28,13 +28,13 @@ from ..model.session_terms import Change
 from ..rotations import GENERATORS, rotation
 from ..stream import Floats, Units
 from ..units import ARCMIN, DEG
-from .arrivals import NO_ARRIVALS, Arrivals
 from .components import Component, Diagonal, Factor, shares
-from .doubts import encoder_rates, level_gravity, own_parts, unknown_north
 from .evidence import SMALLEST_VARIANCE, Evidence
-from .headings import whole
+from .headings import mean_over_turn
+from .layout import OutputLayout
 from .modulation import columns, slopes, stated_changes
-from .rows import Rows
+from .output_noise import encoder_rates, level_gravity, own_parts, unknown_north
+from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 
 
 class Nuisance(IntEnum):
@@ -104,7 +104,7 @@ Value = TypeVar('Value')
 class Equations:
     """The equations of a session.
 
-    Their order is that of `rows`.
+    Their order is that of `layout`.
 
     Attributes:
         evidence: The session, in the time of its table (`timebase`).
@@ -112,7 +112,7 @@ class Equations:
         levelled: Standard deviation of the table's tilt about either axis, rad; None for what the
             table states.
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
-        arriving: What arrivals scatter by beyond what the table states.
+        positioning: What arrivals scatter by beyond what the table states.
         extra: Further parts of the covariance of the outputs.
         inflation: (m,) factors on the variance of each output's own noise, or None.
         changes: Coefficients by which parameters change during the session: the end of the state.
@@ -127,7 +127,7 @@ class Equations:
     parameters: tuple[Parameter, ...] = PARAMETERS
     levelled: float | None = None
     any_heading: bool = False
-    arriving: Arrivals = NO_ARRIVALS
+    positioning: PositioningErrors = NO_POSITIONING_ERRORS
     extra: tuple[Component, ...] = field(default=(), repr=False)
     inflation: Floats | None = field(default=None, repr=False)
     changes: tuple[Change, ...] = ()
@@ -141,9 +141,9 @@ class Equations:
         return len(self.parameters)
 
     @property
-    def rows(self) -> Rows:
+    def layout(self) -> OutputLayout:
         """Where the outputs of rests, turns and moves lie."""
-        return self.evidence.rows
+        return self.evidence.layout
 
     @property
     def size(self) -> int:
@@ -185,8 +185,8 @@ class Equations:
     def outputs(self) -> Floats:
         """What was read, (m,) rad/s, m/s^2, rad and m/s: moves read no difference."""
         turned = np.array([t.statistics.mean for t in self.evidence.turns]).reshape(-1, 6)
-        moved = np.zeros((len(self.evidence.led), 6))
-        return self.rows.joined(self.evidence.outputs(), turned, moved)
+        moved = np.zeros((len(self.evidence.links), 6))
+        return self.layout.joined(self.evidence.outputs(), turned, moved)
 
     @cached_property
     def prior(self) -> tuple[Floats, Floats]:
@@ -195,7 +195,7 @@ class Equations:
         azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
         clock_std = evidence.clock_rate()[1]
         # A clock that has no say still needs a width above zero to be whitened by.
-        level = evidence.level if self.levelled is None else self.levelled
+        level = evidence.levelling if self.levelled is None else self.levelled
         deviations = [azimuth, level, level, max(clock_std, 1e-15), *evidence.arms.deviations]
         return np.zeros(self.nuisances), np.array(deviations)
 
@@ -240,12 +240,12 @@ class Equations:
 
     @property
     def _attitudes(self) -> Floats:
-        return self.evidence.held
+        return self.evidence.rest_attitudes
 
     @property
     def _turning(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Up in body axes (t, 3), rate by the table's own clock (t,), whether that clock counts."""
-        return self.evidence.turning
+        return self.evidence.turn_inputs
 
     @property
     def _headings(self) -> Floats:
@@ -254,11 +254,11 @@ class Equations:
     def _once(self, what: str, state: Floats, worked_out: Callable[[Floats], Value]) -> Value:
         """Return what is the same whatever the weights: it is worked out once at each state."""
         key = (what, state.tobytes(), self.time_constant)
-        for known, parameters, changes, value in self.evidence.memo:
+        for known, parameters, changes, value in self.evidence.state_cache:
             if known == key and parameters is self.parameters and changes is self.changes:
                 return cast(Value, value)
         found = worked_out(state)
-        self.evidence.memo.append((key, self.parameters, self.changes, found))
+        self.evidence.state_cache.append((key, self.parameters, self.changes, found))
         return found
 
     def _inputs(self, state: Floats) -> _Inputs:
@@ -297,10 +297,10 @@ class Equations:
         around, *inputs = self._inputs(state)
         model = self.model(state)
         at_rest, turned = self._answers(model, inputs)
-        led = self.evidence.led.off(model, self.earth(state), around.force)
+        led = self.evidence.links.misclosures(model, self.earth(state), around.force)
         if state[self.clock]:
             led = led + self._led_by_clock(model, around) * state[self.clock]
-        predicted = self.rows.joined(at_rest, turned, led)
+        predicted = self.layout.joined(at_rest, turned, led)
         predicted[self._divided] /= 1 + state[self.clock]
         return predicted
 
@@ -314,7 +314,7 @@ class Equations:
         """
         rate, force, turning, felt = inputs
         at_rest = np.hstack(model.predict(rate, force))
-        return at_rest, whole(np.concatenate(model.predict(turning, felt), axis=-1))
+        return at_rest, mean_over_turn(np.concatenate(model.predict(turning, felt), axis=-1))
 
     def jacobian(self, state: Floats) -> Floats:
         """Return the derivatives of `predict`, (m, n).
@@ -328,23 +328,23 @@ class Equations:
         model, n = self.model(state), self.sensors
         at_rest = np.zeros((len(rate), 6, self.size))
         turned = np.zeros((len(turning), 6, self.size))
-        moves = self.evidence.led
+        moves = self.evidence.links
         led = np.zeros((len(moves), 6, self.size))
         world = np.vstack([around.rate_slopes, around.force_slopes])
         at_rest[:, :, n : n + 3] = model.slopes(rate, force) @ _both(self._to_body) @ world
         slopes = model.slopes(turning, felt)
-        turned[:, :, n : n + 3] = whole(slopes @ _both(self._headings) @ world)
+        turned[:, :, n : n + 3] = mean_over_turn(slopes @ _both(self._headings) @ world)
         arms = self.evidence.arms
-        turned[arms.turns, :, self.arms] = whole(slopes[..., 3:])[arms.turns] @ arms.slopes
+        turned[arms.turns, :, self.arms] = mean_over_turn(slopes[..., 3:])[arms.turns] @ arms.slopes
         led[:, :, n : n + 3] = moves.by_rate() @ around.rate_slopes
         led[:, :, n : n + 3] += moves.by_force() @ around.force_slopes
         led[:, :, self.clock] = self._led_by_clock(model, around)
-        result = self.rows.joined(at_rest, turned, led)
+        result = self.layout.joined(at_rest, turned, led)
         faster, divided = 1 + state[self.clock], self._divided
         result[divided] /= faster
         result[:, :n] = self.by_parameters(state, self.parameters)
         answers = self._answers(model, (rate, force, turning, felt))
-        answered = self.rows.joined(*answers, np.zeros_like(led[:, :, 0]))
+        answered = self.layout.joined(*answers, np.zeros_like(led[:, :, 0]))
         result[divided, self.clock] = -answered[divided] / faster**2
         result[:, self.changing] = self.columns(self.changes, result)
         return result
@@ -360,9 +360,9 @@ class Equations:
         _, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = model.derivatives(rate, force, parameters)
-        turned = whole(model.derivatives(turning, felt, parameters))
-        led = self.evidence.led.by_parameters(model, parameters)
-        result = self.rows.joined(at_rest, turned, led)
+        turned = mean_over_turn(model.derivatives(turning, felt, parameters))
+        led = self.evidence.links.by_parameters(model, parameters)
+        result = self.layout.joined(at_rest, turned, led)
         result[self._divided] /= 1 + state[self.clock]
         return result
 
@@ -376,15 +376,15 @@ class Equations:
         if self.evidence.units is not Units.PULSES:
             return np.zeros(0, dtype=np.intp)
         if self.evidence.clocks_compared:
-            return np.setdiff1d(np.arange(len(self.rows)), self.rows.moving)
-        return self.rows.turn[self._turning[2]].ravel()
+            return np.setdiff1d(np.arange(len(self.layout)), self.layout.moving)
+        return self.layout.turn[self._turning[2]].ravel()
 
     def _led_by_clock(self, model: SensorModel, around: Surroundings) -> Floats:
         """Return the derivatives of the moves by the rate between the clocks, (m, 6)."""
         counted = self.evidence.units is Units.PULSES
         if counted and not self.evidence.clocks_compared:
-            return np.zeros((len(self.evidence.led), 6))
-        return self.evidence.led.by_clock(model, around.force, counted=counted)
+            return np.zeros((len(self.evidence.links), 6))
+        return self.evidence.links.by_clock(model, around.force, counted=counted)
 
     def columns(self, changes: Sequence[Change], derivatives: Floats) -> Floats:
         """Return the derivatives by coefficients of a session's terms, on or off, (m, k).
@@ -396,7 +396,7 @@ class Equations:
         """
         return columns(self.evidence, changes, derivatives, self.parameters, self.time_constant)
 
-    def rising(self, state: Floats) -> Floats:
+    def slopes(self, state: Floats) -> Floats:
         """Return by how much outputs rise within their stretch, (m,) per s: by what changes."""
         jacobian, changes, time = self.jacobian(state), self.changes, self.time_constant
         found = slopes(self.evidence, changes, jacobian, self.parameters, time)
@@ -412,7 +412,7 @@ class Equations:
         if self.inflation is not None:
             return own_parts(self.evidence, self.inflation)
         # Most equations of a session differ in what comes on top of this.
-        known = self.evidence.standing
+        known = self.evidence.cache
         if 'own' not in known:
             known['own'] = own_parts(self.evidence, None)
         return cast(tuple[Component, ...], known['own'])
@@ -446,7 +446,7 @@ class Equations:
             parameters, deviations = zip(*self.doubts, strict=True)
             columns = self.by_parameters(state, parameters) * np.array(deviations)
             found.append(Component(Source.TERMS, Factor(columns)))
-        if self.rows.pushed:
+        if self.layout.moves_with_accels:
             found += self._levers(state)
         if (by_table := self.by_table(state)).shape[1]:
             found.append(Component(Source.TABLE, Factor(by_table)))
@@ -461,7 +461,7 @@ class Equations:
         """Return what lever arms and the accelerometers' delay do to the velocities of moves."""
         rate = self.surroundings(state).rate
         known = self.held | {p.kind for p in self.parameters}
-        arms, delays = self.evidence.led.besides(self.model(state), rate, known)
+        arms, delays = self.evidence.links.shared_velocity_errors(self.model(state), rate, known)
         return [
             Component(Source.ARM, Factor(self._of_moves(arms))),
             Component(Source.DELAY, Factor(self._of_moves(delays))),
@@ -470,9 +470,9 @@ class Equations:
     def _of_moves(self, led: Floats) -> Floats:
         """Return values (m, 6, ...) of moves in the order of the outputs, those of others zero."""
         at_rest, turned = (
-            np.zeros((count, *led.shape[1:])) for count in (self.rows.rests, self.rows.turns)
+            np.zeros((count, *led.shape[1:])) for count in (self.layout.rests, self.layout.turns)
         )
-        return self.rows.joined(at_rest, turned, led)
+        return self.layout.joined(at_rest, turned, led)
 
     def _warmth(self, derivatives: Floats) -> Component:
         """Return what the temperature does by the coefficients that the data sheet states."""
@@ -520,8 +520,8 @@ class Equations:
         _, rate, force, turning, felt = self._inputs(state)
         model = self.model(state)
         at_rest = model.slopes(rate, force)[..., :3] @ self._to_body
-        turned = whole(model.slopes(turning, felt)[..., :3] @ self._headings)
-        return self.rows.joined(at_rest, turned, self.evidence.led.by_rate())
+        turned = mean_over_turn(model.slopes(turning, felt)[..., :3] @ self._headings)
+        return self.layout.joined(at_rest, turned, self.evidence.links.by_rate())
 
     def by_mount(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by rotations of the unit in its mount.
@@ -539,7 +539,7 @@ class Equations:
         """Return what the errors that the table states do to the outputs, (m, e): one deviation."""
         at_rest, turning = self.evidence.leaning
         if not at_rest.shape[2]:
-            return np.zeros((len(self.rows), 0))
+            return np.zeros((len(self.layout), 0))
         return self._leaning(state, at_rest, turning)
 
     def latitude_slope(self, state: Floats) -> Floats:
@@ -551,10 +551,10 @@ class Equations:
         return np.asarray(self.jacobian(state)[:, self.clock])
 
     def _arriving(self, state: Floats) -> list[Component]:
-        stated, found = self.evidence.positioning, self.arriving
+        stated, found = self.evidence.positioning, self.positioning
         parts = []
         if stated or found.joints:
-            joints = self.arrivals(state)[0]
+            joints = self.by_positioning(state)[0]
             for source, size in (
                 (Source.ARRIVAL_STATED, stated),
                 (Source.ARRIVAL_FOUND, found.joints),
@@ -562,20 +562,22 @@ class Equations:
                 if size:
                     parts.append(Component(source, Factor(joints * size)))
         if found.stops:
-            parts.append(Component(Source.STOPS, Factor(self.arrivals(state)[1] * found.stops)))
+            parts.append(
+                Component(Source.STOPS, Factor(self.by_positioning(state)[1] * found.stops))
+            )
         return parts
 
-    def arrivals(self, state: Floats) -> tuple[Floats, Floats]:
+    def by_positioning(self, state: Floats) -> tuple[Floats, Floats]:
         """Return how arrivals enter the outputs: (m, errors), per rad.
 
         Those of joints that stop, and what each stop leans of its own.
         """
-        return self._once('arrivals', state, self._arrivals)
+        return self._once('positioning', state, self._arrivals)
 
     def _arrivals(self, state: Floats) -> tuple[Floats, Floats]:
         joints, stops = (
             self._leaning(state, leaning.at_rest, leaning.turning)
-            for leaning in self.evidence.arrivals
+            for leaning in self.evidence.positioning_leans
         )
         return joints, stops
 
@@ -590,12 +592,15 @@ class Equations:
         """
         _, rate, force, turning, felt = self._inputs(state)
         model, s = self.model(state), len(rate)
-        rates, forces = np.vstack([rate, whole(turning)]), np.vstack([force, whole(felt)])
+        rates, forces = (
+            np.vstack([rate, mean_over_turn(turning)]),
+            np.vstack([force, mean_over_turn(felt)]),
+        )
         about = np.swapaxes(np.concatenate([at_rest, turned]), 1, 2)
         moved = [np.swapaxes(np.cross(v[:, None], about), 1, 2) for v in (rates, forces)]
         changed = model.slopes(rates, forces) @ np.concatenate(moved, axis=1)
-        led = self.evidence.led.by_attitudes(model, at_rest)
-        return self.rows.joined(changed[:s], changed[s:], led)
+        led = self.evidence.links.by_attitudes(model, at_rest)
+        return self.layout.joined(changed[:s], changed[s:], led)
 
     def whitened(self, state: Floats) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations, the priors' rows last.

@@ -24,10 +24,10 @@ from ..stream import Floats, Units
 from ..table_errors import LEVELLED, TableErrors
 from ..turntable import Table
 from .arms import Arms
-from .arrivals import Leaning, around, of_joints, of_stops
 from .headings import headings
+from .layout import OutputLayout
 from .moves import Moves
-from .rows import Rows
+from .positioning_errors import Leaning, around, of_joints, of_stops
 
 UP = np.array([0.0, 0.0, 1.0])
 """In east, north, up."""
@@ -36,7 +36,7 @@ _AXIS_TOLERANCE = 0.05
 error of a table and less than half of the 45 deg to the next attitude of any plan."""
 _REMEMBERED = 21
 """Seven at each of three states: the last step, and two from which the next fits start."""
-_OF_RESTS = {'held', 'turning', 'headings', 'arms'}
+_OF_RESTS = {'rest_attitudes', 'turn_inputs', 'headings', 'arms'}
 """What of a session follows from its rests and turns alone."""
 
 _QUARTZ = 50e-6
@@ -140,14 +140,14 @@ class Evidence:
             ),
         )
 
-    def moved_by(self, moves: tuple[Move, ...]) -> Evidence:
+    def with_moves(self, moves: tuple[Move, ...]) -> Evidence:
         """Return the session with other moves, or none: of rests and turns nothing is done again.
 
         Whatever is worked out of these alone is kept.
         """
-        return self._but(_OF_RESTS | {'leaning', 'arrivals'}, moves=moves)
+        return self._but(_OF_RESTS | {'leaning', 'positioning_leans'}, moves=moves)
 
-    def leaned_by(self, errors: TableErrors) -> Evidence:
+    def with_table_errors(self, errors: TableErrors) -> Evidence:
         """Return the session on its table with other errors: no more than `leaning` is by them.
 
         Raises:
@@ -156,7 +156,7 @@ class Evidence:
         """
         if self.table is None:
             raise ValueError('no table, and none of its errors')
-        kept = _OF_RESTS | {'arrivals', 'led', 'rows', 'memo'}
+        kept = _OF_RESTS | {'positioning_leans', 'links', 'layout', 'state_cache'}
         return self._but(kept, table=replace(self.table, errors=errors))
 
     def _but(self, kept: set[str], **changed: Any) -> Evidence:
@@ -165,22 +165,22 @@ class Evidence:
         return found
 
     @cached_property
-    def memo(self) -> deque[tuple[Any, ...]]:
+    def state_cache(self) -> deque[tuple[Any, ...]]:
         """What was worked out of it at the last few states (`Equations`)."""
         return deque(maxlen=_REMEMBERED)
 
     @cached_property
-    def standing(self) -> dict[str, Any]:
+    def cache(self) -> dict[str, Any]:
         """What was worked out of it whatever the state (`Equations`)."""
         return {}
 
     @cached_property
-    def held(self) -> Floats:
+    def rest_attitudes(self) -> Floats:
         """The attitudes at rest, as `attitudes` returns them."""
         return self.attitudes()
 
     @cached_property
-    def turning(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    def turn_inputs(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Up in body axes (t, 3), rate by the table's own clock (t,), whether that clock counts."""
         ups = np.array([t.up for t in self.turns]).reshape(-1, 3)
         timed = np.array([t.seconds is not None for t in self.turns], dtype=bool)
@@ -189,10 +189,10 @@ class Evidence:
     @cached_property
     def headings(self) -> Floats:
         """The attitudes that turns go through, (t, 8, 3, 3), see `headings`."""
-        return headings(self.turning[0])
+        return headings(self.turn_inputs[0])
 
     @cached_property
-    def led(self) -> Moves:
+    def links(self) -> Moves:
         """The moves that count as observations."""
         site = self.site
         return Moves.between(
@@ -206,10 +206,12 @@ class Evidence:
         )
 
     @cached_property
-    def rows(self) -> Rows:
+    def layout(self) -> OutputLayout:
         """Where the outputs lie among the equations."""
         felt = tuple(self.arms.turns.tolist())
-        return Rows(len(self.segments), len(self.turns), len(self.led), felt, self.led.pushed)
+        return OutputLayout(
+            len(self.segments), len(self.turns), len(self.links), felt, self.links.with_accels
+        )
 
     @cached_property
     def arms(self) -> Arms:
@@ -235,7 +237,7 @@ class Evidence:
         return at_rest, np.array(turning).reshape(len(self.turns), *at_rest.shape[1:])
 
     @cached_property
-    def arrivals(self) -> tuple[Leaning, Leaning]:
+    def positioning_leans(self) -> tuple[Leaning, Leaning]:
         """How attitudes lean where joints stop beside their mark, and by each stop of its own."""
         return (
             of_joints(self.segments, self.turns, self.table),
@@ -243,11 +245,11 @@ class Evidence:
         )
 
     @property
-    def level(self) -> float:
+    def levelling(self) -> float:
         """Standard deviation of the table's tilt about either level axis, rad."""
         return LEVELLED if self.table is None else self.table.level
 
-    def read_as(self, factors: Floats) -> Evidence:
+    def scaled(self, factors: Floats) -> Evidence:
         """Return the session with outputs, and their noise, multiplied by (6,) factors."""
         segments = (replace(s, statistics=s.statistics.scaled(factors)) for s in self.segments)
         turns = (replace(t, statistics=t.statistics.scaled(factors)) for t in self.turns)
@@ -256,7 +258,7 @@ class Evidence:
         changed = replace(self, segments=tuple(segments), turns=tuple(turns), moves=tuple(moves))
         return replace(changed, walk=walk)
 
-    def at(self, attitudes: Floats) -> Evidence:
+    def with_attitudes(self, attitudes: Floats) -> Evidence:
         """Return the session in other attitudes, (s, 3, 3) R_nb."""
         pairs = zip(self.segments, attitudes, strict=True)
         return replace(self, segments=tuple(replace(s, attitude=a) for s, a in pairs))
@@ -274,7 +276,7 @@ class Evidence:
         """Return R_nb of the stretches at rest, (s, 3, 3), in the frame of the table's azimuth."""
         return np.array([s.attitude for s in self.segments]).reshape(-1, 3, 3)
 
-    def shares(self) -> Floats:
+    def position_weights(self) -> Floats:
         """Return the weight of every stretch in the mean of its position, (s, 6).
 
         A position measured several times is averaged first, each time by its variance.
@@ -336,14 +338,14 @@ class Evidence:
         # A rate, and an offset for each piece between jumps.
         return max(1.0, float(self.clock.motions - 2 - len(self.clock.jumps)))
 
-    def missing(self) -> list[str]:
+    def missing_positions(self) -> list[str]:
         """Name the positions of the plan that no sound segment stands for."""
         found = {s.position for s in self.segments}
         return [p.id for p in self.plan.positions if p.dwell > 0 and p.id not in found]
 
     def missing_words(self) -> str:
         """Name them at the end of a clause; nothing where none is missing."""
-        missing = self.missing()
+        missing = self.missing_positions()
         return f' (missing: {", ".join(missing)})' if missing else ''
 
     def positions_in_words(self) -> str:

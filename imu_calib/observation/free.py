@@ -25,7 +25,7 @@ from ..rotations import rotations
 from ..stream import Floats
 from .equations import Equations, Surroundings
 from .evidence import UP, Evidence
-from .rows import Indices
+from .layout import Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class FreeEquations(Equations):
     def runs(self) -> Indices:
         """In which unbroken run of moves each rest lies, (s,)."""
         unled = np.ones(len(self.evidence.segments), dtype=np.intp)
-        unled[[link.second for link in self.evidence.led.links]] = 0
+        unled[[link.second for link in self.evidence.links.links]] = 0
         return np.asarray(np.cumsum(unled) - 1)
 
     @cached_property
@@ -89,8 +89,8 @@ class FreeEquations(Equations):
 
     def _derivatives(self, state: Floats) -> Floats:
         result = super()._derivatives(state)
-        ends = [link.second for link in self.evidence.led.links]
-        run = np.append(self.runs, self.runs[ends])[self.rows.stretch]
+        ends = [link.second for link in self.evidence.links.links]
+        run = np.append(self.runs, self.runs[ends])[self.layout.segment]
         by_level = self.by_rate(state)[:, :2] * self._level_rate
         same = run[:, None] == np.arange(self.runs.max(initial=-1) + 1)
         result[:, self.north] = (same[:, :, None] * by_level[:, None]).reshape(len(run), -1)
@@ -121,7 +121,7 @@ class FreeEquations(Equations):
         attitudes = rotations(turned.reshape(-1, 3)) @ self.evidence.attitudes()
         state = state + step
         state[self.north.stop :] = 0.0
-        return replace(self, evidence=self.evidence.at(attitudes)), state
+        return replace(self, evidence=self.evidence.with_attitudes(attitudes)), state
 
 
 def led_on(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
@@ -135,10 +135,10 @@ def led_on(evidence: Evidence, ups: Floats, model: SensorModel) -> Evidence:
     """
     east, north = across(ups)
     attitudes = np.stack([east, north, ups], axis=1)
-    led = evidence.at(attitudes).led
+    led = evidence.with_attitudes(attitudes).links
     for link, path in zip(led.links, led.paths(model), strict=True):
         up = ups[link.second]
-        east = np.cross(path.whole @ attitudes[link.first, 1], up)
+        east = np.cross(path.rotation @ attitudes[link.first, 1], up)
         east = east / (np.linalg.norm(east) or 1.0)
         attitudes[link.second] = east, np.cross(up, east), up
-    return evidence.at(attitudes)
+    return evidence.with_attitudes(attitudes)

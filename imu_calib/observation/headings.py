@@ -30,7 +30,7 @@ def headings(ups: Floats) -> Floats:
     return np.concatenate([level, up], axis=-1)
 
 
-def whole(values: Floats) -> Floats:
+def mean_over_turn(values: Floats) -> Floats:
     """Return the mean (t, ...) over the `headings` of whole turns, (t, 8, ...)."""
     half = _HEADINGS // 2
     return np.asarray((values[:, :half] + values[:, half:]).sum(axis=1) / _HEADINGS)

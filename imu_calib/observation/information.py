@@ -102,7 +102,7 @@ def log_determinant(information: Floats, first: int) -> float:
     return float(whole[1] - others[1] - 2 * np.log(scale[:first]).sum())
 
 
-def reached(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Floats:
+def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) -> Floats:
     """Return the standard deviations that a session allows so far.
 
     Args:
@@ -110,26 +110,26 @@ def reached(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAMETERS) 
         parameters: That are to be estimated.
 
     Returns:
-        (n,) SI units; NaN where nothing determines a parameter, or to no use (`told`).
+        (n,) SI units; NaN where nothing determines a parameter, or to no use (`determined`).
 
     """
     try:
-        information = before(Equations(evidence, parameters))
+        information = nominal_information(Equations(evidence, parameters))
     except np.linalg.LinAlgError:
         return np.full(len(parameters), np.nan)
     deviations = _deviations(information, parameters)
-    return np.where(told(information, parameters), deviations, np.nan)
+    return np.where(determined(information, parameters), deviations, np.nan)
 
 
-def before(equations: Equations) -> Information:
+def nominal_information(equations: Equations) -> Information:
     """Return what a session tells of ideal sensors, its attitudes taken as they are meant.
 
     What the last digits of an encoder add to an axis that stands level separates no parameters:
     they would seem observed, with deviations beyond all sense, and spoil others.
     """
-    ideal = replace(equations, evidence=meant(equations.evidence))
+    ideal = replace(equations, evidence=with_nominal_attitudes(equations.evidence))
     found = Information.of(ideal.whitened(ideal.nominal())[0])
-    if found.observed.all() or not len(ideal.evidence.led):
+    if found.observed.all() or not len(ideal.evidence.links):
         return found
     # Without noise moves are a million times as sharp as the levelling of the table: what rests on
     # that is lost beside them to rounding, though more evidence tells no less.
@@ -138,7 +138,7 @@ def before(equations: Equations) -> Information:
     return resting if resting.observed.sum() > found.observed.sum() else found
 
 
-def meant(evidence: Evidence) -> Evidence:
+def with_nominal_attitudes(evidence: Evidence) -> Evidence:
     """Return the evidence with attitudes as they are meant: without an encoder's last digits."""
     segments = tuple(
         s if s.attitude is None else replace(s, attitude=_without_strays(s.attitude))
@@ -152,7 +152,7 @@ def _without_strays(directions: Floats) -> Floats:
     return np.where(np.abs(directions) < _STRAY, 0.0, directions)
 
 
-def told(
+def determined(
     information: Information, parameters: tuple[Parameter, ...] = PARAMETERS
 ) -> NDArray[np.bool_]:
     """Say of the parameters whether they are observed to any use.
@@ -161,12 +161,12 @@ def told(
     coefficient of a term that is known no better than to a fiftieth of what any IMU may have.
     """
     deviations = _deviations(information, parameters)
-    limits = np.array([useful(p) for p in parameters])
+    limits = np.array([useful_limit(p) for p in parameters])
     with np.errstate(invalid='ignore'):
         return np.asarray(np.isfinite(deviations) & ~(deviations > limits))
 
 
-def useful(parameter: Parameter) -> float:
+def useful_limit(parameter: Parameter) -> float:
     """Return the standard deviation, SI, beyond which a parameter is of no use."""
     if parameter.kind is ParameterKind.BIAS:
         return np.inf
@@ -178,7 +178,7 @@ def _deviations(information: Information, parameters: tuple[Parameter, ...]) -> 
     return np.asarray(np.sqrt(np.diag(information.covariance)[: len(parameters)]))
 
 
-def undetermined(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> str:
+def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Parameter]) -> str:
     """Say that a session does not determine a term, and what would.
 
     Args:
@@ -200,7 +200,7 @@ def _found(evidence: Evidence) -> str:
     return f'{len(evidence.segments)} static dwells and {len(evidence.turns)} turns'
 
 
-def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
+def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
     """Say in words what a session cannot observe, and for want of what.
 
     Args:
@@ -228,7 +228,7 @@ def unobserved(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
     rest = [p.name for p in PARAMETERS if p.name in left]
     if rest:
         words.append(f'{_found(evidence)} do not determine {", ".join(rest)}: not observable')
-    missing = evidence.missing()
+    missing = evidence.missing_positions()
     tail = f' (missing: position {", ".join(missing)})' if missing else ''
     text = '; '.join(words)
     return f'{text[:1].upper()}{text[1:]}{tail}.'

@@ -19,7 +19,7 @@ from ..stream import Floats
 from ..turntable import TURN
 from .equations import Equations
 from .evidence import UP, Evidence
-from .information import ALONG, before, told
+from .information import ALONG, determined, nominal_information
 
 _RATE = TURN / 36
 """Rate of a turn that is tried, rad/s: ten degrees a second, as rate tests begin with."""
@@ -35,9 +35,9 @@ directions are compared by their logarithms."""
 Addition = tuple[str, Segment | Turn]
 
 
-def lost(equations: Equations) -> NDArray[np.bool_]:
+def lacking_parameters(equations: Equations) -> NDArray[np.bool_]:
     """Say of the 24 parameters, which are those of the equations, whether a session lacks them."""
-    return ~told(before(equations)) | without_turns(equations.evidence)
+    return ~determined(nominal_information(equations)) | without_turns(equations.evidence)
 
 
 def without_turns(evidence: Evidence) -> NDArray[np.bool_]:
@@ -77,14 +77,14 @@ def advice(equations: Equations) -> str:
     scale[scale == 0] = 1.0
     pending: list[str] = []
     said: list[str] = []
-    open_now = lost(equations)
+    open_now = lacking_parameters(equations)
     for _ in range(_MOST):
         tried = [(_with(equations, thing), words) for words, thing in additions]
-        scores = [(int(lost(t).sum()), -_information(t, scale)) for t, _ in tried]
+        scores = [(int(lacking_parameters(t).sum()), -_information(t, scale)) for t, _ in tried]
         best = min(range(len(scores)), key=lambda k: scores[k])
         equations, words = tried[best]
         pending.append(words)
-        still_open = lost(equations)
+        still_open = lacking_parameters(equations)
         told_now = [
             p.name
             for p, was, is_open in zip(PARAMETERS, open_now, still_open, strict=True)

@@ -39,7 +39,7 @@ def spans(evidence: Evidence) -> tuple[Floats, Floats]:
 
 
 def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
-    moves = [link.move for link in evidence.led.links]
+    moves = [link.move for link in evidence.links.links]
     parts: list[Segment | Turn | Move] = [*evidence.segments, *evidence.turns, *moves]
     starts = np.array([part.start for part in parts], dtype=np.int64)
     return starts, np.array([part.end for part in parts], dtype=np.int64)
@@ -185,7 +185,9 @@ def _along(
     known = {c: course(evidence, c, time_constant) for c in {change.course for change in changes}}
     for k, change in enumerate(changes):
         own = [parameters.index(p) for p in change.parameters]
-        found[:, k] = known[change.course][evidence.rows.stretch] * derivatives[:, own].sum(axis=1)
+        found[:, k] = known[change.course][evidence.layout.segment] * derivatives[:, own].sum(
+            axis=1
+        )
     return found
 
 

@@ -22,15 +22,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..model import Parameter, ParameterKind, SensorModel, positions
-from ..model.motion import of_motion
-from ..rotations import crossing, rotation_vector, rotations
+from ..model import Parameter, ParameterKind, SensorModel, indices_of
+from ..model.motion import motion_parameters
+from ..rotations import cross_matrix, rotation_vector, rotations
 from ..segmentation.segment import Segment, Turn
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from .arms import APART, LONGEST
-from .path import Path
-from .thrust import Thrust, by_places
+from .gyro_paths import GyroPath
+from .velocity_increments import VelocityIncrement, by_places
 
 _EDGES = 1 / 6
 """Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12."""
@@ -52,13 +52,13 @@ _LEVEL = np.array([1.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class LinkedMove:
     """A move, and the indices of the segments at rest that it leads from and to.
 
-    `rounding` (6,) is the variance that rounding each sample leaves, rad^2 and (m/s)^2, `bent` that
-    of what a rate that does not change linearly leaves, `encoders` that by the noise of the
-    encoders at both ends, about any axis, rad^2. `cut` is what the second order leaves of a
-    velocity, m/s.
+    `rounding` (6,) is the variance that rounding each sample leaves, rad^2 and (m/s)^2,
+    `coning_variance` that of what a rate that does not change linearly leaves, `encoders` that by
+    the noise of the encoders at both ends, about any axis, rad^2. `second_order_error` is what the
+    second order leaves of a velocity, m/s.
     """
 
     first: int
@@ -66,8 +66,8 @@ class Link:
     move: Move
     rounding: Floats
     encoders: float
-    bent: float
-    cut: float
+    coning_variance: float
+    second_order_error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +81,10 @@ class Moves:
 
     """
 
-    links: tuple[Link, ...]
+    links: tuple[LinkedMove, ...]
     attitudes: Floats
     gravity: float
-    _memo: dict[bytes, tuple[tuple[Path, ...], tuple[Thrust | None, ...]]] = field(
+    _memo: dict[bytes, tuple[tuple[GyroPath, ...], tuple[VelocityIncrement | None, ...]]] = field(
         default_factory=dict, repr=False
     )
 
@@ -134,7 +134,9 @@ class Moves:
             rounding = np.zeros(6) if free else _rounding(move, segments[first])
             told = move if coarse else _telling(move, rounding, segments[first], walk)
             cut = wrong * gravity * _second_order(move)
-            links.append(Link(first, second, told, rounding, encoders, bent(move), cut))
+            links.append(
+                LinkedMove(first, second, told, rounding, encoders, coning_variance(move), cut)
+            )
         # Where nobody tells them no table's move counts; of a unit in the hand they are sought.
         attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]
         return cls(tuple(links), np.array(attitudes).reshape(-1, 3, 3), gravity)
@@ -143,19 +145,21 @@ class Moves:
         return len(self.links)
 
     @property
-    def pushed(self) -> tuple[int, ...]:
+    def with_accels(self) -> tuple[int, ...]:
         """Which of them have accelerometers that count."""
-        return tuple(k for k, link in enumerate(self.links) if link.move.gained is not None)
+        return tuple(k for k, link in enumerate(self.links) if link.move.velocity_steps is not None)
 
-    def paths(self, model: SensorModel) -> tuple[Path, ...]:
+    def paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Return the moves as a model's gyros see them."""
         return self._led(model)[0]
 
-    def thrusts(self, model: SensorModel) -> tuple[Thrust | None, ...]:
+    def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
         """Return what a model's accelerometers gained; None where they do not count."""
         return self._led(model)[1]
 
-    def _led(self, model: SensorModel) -> tuple[tuple[Path, ...], tuple[Thrust | None, ...]]:
+    def _led(
+        self, model: SensorModel
+    ) -> tuple[tuple[GyroPath, ...], tuple[VelocityIncrement | None, ...]]:
         """Lead the moves on; those of the last model are kept."""
         key = model.values(model.parameters).tobytes()
         if key not in self._memo:
@@ -164,23 +168,29 @@ class Moves:
                 (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
                 for k in self.links
             ]
-            paths = Path.of_each(motions, model)
-            gained = [link.move.gained for link in self.links]
+            paths = GyroPath.of_each(motions, model)
+            gained = [link.move.velocity_steps for link in self.links]
             known = [one for one in gained if one is not None]
-            felt = iter(Thrust.of_each(known, [paths[k] for k in self.pushed], model))
+            felt = iter(
+                VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model)
+            )
             thrusts = tuple(None if one is None else next(felt) for one in gained)
             self._memo[key] = paths, thrusts
         return self._memo[key]
 
-    def _pushes(self, model: SensorModel) -> list[tuple[int, Link, Floats, Thrust]]:
+    def _pushes(
+        self, model: SensorModel
+    ) -> list[tuple[int, LinkedMove, Floats, VelocityIncrement]]:
         """Return of moves whose accelerometers count index, link, attitude at the end, thrust."""
         return [
             (k, link, self.attitudes[link.second], thrust)
-            for k, (link, thrust) in enumerate(zip(self.links, self.thrusts(model), strict=True))
+            for k, (link, thrust) in enumerate(
+                zip(self.links, self.velocity_increments(model), strict=True)
+            )
             if thrust is not None
         ]
 
-    def off(self, model: SensorModel, earth_rate: Floats, force: Floats) -> Floats:
+    def misclosures(self, model: SensorModel, earth_rate: Floats, force: Floats) -> Floats:
         """Return e and z, (m, 6) rad and m/s; z is zero where accelerometers do not count.
 
         Args:
@@ -197,17 +207,17 @@ class Moves:
         meanwhile = rotations(-rates[ends] * np.array(self._seconds)[:, None])
         for k, (link, path) in enumerate(zip(self.links, self.paths(model), strict=True)):
             shown = self.attitudes[link.second].T @ meanwhile[k] @ self.attitudes[link.first]
-            found[k, :3] = rotation_vector(path.whole @ shown.T)
+            found[k, :3] = rotation_vector(path.rotation @ shown.T)
         half_way = rotations(-np.einsum('mij,mj->mi', self.attitudes[ends], found[:, :3]) / 2)
         for k, link, attitude, thrust in self._pushes(model):
             # The Earth turns the frame meanwhile.
-            lasting = crossing(rates[link.second]) @ attitude @ thrust.lasting
-            gained = attitude @ (thrust.whole + thrust.moved) + lasting
+            lasting = cross_matrix(rates[link.second]) @ attitude @ thrust.displacement
+            gained = attitude @ (thrust.velocity + thrust.moved) + lasting
             found[k, 3:] = half_way[k] @ gained - force * link.move.duration
         return found
 
     def by_parameters(self, model: SensorModel, parameters: tuple[Parameter, ...]) -> Floats:
-        """Return the derivatives of `off` by parameters of the sensors, (m, 6, p)."""
+        """Return the derivatives of `misclosures` by parameters of the sensors, (m, 6, p)."""
         paths = self.paths(model)
         result = np.zeros((len(self), 6, len(parameters)))
         if not paths:
@@ -217,12 +227,12 @@ class Moves:
         answers = model.derivatives(rates, forces, parameters)
         each = np.split(answers, np.cumsum([len(path.rates) for path in paths])[:-1])
         for k, (path, one) in enumerate(zip(paths, each, strict=True)):
-            result[k, :3] = path.following(one[:, :3])
-        pushes, own = self._pushes(model), of_motion(parameters)
+            result[k, :3] = path.rotation_derivatives(one[:, :3])
+        pushes, own = self._pushes(model), motion_parameters(parameters)
         for k, _, attitude, thrust in pushes:
             result[k, 3:] = attitude @ thrust.by_parameters(parameters, each[k])
         if pushes and own:
-            where = positions(own, parameters)
+            where = indices_of(own, parameters)
             apart = by_places([thrust for *_, thrust in pushes])
             for (k, _, attitude, thrust), places in zip(pushes, apart, strict=True):
                 columns = [
@@ -235,11 +245,11 @@ class Moves:
         return result
 
     def by_clock(self, model: SensorModel, force: Floats, *, counted: bool) -> Floats:
-        """Return the derivatives of `off` by how fast the clock is, (m, 6).
+        """Return the derivatives of `misclosures` by how fast the clock is, (m, 6).
 
         Args:
             model: The sensors.
-            force: (3,) as in `off`.
+            force: (3,) as in `misclosures`.
             counted: Whether the outputs are pulses, which stay over the shorter seconds. Rates
                 times these turn by less.
 
@@ -248,16 +258,16 @@ class Moves:
         answers = [(p.rates @ model.gyro.response.T)[:, :, None] for p in self.paths(model)]
         if not counted:
             for k, path in enumerate(self.paths(model)):
-                found[k, :3] = path.following(answers[k])[:, 0]
+                found[k, :3] = path.rotation_derivatives(answers[k])[:, 0]
         for k, link, attitude, thrust in self._pushes(model):
             if counted:
                 found[k, 3:] = force * link.move.duration - attitude @ thrust.by_seconds
             else:
-                found[k, 3:] = attitude @ thrust.following(answers[k])[:, 0]
+                found[k, 3:] = attitude @ thrust.velocity_derivatives(answers[k])[:, 0]
         return found
 
     def by_rate(self) -> Floats:
-        """Return the derivatives of `off` by the Earth rate, (m, 6, 3) rad per rad/s.
+        """Return the derivatives of `misclosures` by the Earth rate, (m, 6, 3) rad per rad/s.
 
         Half way between both ends the turning of the frame moves no velocity.
         """
@@ -267,13 +277,13 @@ class Moves:
         return found
 
     def by_force(self) -> Floats:
-        """Return the derivatives of `off` by the specific force at rest, (m, 6, 3) s."""
+        """Return the derivatives of `misclosures` by the specific force at rest, (m, 6, 3) s."""
         found = np.zeros((len(self), 6, 3))
         found[:, 3:] = -np.array(self._seconds).reshape(-1, 1, 1) * np.eye(3)
         return found
 
     def by_attitudes(self, model: SensorModel, leaning: Floats) -> Floats:
-        """Return the derivatives of `off` by errors of the attitudes at both ends.
+        """Return the derivatives of `misclosures` by errors of the attitudes at both ends.
 
         Args:
             model: The sensors.
@@ -285,15 +295,15 @@ class Moves:
         """
         found = np.zeros((len(self), 6, leaning.shape[2]))
         for k, (link, path) in enumerate(zip(self.links, self.paths(model), strict=True)):
-            found[k, :3] = leaning[link.second] - path.whole @ leaning[link.first]
-            if link.move.gained is not None:
+            found[k, :3] = leaning[link.second] - path.rotation @ leaning[link.first]
+            if link.move.velocity_steps is not None:
                 both = [self.attitudes[end] @ leaning[end] for end in (link.first, link.second)]
                 # Half of either, crossed with what gravity gives.
                 east, north, _ = sum(both) * (self.gravity * link.move.duration / 2)
                 found[k, 3:5] = north, -east
         return found
 
-    def besides(
+    def shared_velocity_errors(
         self,
         model: SensorModel,
         earth_rate: Floats,
@@ -317,7 +327,7 @@ class Moves:
         pushes = self._pushes(model)
         if not pushes:
             return arms, delays
-        coriolis = -2 * LONGEST * crossing(earth_rate)
+        coriolis = -2 * LONGEST * cross_matrix(earth_rate)
         for k, link, attitude, thrust in pushes:
             # The unit ends elsewhere than it began.
             arms[k, 3:, :3] = coriolis @ (attitude - self.attitudes[link.first])
@@ -330,7 +340,7 @@ class Moves:
         return arms, delays
 
     def noise(self, walk: Floats) -> tuple[Floats, Floats]:
-        """Return the variances of `off` by random walk of gyros and of accelerometers, (m, 6) each.
+        """Return the variances of `misclosures` by gyros and by accelerometers, (m, 6) each.
 
         Random walks of the three channels are alike: what of them the turning of the axes mixes
         stays what it was. Half way between both ends a velocity knows a twelfth of what the
@@ -343,23 +353,23 @@ class Moves:
         return turning, accel * seconds * np.repeat([0.0, 1.0], 3)
 
     def quantisation(self) -> Floats:
-        """Return the variances of `off` by pulses, rounding and samples' length, (m, 6).
+        """Return the variances of `misclosures` by pulses, rounding and samples' length, (m, 6).
 
         Of a remainder at either end half of the rotation is in the velocity, and what each step may
         be off adds to it like random walk.
         """
         found = np.zeros((len(self), 6))
         for k, (link, turning) in enumerate(zip(self.links, self._turning, strict=True)):
-            ends, bent = _EDGES * link.move.quantum**2, link.bent
+            ends, bent = _EDGES * link.move.pulse**2, link.coning_variance
             found[k, :3] = ends + link.rounding[:3] + bent + link.move.filled
             found[k, 3:] = turning[3:] * (ends.mean() / 4 + bent / 12 + link.move.filled / 4)
-            if (gained := link.move.gained) is not None:
-                own = _EDGES * gained.quantum**2 + link.rounding[3:]
-                found[k, 3:] += own.mean() + gained.filled + link.cut**2
+            if (gained := link.move.velocity_steps) is not None:
+                own = _EDGES * gained.pulse**2 + link.rounding[3:]
+                found[k, 3:] += own.mean() + gained.filled + link.second_order_error**2
         return found
 
     def encoders(self) -> Floats:
-        """Return the variances of `off` by the encoders' noise at both ends, (m, 6)."""
+        """Return the variances of `misclosures` by the encoders' noise at both ends, (m, 6)."""
         errors = np.array([link.encoders for link in self.links]).reshape(-1, 1)
         return np.asarray(errors * self._turning * np.repeat([1.0, 0.25], 3))
 
@@ -380,13 +390,13 @@ class Moves:
 
 def _telling(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:
     """Return a move without its velocity, if that tells nothing beside the rest before it."""
-    if move.gained is None:
+    if move.velocity_steps is None:
         return move
-    left = _EDGES * move.gained.quantum**2 + rounding[3:] + walk[3:] ** 2 * move.duration
+    left = _EDGES * move.velocity_steps.pulse**2 + rounding[3:] + walk[3:] ** 2 * move.duration
     own = float(np.mean(left)) / move.duration**2
     if own <= _WORSE**2 * float(np.mean(rest.statistics.variance(walk)[3:])):
         return move
-    return replace(move, gained=None)
+    return replace(move, velocity_steps=None)
 
 
 def _off(segments: Sequence[Segment], gravity: float) -> float:
@@ -409,12 +419,12 @@ def _rounding(move: Move, rest: Segment) -> Floats:
 
     A counter carries its remainder on: at the ends of a move alone, see `_EDGES`.
     """
-    left = rest.statistics.quantum * move.duration**2
-    pulses = np.zeros(3) if move.gained is None else move.gained.quantum
-    return np.where(np.append(move.quantum, pulses) > 0, 0.0, left)
+    left = rest.statistics.quantisation_variance * move.duration**2
+    pulses = np.zeros(3) if move.velocity_steps is None else move.velocity_steps.pulse
+    return np.where(np.append(move.pulse, pulses) > 0, 0.0, left)
 
 
-def bent(move: Move) -> float:
+def coning_variance(move: Move) -> float:
     """Return the variance of an angle by what coning leaves out beyond the second order, rad^2.
 
     Of a rate that changes linearly the cross product of one step with the next is the same all

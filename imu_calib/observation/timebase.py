@@ -67,8 +67,8 @@ def _statistics(statistics: Statistics, faster: float, pulses: bool) -> Statisti
 
 def _move(move: Move, faster: float, pulses: bool) -> Move:
     less = 1.0 if pulses else 1 / faster
-    gained = move.gained
+    gained = move.velocity_steps
     if gained is not None:
         gained = replace(gained, velocity=gained.velocity * less, mean=gained.mean * less)
     turned, seconds = move.turned * less, move.seconds / faster
-    return replace(move, turned=turned, seconds=seconds, gained=gained)
+    return replace(move, turned=turned, seconds=seconds, velocity_steps=gained)

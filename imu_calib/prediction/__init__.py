@@ -1,6 +1,6 @@
 """What a plan will give, before it is run: its evidence, its accuracy, its time."""
 
-from .each_term import OfTerm, of_each_term
+from .each_term import TermForecast, forecast_terms
 from .expected import expected
 from .forecast import Forecast, check_session, forecast, listed
 from .reach import Reached, reach
@@ -8,14 +8,14 @@ from .schedule import duration, schedule
 
 __all__ = [
     'Forecast',
-    'OfTerm',
     'Reached',
+    'TermForecast',
     'check_session',
     'duration',
     'expected',
     'forecast',
+    'forecast_terms',
     'listed',
-    'of_each_term',
     'reach',
     'schedule',
 ]

@@ -9,40 +9,40 @@ import numpy as np
 from ..calibrator import Setup
 from ..methods import JOINT
 from ..model import TERMS, Parameter, SensorModel, Term, terms_of
-from ..model.motion import any_of_motion
+from ..model.motion import has_motion_terms
 from ..stream import Floats
 from .forecast import Forecast, listed, with_parameters
 
 
 @dataclass(frozen=True, eq=False)
-class OfTerm:
+class TermForecast:
     """What a session would tell of a term.
 
     Attributes:
         term: Added to what is estimated.
         std: (n,) of its parameters, SI units; NaN for those that the session does not determine.
-        dearer: Parameters whose standard deviations it takes more than `_DEARER` times as large,
+        worsened: Parameters whose standard deviations it takes more than `_DEARER` times as large,
             and by how many times: NaN for those that the session then does not determine.
 
     """
 
     term: Term
     std: Floats
-    dearer: tuple[tuple[Parameter, float], ...]
+    worsened: tuple[tuple[Parameter, float], ...]
 
     @property
-    def told(self) -> bool:
+    def determined(self) -> bool:
         """Whether the session determines all of it, and what it determines without it."""
-        return bool(np.isfinite([*self.std, *(times for _, times in self.dearer)]).all())
+        return bool(np.isfinite([*self.std, *(times for _, times in self.worsened)]).all())
 
 
 _DEARER = 1.1
 """Below, nobody would take another plan for it."""
 
 
-def of_each_term(
+def forecast_terms(
     found: Forecast, setup: Setup, truth: SensorModel, *, wander: bool = False
-) -> tuple[OfTerm, ...]:
+) -> tuple[TermForecast, ...]:
     """Return what a session would tell of each term that its joint estimate leaves out.
 
     Args:
@@ -58,9 +58,11 @@ def of_each_term(
     return tuple(_of_term(term, found, setup, truth, wander) for term in TERMS if term not in asked)
 
 
-def _of_term(term: Term, found: Forecast, setup: Setup, truth: SensorModel, wander: bool) -> OfTerm:
+def _of_term(
+    term: Term, found: Forecast, setup: Setup, truth: SensorModel, wander: bool
+) -> TermForecast:
     more = replace(setup, terms=(*setup.terms, term))
-    evidence = replace(found.evidence, coarse=any_of_motion(more.terms))
+    evidence = replace(found.evidence, coarse=has_motion_terms(more.terms))
     parameters = listed(more)
     std = dict(
         zip(
@@ -72,4 +74,4 @@ def _of_term(term: Term, found: Forecast, setup: Setup, truth: SensorModel, wand
     before = dict(zip(found.parameters, found.std.tolist(), strict=True))
     times = [(p, std[p] / s) for p, s in before.items() if s > 0]
     dearer = tuple((p, t) for p, t in times if not t <= _DEARER)
-    return OfTerm(term, np.array([std[p] for p in term.parameters]), dearer)
+    return TermForecast(term, np.array([std[p] for p in term.parameters]), dearer)

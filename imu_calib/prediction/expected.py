@@ -15,20 +15,20 @@ import numpy as np
 from ..calibrator import Setup
 from ..courses import Course
 from ..errors import InputError
-from ..estimation.wandering import STATED_TIME, Wandering
+from ..estimation.bias_drift import STATED_TIME, BiasDrift
 from ..imu import ImuSpec, TriadSpec
 from ..methods.free_positions import NAME as FREE_POSITIONS
 from ..model import BIASES, SensorModel, Skewed
-from ..model.motion import any_of_motion
+from ..model.motion import has_motion_terms
 from ..observation.evidence import UP, Evidence
-from ..observation.headings import headings, whole
-from ..observation.ways import (
+from ..observation.headings import headings, mean_over_turn
+from ..observation.ideal_moves import (
     BY_HAND_MOVE,
-    held_in_turn,
-    move_along,
+    ideal_holds,
+    ideal_move,
+    ideal_move_by_hand,
+    joint_course,
     nanoseconds,
-    short_move,
-    way,
 )
 from ..rotations import rotation
 from ..segmentation.clock import ClockFit
@@ -128,7 +128,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         spin = turning.up * (turning.rate + setup.site.up_rate)
         turned = headings(turning.up[None])
         both = turned @ earth + turning.up * turning.rate, turned @ force
-        mean = whole(np.concatenate(truth.predict(*both), axis=-1))[0]
+        mean = mean_over_turn(np.concatenate(truth.predict(*both), axis=-1))[0]
         spare = 0.0 if setup.plan.by_hand else SPARE
         statistics = reading(setup.imu, mean, turning.seconds, spare)
         askew = None
@@ -154,8 +154,8 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         )
     free = setup.method_name == FREE_POSITIONS
     if free:
-        segments = held_in_turn(segments)
-        moves = [short_move(a, b, truth, setup.site) for a, b in pairwise(segments)]
+        segments = ideal_holds(segments)
+        moves = [ideal_move_by_hand(a, b, truth, setup.site) for a, b in pairwise(segments)]
     else:
         moves = [
             move
@@ -163,7 +163,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
             if rest.course is not None
             and setup.table is not None
             and _followed(
-                move := move_along(before, after, rest.course, setup.table, truth, (earth, force)),
+                move := ideal_move(before, after, rest.course, setup.table, truth, (earth, force)),
                 setup.imu,
             )
         ]
@@ -182,7 +182,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
         moves=tuple(moves),
         table=setup.table,
         free=free,
-        coarse=any_of_motion(setup.terms),
+        coarse=has_motion_terms(setup.terms),
     )
 
 
@@ -218,7 +218,7 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
             span = (standing + _UNSEEN / 2, visit.end - _UNSEEN / 2)
             course = None
             if at is not None and not np.array_equal(at, visit.angles):
-                course = way(table, at, visit.angles)
+                course = joint_course(table, at, visit.angles)
             rests.append(_Rest(step.position, attitude, *span, visit.angles, course))
             at = visit.angles
         else:
@@ -248,7 +248,7 @@ def _followed(move: Move, spec: ImuSpec) -> bool:
     return fastest * period_of(spec) <= COARSEST and fastest < NEARLY * spec.gyro.range
 
 
-def wandering(evidence: Evidence, spec: ImuSpec) -> Floats:
+def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
     """Return the covariance of the outputs by biases that wander, (m + u,) square.
 
     First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
@@ -261,22 +261,22 @@ def wandering(evidence: Evidence, spec: ImuSpec) -> Floats:
 
     """
     rests, turns = evidence.segments, evidence.turns
-    moves = [link.move for link in evidence.led.links]
+    moves = [link.move for link in evidence.links.links]
     spans = [(s.start, s.end) for s in rests]
     spans += [(t.start, t.end) for t in turns]
     spans += [(m.start, m.end) for m in moves]
     begin, end = (np.array(spans).reshape(-1, 2).T) * 1e-9
     none = np.zeros((len(spans), 3, 3)), np.zeros(len(spans), dtype=bool)
-    means = Wandering.over(begin, end - begin, *none).of_one(STATED_TIME)
+    means = BiasDrift.over(begin, end - begin, *none).of_one(STATED_TIME)
     askew = [len(rests) + k for k, t in enumerate(turns) if t.skewed is not None]
-    rows = evidence.rows
+    rows = evidence.layout
     channel = [*rows.channels.tolist(), *[6] * len(askew)]
-    which = np.concatenate([rows.stretch, np.array(askew, dtype=int)])
+    which = np.concatenate([rows.segment, np.array(askew, dtype=int)])
     figures = [t.bias_instability for t in (*triads(spec), spec.skewed or TriadSpec())]
     # What a move carries along as it turns; all else reads its own bias.
     answers = np.eye(7)[channel]
-    led = evidence.led.by_parameters(SensorModel(), BIASES)
+    led = evidence.links.by_parameters(SensorModel(), BIASES)
     answers[rows.move, :6] = led[:, :3]
-    answers[rows.velocity, :6] = led[list(rows.pushed), 3:]
+    answers[rows.velocity, :6] = led[list(rows.moves_with_accels), 3:]
     by_bias = answers * figures
     return np.asarray(means[np.ix_(which, which)] * (by_bias @ by_bias.T))

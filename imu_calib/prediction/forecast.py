@@ -24,10 +24,10 @@ from ..observation.components import Component, Dense
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..observation.free import FreeEquations
-from ..observation.information import Information, told
+from ..observation.information import Information, determined
 from ..stream import Floats
 from ..table_clock import clock_share
-from .expected import expected, wandering
+from .expected import bias_drift_covariance, expected
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +86,10 @@ def forecast(
     square = _nothing(parameters)
     if name not in JOINT:
         try:
-            extra = wandering(resting, setup.imu) if wander else None
+            extra = bias_drift_covariance(resting, setup.imu) if wander else None
             parameters, square = _by_closed_form(resting, solver, extra)
             if name == skewed.NAME:
-                square = square + skewed.doubt(evidence)
+                square = square + skewed.variance_by_weights(evidence)
         except NotObservable as error:
             refusal = str(error)
     else:
@@ -99,7 +99,7 @@ def forecast(
             refusal = str(error)
     best = _nothing(parameters)
     if name in JOINT or not setup.plan.by_hand:
-        extra = wandering(evidence, setup.imu) if wander else None
+        extra = bias_drift_covariance(evidence, setup.imu) if wander else None
         best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
@@ -117,7 +117,7 @@ def with_parameters(
 
     NaN stands for what the session does not determine.
     """
-    extra = wandering(evidence, setup.imu) if wander else None
+    extra = bias_drift_covariance(evidence, setup.imu) if wander else None
     best = _best(evidence, truth, parameters, extra)
     found = Forecast(evidence, setup.method_name, parameters, best, best, '')
     return _with_common(found, setup, truth).std
@@ -164,12 +164,12 @@ def _best(
     modelled = tuple(p for p in parameters if p.row < len(AXES))
     found = information(evidence, truth, modelled, extra=extra)
     best = np.sqrt(np.diag(found.covariance)[: len(modelled)])
-    best = np.where(told(found, modelled), best, np.nan)
+    best = np.where(determined(found, modelled), best, np.nan)
     if parameters == modelled:
         return np.asarray(best)
     turns = [t for t in evidence.turns if t.skewed is not None]
     square = None if extra is None else extra[-len(turns) :, -len(turns) :]
-    askew = np.sqrt(np.diag(skewed.bound(RatePoints.of(evidence), square)))
+    askew = np.sqrt(np.diag(skewed.gauss_markov_bound(RatePoints.of(evidence), square)))
     return np.concatenate([best, askew])
 
 

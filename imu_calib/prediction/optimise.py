@@ -211,7 +211,10 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
     state = state_at(equations, truth)
     jacobian, variances = equations.jacobian(state), equations.own_variances
     rows = jacobian / np.sqrt(variances)[:, None]
-    each, turned = rows[equations.rows.rest], np.delete(rows, equations.rows.rest.ravel(), axis=0)
+    each, turned = (
+        rows[equations.layout.rest],
+        np.delete(rows, equations.layout.rest.ravel(), axis=0),
+    )
     prior = equations.prior_rows(state)[:, :-1]
     rest = turned.T @ turned + prior.T @ prior
     return np.einsum('cri,crj->cij', each, each), rest

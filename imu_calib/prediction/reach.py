@@ -143,9 +143,9 @@ def _shorter(
     share = np.array([names.index(str(s.position)) for s in evidence.segments])
     beyond = np.array([s.statistics.duration for s in evidence.segments]) - dwells[share]
     walked = np.array([evidence.walk**2 * s.statistics.walk_gain for s in evidence.segments])
-    counted = np.array([s.statistics.quantum for s in evidence.segments])
+    counted = np.array([s.statistics.quantisation_variance for s in evidence.segments])
     square = found.std[rows] ** 2
-    by_segment = np.ascontiguousarray(weights[:, evidence.rows.rest])
+    by_segment = np.ascontiguousarray(weights[:, evidence.layout.rest])
     walk_part = np.einsum('ksc,sc->ks', by_segment, walked)
     count_part = np.einsum('ksc,sc->ks', by_segment, counted)
     fixed = square - (walk_part + count_part).sum(axis=1)

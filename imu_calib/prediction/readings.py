@@ -36,12 +36,12 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
         spare: Of whole turns, beyond which counts are read on both sides, s; None at rest.
 
     """
-    gain, quantum = np.full(6, 1 / seconds), np.zeros(6)
+    gain, quantisation = np.full(6, 1 / seconds), np.zeros(6)
     period, nothing = period_of(spec), np.full(6, np.nan)
     steps = np.array([triad.scale_factor for triad in triads(spec)])
     for c, triad in enumerate(triads(spec)):
         if spec.units is Units.COUNTS:
-            quantum[c] = _rounded(triad, period)
+            quantisation[c] = _rounded(triad, period)
         elif spec.units is Units.PULSES:
             walk = triad.random_walk / triad.scale_factor
             pulses = _pulses(triad, period, float(mean[c]), seconds + 2 * (spare or 0.0))
@@ -51,14 +51,17 @@ def reading(spec: ImuSpec, mean: Floats, seconds: float, spare: float | None = N
                 if spare is None
                 else rate_between(pulses, period, first, len(pulses) - first, walk)
             )
-            gain[c], quantum[c] = found.walk_gain, found.quantum * triad.scale_factor**2
+            gain[c], quantisation[c] = (
+                found.walk_gain,
+                found.quantisation_variance * triad.scale_factor**2,
+            )
     return Statistics(
         samples=round(seconds / period),
         missing=0,
         duration=seconds,
         mean=mean,
         walk_gain=gain,
-        quantum=quantum,
+        quantisation_variance=quantisation,
         end_points=mean,
         blocks=tuple(np.empty((0, 4)) for _ in range(6)),
         drift=nothing,

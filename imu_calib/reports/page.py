@@ -145,7 +145,7 @@ def _changes(calibration: Calibration) -> str:
 def _course(result: Result | None) -> str:
     if result is None:
         return ''
-    found = timeline.stretches(result)
+    found = timeline.intervals(result)
     rejected = timeline.rejected_table(found, result.session.start)
     return section(
         'Course of the session',

@@ -33,7 +33,7 @@ _ALIKE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Repeated:
+class RepeatedParameter:
     """One parameter in several calibrations, SI units.
 
     Attributes:
@@ -107,7 +107,7 @@ def date_of(calibration: Calibration) -> datetime | None:
         ) from None
 
 
-def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[Repeated]:
+def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[RepeatedParameter]:
     """Line up the parameters that all calibrations have.
 
     Args:
@@ -155,14 +155,14 @@ def repeated(calibrations: Sequence[Calibration], names: Sequence[str]) -> list[
         std = np.sqrt([square[k] for square, k in zip(squares, rows, strict=True)])
         if np.isfinite(std).all():
             found.append(
-                Repeated(parameter, value, std, days, None if days is None else min(known))
+                RepeatedParameter(parameter, value, std, days, None if days is None else min(known))
             )
     if not found:
         raise InputError(f'{", ".join(names)}: no parameter was estimated in all of them.')
     return found
 
 
-def repeatability_table(rows: Sequence[Repeated]) -> str:
+def repeatability_table(rows: Sequence[RepeatedParameter]) -> str:
     """Return spread against stated deviation, and the drift, of every parameter."""
     cells = []
     for row in rows:
@@ -196,7 +196,7 @@ def _written(value: float, places: int) -> str:
     return f'{value:.{places}f}'.replace('-', '\u2212')
 
 
-def _verdict(row: Repeated) -> str:
+def _verdict(row: RepeatedParameter) -> str:
     drift = row.drift
     if drift is not None and abs(drift[0]) > _SIGNIFICANT * drift[1]:
         return tag('span', 'drifts', class_='badge fail')
@@ -205,12 +205,12 @@ def _verdict(row: Repeated) -> str:
     return tag('span', 'repeats', class_='badge pass')
 
 
-def overlay(rows: Sequence[Repeated]) -> str:
+def overlay(rows: Sequence[RepeatedParameter]) -> str:
     """Draw every parameter over time, or over the order given where dates are missing."""
     return panels([_over_time(row) for row in rows])
 
 
-def _over_time(row: Repeated) -> str:
+def _over_time(row: RepeatedParameter) -> str:
     count = len(row.value)
     if row.days is None:
         return small(row.parameter, np.arange(float(count)), row.value, row.std, ('1', f'{count}'))
@@ -222,7 +222,7 @@ def _over_time(row: Repeated) -> str:
     return small(row.parameter, row.days, row.value, row.std, _ends(row), line)
 
 
-def _ends(row: Repeated) -> tuple[str, str]:
+def _ends(row: RepeatedParameter) -> tuple[str, str]:
     """Return the first and the last date; of one day, the times."""
     assert row.days is not None
     last = float(row.days.max())
@@ -243,7 +243,7 @@ def dates_table(calibrations: Sequence[Calibration], names: Sequence[str]) -> st
     )
 
 
-def repeatability_notes(rows: Sequence[Repeated]) -> str:
+def repeatability_notes(rows: Sequence[RepeatedParameter]) -> str:
     """Say in words what the comparison shows."""
     count = len(rows[0].value)
     drifting = [r.parameter.name for r in rows if 'drifts' in _verdict(r)]

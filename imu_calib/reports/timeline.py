@@ -35,7 +35,7 @@ class Lane(Enum):
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Interval:
     """A stretch of the session, s from its first sample.
 
     Attributes:
@@ -54,7 +54,7 @@ class Stretch:
     reason: str = ''
 
 
-def stretches(result: Result) -> list[Stretch]:
+def intervals(result: Result) -> list[Interval]:
     """Return what a session consists of, in order of time."""
     labelled = result.labelled
     zero = result.session.start or 0
@@ -63,22 +63,22 @@ def stretches(result: Result) -> list[Stretch]:
         return (stamp - zero) * 1e-9
 
     found = [
-        Stretch(Lane.STATIC, at(s.start), at(s.end), s.position or '?') for s in labelled.segments
+        Interval(Lane.STATIC, at(s.start), at(s.end), s.position or '?') for s in labelled.segments
     ]
     found += [
-        Stretch(
+        Interval(
             Lane.TURN, at(t.start), at(t.end), f'{t.position or "?"}: {t.rate() / DEG:+.3g} deg/s'
         )
         for t in labelled.turns
     ]
     found += [
-        Stretch(Lane.REJECTED, at(r.start), at(r.end), r.position or '?', r.reason)
+        Interval(Lane.REJECTED, at(r.start), at(r.end), r.position or '?', r.reason)
         for r in labelled.rejected
     ]
     return sorted(found, key=lambda s: s.start)
 
 
-def time_line(found: Sequence[Stretch], duration: float) -> str:
+def time_line(found: Sequence[Interval], duration: float) -> str:
     """Draw the stretches on three lanes."""
     minutes = duration > _MINUTES
     scale = 60.0 if minutes else 1.0
@@ -106,7 +106,7 @@ def time_line(found: Sequence[Stretch], duration: float) -> str:
     return scrolling(drawing(parts, _WIDTH, bottom + 38, 'Time line of the session'))
 
 
-def _block(panel: Panel, stretch: Stretch, y: float, scale: float) -> str:
+def _block(panel: Panel, stretch: Interval, y: float, scale: float) -> str:
     left, right = panel.across(stretch.start / scale), panel.across(stretch.end / scale)
     width = max(right - left, 1.2)
     words = f'{stretch.name}, {stretch.start:.1f} s to {stretch.end:.1f} s'
@@ -138,7 +138,7 @@ def when(result: Result) -> str:
     return f'From {first:%Y-%m-%d %H:%M:%S} to {last:{form}} UTC, {duration:.0f} s.'
 
 
-def rejected_table(found: Sequence[Stretch], start: int | None) -> str:
+def rejected_table(found: Sequence[Interval], start: int | None) -> str:
     """Return what was not used and why; empty when all was.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
-from ..verification import Compared, Moved, Quantity, Verdict, Verification
+from ..verification import ComparedQuantity, Quantity, ShiftedParameter, Verdict, Verification
 from .parameter_table import Shown, decimals, engineering
 
 _SHOWN = {
@@ -38,7 +38,7 @@ def triad_lines(verification: Verification) -> list[str]:
     """Return what came of gyros and accelerometers, a line each."""
     return [
         f'{"gyros" if judged.gyros else "accelerometers"}: {_WORDS[judged.verdict]}, chi-square '
-        f'{judged.square:.1f} with {judged.freedom} degrees of freedom'
+        f'{judged.chi_square:.1f} with {judged.freedom} degrees of freedom'
         for judged in verification.triads
     ]
 
@@ -63,7 +63,7 @@ def turn_table(verification: Verification) -> Table | None:
     return _table(verification, _IN_TURNS)
 
 
-def moved_table(moved: Sequence[Moved]) -> Table:
+def moved_table(moved: Sequence[ShiftedParameter]) -> Table:
     """Return the parameters that a session sees elsewhere, by how much they are."""
     table = Table(box=None, pad_edge=False, header_style='bold')
     for heading in ('parameter', 'moved by', 'std', 'unit', 'in std'):
@@ -111,9 +111,9 @@ def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table 
     return table
 
 
-def _rows(compared: Sequence[Compared]) -> list[list[Compared]]:
+def _rows(compared: Sequence[ComparedQuantity]) -> list[list[ComparedQuantity]]:
     """Gather what belongs to one rest or one turn; a quantity that comes again begins another."""
-    rows: dict[tuple[str, float, float, int], list[Compared]] = {}
+    rows: dict[tuple[str, float, float, int], list[ComparedQuantity]] = {}
     seen: dict[tuple[str, float, float, Quantity], int] = {}
     for one in compared:
         place = (one.name, 0.0 if np.isnan(one.at) else one.at, one.rate)
@@ -123,10 +123,10 @@ def _rows(compared: Sequence[Compared]) -> list[list[Compared]]:
     return list(rows.values())
 
 
-def _worst(row: Sequence[Compared]) -> float:
+def _worst(row: Sequence[ComparedQuantity]) -> float:
     return max(abs(c.ratio) for c in row)
 
 
-def _places(compared: Sequence[Compared]) -> int:
+def _places(compared: Sequence[ComparedQuantity]) -> int:
     scale = _SHOWN[compared[0].quantity].scale
     return decimals(float(np.median([c.std for c in compared])) / scale)

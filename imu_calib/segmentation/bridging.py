@@ -118,11 +118,11 @@ def bridged(samples: Samples, walk: Floats, reach: int | None = None) -> Bridged
     increments = samples.increments[np.maximum(rows, 0)]
     variance = np.zeros(6)
     noise = walk * math.sqrt(samples.period)
-    for c, quantum in enumerate(samples.quantum.tolist()):
-        if quantum:
-            counts = np.rint(increments[:, c] / quantum)
-            variance[c] = _count(counts, holes, noise[c] / quantum, reach) * quantum**2
-            increments[:, c] = np.where(rows < 0, counts * quantum, increments[:, c])
+    for c, pulse in enumerate(samples.pulse.tolist()):
+        if pulse:
+            counts = np.rint(increments[:, c] / pulse)
+            variance[c] = _count(counts, holes, noise[c] / pulse, reach) * pulse**2
+            increments[:, c] = np.where(rows < 0, counts * pulse, increments[:, c])
         else:
             variance[c] = _average(increments[:, c], rows, holes, reach or _PLAIN) * noise[c] ** 2
     whole = replace(

@@ -54,11 +54,11 @@ class Sound:
 
     mask: NDArray[np.bool_]
     notes: tuple[str, ...]
-    knock: Knock | None = None
+    mount_shift: ShiftingDisturbance | None = None
 
 
 @dataclass(frozen=True)
-class Knock:
+class ShiftingDisturbance:
     """A disturbance that left the unit turned: samples start to stop, by `angle` (rad)."""
 
     start: int
@@ -66,7 +66,7 @@ class Knock:
     angle: float
 
 
-def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None = None) -> Sound:
+def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None = None) -> Sound:
     """Cut the settling at both ends and the disturbances within a stretch at rest.
 
     Windows of half a second whose mean or spread leaves the others' are not sound. A drift of the
@@ -88,7 +88,7 @@ def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None 
     used = samples.increments[: count * length].reshape(count, length, 6)
     means = _Means.of(used.sum(axis=1), walk * np.sqrt(length * samples.period))
     # A channel of little noise may wander from one step of its ADC to the next within a stretch.
-    pulses = samples.quantum + samples.carried
+    pulses = samples.pulse + samples.carried
     bad = means.outlying(_PULSES * pulses + samples.grid * length)
     bad |= _outlying_spreads(used, pulses + samples.grid)
     bad |= ~everything[: count * length].reshape(count, length).all(axis=1)
@@ -107,7 +107,7 @@ def sound_part(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None 
     floor = pulses + samples.grid * length
     at = float(np.flatnonzero(bad[first:last])[0] + first) * _WINDOW_SECONDS
     note = f'disturbed {at:.1f} s after it came to rest; {inner * _WINDOW_SECONDS:.1f} s left out'
-    return Sound(mask, (note,), means.knock(bad, first, last, floor, used, pulses))
+    return Sound(mask, (note,), means.mount_shift(bad, first, last, floor, used, pulses))
 
 
 def _settled(bad: NDArray[np.bool_]) -> int:
@@ -148,7 +148,7 @@ class _Means:
         limit = np.maximum(_OUTLIER * self.scatter + floor, self.tolerance)
         return np.asarray((np.abs(self.left) > limit).any(axis=1))
 
-    def knock(
+    def mount_shift(
         self,
         bad: NDArray[np.bool_],
         first: int,
@@ -156,7 +156,7 @@ class _Means:
         floor: Floats,
         windows: Floats,
         pulses: Floats,
-    ) -> Knock | None:
+    ) -> ShiftingDisturbance | None:
         """Find the first run of bad windows within first to last that turned the unit for good.
 
         A floor that shakes leaves sums, too: what is sampled of a vibration beyond half the sample
@@ -189,7 +189,9 @@ class _Means:
             turned = np.where(one_way, turned, 0.0)
             limit = _KNOCK * np.sqrt(stop - start) * self.scatter[:3] + floor[:3]
             if np.any(np.abs(turned) > np.maximum(limit, _LEAST_KNOCK)):
-                return Knock(start * length, stop * length, float(np.linalg.norm(turned)))
+                return ShiftingDisturbance(
+                    start * length, stop * length, float(np.linalg.norm(turned))
+                )
         return None
 
     def _tilted(
@@ -249,11 +251,11 @@ def _robust_line(sums: Floats) -> Floats:
     return np.asarray(start + slope * (np.arange(n)[:, None] - centre_start))
 
 
-def _outlying_spreads(windows: Floats, quantum: Floats) -> NDArray[np.bool_]:
+def _outlying_spreads(windows: Floats, pulse: Floats) -> NDArray[np.bool_]:
     spread = windows.std(axis=1)
     typical = np.median(spread, axis=0)
     # A counter that rests on the edge between two values flips by one pulse at every sample.
-    limit = _SPREAD_RATIO * np.maximum(typical, _FLIPPING * quantum)
+    limit = _SPREAD_RATIO * np.maximum(typical, _FLIPPING * pulse)
     return np.asarray((spread > limit + 1e-15).any(axis=1))
 
 
@@ -309,14 +311,14 @@ class _Step:
 
 def _largest_step(blocks: Floats, walk: float) -> _Step | None:
     """Find the cut whose two sides differ most, each block by its own variance."""
-    row, gain, quantum, middle = blocks.T
+    row, gain, quantisation, middle = blocks.T
     if len(row) < _FEWEST_BLOCKS:
         return None
     # Where nobody states the noise, blocks count by their lengths, and their scatter shows it.
-    variance = walk**2 * gain + quantum if walk > 0 else gain
+    variance = walk**2 * gain + quantisation if walk > 0 else gain
     # The largest difference is left out, since it may be the step itself.
     squares = np.sort(np.diff(row) ** 2 / (variance[1:] + variance[:-1]))[:-1]
-    least = 1.0 if walk > 0 else float((quantum / gain).max())
+    least = 1.0 if walk > 0 else float((quantisation / gain).max())
     excess = max(float(squares.mean()) / _WITHOUT_LARGEST, least)
     weights = 1 / variance
     before, after = np.cumsum(weights)[:-1], np.cumsum(weights[::-1])[-2::-1]

@@ -73,7 +73,8 @@ class ClockFit:
         rate_std: Standard deviation; NaN where the session cannot tell.
         motions: How many motions it rests on.
         jumps: By how much the offset jumps between motions, s, in order.
-        surely: (jumps,) by how much at least, for all that scatters: 0 for one that may be none.
+        least_jumps: (jumps,) by how much at least, for all that scatters: 0 for one that may be
+            none.
 
     """
 
@@ -84,7 +85,7 @@ class ClockFit:
     rate_std: float
     motions: int
     jumps: tuple[float, ...] = ()
-    surely: tuple[float, ...] = ()
+    least_jumps: tuple[float, ...] = ()
 
 
 NO_CLOCK = ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
@@ -163,14 +164,14 @@ def _windows(time: Floats, duration: float) -> list[NDArray[np.intp]]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class ShareSeen:
     """How much of a motion of the table the gyros saw, by angle and by time; 1 is all of it."""
 
     angle: float
     time: float
 
 
-def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> Seen | None:
+def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> ShareSeen | None:
     """Compare a motion as the gyros and as the encoders saw it, whatever their axes.
 
     Args:
@@ -204,7 +205,7 @@ def seen_by_gyros(samples: Samples, joint_stamp: Stamps, attitudes: Floats) -> S
     lasting = np.diff(table[index])
     moving = ways > _MOVING * ways.max()
     least = np.minimum(_MOVING * ways, _SURELY_MOVING * lasting)
-    return Seen(
+    return ShareSeen(
         float(by_gyros.sum(axis=1).max() / ways.sum()),
         float((by_gyros > least)[:, moving].mean(axis=1).max()),
     )

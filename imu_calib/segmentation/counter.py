@@ -44,22 +44,22 @@ _WIDEST_WINDOW = 256.0
 
 @dataclass(frozen=True)
 class MeanRate:
-    """A mean rate and what its variance is made of: walk_gain N^2 + quantum.
+    """A mean rate and what its variance is made of: walk_gain N^2 + quantisation_variance.
 
     Attributes:
         rate: Per second.
         walk_gain: Multiplies the squared random-walk coefficient, 1/s.
-        quantum: Variance left by quantisation, rate squared.
+        quantisation_variance: Variance left by quantisation, rate squared.
 
     """
 
     rate: float
     walk_gain: float
-    quantum: float
+    quantisation_variance: float
 
     def variance(self, walk: float) -> float:
         """Return the variance for a random-walk coefficient (per root second)."""
-        return walk * walk * self.walk_gain + self.quantum
+        return walk * walk * self.walk_gain + self.quantisation_variance
 
 
 def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
@@ -80,7 +80,7 @@ def mean_rate(pulses: Floats, period: float, walk: float) -> MeanRate:
     whole = float(np.rint(pulses.mean()))
     remainder = pulses - whole
     best = best_passages(remainder, period, walk) or _by_all_samples(remainder, period, walk)
-    return MeanRate(best.rate + whole / period, best.walk_gain, best.quantum)
+    return MeanRate(best.rate + whole / period, best.walk_gain, best.quantisation_variance)
 
 
 def best_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None:
@@ -336,7 +336,7 @@ def block_rates(
         parts = [_between(found, a, b, period) for a, b in pairwise(cuts)]
         middles = [(found.index[a] + found.index[b]) / 2 + 1 for a, b in pairwise(cuts)]
         return [
-            (m * period, MeanRate(p.rate + whole / period, p.walk_gain, p.quantum))
+            (m * period, MeanRate(p.rate + whole / period, p.walk_gain, p.quantisation_variance))
             for m, p in zip(middles, parts, strict=True)
         ]
     edges = block_edges(len(pulses), period, seconds)

@@ -12,7 +12,7 @@ from .buffer import RowBuffer
 from .order import Ordered, StampOrder
 
 
-class Intake:
+class StreamBuffer:
     """Buffers the samples, passes the joint states on, and counts what is lost.
 
     Args:

@@ -17,11 +17,18 @@ from ..rotations import angle_between
 from ..stream import Floats, Mode, Setpoint
 from ..turntable import TURN, Table
 from ..units import DEG
-from .alone import SHORT_DWELL, UP_TOLERANCE, by_order, join, turn_without_encoder, up_seen
 from .naming import attitude_words, unique, up_words
 from .segment import Segment, Turn
-from .segmented import Rejected, Segmented, Slip
+from .segmented import MountShift, Rejected, Segmented
 from .statistics import BLOCK_SECONDS
+from .without_joint_states import (
+    SHORT_DWELL,
+    UP_TOLERANCE,
+    join_motions,
+    label_by_order,
+    turn_without_encoder,
+    up_by_accelerometers,
+)
 
 _ARRIVAL_TOLERANCE = 0.2 * DEG
 """rad: far more than tables position to (table_errors); another position is tens of degrees off."""
@@ -86,9 +93,9 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     elif plan.is_stated and table is not None:
         segments = _by_attitude(segments, plan)
     elif plan.is_stated:
-        segments, rejected = by_order(segments, plan)
+        segments, rejected = label_by_order(segments, plan)
     turns = [_named_turn(turn, setpoints, plan) for turn in session.turns]
-    whole = join(session.motions, session.segments)
+    whole = join_motions(session.motions, session.segments)
     turns += [t for m in whole if (t := turn_without_encoder(m, plan)) is not None]
     named = [
         replace(r, position=setpoints.position((r.start + r.end) / 2))
@@ -102,9 +109,9 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
         # Nobody tells the attitude of what the plan does not name.
         named_by_plan = tuple(s for s in labelled.segments if s.position is not None)
         labelled = replace(labelled, segments=named_by_plan)
-    if not session.slips:
+    if not session.mount_shifts:
         return labelled
-    return _in_one_mount(labelled, session.slips, setpoints, session.start or 0)
+    return _in_one_mount(labelled, session.mount_shifts, setpoints, session.start or 0)
 
 
 def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
@@ -184,11 +191,11 @@ def _beside_encoders(segment: Segment) -> float:
     """Return the angle between up by the accelerometers and by the encoders, rad."""
     if segment.attitude is None:
         return 0.0
-    return float(np.arccos(np.clip(up_seen(segment) @ segment.attitude[2], -1, 1)))
+    return float(np.arccos(np.clip(up_by_accelerometers(segment) @ segment.attitude[2], -1, 1)))
 
 
 def _in_one_mount(
-    labelled: Labelled, slips: Sequence[Slip], setpoints: _Setpoints, zero: int
+    labelled: Labelled, slips: Sequence[MountShift], setpoints: _Setpoints, zero: int
 ) -> Labelled:
     """Keep what was measured while the unit sat in its mount in one and the same way.
 

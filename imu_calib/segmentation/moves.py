@@ -20,7 +20,7 @@ import numpy as np
 from ..stream import Floats
 from ..units import DEG
 from .segment import Segment
-from .segmented import Gained, Move, Rejected, Slip
+from .segmented import MountShift, Move, Rejected, VelocitySteps
 from .sensor import Sensor
 from .statistics import Samples, gap_free
 
@@ -81,10 +81,10 @@ class MoveReader:
             self._add(samples, delivered, len(samples.stamp))
 
     def rest(
-        self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | Slip]
+        self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | MountShift]
     ) -> None:
         """Take the samples of a rest, and what was found in it, in order."""
-        if any(isinstance(thing, Slip) for thing in found):
+        if any(isinstance(thing, MountShift) for thing in found):
             self._open = None
         for segment in (thing for thing in found if isinstance(thing, Segment)):
             if self._open is not None:
@@ -106,10 +106,10 @@ class MoveReader:
     def _move(self, start: int, end: int, steps: _Steps, period: float) -> Move:
         # Rates become angles and velocities by the interval that is right.
         longer = np.ones(1) if self._sensor.counted else period / steps.period
-        gained = Gained(
-            steps.gained * longer[:, None],
+        gained = VelocitySteps(
+            steps.velocity * longer[:, None],
             steps.mean * longer[:, None],
-            steps.quantum[3:],
+            steps.pulse[3:],
             float(steps.filled[1]),
         )
         return Move(
@@ -117,7 +117,7 @@ class MoveReader:
             end,
             steps.turned * longer[:, None],
             steps.counts * period,
-            steps.quantum[:3],
+            steps.pulse[:3],
             float(steps.filled[0]),
             None if self._by_hand else gained,
         )
@@ -151,32 +151,32 @@ class _Steps:
 
     Attributes:
         turned: (n, 3) rotation vectors by the sample interval that was assumed, rad.
-        gained: (n, 3) velocities in the axes in the mean of the rotation, likewise, m/s.
+        velocity: (n, 3) velocities in the axes in the mean of the rotation, likewise, m/s.
         mean: (n, 3) that mean less half of the rotation, likewise, rad.
         counts: (n,) samples in each.
         period: (n,) the sample interval assumed, s.
-        quantum: (6,) size of a pulse, rad and m/s.
+        pulse: (6,) size of a pulse, rad and m/s.
         filled: (2,) variances that filled gaps leave, rad^2 and (m/s)^2.
 
     """
 
     turned: Floats
-    gained: Floats
+    velocity: Floats
     mean: Floats
     counts: Floats
     period: Floats
-    quantum: Floats
+    pulse: Floats
     filled: Floats
 
 
 def _together(parts: Sequence[_Steps]) -> _Steps:
     return _Steps(
         np.vstack([p.turned for p in parts]),
-        np.vstack([p.gained for p in parts]),
+        np.vstack([p.velocity for p in parts]),
         np.vstack([p.mean for p in parts]),
         np.concatenate([p.counts for p in parts]),
         np.concatenate([p.period for p in parts]),
-        parts[0].quantum,
+        parts[0].pulse,
         np.sum([p.filled for p in parts], axis=0),
     )
 
@@ -198,14 +198,14 @@ def joined(samples: Samples) -> _Steps:
     beyond = half_way - np.repeat(mean, counts, axis=0)
     gained = _half_way(angle, samples.increments[:, 3:])
     gained = gained + np.cross(beyond, gained + np.cross(beyond, gained) / 2)
-    quantum = np.where(samples.quantum > 0, samples.quantum, samples.carried)
+    pulse = np.where(samples.pulse > 0, samples.pulse, samples.carried)
     return _Steps(
         turned,
         np.add.reduceat(gained, first),
         mean - turned / 2,
         counts.astype(float),
         np.full(len(first), samples.period),
-        np.append(samples.quantum[:3], quantum[3:]),
+        np.append(samples.pulse[:3], pulse[3:]),
         np.array([_left_by_filling(samples, triad) for triad in (_GYROS, _ACCELEROMETERS)]),
     )
 

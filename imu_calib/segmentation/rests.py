@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
-from .cleaning import Sound, find_step, sound_part
-from .frozen import repeated
+from .cleaning import Sound, find_step, sound_samples
+from .repeated_samples import repeating_samples
 from .segment import Segment, Statistics
-from .segmented import Rejected, Slip
+from .segmented import MountShift, Rejected
 from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_at_rest
 
@@ -28,7 +28,7 @@ def read_rest(
     angles: Floats | None,
     attitude: Floats | None,
     attitude_error: float = 0.0,
-) -> list[Segment | Rejected | Slip]:
+) -> list[Segment | Rejected | MountShift]:
     """Turn samples at rest into segments, or say why not.
 
     A knock that left the unit turned parts the stretch in two where the table's angles tell its
@@ -51,7 +51,7 @@ def read_rest(
         return []
     saturated = sensor.saturated(values, samples)
     # The end of a range repeats itself, too.
-    frozen = repeated(values, counted=sensor.counted) & ~saturated
+    frozen = repeating_samples(values, counted=sensor.counted) & ~saturated
     if frozen.any():
         seconds = frozen.sum() * samples.period
         note = f'its samples are frozen for {seconds:.1f} s, repeating one; left out'
@@ -60,14 +60,14 @@ def read_rest(
         return [_with_note(note, thing) for thing in rest]
     if saturated.mean() > _MOSTLY:
         return [Rejected(int(stamp[0]), int(stamp[-1]), 'the sensor is saturated')]
-    sound = sound_part(samples, sensor.walk, saturated)
-    if sound.knock is not None and angles is not None:
-        start, stop = sound.knock.start, sound.knock.stop
+    sound = sound_samples(samples, sensor.walk, saturated)
+    if sound.mount_shift is not None and angles is not None:
+        start, stop = sound.mount_shift.start, sound.mount_shift.stop
         return [
             *read_rest(
                 sensor, samples.part(0, start), values[:start], angles, attitude, attitude_error
             ),
-            Slip(int(stamp[start]), sound.knock.angle),
+            MountShift(int(stamp[start]), sound.mount_shift.angle),
             *read_rest(
                 sensor,
                 samples.part(stop, len(stamp)),
@@ -94,7 +94,9 @@ def read_rest(
     ]
 
 
-def _with_note(note: str, found: Segment | Rejected | Slip) -> Segment | Rejected | Slip:
+def _with_note(
+    note: str, found: Segment | Rejected | MountShift
+) -> Segment | Rejected | MountShift:
     """Add what was found before the rest was read."""
     if isinstance(found, Segment):
         return replace(found, notes=(note, *found.notes))

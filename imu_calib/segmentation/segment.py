@@ -19,8 +19,8 @@ CHANNELS = ('gx', 'gy', 'gz', 'ax', 'ay', 'az')
 class Statistics:
     """What the samples of one segment say, in SI after the nominal scale factor.
 
-    The variance of `mean` is walk_gain * N^2 + quantum, with N the channel's random-walk
-    coefficient; N is estimated from the blocks of all segments together.
+    The variance of `mean` is walk_gain * N^2 + quantisation_variance, with N the channel's
+    random-walk coefficient; N is estimated from the blocks of all segments together.
 
     Attributes:
         samples: Number of samples used.
@@ -28,10 +28,10 @@ class Statistics:
         duration: Time that the samples cover, s, by the device's clock.
         mean: (6,) best estimate of the mean output, rad/s and m/s^2.
         walk_gain: (6,) 1/s.
-        quantum: (6,) variance left by quantisation, (rad/s)^2 and (m/s^2)^2.
+        quantisation_variance: (6,) variance left by quantisation, (rad/s)^2 and (m/s^2)^2.
         end_points: (6,) plain sum over duration, what the documents' formulae call the mean.
-        blocks: Per channel (b, 4): mean, walk gain, quantum of blocks of 10 s or more, and the
-            middle of each, s after the segment began.
+        blocks: Per channel (b, 4): mean, walk gain, quantisation variance of blocks of 10 s or
+            more, and the middle of each, s after the segment began.
         drift: (6,) slope of the block means, rad/s^2 and m/s^3.
         drift_std: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
         pulse: (6,) size of one pulse, rad and m/s; 0 where the values are no whole pulses.
@@ -46,7 +46,7 @@ class Statistics:
     duration: float
     mean: Floats
     walk_gain: Floats
-    quantum: Floats
+    quantisation_variance: Floats
     end_points: Floats
     blocks: tuple[Floats, ...]
     drift: Floats
@@ -59,11 +59,15 @@ class Statistics:
     def variance(self, walk: Floats) -> Floats:
         """Return the variance of `mean` for (6,) random-walk coefficients."""
         timed = (self.time_error * self.mean) ** 2
-        return np.asarray(walk**2 * self.walk_gain + self.quantum + timed)
+        return np.asarray(walk**2 * self.walk_gain + self.quantisation_variance + timed)
 
     def scaled(self, factors: Floats) -> Statistics:
         """Return mean and quantisation multiplied by (6,) factors; the rest stays as it is."""
-        return replace(self, mean=self.mean * factors, quantum=self.quantum * factors**2)
+        return replace(
+            self,
+            mean=self.mean * factors,
+            quantisation_variance=self.quantisation_variance * factors**2,
+        )
 
     def retimed(self, pace: Pace) -> Statistics:
         """Return the same by the sample interval that all of a session tells."""

@@ -24,7 +24,7 @@ class Rejected:
 
 
 @dataclass(frozen=True)
-class Slip:
+class MountShift:
     """At `instant` (ns, IMU clock) a knock turned the unit in its mount by `angle` (rad)."""
 
     instant: int
@@ -52,14 +52,14 @@ class FreeMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Gained:
+class VelocitySteps:
     """What the accelerometers gained on a move, step by step.
 
     Attributes:
         velocity: (n, 3) integral of the specific force of each step, in the body axes in the mean
             of its rotation over its time, m/s.
         mean: (n, 3) that mean less half of the rotation, rad: what a rate makes that changes.
-        quantum: (3,) size of one pulse of their counters, m/s; 0 where there are none.
+        pulse: (3,) size of one pulse of their counters, m/s; 0 where there are none.
         filled: Variance that samples which were lost, and are read from those around them, leave
             along any axis, (m/s)^2.
 
@@ -67,7 +67,7 @@ class Gained:
 
     velocity: Floats
     mean: Floats
-    quantum: Floats
+    pulse: Floats
     filled: float = 0.0
 
 
@@ -80,10 +80,10 @@ class Move:
         end: Start of the segment after, ns, IMU clock.
         turned: (n, 3) rotation vector of each step, rad.
         seconds: (n,) how long each step took, s.
-        quantum: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
+        pulse: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
         filled: Variance that samples which were lost, and are read from those around them, leave
             in its angle about any axis, rad^2.
-        gained: What the accelerometers gained; None where nobody asks.
+        velocity_steps: What the accelerometers gained; None where nobody asks.
 
     """
 
@@ -91,9 +91,9 @@ class Move:
     end: int
     turned: Floats
     seconds: Floats
-    quantum: Floats
+    pulse: Floats
     filled: float = 0.0
-    gained: Gained | None = None
+    velocity_steps: VelocitySteps | None = None
 
     @property
     def duration(self) -> float:
@@ -106,14 +106,14 @@ class Move:
         return float(np.max(np.abs(self.turned) / self.seconds[:, None], initial=0.0))
 
     def scaled(self, factors: Floats) -> Move:
-        """Return angles, velocities and their quanta multiplied by (6,) factors, one a triad."""
+        """Return angles, velocities and their pulses multiplied by (6,) factors, one a triad."""
         gyro, accel = factors[:3], factors[3:]
-        gained = self.gained
+        gained = self.velocity_steps
         if gained is not None:
-            velocity, quantum = gained.velocity * accel, gained.quantum * accel
-            gained = replace(gained, velocity=velocity, mean=gained.mean * gyro, quantum=quantum)
-        turned, quantum = self.turned * gyro, self.quantum * gyro
-        return replace(self, turned=turned, quantum=quantum, gained=gained)
+            velocity, pulse = gained.velocity * accel, gained.pulse * accel
+            gained = replace(gained, velocity=velocity, mean=gained.mean * gyro, pulse=pulse)
+        turned, pulse = self.turned * gyro, self.pulse * gyro
+        return replace(self, turned=turned, pulse=pulse, velocity_steps=gained)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ class Segmented:
         motions: Larger motions that no encoder saw, in order.
         moves: What the gyros saw between one segment and the next, in order.
         rejected: Stretches that were not used.
-        slips: Knocks after which the unit sat otherwise in its mount, in order.
+        mount_shifts: Knocks after which the unit sat otherwise in its mount, in order.
         losses: What was lost on the way in, in sentences.
         setpoints: The first of every run of equal setpoints, in order.
         clock: Table against IMU.
@@ -143,7 +143,7 @@ class Segmented:
     motions: tuple[FreeMotion, ...]
     moves: tuple[Move, ...]
     rejected: tuple[Rejected, ...]
-    slips: tuple[Slip, ...]
+    mount_shifts: tuple[MountShift, ...]
     losses: tuple[str, ...]
     setpoints: tuple[Setpoint, ...]
     clock: ClockFit

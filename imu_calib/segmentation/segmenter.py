@@ -22,15 +22,15 @@ from ..stream import (
 )
 from ..turntable import Table
 from .bridging import Bridged, bridged
-from .clock import ClockFit, ClockSample, Seen, clock_sample, fit_clock, seen_by_gyros
-from .intake import Intake
+from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
+from .intake import StreamBuffer
 from .motion import JointTracker, Motion, Rest
 from .moves import MoveReader
 from .order import Ordered
 from .pace import Pace
 from .rests import read_rest
 from .segment import Segment, Turn
-from .segmented import FreeMotion, Move, Rejected, Segmented, Slip
+from .segmented import FreeMotion, MountShift, Move, Rejected, Segmented
 from .sensor import Sensor
 from .statistics import Samples, sample_period, to_samples
 from .stillness import WINDOW_SECONDS, Quietest, StillnessTracker
@@ -66,7 +66,7 @@ class Segmenter:
         self._spec = spec
         self._table = table
         self._sensor = Sensor.of(spec)
-        self._intake = Intake(table, skewed=spec.skewed is not None)
+        self._intake = StreamBuffer(table, skewed=spec.skewed is not None)
         self._joints = JointTracker() if table is not None else None
         self._stillness: StillnessTracker | None = None
         self._thermometer = Thermometer()
@@ -77,13 +77,13 @@ class Segmenter:
         self._clock: list[ClockSample] = []
         self._newest: int | None = None
         self._interruptions: list[tuple[int, int]] = []
-        self._seen_motions: list[tuple[float, Seen]] = []
+        self._seen_motions: list[tuple[float, ShareSeen]] = []
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
         self._motions: list[FreeMotion] = []
         self._moves = MoveReader(self._sensor, by_hand=table is None)
         self._rejected: list[Rejected] = []
-        self._slips: list[Slip] = []
+        self._slips: list[MountShift] = []
         self._pace = Pace()
         self._lost = 0
 
@@ -301,7 +301,7 @@ class Segmenter:
             self._clock.append(compared)
             self._offset_ns = round(compared.offset * 1e9)
 
-    def _take(self, found: Sequence[Segment | Turn | FreeMotion | Slip | Rejected]) -> None:
+    def _take(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
         """Keep what was found, each kind in order."""
         for thing in found:
             if isinstance(thing, Segment):
@@ -310,7 +310,7 @@ class Segmenter:
                 self._turns.append(thing)
             elif isinstance(thing, FreeMotion):
                 self._motions.append(thing)
-            elif isinstance(thing, Slip):
+            elif isinstance(thing, MountShift):
                 self._slips.append(thing)
             else:
                 self._rejected.append(thing)
@@ -378,6 +378,6 @@ def clock_jumps(clock: ClockFit) -> list[str]:
     """Say by how much clocks jump, where the stamps resolve it."""
     return [
         f'The clocks of IMU and table jump by {jump:+.4f} s against each other'
-        for jump, surely in zip(clock.jumps, clock.surely, strict=True)
+        for jump, surely in zip(clock.jumps, clock.least_jumps, strict=True)
         if surely >= _SHOWN
     ]

@@ -41,7 +41,7 @@ class Samples:
     Attributes:
         stamp: (n,) ns, ends of the sample intervals.
         increments: (n, 6) angle (rad) or velocity (m/s) gained in each interval.
-        quantum: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
+        pulse: (6,) size of one pulse, rad and m/s; 0 where the values are not whole pulses.
         period: Sample interval, s.
         grid: (6,) step to which each increment is rounded on its own, rad and m/s: that of an ADC.
             A counter carries its remainder on and has none.
@@ -55,7 +55,7 @@ class Samples:
 
     stamp: Stamps
     increments: Floats
-    quantum: Floats
+    pulse: Floats
     period: float
     grid: Floats
     carried: Floats = field(default_factory=lambda: np.zeros(6))
@@ -162,12 +162,12 @@ def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
         duration=used * samples.period,
         mean=np.array([m.rate for m in best]),
         walk_gain=np.array([m.walk_gain for m in best]),
-        quantum=np.array([m.quantum for m in best]) + left_by_gaps,
+        quantisation_variance=np.array([m.quantisation_variance for m in best]) + left_by_gaps,
         end_points=samples.increments.sum(axis=0) / (used * samples.period),
         blocks=blocks,
         drift=drift,
         drift_std=drift_std,
-        pulse=samples.quantum,
+        pulse=samples.pulse,
         allan=allan_sums([part.increments for part in parts], samples.period),
         timing=samples.timing,
     )
@@ -197,7 +197,8 @@ def statistics_between(samples: Samples, first: float, last: float, walk: Floats
         duration=duration,
         mean=mean,
         walk_gain=np.array([m.walk_gain for m in found]),
-        quantum=np.array([m.quantum for m in found]) + samples.gaps * samples.bridged / duration**2,
+        quantisation_variance=np.array([m.quantisation_variance for m in found])
+        + samples.gaps * samples.bridged / duration**2,
         end_points=mean,
         blocks=empty,
         drift=np.full(6, np.nan),
@@ -207,27 +208,27 @@ def statistics_between(samples: Samples, first: float, last: float, walk: Floats
 
 
 def _between(samples: Samples, channel: int, first: float, last: float, walk: float) -> MeanRate:
-    increments, quantum = samples.increments[:, channel], float(samples.quantum[channel])
-    if quantum == 0.0:
+    increments, pulse = samples.increments[:, channel], float(samples.pulse[channel])
+    if pulse == 0.0:
         total = np.concatenate([[0.0], np.cumsum(increments)])
         ends = np.interp([first, last], np.arange(len(total)), total)
         duration = (last - first) * samples.period
         rounding = _left_by_rounding(samples, channel, increments, duration)
         return MeanRate(float(ends[1] - ends[0]) / duration, 1 / duration, rounding)
-    pulses = np.rint(increments / quantum)
-    mean = rate_between(pulses, samples.period, first, last, walk / quantum)
-    return MeanRate(mean.rate * quantum, mean.walk_gain, mean.quantum * quantum**2)
+    pulses = np.rint(increments / pulse)
+    mean = rate_between(pulses, samples.period, first, last, walk / pulse)
+    return MeanRate(mean.rate * pulse, mean.walk_gain, mean.quantisation_variance * pulse**2)
 
 
 def _channel_mean(samples: Samples, channel: int, walk: float) -> MeanRate:
-    increments, quantum = samples.increments[:, channel], float(samples.quantum[channel])
-    if quantum == 0.0:
+    increments, pulse = samples.increments[:, channel], float(samples.pulse[channel])
+    if pulse == 0.0:
         duration = len(increments) * samples.period
         rounding = _left_by_rounding(samples, channel, increments, duration)
         return MeanRate(float(increments.sum()) / duration, 1 / duration, rounding)
-    pulses = np.rint(increments / quantum)
-    mean = mean_rate(pulses, samples.period, walk / quantum)
-    return MeanRate(mean.rate * quantum, mean.walk_gain, mean.quantum * quantum**2)
+    pulses = np.rint(increments / pulse)
+    mean = mean_rate(pulses, samples.period, walk / pulse)
+    return MeanRate(mean.rate * pulse, mean.walk_gain, mean.quantisation_variance * pulse**2)
 
 
 def _left_by_rounding(samples: Samples, channel: int, increments: Floats, duration: float) -> float:
@@ -264,7 +265,7 @@ def _combine(means: list[MeanRate], walk: float) -> MeanRate:
     return MeanRate(
         float(weights @ [m.rate for m in means]),
         float(weights**2 @ gains),
-        float(weights**2 @ [m.quantum for m in means]),
+        float(weights**2 @ [m.quantisation_variance for m in means]),
     )
 
 
@@ -283,7 +284,7 @@ def _blocks(parts: list[Samples], walk: Floats) -> tuple[Floats, ...]:
         after = float(part.stamp[0] - parts[0].stamp[0]) * 1e-9
         for c in range(6):
             rows[c] += [
-                (m.rate, m.walk_gain, m.quantum, after + middle)
+                (m.rate, m.walk_gain, m.quantisation_variance, after + middle)
                 for middle, m in _channel_blocks(part, c, walk[c], seconds)
             ]
     return tuple(np.array(row).reshape(-1, 4) for row in rows)
@@ -292,9 +293,9 @@ def _blocks(parts: list[Samples], walk: Floats) -> tuple[Floats, ...]:
 def _channel_blocks(
     samples: Samples, channel: int, walk: float, seconds: float
 ) -> list[tuple[float, MeanRate]]:
-    increments, quantum = samples.increments[:, channel], float(samples.quantum[channel])
+    increments, pulse = samples.increments[:, channel], float(samples.pulse[channel])
     period = samples.period
-    if quantum == 0.0:
+    if pulse == 0.0:
         edges = block_edges(len(increments), period, seconds)
         sums = [float(increments[a:b].sum()) for a, b in edges]
         return [
@@ -305,10 +306,10 @@ def _channel_blocks(
             for s, (a, b) in zip(sums, edges, strict=True)
             for t in [(b - a) * period]
         ]
-    pulses = np.rint(increments / quantum)
+    pulses = np.rint(increments / pulse)
     return [
-        (middle, MeanRate(m.rate * quantum, m.walk_gain, m.quantum * quantum**2))
-        for middle, m in block_rates(pulses, period, walk / quantum, seconds)
+        (middle, MeanRate(m.rate * pulse, m.walk_gain, m.quantisation_variance * pulse**2))
+        for middle, m in block_rates(pulses, period, walk / pulse, seconds)
     ]
 
 
@@ -352,7 +353,7 @@ def pooled_walk(statistics: Sequence[Statistics]) -> PooledWalk:
     """Estimate the random-walk coefficient of every channel from the blocks of all segments.
 
     Maximum likelihood over block means about their segment's mean, the known share of
-    quantisation taken out: variance of a block = walk_gain N^2 + quantum.
+    quantisation taken out: variance of a block = walk_gain N^2 + quantisation.
 
     Args:
         statistics: Segments at rest.
@@ -368,16 +369,16 @@ def _channel_walk(segments: list[Floats]) -> tuple[float, float]:
     if not segments:
         return float('nan'), float('inf')
     square = float(np.mean([np.var(b[:, 0], ddof=1) / b[:, 1].mean() for b in segments]))
-    mean, gain, quantum, _ = np.concatenate(segments).T
+    mean, gain, pulse, _ = np.concatenate(segments).T
     lengths = np.array([len(b) for b in segments])
     first = np.cumsum(lengths) - lengths
     # Each segment's own mean takes one degree of freedom.
     left = np.repeat((lengths - 1) / lengths, lengths)
     for _ in range(_SCORING_STEPS):
-        precision = 1 / np.maximum(square * gain + quantum, _SMALLEST_VARIANCE)
+        precision = 1 / np.maximum(square * gain + pulse, _SMALLEST_VARIANCE)
         middle = np.add.reduceat(precision * mean, first) / np.add.reduceat(precision, first)
         square_left = (mean - np.repeat(middle, lengths)) ** 2 / left
-        score = float((left * gain * precision**2) @ (square_left - quantum))
+        score = float((left * gain * precision**2) @ (square_left - pulse))
         information = float((left * (gain * precision) ** 2).sum())
         before, square = square, max(0.0, score / information)
         if square == before:

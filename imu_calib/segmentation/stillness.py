@@ -9,9 +9,9 @@ from typing import TypeAlias
 import numpy as np
 
 from ..stream import Floats, Stamps
+from .gyro_offset import GyroOffset
 from .motion import Motion, Rest
-from .offset import GyroOffset
-from .unrest import Tolerance
+from .rest_tolerance import RestTolerance
 
 WINDOW_SECONDS = 0.1
 """s: shorter than any hold, and about one period of a tremor."""
@@ -50,7 +50,7 @@ class Quietest:
 
     rate: float
     force: float
-    tolerance: Tolerance
+    tolerance: RestTolerance
 
 
 class StillnessTracker:
@@ -58,7 +58,7 @@ class StillnessTracker:
 
     A unit counts as still while the gyros stay near what they read at rest and the accelerometers
     near what they read as the rest began. What the gyros read at rest, and how near is near, the
-    session says itself (`GyroOffset`, `Tolerance`). A window is therefore judged half a minute
+    session says itself (`GyroOffset`, `RestTolerance`). A window is therefore judged half a minute
     after it came in, by all that came before and the half minute after, or at the end.
 
     Windows are counted from the first sample, and the judgement follows that count: the outcome
@@ -77,7 +77,7 @@ class StillnessTracker:
         self._stamp: Stamps = _NO_STAMPS
         self._rates: Floats = np.empty((0, 6))
         self._offset = GyroOffset()
-        self._tolerance = Tolerance()
+        self._tolerance = RestTolerance()
         self._around: deque[_Window] = deque(maxlen=4 * _WINDOWS_AHEAD)
         self._ahead = 0
         self._count = 0
@@ -165,7 +165,7 @@ class StillnessTracker:
         if self._count // _WINDOWS_TO_LEARN != self._learnt_at:
             self._learnt_at = self._count // _WINDOWS_TO_LEARN
             means = np.array([mean for _, _, mean in self._around])
-            self._tolerance = Tolerance.of(
+            self._tolerance = RestTolerance.of(
                 means, self._offset.value, self._offset.spread, self._step
             )
         window = self._around[-self._ahead]

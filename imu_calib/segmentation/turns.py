@@ -11,9 +11,9 @@ from ..stream import Floats, Stamps
 from ..turntable import TURN, Table
 from ..units import DEG
 from .bridging import bridged, steadily
-from .frozen import repeated
 from .motion import Motion, averaged
 from .plateau import WholeTurns, find_turns, why_none
+from .repeated_samples import repeating_samples
 from .segment import Statistics, Turn
 from .segmented import FreeMotion, Rejected
 from .sensor import Sensor
@@ -171,7 +171,7 @@ def _unreadable(seen: Around, where: slice) -> str:
         return 'IMU samples are missing within it'
     if seen.sensor.saturated(seen.values[where], part).any():
         return 'the sensor is saturated during it'
-    if repeated(seen.values[where], counted=seen.sensor.counted).any():
+    if repeating_samples(seen.values[where], counted=seen.sensor.counted).any():
         return 'the samples are frozen within it, repeating one'
     return ''
 

@@ -1,7 +1,7 @@
 """A turntable led through a plan: joint states and commands in, setpoints and the state out."""
 
 from .encoders import Encoders, Feedback, FeedbackError
-from .rules import Phase, Rules, State
+from .rules import Phase, Rules, SequencerState
 from .sequencer import Sequencer
 from .trajectory import Lead, Overtaken
 
@@ -14,5 +14,5 @@ __all__ = [
     'Phase',
     'Rules',
     'Sequencer',
-    'State',
+    'SequencerState',
 ]

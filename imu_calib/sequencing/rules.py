@@ -46,7 +46,7 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class State:
+class SequencerState:
     """What the sequencer is doing: the content of imu_calib_msgs/TurntableState.
 
     Attributes:

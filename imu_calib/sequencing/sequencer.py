@@ -14,11 +14,11 @@ from ..plan import Plan, Step
 from ..stream import JointBlock, Mode, Setpoint
 from ..turntable import Table
 from .encoders import Encoders, Feedback, FeedbackError
+from .idle_watch import IdleWatch
 from .itinerary import Itinerary
 from .obstacles import Obstacles, Reasons
-from .rules import Phase, Rules, State
+from .rules import Phase, Rules, SequencerState
 from .steps import check, end_of, held, setpoint_of, way_to
-from .unled import Unled
 from .watch import Standing, Watch
 
 _CALIBRATOR = 'the calibrator (calibration/progress)'
@@ -101,7 +101,7 @@ class Sequencer:
         self._motion: Step | None = None
         self._sent = False
         self._watch: Watch | Standing = Standing(table, self.rules, None)
-        self._unled = Unled(table, self.rules, None)
+        self._unled = IdleWatch(table, self.rules, None)
         self._since = 0
         self._ended = 0
         self._place_is_known = False
@@ -134,7 +134,7 @@ class Sequencer:
         return found.forbidden or unled or found.feedback or found.calibrator
 
     @property
-    def unled(self) -> Unled:
+    def idle(self) -> IdleWatch:
         """What the table did while no plan was run."""
         return self._unled
 
@@ -178,7 +178,7 @@ class Sequencer:
             raise InputError('A session is gone on with by what the calibrator lacks: supervise.')
         self._resumes = True
 
-    def hear_what_is_done(self, seen: int, repeat_steps: Sequence[int]) -> None:
+    def skip_done(self, seen: int, repeat_steps: Sequence[int]) -> None:
         """Take what the calibrator has from before.
 
         Args:
@@ -252,7 +252,7 @@ class Sequencer:
         self._obstacles.feedback = reason
         self.fail(reason)
 
-    def hear(self, fault: str) -> None:
+    def set_calibrator_fault(self, fault: str) -> None:
         """Take what keeps the calibrator from taking a session in; empty where nothing does.
 
         No plan is started while there is a fault; one that runs goes on.
@@ -265,7 +265,7 @@ class Sequencer:
         """How many joint states lacked a joint of the table, and what the latest named."""
         return self._encoders.ignored, self._encoders.ignored_names
 
-    def attend(self, heard: bool, reason: str = '') -> None:
+    def set_calibrator_present(self, heard: bool, reason: str = '') -> None:
         """Take whether the calibrator is there; while it is silent the table is not led."""
         if not self.rules.supervised:
             return
@@ -331,7 +331,7 @@ class Sequencer:
         """Return the setpoint that stops the table, whatever else is going on."""
         return replace(self._holding(), stamp=stamp)
 
-    def state(self) -> State:
+    def state(self) -> SequencerState:
         """Return what is going on."""
         at = self._feedback
         if self._stage is _Stage.MOVING:
@@ -344,7 +344,7 @@ class Sequencer:
         reason, current = self._why.words, self._itinerary.current
         if waits and phase is Phase.PAUSED:
             reason = f'Waits for {waits}.'
-        return State(
+        return SequencerState(
             plan=self.plan.name,
             step=self._itinerary.index,
             steps=len(self._itinerary),
@@ -402,7 +402,7 @@ class Sequencer:
         self._hold_table()
 
     def _hold_table(self) -> None:
-        self._unled = Unled(self.table, self.rules, self._feedback)
+        self._unled = IdleWatch(self.table, self.rules, self._feedback)
         self._send(self._holding(), None)
         self._watch = Standing(self.table, self.rules, self._feedback)
 

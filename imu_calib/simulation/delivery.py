@@ -14,7 +14,7 @@ _QUEUED = 20e-6
 """From one message to the next when they come off a queue, s: a driver's loop."""
 
 
-class Line:
+class DeliveryLine:
     """Delivers samples in order, block by block; how they are cut into blocks does not matter.
 
     Args:

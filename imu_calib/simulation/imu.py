@@ -13,7 +13,7 @@ from ..imu import ImuSpec
 from ..model import SensorModel
 from ..model.motion import delay, places
 from ..stream import Floats, ImuBlock, SkewBlock, Stamps, Units
-from .delivery import Line
+from .delivery import DeliveryLine
 from .motion import Motion
 from .options import ImuOptions, ThermalDrift, WarmUp
 
@@ -148,7 +148,7 @@ class SimulatedImu:
         self._accel = self._channels(accels, 'accel')
         self._device_period = 1 / rate
         self._places = places(model)
-        self._line = Line(self.options.delivery, self._device_period, rng.spawn(1)[0])
+        self._line = DeliveryLine(self.options.delivery, self._device_period, rng.spawn(1)[0])
         self._phase = float(phase.uniform())
         self._next = 0
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..earth import Site
-from ..rotations import seen_turned
+from ..rotations import in_rotated_frame
 from ..stream import Floats
 from .tracks import Track
 
@@ -142,7 +142,7 @@ class Motion:
         angles = self._angles(self.track.at(times)[0].T)
         rows = self.base[None]
         for k, axis in enumerate(self.axes):
-            rows = seen_turned(rows, axis, (angles[k] + self.zeros[k])[:, None])
+            rows = in_rotated_frame(rows, axis, (angles[k] + self.zeros[k])[:, None])
         return np.broadcast_to(rows @ self.mount, (len(times), 3, 3))
 
     def increments(self, edges: Floats, site: Site, lever: Floats) -> tuple[Floats, Floats]:
@@ -232,7 +232,7 @@ class Motion:
             moves = rates is not None and bool(rates[k].any())
             angle = (angles[k] if moves else angles[k, :1]) + self.zeros[k]
             earth, up, spin, spin_up = (
-                seen_turned(v, axis, angle) for v in (earth, up, spin, spin_up)
+                in_rotated_frame(v, axis, angle) for v in (earth, up, spin, spin_up)
             )
             if rates is not None and accelerations is not None and moves:
                 own = rates[k][:, None] * axis

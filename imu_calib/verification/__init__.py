@@ -1,16 +1,16 @@
 """A calibration against a recording that did not make it: accepted or not, and why not."""
 
-from .comparison import Compared, Quantity
-from .diagnosis import Moved
+from .comparison import ComparedQuantity, Quantity
+from .diagnosis import ShiftedParameter
 from .judgement import Judged, Verdict, Verification, verify
 from .observed import Observed, observe
 
 __all__ = [
-    'Compared',
+    'ComparedQuantity',
     'Judged',
-    'Moved',
     'Observed',
     'Quantity',
+    'ShiftedParameter',
     'Verdict',
     'Verification',
     'observe',

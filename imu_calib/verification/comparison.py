@@ -12,8 +12,8 @@ import scipy
 
 from ..earth import EARTH_RATE
 from ..stream import Floats
-from .lengths import through
-from .system import Fit, System
+from .lengths import propagated
+from .system import Fit, TriadSystem
 
 
 class Quantity(Enum):
@@ -40,7 +40,7 @@ class Quantity(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class ComparedQuantity:
     """One quantity at one position: what came out less what should.
 
     Attributes:
@@ -77,7 +77,9 @@ class Compared:
         }
 
 
-def compare(system: System, values: Floats, factor: Floats, fit: Fit) -> list[Compared]:
+def compare(
+    system: TriadSystem, values: Floats, factor: Floats, fit: Fit
+) -> list[ComparedQuantity]:
     """Compare at every rest and every turn.
 
     Args:
@@ -100,16 +102,18 @@ def compare(system: System, values: Floats, factor: Floats, fit: Fit) -> list[Co
 def _covariances(found: tuple[Floats, Floats, Floats], spread: Floats, factor: Floats) -> Floats:
     """Return the (m, 3, 3) covariances of what outputs mean: by themselves and by parameters."""
     by_parameters = found[2] @ factor
-    return through(found[1], spread) + by_parameters @ np.swapaxes(by_parameters, 1, 2)
+    return propagated(found[1], spread) + by_parameters @ np.swapaxes(by_parameters, 1, 2)
 
 
-def _at_rest(system: System) -> Iterator[tuple[str, float]]:
+def _at_rest(system: TriadSystem) -> Iterator[tuple[str, float]]:
     """Name each rest, and say how long after the first it began, s."""
     segments = system.evidence.segments
     return ((str(s.position), (s.start - segments[0].start) * 1e-9) for s in segments)
 
 
-def _forces(system: System, forces: Floats, covariances: Floats, fit: Fit) -> Iterator[Compared]:
+def _forces(
+    system: TriadSystem, forces: Floats, covariances: Floats, fit: Fit
+) -> Iterator[ComparedQuantity]:
     g, attitudes = system.magnitude, np.zeros((len(forces), 0, 0))
     if system.up is None:
         state = np.append(fit.delta, fit.unknown)
@@ -125,7 +129,7 @@ def _forces(system: System, forces: Floats, covariances: Floats, fit: Fit) -> It
             yield _two(*place, 0.0, Quantity.DIRECTION, off, across)
 
 
-def _rates(system: System, rates: Floats, covariances: Floats) -> Iterator[Compared]:
+def _rates(system: TriadSystem, rates: Floats, covariances: Floats) -> Iterator[ComparedQuantity]:
     up_rate, ups = system.evidence.site.up_rate, system.forces / system.evidence.site.gravity
     for place, w, c, up in zip(_at_rest(system), rates, covariances, ups, strict=True):
         # Noise makes a vector longer: it is taken off the square.
@@ -137,7 +141,9 @@ def _rates(system: System, rates: Floats, covariances: Floats) -> Iterator[Compa
         yield _one(*place, Quantity.UP_RATE, float(w @ up) - up_rate, float(np.sqrt(up @ c @ up)))
 
 
-def _turns(system: System, values: Floats, factor: Floats, spread: Floats) -> Iterator[Compared]:
+def _turns(
+    system: TriadSystem, values: Floats, factor: Floats, spread: Floats
+) -> Iterator[ComparedQuantity]:
     turns, site, model = system.evidence.turns, system.evidence.site, system.sensors.model(values)
     ups, rates = np.array([t.up for t in turns]), np.array([t.rate() for t in turns])
     forces, along = ups * site.gravity, ups * (rates + site.up_rate)[:, None]
@@ -151,18 +157,20 @@ def _turns(system: System, values: Floats, factor: Floats, spread: Floats) -> It
         place, seconds = str(turn.position), turn.statistics.duration
         off = (float(w @ turn.up) - site.up_rate - rate) * seconds
         std = float(np.sqrt(turn.up @ c @ turn.up)) * seconds
-        yield Compared(place, np.nan, rate, Quantity.TURN, off, std, off / std)
+        yield ComparedQuantity(place, np.nan, rate, Quantity.TURN, off, std, off / std)
         level = np.linalg.svd(turn.up[None])[2][1:] / (rate + site.up_rate)
         yield _two(place, np.nan, rate, Quantity.TURN_AXIS, level @ w, level @ c @ level.T)
 
 
-def _one(name: str, at: float, quantity: Quantity, deviation: float, std: float) -> Compared:
-    return Compared(name, at, 0.0, quantity, deviation, std, deviation / std)
+def _one(
+    name: str, at: float, quantity: Quantity, deviation: float, std: float
+) -> ComparedQuantity:
+    return ComparedQuantity(name, at, 0.0, quantity, deviation, std, deviation / std)
 
 
 def _two(
     name: str, at: float, rate: float, quantity: Quantity, vector: Floats, spread: Floats
-) -> Compared:
+) -> ComparedQuantity:
     """Compare an angle that has two components: chi-square with two degrees of freedom."""
     square = float(vector @ np.linalg.solve(spread, vector))
     # Far out the chance is no number any more, and the square root comes close enough.
@@ -170,4 +178,6 @@ def _two(
         float(-scipy.special.ndtri(np.exp(-square / 2) / 2)) if square < 1000 else np.sqrt(square)
     )
     std = float(np.sqrt(np.trace(spread) / 2))
-    return Compared(name, at, rate, quantity, float(np.linalg.norm(vector)), std, float(ratio))
+    return ComparedQuantity(
+        name, at, rate, quantity, float(np.linalg.norm(vector)), std, float(ratio)
+    )

@@ -14,7 +14,7 @@ from ..model import TERMS, Parameter, ParameterKind, Term
 from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM
 from .hypotheses import Hypothesis, mistakes, share_in_words
-from .system import Fit, System
+from .system import Fit, TriadSystem
 
 _EXPLAINED = 1e-5
 """Probability of a chi-square from which on a change explains what is left; small, since the
@@ -66,7 +66,7 @@ _FREED = {
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
+class ShiftedParameter:
     """A parameter that the session sees elsewhere: by how much, and its deviation, SI units."""
 
     parameter: Parameter
@@ -89,7 +89,7 @@ class Diagnosis:
     """What is wrong, in a sentence, and the parameters that are elsewhere."""
 
     symptom: str
-    moved: tuple[Moved, ...] = ()
+    moved: tuple[ShiftedParameter, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +104,10 @@ class _Tried:
     def score(self) -> float:
         """Schwarz's criterion, with odds in favour of a plain mistake."""
         price = self.freed * float(np.log(max(self.fit.freedom, 2)))
-        return self.fit.square + price + (_ODDS if self.freed else 0.0)
+        return self.fit.chi_square + price + (_ODDS if self.freed else 0.0)
 
 
-def new_parameters(system: System) -> Fit:
+def refitted_parameters(system: TriadSystem) -> Fit:
     """Fit all parameters anew, from a unit without errors: what no calibration explains is left.
 
     The outputs are taken as the recording describes them.
@@ -115,7 +115,7 @@ def new_parameters(system: System) -> Fit:
     return replace(system, reading=1.0).fit(np.zeros(len(system.sensors.parameters)), _wide(system))
 
 
-def with_true_noise(system: System) -> System:
+def with_true_noise(system: TriadSystem) -> TriadSystem:
     """Widen the noise to what the session scatters by, whatever the parameters.
 
     A session of few rests, or of lengths alone, cannot tell: the data sheet's bias instability
@@ -126,7 +126,7 @@ def with_true_noise(system: System) -> System:
 
     """
     lengths_alone = system.up is not None
-    if lengths_alone or new_parameters(system).spare < _ENOUGH:
+    if lengths_alone or refitted_parameters(system).spare < _ENOUGH:
         system = replace(system, wander=system.spec.bias_instability)
     if lengths_alone:
         return system
@@ -145,24 +145,24 @@ def with_true_noise(system: System) -> System:
     return replace(system, seen=fit.unknown)
 
 
-def _with_missing_terms(system: System) -> Fit:
+def _with_missing_terms(system: TriadSystem) -> Fit:
     """Fit all parameters anew, with terms where they leave nothing but noise: they are no scatter.
 
     The next term is the one that explains most, and counts where chi-square falls by what scatter
     of the size that it leaves makes of nothing once in a hundred thousand sessions (F test).
     """
-    without = fit = new_parameters(system)
+    without = fit = refitted_parameters(system)
     while _scatters(fit):
-        tried = [(new_parameters(larger), larger) for _, larger in _with_another(system)]
+        tried = [(refitted_parameters(larger), larger) for _, larger in _with_another(system)]
         if not tried:
             return without
-        best, larger = min(tried, key=lambda one: one[0].square)
+        best, larger = min(tried, key=lambda one: one[0].chi_square)
         count = len(larger.sensors.parameters) - len(system.sensors.parameters)
         left = best.freedom - len(larger.sensors.parameters)
         # A few rests fit many a term, whatever is wrong with them.
         if left < 1 or best.spare < _ENOUGH:
             return without
-        ratio = (fit.square - best.square) / count / (best.square / left)
+        ratio = (fit.chi_square - best.chi_square) / count / (best.chi_square / left)
         if scipy.special.fdtrc(count, left, ratio) > _EXPLAINED:
             return without
         fit, system = best, larger
@@ -170,10 +170,10 @@ def _with_missing_terms(system: System) -> Fit:
 
 
 def _scatters(fit: Fit) -> bool:
-    return bool(scipy.special.chdtrc(max(fit.freedom, 1), fit.square) < _EXCESS)
+    return bool(scipy.special.chdtrc(max(fit.freedom, 1), fit.chi_square) < _EXCESS)
 
 
-def diagnose(system: System, values: Floats, factor: Floats) -> Diagnosis:
+def diagnose(system: TriadSystem, values: Floats, factor: Floats) -> Diagnosis:
     """Try the candidate mistakes and name the one that explains the data.
 
     Args:
@@ -195,7 +195,7 @@ def diagnose(system: System, values: Floats, factor: Floats) -> Diagnosis:
     return replace(first.diagnosis, symptom=text)
 
 
-def _fit(system: System, values: Floats, factor: Floats) -> Fit | None:
+def _fit(system: TriadSystem, values: Floats, factor: Floats) -> Fit | None:
     """Fit a hypothesis; None where it comes to a model without an inverse, which is no unit's.
 
     Six lengths hold nine parameters of a term by their prior alone: they go where they may.
@@ -206,7 +206,7 @@ def _fit(system: System, values: Floats, factor: Floats) -> Fit | None:
         return None
 
 
-def _mistaken(system: System, values: Floats, factor: Floats) -> Iterator[_Tried]:
+def _mistaken(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
     """Take the file, or the outputs, for what they are not."""
     for mistake in (*mistakes(system.sensors, values), *_readings(system, values)):
         # Read as it is, the session's equations are not made anew.
@@ -217,7 +217,7 @@ def _mistaken(system: System, values: Floats, factor: Floats) -> Iterator[_Tried
             yield _Tried(Diagnosis(mistake.why), mistake.when, fit)
 
 
-def _readings(system: System, values: Floats) -> Iterator[Hypothesis]:
+def _readings(system: TriadSystem, values: Floats) -> Iterator[Hypothesis]:
     """Take the outputs for those of another scale: the recording's own, or any that fits."""
     if abs(system.reading - 1) > _ALL_BUT_ZERO:
         yield Hypothesis(
@@ -232,7 +232,7 @@ def _readings(system: System, values: Floats) -> Iterator[Hypothesis]:
         yield Hypothesis(*_of_scale(system, share), values, share)
 
 
-def _of_scale(system: System, share: float) -> tuple[str, str]:
+def _of_scale(system: TriadSystem, share: float) -> tuple[str, str]:
     """Say when outputs are multiplied by a share, and why: a small one is of all channels alike."""
     if abs(share - 1) > _FAR:
         words = share_in_words(share, gyros=system.gyros)
@@ -252,7 +252,7 @@ def _of_scale(system: System, share: float) -> tuple[str, str]:
     )
 
 
-def _freed(system: System, values: Floats, factor: Floats) -> Iterator[_Tried]:
+def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tried]:
     """Let go of some parameters, of a term, or of the mount: what has moved since."""
     mine = system.sensors.parameters
     for kind in dict.fromkeys((*_FREED, *(p.kind for p in mine))):
@@ -276,7 +276,7 @@ def _freed(system: System, values: Floats, factor: Floats) -> Iterator[_Tried]:
 
 
 def _without(
-    system: System, values: Floats, factor: Floats, columns: list[int], when: str, why: str
+    system: TriadSystem, values: Floats, factor: Floats, columns: list[int], when: str, why: str
 ) -> Iterator[_Tried]:
     """Let go of the parameters of some columns; those that the calibration lacks come last."""
     more = len(system.sensors.parameters) - len(values)
@@ -286,13 +286,17 @@ def _without(
         yield _Tried(Diagnosis(why, far), when, fit, len(columns))
 
 
-def _far(parameters: Sequence[Parameter], fit: Fit, columns: Sequence[int]) -> tuple[Moved, ...]:
+def _far(
+    parameters: Sequence[Parameter], fit: Fit, columns: Sequence[int]
+) -> tuple[ShiftedParameter, ...]:
     """Return which of some parameters a fit sees elsewhere."""
-    moved = [Moved(parameters[k], float(fit.delta[k]), float(fit.std[k])) for k in columns]
+    moved = [
+        ShiftedParameter(parameters[k], float(fit.delta[k]), float(fit.std[k])) for k in columns
+    ]
     return tuple(m for m in moved if abs(m.difference) > _MOVED * m.std)
 
 
-def _with_another(system: System) -> Iterator[tuple[Term, System]]:
+def _with_another(system: TriadSystem) -> Iterator[tuple[Term, TriadSystem]]:
     """Return terms of the triad that the parameters lack, and the system with each."""
     mine = system.sensors.parameters
     for term in TERMS:
@@ -301,9 +305,9 @@ def _with_another(system: System) -> Iterator[tuple[Term, System]]:
             yield term, replace(system, sensors=larger)
 
 
-def _another_unit(system: System, values: Floats, factor: Floats, name: str) -> Diagnosis:
+def _another_unit(system: TriadSystem, values: Floats, factor: Floats, name: str) -> Diagnosis:
     """Compare with parameters fitted anew, since no single mistake explains the data."""
-    fit = new_parameters(system)
+    fit = refitted_parameters(system)
     determined = np.flatnonzero(fit.std < _DETERMINED * np.diag(_wide(system)))
     beside = replace(
         fit, delta=fit.delta - values, std=np.hypot(fit.std, np.linalg.norm(factor, axis=1))
@@ -321,7 +325,7 @@ def _another_unit(system: System, values: Floats, factor: Floats, name: str) -> 
     )
 
 
-def _wide(system: System) -> Floats:
+def _wide(system: TriadSystem) -> Floats:
     """Return a prior that says little, (p, p): standard deviations of any unit's parameters."""
     return np.diag([_width(p) for p in system.sensors.parameters])
 

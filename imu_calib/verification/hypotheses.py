@@ -8,7 +8,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from ..model import AXES, G_SENSITIVITY, Triad, positions, terms_of
+from ..model import AXES, G_SENSITIVITY, Triad, indices_of, terms_of
 from ..stream import Floats
 from ..units import ARCMIN, ARCSEC, DEG, DEG_H, MICRO_G, PPM, STANDARD_GRAVITY
 from .lengths import Sensors
@@ -112,7 +112,7 @@ def _matrices(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
 
 def _terms(sensors: Sensors, values: Floats) -> Iterator[Hypothesis]:
     for term in terms_of(sensors.parameters):
-        mine = positions(term.parameters, sensors.parameters)
+        mine = indices_of(term.parameters, sensors.parameters)
         own = values[mine]
         if not own.any():
             continue

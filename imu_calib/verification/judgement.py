@@ -18,16 +18,16 @@ import scipy
 from ..calibration import Calibration
 from ..earth import Site
 from ..gravity import gravity_covariance, same_place, without_gravity
-from ..model import Parameter, ParameterKind, SensorModel, positions, terms_of
-from ..model.motion import any_of_motion
+from ..model import Parameter, ParameterKind, SensorModel, indices_of, terms_of
+from ..model.motion import has_motion_terms
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..units import DEG
-from .comparison import Compared, compare
+from .comparison import ComparedQuantity, compare
 from .diagnosis import Diagnosis, diagnose, with_true_noise
 from .lengths import Sensors, Up, noise_at_rest
 from .observed import Observed
-from .system import Fit, System, factor_of
+from .system import Fit, TriadSystem, factor_of
 
 DOUBT, REJECTION = 1e-2, 1e-6
 """Chances of a false alarm in a session of sound data."""
@@ -55,7 +55,7 @@ class Judged:
     Attributes:
         gyros: Which.
         verdict: The outcome.
-        square: Chi-square of all their equations.
+        chi_square: Chi-square of all their equations.
         freedom: Its degrees of freedom.
         diagnosis: What is wrong; None where nothing is.
 
@@ -63,7 +63,7 @@ class Judged:
 
     gyros: bool
     verdict: Verdict
-    square: float
+    chi_square: float
     freedom: int
     diagnosis: Diagnosis | None
 
@@ -73,7 +73,7 @@ class Judged:
         return {
             'sensors': 'gyros' if self.gyros else 'accelerometers',
             'verdict': self.verdict.name.lower(),
-            'chi_square': float(self.square),
+            'chi_square': float(self.chi_square),
             'degrees_of_freedom': int(self.freedom),
             'symptom': None if found is None else found.symptom,
             'moved': [] if found is None else [moved.to_dict() for moved in found.moved],
@@ -93,7 +93,7 @@ class Verification:
     """
 
     triads: tuple[Judged, ...]
-    compared: tuple[Compared, ...]
+    compared: tuple[ComparedQuantity, ...]
     limits: tuple[float, float]
     findings: tuple[str, ...]
 
@@ -160,7 +160,7 @@ def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
         )
     elif not observed.evidence.turns:
         others = (
-            ' and in the moves between static dwells' if len(observed.evidence.led) else ' alone'
+            ' and in the moves between static dwells' if len(observed.evidence.links) else ' alone'
         )
         notes.append(
             'No turns by an encoder: scale factors and misalignments of the gyros show in the '
@@ -179,7 +179,7 @@ def _not_seen(calibration: Calibration, observed: Observed) -> list[str]:
 class _Trial:
     """One triad of a calibration against one session."""
 
-    system: System
+    system: TriadSystem
     values: Floats
     factor: Floats
     fit: Fit
@@ -190,7 +190,7 @@ class _Trial:
     ) -> _Trial:
         sensors = Sensors.of(calibration.parameters, gyros=gyros)
         reading = observed.reading(calibration.imu)[0 if gyros else 1]
-        system = System(observed, sensors, reading, doubts=doubts)
+        system = TriadSystem(observed, sensors, reading, doubts=doubts)
         if not observed.with_attitudes:
             system = replace(system, up=_up(calibration, observed))
         system = with_true_noise(system)
@@ -214,7 +214,7 @@ class _Trial:
             if factor > 1
         ]
 
-    def judge(self, compared: list[Compared], limits: tuple[float, float]) -> Judged:
+    def judge(self, compared: list[ComparedQuantity], limits: tuple[float, float]) -> Judged:
         """Give the verdict and, for anything but acceptance, the symptom."""
         mine = [abs(c.ratio) for c in compared if c.quantity.of_gyros == self.system.gyros]
         chance, worst = self.fit.chance, max(mine)
@@ -227,7 +227,7 @@ class _Trial:
         diagnosis = None
         if verdict is Verdict.FAIL:
             diagnosis = diagnose(self.system, self.values, self.factor)
-        return Judged(self.system.gyros, verdict, self.fit.square, self.fit.freedom, diagnosis)
+        return Judged(self.system.gyros, verdict, self.fit.chi_square, self.fit.freedom, diagnosis)
 
 
 def _carried(
@@ -247,28 +247,28 @@ def _carried(
     model = calibration.model.with_values(parameters, gyros.values + gyros.fit.delta)
     reading = np.repeat(observed.reading(calibration.imu), 3)
     moves = tuple(
-        _meant(move, model, reading) if explained else replace(move, gained=None)
+        _meant(move, model, reading) if explained else replace(move, velocity_steps=None)
         for move in evidence.moves
     )
-    coarse = evidence.coarse or any_of_motion(terms_of(calibration.parameters))
+    coarse = evidence.coarse or has_motion_terms(terms_of(calibration.parameters))
     carried = replace(observed, evidence=replace(evidence, moves=moves, coarse=coarse))
     return carried, tuple(zip(parameters, gyros.fit.std.tolist(), strict=True))
 
 
 def _meant(move: Move, model: SensorModel, reading: Floats) -> Move:
     """Return a move with the angles that its gyros' readings mean; velocities as they were read."""
-    if move.gained is None:
+    if move.velocity_steps is None:
         return move
     seconds = move.seconds[:, None]
-    angle, velocity = move.turned * reading[:3], move.gained.velocity * reading[3:]
+    angle, velocity = move.turned * reading[:3], move.velocity_steps.velocity * reading[3:]
     rate, _ = model.compensate(angle / seconds, velocity / seconds)
-    gained = replace(move.gained, mean=move.gained.mean * reading[:3])
-    return replace(move, turned=rate * seconds, gained=gained)
+    gained = replace(move.velocity_steps, mean=move.velocity_steps.mean * reading[:3])
+    return replace(move, turned=rate * seconds, velocity_steps=gained)
 
 
 def _up(calibration: Calibration, observed: Observed) -> Up:
     """Return what the accelerometers of a calibration show of up."""
-    accels = System(
+    accels = TriadSystem(
         observed,
         Sensors.of(calibration.parameters, gyros=False),
         observed.reading(calibration.imu)[1],
@@ -282,10 +282,10 @@ def _up(calibration: Calibration, observed: Observed) -> Up:
     return Up.of(found, noise, factor, gravity)
 
 
-def _factor(calibration: Calibration, system: System) -> Floats:
+def _factor(calibration: Calibration, system: TriadSystem) -> Floats:
     """Return a factor of the parameters' covariance, bias instability and gravity included."""
     parameters = system.sensors.parameters
-    mine = positions(parameters, calibration.parameters)
+    mine = indices_of(parameters, calibration.parameters)
     covariance = _with_both_gravities(calibration, system.evidence.site)[np.ix_(mine, mine)]
     bias = [k for k, p in enumerate(parameters) if p.kind is ParameterKind.BIAS]
     covariance[bias, bias] += system.spec.bias_instability**2

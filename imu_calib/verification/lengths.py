@@ -99,7 +99,7 @@ class Up:
         columns = (level @ by_parameters @ factor).reshape(3 * len(force), -1)
         covariance = (columns @ columns.T).reshape(len(force), 3, len(force), 3)
         every = np.arange(len(force))
-        covariance[every, :, every] += through(level @ by_outputs, noise)
+        covariance[every, :, every] += propagated(level @ by_outputs, noise)
         return cls(up[:, :, 0] * gravity, covariance)
 
 
@@ -122,7 +122,7 @@ def compare_lengths(
 
     """
     seen, by_outputs, by_parameters = sensors.compensated(values, read, up.forces)
-    noise = through(by_outputs, noise)
+    noise = propagated(by_outputs, noise)
     jacobian = np.einsum('mi,mip->mp', 2 * seen, by_parameters)
     # The mean of a squared length is the square of the mean and the noise.
     square = (seen**2).sum(axis=1) - np.trace(noise, axis1=1, axis2=2)
@@ -146,6 +146,6 @@ def noise_at_rest(variances: Floats, magnitude: float) -> Floats:
     return np.asarray(np.maximum(variances, least)[:, :, None] * np.eye(3))
 
 
-def through(gain: Floats, covariance: Floats) -> Floats:
+def propagated(gain: Floats, covariance: Floats) -> Floats:
     """Return gain covariance gain' for (m, 3, 3) each."""
     return np.asarray(gain @ covariance @ np.swapaxes(gain, 1, 2))

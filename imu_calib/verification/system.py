@@ -27,7 +27,7 @@ from ..observation.components import Component, Diagonal
 from ..observation.equations import Equations, Nuisance
 from ..observation.evidence import Evidence
 from ..observation.information import Information
-from ..observation.rows import Indices
+from ..observation.layout import Indices
 from ..rotations import rotations
 from ..stream import Floats
 from .lengths import Sensors, Up, compare_lengths, noise_at_rest
@@ -48,7 +48,7 @@ class Fit:
     """What is left when errors of the parameters within their deviations are allowed for.
 
     Attributes:
-        square: Chi-square.
+        chi_square: Chi-square.
         freedom: Its degrees of freedom.
         delta: (p,) the parameters' likely errors.
         std: (p,) their standard deviations.
@@ -59,7 +59,7 @@ class Fit:
 
     """
 
-    square: float
+    chi_square: float
     freedom: int
     delta: Floats
     std: Floats
@@ -70,11 +70,13 @@ class Fit:
     @property
     def chance(self) -> float:
         """Probability of a chi-square so large where all is well."""
-        return float(scipy.special.chdtrc(self.freedom, self.square)) if self.freedom > 0 else 1.0
+        return (
+            float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class TriadSystem:
     """The equations of one triad in one session.
 
     Attributes:
@@ -122,7 +124,7 @@ class System:
         """The session as it is read."""
         factors = np.ones(6)
         factors[self.sensors.channels] = self.reading
-        return self.observed.evidence.read_as(factors)
+        return self.observed.evidence.scaled(factors)
 
     @cached_property
     def outputs(self) -> Floats:
@@ -139,12 +141,14 @@ class System:
     @cached_property
     def equations(self) -> Equations:
         """Those of the joint estimate, where attitudes are known."""
-        rows = self.evidence.rows
+        rows = self.evidence.layout
         biases = np.zeros(len(rows))
         biases[rows.rest] = (self.wander * self.reading) ** 2
-        seconds = np.array([m.move.duration for m in self.evidence.led.links]).reshape(-1, 1)
+        seconds = np.array([m.move.duration for m in self.evidence.links.links]).reshape(-1, 1)
         biases[rows.move] = (self.wander * self.reading * seconds) ** 2
-        biases[rows.velocity] = (self.wander * self.reading * seconds[list(rows.pushed)]) ** 2
+        biases[rows.velocity] = (
+            self.wander * self.reading * seconds[list(rows.moves_with_accels)]
+        ) ** 2
         return Equations(
             self.evidence,
             self.sensors.parameters,
@@ -156,14 +160,14 @@ class System:
     @cached_property
     def _mine(self) -> Indices:
         """Which of these are the triad's: those at rest, of turns, of moves."""
-        return self.equations.rows.gyros if self.gyros else self.equations.rows.accels
+        return self.equations.layout.gyros if self.gyros else self.equations.layout.accels
 
     @cached_property
     def _kinds(self) -> Indices:
         """Which of the triad's equations are at rest (0), of turns (1) and of moves (2), (m,)."""
         if self.up is not None:
             return np.zeros(len(self.outputs) * (2 if self.gyros else 1), dtype=np.intp)
-        rows = self.evidence.rows
+        rows = self.evidence.layout
         of_moves = np.isin(self._mine, rows.moving)
         return np.where(self._mine < rows.rest.size, 0, np.where(of_moves, 2, 1))
 
@@ -224,13 +228,13 @@ class System:
         weighed = seen / np.diagonal(self.spread(values), axis1=1, axis2=2).ravel()
         return float(weighed @ self.predicted(values).ravel() / (weighed @ seen))
 
-    def inflated(self, ratios: tuple[float, ...]) -> System:
+    def inflated(self, ratios: tuple[float, ...]) -> TriadSystem:
         """Return the system with its noise widened."""
         factors = np.sqrt(np.maximum(ratios, 1.0)) * self.inflation
         return replace(self, inflation=tuple(factors.tolist()))
 
     @cached_property
-    def _resting(self) -> System:
+    def _resting(self) -> TriadSystem:
         """The system without moves, which are not linear in what is far off."""
         evidence = replace(self.observed.evidence, moves=())
         return replace(self, observed=replace(self.observed, evidence=evidence))
@@ -245,7 +249,7 @@ class System:
 
         """
         k = factor.shape[1]
-        resting = self._resting if len(self.evidence.led) else self
+        resting = self._resting if len(self.evidence.links) else self
         point, square = resting._start(resting._allowing(values, factor), k)
         system = self._allowing(values, factor)
         if scipy.special.chdtrc(len(resting._kinds), square / 2) >= hopeless:
@@ -308,7 +312,9 @@ class System:
             equations, state = self.equations, np.append(values, nuisances)
             if mount.any():
                 equations = replace(equations, evidence=_mounted(self.evidence, mount))
-            turned = equations.by_mount(state) if len(mount) else np.zeros((len(equations.rows), 0))
+            turned = (
+                equations.by_mount(state) if len(mount) else np.zeros((len(equations.layout), 0))
+            )
             left = equations.outputs - equations.predict(state)
             rows = np.column_stack([equations.jacobian(state), turned, left])[self._mine]
             below = np.insert(equations.prior_rows(state), [-1] * len(mount), 0.0, axis=1)
@@ -346,7 +352,7 @@ def _mounted(evidence: Evidence, small: Floats) -> Evidence:
     """Return a session of a unit that is turned in its mount by a rotation vector (3,)."""
     turned = rotations(small[None])[0]
     turns = tuple(replace(t, up=turned @ t.up) for t in evidence.turns)
-    return replace(evidence.at(evidence.attitudes() @ turned.T), turns=turns)
+    return replace(evidence.with_attitudes(evidence.attitudes() @ turned.T), turns=turns)
 
 
 def factor_of(covariance: Floats) -> Floats:

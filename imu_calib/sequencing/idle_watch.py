@@ -12,7 +12,7 @@ _NEWS = 2.0
 """A way is worth a new sentence when it has grown by this factor: a long turn is told in a few."""
 
 
-class Unled:
+class IdleWatch:
     """Watches a table by its joint states while no plan is run.
 
     The table may take the time that its limits allow to come to rest. From then on a joint that

@@ -14,7 +14,7 @@ _BUFFER = 1 << 16
 """Bytes held for a reader that is slow for a moment."""
 
 
-class Line:
+class FrameServer:
     """A TCP server with one reader at a time; what nobody reads is lost, as on a serial line."""
 
     def __init__(self, port: int) -> None:

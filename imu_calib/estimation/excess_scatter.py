@@ -28,14 +28,19 @@ import scipy
 from numpy.typing import NDArray
 
 from ..budget import Source
-from ..model import BIASES, positions
-from ..observation.arrivals import NO_ARRIVALS, Arrivals
+from ..model import BIASES, indices_of
 from ..observation.components import Component, Dense, Diagonal
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
+from ..observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 from ..stream import Floats
-from .likelihood import along_columns, beside, fixed, gained_by_noise
-from .wandering import STATED_TIME, Wandering
+from .bias_drift import STATED_TIME, BiasDrift
+from .likelihood import (
+    gained_by_noise,
+    log_likelihood,
+    log_likelihoods_by_columns,
+    log_likelihoods_by_ratio,
+)
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 """Correlation times of drift that are tried, in lengths of the session: half decades. What is
@@ -74,32 +79,32 @@ class _Triad:
 
     Attributes:
         rows: (k,) of the outputs.
-        left: (r,) what is left.
+        residuals: (r,) what is left.
         calm: (r, r) covariance by the wandering that the data sheet states.
         beyond: (r, r) covariances by wandering of each time of `_TIMES`, for unit ratios.
-        arrivals: (r, e) what joints that stop and what stops do, for one rad.
+        positioning: (r, e) what joints that stop and what stops do, for one rad.
         noise: Columns (r, k) of the random walk of each channel, and the degrees of freedom by
             which its size is known.
-        wandering: Where the bias is looked at.
+        bias_drift: Where the bias is looked at.
         typical: What a ratio of one stands for, SI units squared.
         stated: Variance of the wandering stated, SI units squared.
 
     """
 
     rows: NDArray[np.intp]
-    left: Floats
+    residuals: Floats
     calm: Floats
     beyond: tuple[Floats, ...]
-    arrivals: tuple[Floats, Floats]
+    positioning: tuple[Floats, Floats]
     noise: tuple[tuple[Floats, float], ...]
-    wandering: Wandering
+    bias_drift: BiasDrift
     typical: float
     stated: float
 
-    def arriving(self, joints: float, stops: float) -> Floats:
+    def positioning_covariance(self, joints: float, stops: float) -> Floats:
         """Return the covariance by noise and arrivals of these variances, rad^2."""
-        found = np.eye(len(self.left))
-        for variance, columns in zip((joints, stops), self.arrivals, strict=True):
+        found = np.eye(len(self.residuals))
+        for variance, columns in zip((joints, stops), self.positioning, strict=True):
             if variance:
                 found += variance * (columns @ columns.T)
         return found
@@ -112,11 +117,15 @@ class _Triad:
             of it.
 
         """
-        base = self.arriving(joints, stops)
-        calm = [fixed(base + share * self.calm, self.left) for share in _SHARES.tolist()]
-        return np.array(calm), beside(base + self.calm, self.beyond, self.left, _RATIOS)
+        base = self.positioning_covariance(joints, stops)
+        calm = [
+            log_likelihood(base + share * self.calm, self.residuals) for share in _SHARES.tolist()
+        ]
+        return np.array(calm), log_likelihoods_by_ratio(
+            base + self.calm, self.beyond, self.residuals, _RATIOS
+        )
 
-    def wander(self, share: float, time: int, ratio: float) -> Floats:
+    def drift_covariance(self, share: float, time: int, ratio: float) -> Floats:
         """Return the covariance by a share of the wandering stated and one beyond it."""
         found = share * self.calm
         return found + ratio * self.beyond[time] if ratio else found
@@ -126,7 +135,9 @@ class _Triad:
 
         By the size of the noise, which blocks at rest tell no better than they are many.
         """
-        return gained_by_noise(self.arriving(joints, stops) + wander, self.left, self.noise)
+        return gained_by_noise(
+            self.positioning_covariance(joints, stops) + wander, self.residuals, self.noise
+        )
 
     def lines(self, wander: Floats, variances: Floats) -> Floats:
         """Return the log likelihoods of arrivals, (kinds, v), beside a wandering (r, r).
@@ -136,39 +147,43 @@ class _Triad:
             variances: (v,) of the arrivals, rad^2, split between joints and stops by `_KINDS`.
 
         """
-        base = np.eye(len(self.left)) + wander
+        base = np.eye(len(self.residuals)) + wander
         shares = _KINDS.tolist()
         mixed = [np.sqrt([1 - share, share]) for share in shares]
-        return along_columns(base, self.arrivals, mixed, self.left, variances)
+        return log_likelihoods_by_columns(base, self.positioning, mixed, self.residuals, variances)
 
 
 @dataclass(frozen=True, eq=False)
-class Excess:
+class ExcessScatter:
     """What scatters beyond random walk and quantisation, as the session shows it.
 
     Attributes:
-        arriving: Arrivals beyond what the table states.
-        wandering: (6,) standard deviation of the wandering biases, rad/s and m/s^2.
+        positioning: Arrivals beyond what the table states.
+        bias_drift: (6,) standard deviation of the wandering biases, rad/s and m/s^2.
         extra: What wandering adds to the covariance of the outputs: as the data sheet states it,
             and what the session shows beyond.
-        spared: What of the wandering that the data sheet states the session seems to be without.
-        missed: Probability that arrivals miss beyond what the table states.
-        swift: Of gyros and accelerometers, whether what they show beyond the data sheet comes and
-            goes within a thirtieth of the session, and sooner than biases drift by the data sheet.
+        absent_drift: What of the wandering that the data sheet states the session seems to be
+            without.
+        positioning_probability: Probability that arrivals miss beyond what the table states.
+        fast_drift: Of gyros and accelerometers, whether what they show beyond the data sheet comes
+            and goes within a thirtieth of the session, and sooner than biases drift by the data
+            sheet.
 
     """
 
-    arriving: Arrivals
-    wandering: Floats
+    positioning: PositioningErrors
+    bias_drift: Floats
     extra: tuple[Component, ...] = ()
-    spared: tuple[Component, ...] = ()
-    missed: float = 0.0
-    swift: tuple[bool, bool] = (False, False)
+    absent_drift: tuple[Component, ...] = ()
+    positioning_probability: float = 0.0
+    fast_drift: tuple[bool, bool] = (False, False)
 
     @property
     def shown(self) -> bool:
         """Whether the session shows any that is not known beforehand."""
-        return self.missed > 0 or any(c.source is Source.BIAS_FOUND for c in self.extra)
+        return self.positioning_probability > 0 or any(
+            c.source is Source.BIAS_FOUND for c in self.extra
+        )
 
     @property
     def stated(self) -> tuple[Component, ...]:
@@ -176,7 +191,7 @@ class Excess:
         return tuple(c for c in self.extra if c.source is Source.BIAS_STATED)
 
 
-def excess(equations: Equations, state: Floats, *, doubted: bool = False) -> Excess:
+def excess(equations: Equations, state: Floats, *, doubted: bool = False) -> ExcessScatter:
     """Estimate the excess scatter of a session about a solution.
 
     What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
@@ -190,9 +205,9 @@ def excess(equations: Equations, state: Floats, *, doubted: bool = False) -> Exc
             outputs that do not fit noise seems larger than it is: these are to be found before.
 
     """
-    plain = replace(equations, extra=(), arriving=NO_ARRIVALS)
+    plain = replace(equations, extra=(), positioning=NO_POSITIONING_ERRORS)
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
-        return Excess(NO_ARRIVALS, np.zeros(6))
+        return ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
     triads = _triads(plain, state)
     if not doubted:
         triads = [replace(triad, noise=()) for triad in triads]
@@ -203,8 +218,8 @@ def excess(equations: Equations, state: Floats, *, doubted: bool = False) -> Exc
         for mixture, triad in zip(found, triads, strict=True):
             mixture.append((share, _Wander.of(triad, joints, stops)))
     spread = [_spread_out(triad, mixture) for triad, mixture in zip(triads, found, strict=True)]
-    return Excess(
-        Arrivals(math.sqrt(share * joints), math.sqrt(share * stops)),
+    return ExcessScatter(
+        PositioningErrors(math.sqrt(share * joints), math.sqrt(share * stops)),
         np.repeat([deviation for deviation, *_ in spread], 3),
         tuple(part for _, parts, _, _ in spread for part in parts),
         tuple(part for _, _, spared, _ in spread for part in spared),
@@ -277,11 +292,11 @@ class _Wander:
         return [
             (
                 self.known - float(self.calm[calm]) + float(_LOG_ODDS[calm]),
-                triad.wander(_SHARES[calm], 0, 0.0),
+                triad.drift_covariance(_SHARES[calm], 0, 0.0),
             ),
             (
                 self.unknown - self.highest,
-                triad.wander(1.0, time, float(_RATIOS[ratio])),
+                triad.drift_covariance(1.0, time, float(_RATIOS[ratio])),
             ),
         ]
 
@@ -292,10 +307,10 @@ def _variances(equations: Equations) -> Floats:
     From a tenth of what the noise of the sharpest outputs hides.
     """
     evidence = equations.evidence
-    at_rest = equations.own_variances[equations.rows.rest[:, 3:]]
+    at_rest = equations.own_variances[equations.layout.rest[:, 3:]]
     sharpest = float(np.median(at_rest)) / evidence.site.gravity**2
-    if len(evidence.led):
-        sharpest = min(sharpest, float(np.median(evidence.led.variances(evidence.walk)[:, :3])))
+    if len(evidence.links):
+        sharpest = min(sharpest, float(np.median(evidence.links.variances(evidence.walk)[:, :3])))
     return np.asarray(_ARRIVAL_RATIOS * sharpest)
 
 
@@ -389,10 +404,10 @@ def _spread_out(
         calm += weight * float(of_calm @ _SHARES + of_beyond.sum())
         by_ratio += weight * of_beyond
     means = len(triad.rows)
-    stated = triad.stated * triad.wandering.stated_kernel()[:means, :means]
+    stated = triad.stated * triad.bias_drift.stated_kernel()[:means, :means]
     found = np.zeros_like(stated)
     for k, time in enumerate(_TIMES):
-        kernel = triad.wandering.kernel(time)[:means, :means]
+        kernel = triad.bias_drift.kernel(time)[:means, :means]
         found += float(by_ratio[k] @ _RATIOS) * triad.typical * kernel
     total = calm * triad.stated + float((by_ratio @ _RATIOS).sum()) * triad.typical
     parts = []
@@ -403,15 +418,15 @@ def _spread_out(
     spared = Component(Source.BIAS_STATED, Dense(triad.rows, (1 - calm) * stated))
     swift = bool(by_ratio.any()) and int(by_ratio.sum(axis=1).argmax()) == 0
     # In a session of five hours the first of the times is nearest to that of the data sheet.
-    swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * triad.wandering.span < STATED_TIME
+    swift &= math.sqrt(_TIMES[0] * _TIMES[1]) * triad.bias_drift.span < STATED_TIME
     return math.sqrt(total), tuple(parts), (spared,) if triad.stated else (), swift
 
 
 def _triads(plain: Equations, state: Floats) -> list[_Triad]:
     """Return gyros and accelerometers, either with turns and moves."""
     jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
-    rising = plain.rising(state)
-    parts = (jacobian, left, rising, plain.covariance(state), plain.arrivals(state))
+    rising = plain.slopes(state)
+    parts = (jacobian, left, rising, plain.covariance(state), plain.by_positioning(state))
     return [_triad(plain, first, parts, state) for first in (0, 3)]
 
 
@@ -423,15 +438,15 @@ def _triad(
 ) -> _Triad:
     """Cut out gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
-    rows = equations.rows.gyros if first == 0 else equations.rows.accels
+    rows = equations.layout.gyros if first == 0 else equations.layout.accels
     stretches = [(x.statistics, x.start) for x in evidence.segments]
-    turns, moves = list(evidence.turns), [link.move for link in evidence.led.links]
-    pushed = [moves[k] for k in evidence.rows.pushed]
+    turns, moves = list(evidence.turns), [link.move for link in evidence.links.links]
+    pushed = [moves[k] for k in evidence.layout.moves_with_accels]
     if first == 3:
-        turns, moves = [turns[k] for k in evidence.rows.felt], pushed
+        turns, moves = [turns[k] for k in evidence.layout.turns_with_accels], pushed
     else:
         # What the gyros' biases do to the axes of a move is in its velocity too.
-        rows = np.concatenate([rows, equations.rows.velocity.ravel()])
+        rows = np.concatenate([rows, equations.layout.velocity.ravel()])
         moves = [*moves, *pushed]
     stretches += [(x.statistics, x.start) for x in turns]
     jacobian, left, rising, covariance, arrivals = parts
@@ -439,7 +454,7 @@ def _triad(
     prior = equations.prior_rows(state)
     starts = np.array([start for _, start in stretches] + [m.start for m in moves], dtype=np.int64)
     durations = np.array([x.duration for x, _ in stretches] + [m.duration for m in moves])
-    biases = positions(BIASES[first : first + 3], equations.parameters)
+    biases = indices_of(BIASES[first : first + 3], equations.parameters)
     with_slope = [
         all(len(b) >= _BLOCKS_FOR_A_SLOPE for b in x.blocks[first : first + 3])
         for x, _ in stretches
@@ -455,7 +470,7 @@ def _triad(
         ]
     ).reshape(-1, 3, 2)
     slope_variances = of_slopes[..., 1].ravel()
-    wandering = Wandering.over(
+    wandering = BiasDrift.over(
         (starts - starts.min()) * 1e-9,
         durations,
         jacobian[np.ix_(rows, np.array(biases))].reshape(-1, 3, 3),
@@ -469,7 +484,7 @@ def _triad(
     )
     slopes = 1 / np.sqrt(slope_variances)
     both = scipy.linalg.block_diag(project, np.diag(slopes))
-    typical = float(np.median(equations.own_variances[equations.rows.rest[:, first : first + 3]]))
+    typical = float(np.median(equations.own_variances[equations.layout.rest[:, first : first + 3]]))
     stated = float(evidence.instability[first] ** 2)
 
     def seen_by(kernel: Floats, variance: float) -> Floats:

@@ -19,27 +19,27 @@ Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Rows:
+class OutputLayout:
     """The layout of a session's outputs.
 
     Attributes:
         rests: Their number.
         turns: Likewise.
         moves: Likewise.
-        felt: Which of the turns have accelerometers that count.
-        pushed: Which of the moves have.
+        turns_with_accels: Which of the turns have accelerometers that count.
+        moves_with_accels: Which of the moves have.
 
     """
 
     rests: int
     turns: int = 0
     moves: int = 0
-    felt: tuple[int, ...] = ()
-    pushed: tuple[int, ...] = ()
+    turns_with_accels: tuple[int, ...] = ()
+    moves_with_accels: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of outputs."""
-        threes = self.turns + self.moves + len(self.felt) + len(self.pushed)
+        threes = self.turns + self.moves + len(self.turns_with_accels) + len(self.moves_with_accels)
         return 6 * self.rests + 3 * threes
 
     @cached_property
@@ -61,12 +61,12 @@ class Rows:
     def turn_accels(self) -> Indices:
         """Of the turns' accelerometers, (f, 3)."""
         before = 6 * self.rests + 3 * (self.turns + self.moves)
-        return before + np.arange(3 * len(self.felt)).reshape(-1, 3)
+        return before + np.arange(3 * len(self.turns_with_accels)).reshape(-1, 3)
 
     @cached_property
     def velocity(self) -> Indices:
         """Of the moves' velocities, (v, 3)."""
-        count = 3 * len(self.pushed)
+        count = 3 * len(self.moves_with_accels)
         return len(self) - count + np.arange(count).reshape(-1, 3)
 
     @cached_property
@@ -95,15 +95,17 @@ class Rows:
         return result
 
     @cached_property
-    def stretch(self) -> Indices:
+    def segment(self) -> Indices:
         """Which rest, turn or move each output is of: these counted on in this order."""
         result = np.empty(len(self), dtype=np.intp)
         result[self.rest] = np.arange(self.rests)[:, None]
         result[self.turn] = self.rests + np.arange(self.turns)[:, None]
         moves = self.rests + self.turns + np.arange(self.moves)[:, None]
         result[self.move] = moves
-        result[self.turn_accels] = self.rests + np.array(self.felt, dtype=np.intp)[:, None]
-        result[self.velocity] = moves[list(self.pushed)]
+        result[self.turn_accels] = (
+            self.rests + np.array(self.turns_with_accels, dtype=np.intp)[:, None]
+        )
+        result[self.velocity] = moves[list(self.moves_with_accels)]
         return result
 
     def joined(self, rest: Floats, turn: Floats, move: Floats) -> Floats:
@@ -119,7 +121,7 @@ class Rows:
             (rest, self.rest),
             (turn[:, :3], self.turn),
             (move[:, :3], self.move),
-            (turn[list(self.felt), 3:], self.turn_accels),
-            (move[list(self.pushed), 3:], self.velocity),
+            (turn[list(self.turns_with_accels), 3:], self.turn_accels),
+            (move[list(self.moves_with_accels), 3:], self.velocity),
         )
         return np.concatenate([part.reshape(at.size, *rest.shape[2:]) for part, at in parts])

@@ -30,7 +30,7 @@ _LEAST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Undecided:
+class UndecidedDrifts:
     """What drifts that are not shown may do.
 
     Attributes:
@@ -48,7 +48,7 @@ Possible = tuple[Score, Floats]
 (k,), (n, k) in SI units."""
 
 
-def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undecided:
+def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> UndecidedDrifts:
     """Weigh courses against each other and against none.
 
     Args:
@@ -74,7 +74,7 @@ def undecided(courses: Mapping[Family, Sequence[Possible]], count: int) -> Undec
     doubt = np.zeros((count, count))
     for family, share in probability.items():
         doubt += share * doubts[family]
-    return Undecided(probability, doubt)
+    return UndecidedDrifts(probability, doubt)
 
 
 def _square(score: Score) -> tuple[float, int]:

@@ -22,7 +22,7 @@ _NOISY = 4
 two without any, and three where it drifts to the next edge."""
 
 
-def repeated(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
+def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
     """Find the samples (n,) that repeat the one before beyond chance.
 
     How often two samples in a row are the same by chance, the others of the stretch tell: codes of

@@ -32,7 +32,7 @@ _HEADINGS = 8
 
 
 @dataclass(frozen=True)
-class Arrivals:
+class PositioningErrors:
     """Standard deviations of arrivals beyond what the table states, rad.
 
     Attributes:
@@ -45,7 +45,7 @@ class Arrivals:
     stops: float = 0.0
 
 
-NO_ARRIVALS = Arrivals()
+NO_POSITIONING_ERRORS = PositioningErrors()
 """What the table states, and nothing beyond."""
 
 

@@ -13,7 +13,7 @@ from ..earth import Site
 from ..model import SensorModel
 from ..rotations import rotation, rotation_vectors, rotations
 from ..segmentation.segment import Segment
-from ..segmentation.segmented import Gained, Move
+from ..segmentation.segmented import Move, VelocitySteps
 from ..stream import Floats
 from ..turntable import Table
 from .evidence import UP
@@ -32,14 +32,14 @@ _PARALLEL = 1e-6
 one of so short a product by 1e-10."""
 
 
-def way(table: Table, origin: Floats, goal: Floats) -> Course:
+def joint_course(table: Table, origin: Floats, goal: Floats) -> Course:
     """Return the course of the joints at the table's limits."""
     limits = [(joint.max_rate, joint.max_acceleration) for joint in table.joints]
     rates, accelerations = zip(*limits, strict=True)
     return moving(origin.tolist(), goal.tolist(), rates, accelerations)
 
 
-def move_along(
+def ideal_move(
     before: Segment,
     after: Segment,
     course: Course,
@@ -67,8 +67,8 @@ def move_along(
     spans = np.array([stood, *np.diff(knots), stood])
     turned, velocity = _along(attitudes, spans, truth, world)
     pulse = before.statistics.pulse
-    gained = Gained(velocity, np.zeros_like(velocity), pulse[3:])
-    return Move(before.end, after.start, turned, spans, pulse[:3], gained=gained)
+    gained = VelocitySteps(velocity, np.zeros_like(velocity), pulse[3:])
+    return Move(before.end, after.start, turned, spans, pulse[:3], velocity_steps=gained)
 
 
 def _along(
@@ -88,7 +88,7 @@ def _along(
     return gyro * spans[:, None], accel * spans[:, None]
 
 
-def held_in_turn(segments: list[Segment]) -> list[Segment]:
+def ideal_holds(segments: list[Segment]) -> list[Segment]:
     """Return holds in other attitudes of the same ups, each the short way from the one before."""
     found = segments[:1]
     for segment in segments[1:]:
@@ -131,7 +131,7 @@ def shortest(last: Segment, up: Floats) -> Floats:
     return np.asarray(last.attitude @ turn)
 
 
-def short_move(before: Segment, after: Segment, truth: SensorModel, site: Site) -> Move:
+def ideal_move_by_hand(before: Segment, after: Segment, truth: SensorModel, site: Site) -> Move:
     """Return what the gyros would give on the short way from hold to hold, at an even pace."""
     assert before.attitude is not None
     assert after.attitude is not None

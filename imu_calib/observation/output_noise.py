@@ -30,14 +30,14 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
 
     """
     segments, turns, walk = evidence.segments, evidence.turns, evidence.walk
-    led = evidence.led
+    led = evidence.links
     statistics = [s.statistics for s in segments]
     turned = [t.statistics for t in turns]
     site = evidence.site
 
     def joined(at_rest: Sequence[Floats], turned: Sequence[Floats], moved: Floats) -> Floats:
         rest, turn = (np.array(part).reshape(-1, 6) for part in (at_rest, turned))
-        return evidence.rows.joined(rest, turn, moved)
+        return evidence.layout.joined(rest, turn, moved)
 
     leading, pushing = led.noise(walk)
     noise = joined(
@@ -48,24 +48,26 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
     # What the gyros' noise makes of velocities.
     none = np.zeros(6)
     leaning = joined([none for _ in segments], [none for _ in turns], leading * _VELOCITIES)
-    quantum = joined(
-        [s.quantum for s in statistics], [s.quantum for s in turned], led.quantisation()
+    quantisation = joined(
+        [s.quantisation_variance for s in statistics],
+        [s.quantisation_variance for s in turned],
+        led.quantisation(),
     )
     encoder = joined(
         [s.encoder_variance(site.gravity) for s in segments],
         [np.append(t.encoder_variance(), t.lean_variance(site.gravity)) for t in turns],
         led.encoders(),
     )
-    total = noise + leaning + quantum + encoder
-    quantum = quantum + np.maximum(SMALLEST_VARIANCE - total, 0.0)
-    channel = evidence.rows.channels
+    total = noise + leaning + quantisation + encoder
+    quantisation = quantisation + np.maximum(SMALLEST_VARIANCE - total, 0.0)
+    channel = evidence.layout.channels
     parts = [
         Component(Source.NOISE, Diagonal(np.where(channel == c, noise, 0.0)), freedom)
         for c, freedom in enumerate(evidence.walk_freedom.tolist())
     ]
     parts += [
         Component(Source.NOISE, Diagonal(leaning), float(evidence.walk_freedom[:3].sum())),
-        Component(Source.QUANTISATION, Diagonal(quantum)),
+        Component(Source.QUANTISATION, Diagonal(quantisation)),
         Component(Source.ENCODER_NOISE, Diagonal(encoder)),
     ]
     if inflation is not None:
@@ -94,7 +96,7 @@ def encoder_rates(
     ups = np.array([t.up for t in turns]).reshape(-1, 3)
     errors = np.array([t.rate_error for t in turns]) * rates
     seen = errors[:, None] * (ups @ response.T)
-    layout, both = evidence.rows, evidence.arms.turns
+    layout, both = evidence.layout, evidence.arms.turns
     alone = np.delete(np.arange(len(turns)), both)
     relative = np.array([turns[k].rate_error for k in both]).reshape(-1, 1)
     found = []
@@ -119,9 +121,9 @@ def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component
         levelled: Standard deviation of the table's tilt about either axis, rad.
 
     """
-    which, rows = evidence.arms.turns, evidence.rows.turn_accels
+    which, rows = evidence.arms.turns, evidence.layout.turn_accels
     left = [evidence.turns[k].level * levelled * evidence.site.gravity for k in which]
-    variances = np.zeros(len(evidence.rows))
+    variances = np.zeros(len(evidence.layout))
     variances[rows] = np.square(left).reshape(-1, 1) * (1 - ups[which] ** 2)
     return Component(Source.NORTH, Diagonal(variances))
 
@@ -143,7 +145,7 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
     shares = np.array([*(by_hand for _ in segments), *(t.level for t in turns)])
     across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
     square = (shares * evidence.site.north_rate)[:, None, None] ** 2 / 2
-    rows = np.vstack([evidence.rows.rest[:, :3], evidence.rows.turn])
+    rows = np.vstack([evidence.layout.rest[:, :3], evidence.layout.turn])
     some = shares > 0
     blocks = Blocks(rows[some], (response @ across @ response.T * square)[some])
     return Component(Source.NORTH, blocks)

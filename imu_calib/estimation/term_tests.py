@@ -47,7 +47,7 @@ _LN10 = float(np.log(10.0))
 """From natural logarithms to decimal ones."""
 
 
-class State(Enum):
+class TermState(Enum):
     """What became of a family."""
 
     ASKED = 'asked for'
@@ -58,7 +58,7 @@ class State(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Tested:
+class TermTest:
     """What a session says of a term, or of a kind of error of the table.
 
     Attributes:
@@ -77,7 +77,7 @@ class Tested:
     """
 
     name: str
-    state: State
+    state: TermState
     log10_p: float | None = None
     parameters: tuple[Parameter, ...] = ()
     changes: tuple[Change, ...] = ()
@@ -107,7 +107,7 @@ class Tested:
 
 def tested(
     search: Search, asked: tuple[Term, ...], asked_changes: tuple[Change, ...] = ()
-) -> tuple[Tested, ...]:
+) -> tuple[TermTest, ...]:
     """Return what a search says of every family, the terms in their order.
 
     Args:
@@ -116,14 +116,14 @@ def tested(
         asked_changes: Coefficients of terms of the session, likewise.
 
     """
-    result = [Tested(t.name, State.ASKED, parameters=t.parameters) for t in asked]
+    result = [TermTest(t.name, TermState.ASKED, parameters=t.parameters) for t in asked]
     for name in names_of(asked_changes):
         mine = tuple(c for c in asked_changes if c.course.value == name)
-        result.append(Tested(name, State.ASKED, changes=mine))
+        result.append(TermTest(name, TermState.ASKED, changes=mine))
     for one in search.found:
-        state = State.NOT_DETERMINED if one.doubts else State.FOUND
+        state = TermState.NOT_DETERMINED if one.doubts else TermState.FOUND
         family = one.family
-        found = Tested(family.name, state, one.log_p / _LN10, family.parameters, family.changes)
+        found = TermTest(family.name, state, one.log_p / _LN10, family.parameters, family.changes)
         result.append(found)
     for family, score in search.scores.items():
         smallest = tuple(float(v) for v in score.smallest(search.alpha))
@@ -131,10 +131,10 @@ def tested(
         amounts = [_AMOUNT * p.unit.scale for p in family.parameters] or smallest
         least = _MATTERS if family.parameters else _HIDDEN
         moved = tuple(_moved(search, a, s, least) for a, s in zip(amounts, slopes, strict=False))
-        state = State.OFF if score.tested else State.NOT_TESTED
+        state = TermState.OFF if score.tested else TermState.NOT_TESTED
         log10_p = score.log_p / _LN10 if score.tested else None
         result.append(
-            Tested(
+            TermTest(
                 family.name,
                 state,
                 log10_p,
@@ -256,12 +256,16 @@ _TABLE_WORDS = {
 }
 
 
-def summary(tests: tuple[Tested, ...]) -> list[str]:
+def summary(tests: tuple[TermTest, ...]) -> list[str]:
     """Return lines for the screen: what was found, what is off and how small, what is not seen."""
     lines = []
-    on = [t.name for t in tests if t.state in (State.ASKED, State.FOUND, State.NOT_DETERMINED)]
+    on = [
+        t.name
+        for t in tests
+        if t.state in (TermState.ASKED, TermState.FOUND, TermState.NOT_DETERMINED)
+    ]
     terms = [t for t in tests if t.parameters or t.changes]
-    off = [_power(t) for t in terms if t.state is State.OFF]
+    off = [_power(t) for t in terms if t.state is TermState.OFF]
     lines.append(f'terms: {", ".join(on) or "none"}')
     if off:
         lines.append(f'off, and found if larger than: {", ".join(off)}')
@@ -278,7 +282,7 @@ def summary(tests: tuple[Tested, ...]) -> list[str]:
     return lines
 
 
-def _hidden(one: Tested) -> str:
+def _hidden(one: TermTest) -> str:
     """Say which parameters hold only if scale factors do not change: by how much they might."""
     seen = [
         (change, least, moved)
@@ -303,7 +307,7 @@ def _hidden(one: Tested) -> str:
     return f'{", ".join(names)} {verb} for {one.name} = 0: {may}'
 
 
-def _power(one: Tested) -> str:
+def _power(one: TermTest) -> str:
     if one.changes:
         return f'{one.name} {largest(one.changes, one.smallest)}'
     seen = [v for v in one.smallest if np.isfinite(v)]
@@ -311,7 +315,7 @@ def _power(one: Tested) -> str:
     return f'{one.name} {max(seen) / unit.scale:.2g} {unit.shown}' if seen else one.name
 
 
-def _held(one: Tested, held: list[tuple[Parameter, tuple[Parameter, float]]]) -> str:
+def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) -> str:
     """Say which parameters hold only if a term that the session does not show is not there."""
     names = ', '.join(moved.name for _, (moved, _) in held)
     # The first of those that are the same to the digits shown.

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY
-from .offset import FELT
+from .gyro_offset import FELT
 
 _BESIDE = 5
 """Windows before and after the one that is looked at: a second in all."""
@@ -36,7 +36,7 @@ tell a tenth any more."""
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class RestTolerance:
     """How far the mean of a tenth of a second may stray at rest, in each axis.
 
     Attributes:
@@ -53,7 +53,7 @@ class Tolerance:
     @classmethod
     def of(
         cls, means: Floats, offset: Floats, spread: float = FELT, step: Floats | None = None
-    ) -> Tolerance:
+    ) -> RestTolerance:
         """Learn it from the quiet seconds among windows that follow each other.
 
         What counts is how rates stray from the second around them, and forces from one window to

@@ -29,9 +29,9 @@ _ALONG_UP = 0.8
 """Cosine: 37 degrees; parts of one motion turn about one axis."""
 
 
-def by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segment], list[Rejected]]:
+def label_by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segment], list[Rejected]]:
     """Match the rests to the plan by the axis that is up, in order."""
-    ups = [up_seen(segment) for segment in segments]
+    ups = [up_by_accelerometers(segment) for segment in segments]
     positions = [p for p in plan.positions if p.dwell > 0]
     pairs = _align(segments, ups, positions)
     named: list[Segment] = []
@@ -53,7 +53,7 @@ def by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segment], li
     return named, rejected
 
 
-def up_seen(segment: Segment) -> Floats:
+def up_by_accelerometers(segment: Segment) -> Floats:
     """Return up in body axes as the accelerometers see it, (3,), their errors included."""
     force = segment.statistics.mean[3:]
     return np.asarray(force / np.linalg.norm(force))
@@ -99,7 +99,7 @@ def _alike(positions: Sequence[Position], place: int) -> list[int]:
     return sorted(group)
 
 
-def join(motions: Sequence[FreeMotion], segments: Sequence[Segment]) -> list[FreeMotion]:
+def join_motions(motions: Sequence[FreeMotion], segments: Sequence[Segment]) -> list[FreeMotion]:
     """Join motions about one axis with nothing but a short pause between: one turn in pieces."""
     starts = np.array([s.start for s in segments], dtype=np.int64)
     joined: list[FreeMotion] = []
@@ -130,7 +130,8 @@ def _sum(first: FreeMotion, second: FreeMotion) -> FreeMotion:
         mean=mean,
         end_points=mean,
         walk_gain=np.full(6, 1 / duration),
-        quantum=share[0] ** 2 * a.quantum + share[1] ** 2 * b.quantum,
+        quantisation_variance=share[0] ** 2 * a.quantisation_variance
+        + share[1] ** 2 * b.quantisation_variance,
     )
     phase = np.exp(1j * np.linalg.norm(first.turned))
     level = complex(share[0] * first.level + share[1] * phase * second.level)

@@ -20,17 +20,17 @@ from ..stream import Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class GyroPath:
     """A motion from rest to rest by a model.
 
     Attributes:
         rates: (n, 3) mean rate of each interval about the body axes, rad/s.
         forces: (n, 3) specific force in its middle, m/s^2; zeros where none was stated.
         seconds: (n,) its length, s.
-        whole: (3, 3) takes the components of what stands still in inertial space from the start
+        rotation: (3, 3) takes the components of what stands still in inertial space from the start
             to the end.
         axes: (n, 3, 3) takes components from the middle of an interval to the end.
-        carried: (n, 3, 3) takes an error of the gyros' outputs over an interval, rad, to the
+        error_transfer: (n, 3, 3) takes an error of the gyros' outputs over an interval, rad, to the
             rotation of the body axes at the end that it feigns.
 
     """
@@ -38,14 +38,14 @@ class Path:
     rates: Floats
     forces: Floats
     seconds: Floats
-    whole: Floats
+    rotation: Floats
     axes: Floats
-    carried: Floats
+    error_transfer: Floats
 
     @classmethod
     def of(
         cls, turned: Floats, seconds: Floats, model: SensorModel, force: Floats | None = None
-    ) -> Path:
+    ) -> GyroPath:
         """Lead on through intervals.
 
         What gyros feel of gravity on the way is told by where the path itself says that up was,
@@ -63,7 +63,7 @@ class Path:
     @classmethod
     def of_each(
         cls, motions: Sequence[tuple[Floats, Floats, Floats | None]], model: SensorModel
-    ) -> tuple[Path, ...]:
+    ) -> tuple[GyroPath, ...]:
         """Lead on through several motions; see `of`.
 
         All intervals are compensated at once: each has the same bits alone as among others.
@@ -88,8 +88,8 @@ class Path:
             for (rates, middle, whole), felt, each in zip(led, forces, seconds, strict=True)
         )
 
-    def following(self, derivatives: Floats) -> Floats:
-        """Return the derivatives of log(`whole` S^T) by parameters, (3, p) rad, for S near `whole`.
+    def rotation_derivatives(self, derivatives: Floats) -> Floats:
+        """Return the derivatives of log(`rotation` S^T) by parameters, (3, p) rad, for S near it.
 
         What a parameter adds to the outputs is taken off them: the path turns by so much less, and
         components of what stands still by so much more.
@@ -98,12 +98,12 @@ class Path:
             derivatives: (n, 3, p) of the gyros' outputs at `rates`.
 
         """
-        timed = np.moveaxis(self.carried * self.seconds[:, None, None], 1, 0)
+        timed = np.moveaxis(self.error_transfer * self.seconds[:, None, None], 1, 0)
         return np.asarray(timed.reshape(3, -1) @ derivatives.reshape(timed[0].size, -1))
 
     def spread(self, walk: Floats) -> Floats:
         """Return the covariance of the rotation at the end by (3,) random walks, (3, 3) rad^2."""
-        scaled = self.carried * walk
+        scaled = self.error_transfer * walk
         return np.asarray(np.einsum('nij,nkj,n->ik', scaled, scaled, self.seconds))
 
 

@@ -20,7 +20,7 @@ _NODES = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Wandering:
+class BiasDrift:
     """Where a process is looked at: nodes in time, and the means and slopes over them.
 
     Attributes:
@@ -40,7 +40,7 @@ class Wandering:
     @classmethod
     def over(
         cls, starts: Floats, durations: Floats, answers: Floats, with_slope: NDArray[np.bool_]
-    ) -> Wandering:
+    ) -> BiasDrift:
         """Lay nodes over n stretches, whose means come first, then the slopes.
 
         Args:

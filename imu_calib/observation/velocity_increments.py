@@ -5,8 +5,8 @@ the model and t_i its length, all in the body axes at the end,
 
     v = sum of C_i f_i t_i,    V_i = the sum before step i and half of its own.
 
-Rotations and rates are those of the move's `Path`. What a term of specific force multiplies is that
-of gravity on the path, as everywhere: not what pulses and levers add to it.
+Rotations and rates are those of the move's `GyroPath`. What a term of specific force multiplies is
+that of gravity on the path, as everywhere: not what pulses and levers add to it.
 
 Source: docs/mathematics.md, 'Velocities of moves'; the strapdown equations of Savage 1998, J.
 Guidance 21, 208.
@@ -24,9 +24,9 @@ import numpy as np
 from ..model import PARAMETERS, Parameter, SensorModel, term
 from ..model.motion import delay, places
 from ..rotations import GENERATORS, rotations
-from ..segmentation.segmented import Gained
+from ..segmentation.segmented import VelocitySteps
 from ..stream import Floats
-from .path import Path
+from .gyro_paths import GyroPath
 
 _LINEAR = frozenset(p for p in PARAMETERS if p.triad == 'a' and p.column is not None)
 
@@ -41,7 +41,7 @@ _SQUARES = tuple(combinations_with_replacement(range(3), 2))
 
 
 @dataclass(frozen=True, eq=False)
-class Thrust:
+class VelocityIncrement:
     """The specific force of a move by a model.
 
     Attributes:
@@ -53,7 +53,7 @@ class Thrust:
 
     """
 
-    path: Path
+    path: GyroPath
     model: SensorModel
     beside: Floats
     felt: Floats
@@ -61,8 +61,8 @@ class Thrust:
 
     @classmethod
     def of_each(
-        cls, gained: Sequence[Gained], paths: Sequence[Path], model: SensorModel
-    ) -> tuple[Thrust, ...]:
+        cls, gained: Sequence[VelocitySteps], paths: Sequence[GyroPath], model: SensorModel
+    ) -> tuple[VelocityIncrement, ...]:
         """Follow several paths; all their steps are compensated at once.
 
         Args:
@@ -93,7 +93,7 @@ class Thrust:
         return tuple(cls(path, model, *mine) for path, *mine in parts)
 
     @cached_property
-    def whole(self) -> Floats:
+    def velocity(self) -> Floats:
         """v, (3,) m/s."""
         return np.asarray(self.steps.sum(axis=0))
 
@@ -116,7 +116,7 @@ class Thrust:
         return found
 
     @cached_property
-    def lasting(self) -> Floats:
+    def displacement(self) -> Floats:
         """(3,) the sum of V_i t_i, m: from the start to the end of the move."""
         return np.asarray(self.path.seconds @ self._so_far)
 
@@ -125,7 +125,7 @@ class Thrust:
         """V_i, (n, 3) m/s."""
         return np.asarray(np.cumsum(self.steps, axis=0) - self.steps / 2)
 
-    def following(self, derivatives: Floats) -> Floats:
+    def velocity_derivatives(self, derivatives: Floats) -> Floats:
         """Return the derivatives of v, less half of what the rotation at the end makes of it.
 
         A rotation of the axes at step i turns what was gained before; one of half of all by half of
@@ -143,9 +143,9 @@ class Thrust:
 
     @cached_property
     def _turning(self) -> Floats:
-        """What `following` makes of an output of the gyros during a step, (n, 3, 3)."""
-        beyond = np.einsum('ijk,nk->nij', _CROSS, self.whole / 2 - self._so_far)
-        return np.asarray(beyond @ self.path.carried * self.path.seconds[:, None, None])
+        """What `velocity_derivatives` makes of an output of the gyros during a step, (n, 3, 3)."""
+        beyond = np.einsum('ijk,nk->nij', _CROSS, self.velocity / 2 - self._so_far)
+        return np.asarray(beyond @ self.path.error_transfer * self.path.seconds[:, None, None])
 
     @cached_property
     def _pushing(self) -> Floats:
@@ -167,7 +167,7 @@ class Thrust:
         for k, parameter in enumerate(parameters):
             if parameter in _LINEAR:
                 pushed[:, k] = felt[:, parameter.row, parameter.column]
-        return self.following(answers[:, :3]) - pushed
+        return self.velocity_derivatives(answers[:, :3]) - pushed
 
     @cached_property
     def by_seconds(self) -> Floats:
@@ -210,7 +210,7 @@ class Thrust:
         return np.asarray((path.axes.reshape(-1, 9).T @ timed).reshape(3, -1))
 
 
-def by_places(thrusts: Sequence[Thrust]) -> Floats:
+def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
     """Return what taking off where the accelerometers are adds to v, per m, (m, 3, 9) 1/s.
 
     In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of

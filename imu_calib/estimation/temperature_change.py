@@ -16,7 +16,7 @@ _CHEAPEST = 200 * PPM
 that does not move a parameter by its standard deviation there is nothing to say."""
 
 
-def moved_temperature(found: Estimate) -> list[str]:
+def temperature_finding(found: Estimate) -> list[str]:
     """Say by how much the temperature moved, and what that means where no term follows it.
 
     Returns:
