@@ -26,7 +26,7 @@ from imu_calib.model import PARAMETERS
 from imu_calib.model.session_terms import split_terms
 from imu_calib.plan import load_plan
 from imu_calib.repetition import Outcome, Study
-from imu_calib.reports.parameter_table import in_scale_of
+from imu_calib.reports.side_by_side import in_scale_of
 from imu_calib.units import DEG_H, MICRO_G, PPM
 
 SITE = ('--latitude', '34.65')
