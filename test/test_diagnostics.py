@@ -43,7 +43,7 @@ def spoken():
         if 'Commands(' in path.read_text():
             taken = path.with_name('commands.py')
             parts |= {(path.stem, part) for part in first_texts(taken, 'report')}
-    return parts | {('imu_node', part) for part in first_texts(HEALTH, 'Word')}
+    return parts | {('imu_node', part) for part in first_texts(HEALTH, 'PartStatus')}
 
 
 def test_the_documentation_names_every_part_of_every_node():

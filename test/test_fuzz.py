@@ -10,6 +10,9 @@ sys.path.insert(0, str(CHECKOUT / 'benchmarks'))
 
 import fuzz
 
+# A name of a benchmark may be that of a library, which other tests look for.
+sys.path.pop(0)
+
 
 @pytest.fixture(scope='module')
 def targets(tmp_path_factory):
