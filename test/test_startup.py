@@ -202,7 +202,7 @@ def test_a_port_that_is_handed_on_keeps_its_control_lines(port, restarts):
 
 def told(reception, steady, state=OPEN):
     """What is said of the format."""
-    words = reception.words(state, int(steady * NS), steady)
+    words = reception.statuses(state, int(steady * NS), steady)
     return next(word for word in words if word.part == 'format')
 
 
