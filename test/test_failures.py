@@ -76,7 +76,9 @@ def test_every_node_may_hang_and_the_session_ends_in_the_true_parameters(tmp_pat
             stand.words.clear()
             with hangs(stand, node, seconds):
                 assert stand.reaches(State.PAUSED, seconds=30), stand.state
-            stops(stand, word)
+            stops(stand)
+            # The simulated table waits for a calibrator that hangs: joint states may cease first.
+            assert any(one in stand.state.reason for one in {word, 'joint state'})
             resumes(stand)
         comes_to(stand, State.TURNING, 10)
         with hangs(stand, 'turntable_node', seconds):

@@ -26,6 +26,15 @@ UNDECLARED = {
     'fastcrc': 'rosdep has no key; an oracle, its tests are skipped without it',
     'nbclient': 'rosdep has no key; runs the notebooks of the documentation',
     'ipykernel': 'rosdep has no key; runs the notebooks of the documentation',
+    **dict.fromkeys(
+        ('dask', 'distributed', 'duckdb', 'fsspec', 'pyarrow', 's3fs'),
+        'batches run where pip installs the extra fleet; no node needs them',
+    ),
+    **dict.fromkeys(
+        ('fastapi', 'nicegui', 'uvicorn'),
+        'the page in the browser is the extra web of pip; a robot needs none',
+    ),
+    'weasyprint': 'certificates as PDF are the extra pdf of pip, or Chromium makes them',
 }
 """Modules that package.xml leaves out, and why."""
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..calibration import Calibration
 from ..calibrator import Result
+from ..compensation.thermal import AnyCalibration, ThermalCalibration
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..reports.assessment import Assessed, assess, worst
 from ..specification import COVERAGE, Specification, Verdict
-from .named import Named, as_calibration, as_imu
+from .named import Named, as_calibration, as_combined, as_imu
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Conformity:
 
 
 def conformity(
-    calibration: Result | Calibration | Named, imu: ImuSpec | Named | None = None
+    calibration: Result | AnyCalibration | Named, imu: ImuSpec | Named | None = None
 ) -> Conformity:
     """Hold a calibration against the specification of its unit.
 
@@ -70,16 +70,28 @@ def conformity(
     are within the limit, outside where both are beyond it, else marginal (ISO 14253-1).
 
     Args:
-        calibration: calibration.yaml, what was read from one, or what `calibrate` returned.
+        calibration: calibration.yaml, what was read from one, or what `calibrate` returned. Of one
+            that combines several temperatures, each parameter counts where it takes most of its
+            limit.
         imu: The unit's file; None takes what `calibrate` was told.
 
     Raises:
         InputError: The unit's file states no specification.
 
     """
-    found = as_calibration(calibration)
-    limits = specification_of(found.imu if imu is None else as_imu(imu))
-    return Conformity(tuple(assess(found, limits)))
+    if isinstance(calibration, ThermalCalibration):
+        found = calibration.calibrations
+    else:
+        several = as_combined(calibration)
+        found = (as_calibration(calibration),) if several is None else several.calibrations
+    limits = specification_of(found[0].imu if imu is None else as_imu(imu))
+    columns = zip(*(assess(one, limits) for one in found), strict=True)
+    return Conformity(tuple(max(column, key=_beyond) for column in columns))
+
+
+def _beyond(one: Assessed) -> float:
+    """Return how much of its limit a parameter takes, uncertainty and all; 0 without one."""
+    return (abs(one.value) + COVERAGE * one.std) / one.limit if one.limit else 0.0
 
 
 def specification_of(imu: ImuSpec) -> Specification:

@@ -55,6 +55,15 @@ def as_calibration(calibration: Result | Calibration | Named) -> Calibration:
     return found
 
 
+def as_combined(calibration: Result | AnyCalibration | Named) -> ThermalCalibration | None:
+    """Return the calibrations of a combined file; None for any other."""
+    if isinstance(calibration, str | Path):
+        calibration = load_calibration(calibration)
+    if isinstance(calibration, ThermalCalibration) and len(calibration.calibrations) > 1:
+        return calibration
+    return None
+
+
 def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibration, str]:
     """Return a calibration as it is applied (by temperature, where it follows it) and its name.
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..bags import open_recording
 from ..calibration import Calibration
 from ..calibrator import Result
-from ..compensation.thermal import AnyCalibration, ThermalCalibration, load_calibration
+from ..compensation.thermal import AnyCalibration, ThermalCalibration
 from ..errors import InputError
 from ..estimation.term_tests import TermState
 from ..imu import ImuSpec
@@ -21,7 +21,7 @@ from ..model.session_terms import SESSION_TERMS
 from ..reports.page import Contents, page
 from ..reports.thermal_page import thermal_page
 from .calibrating import calibrated
-from .named import Named, as_calibration, as_imu
+from .named import Named, as_calibration, as_combined, as_imu
 from .outputs import output_path
 from .progress import Progress, silent
 from .stated import NO_PLAN, Stated
@@ -75,7 +75,7 @@ def written(
 ) -> tuple[Path, ImuSpec | None]:
     """Write a report; return the file, and the unit's description as far as it is known."""
     path = output_path(output)
-    combined = _combined(calibration)
+    combined = as_combined(calibration)
     if combined is not None:
         unit = None if imu is None else as_imu(imu)
         _refuse_with_combined(calibration, bag, compare)
@@ -107,15 +107,6 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding='utf-8')
     except OSError as error:
         raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
-
-
-def _combined(calibration: Result | AnyCalibration | Named) -> ThermalCalibration | None:
-    """Return the calibrations of a combined file; None for any other."""
-    if isinstance(calibration, str | Path):
-        calibration = load_calibration(calibration)
-    if isinstance(calibration, ThermalCalibration) and len(calibration.calibrations) > 1:
-        return calibration
-    return None
 
 
 def _refuse_with_combined(

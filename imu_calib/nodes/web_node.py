@@ -44,6 +44,8 @@ _MOST = 8192
 _DEEP_WORDS = 100
 _ANSWER = 10.0
 """s for an answer of turntable_node."""
+_WRITTEN = {0, 3}
+"""Exit codes of a report that is there: 3 where the unit is outside its specification."""
 _COMMANDS = ('start', 'pause', 'abort')
 
 
@@ -227,7 +229,7 @@ class WebNode(ros.Node):
         if self._reporter is None or self._reporter.poll() is None:
             return
         _, said = self._reporter.communicate()
-        if self._reporter.returncode == 0:
+        if self._reporter.returncode in _WRITTEN:
             self._board.take_report('/report', '')
         else:
             why = said.decode(errors='replace').strip().splitlines()
