@@ -364,7 +364,8 @@ def _exported(case: Case, found: Calibration, file: str, shell: Shell) -> None:
     seen = np.array(found.provenance['random_walk'])
     # Of a stream without noise it is what numbers are rounded to.
     silent = any(
-        sheet.random_walk == 0 and not (walk > SMALLEST_VARIANCE**0.5).any()
+        sheet.bias_instability == 0
+        or (sheet.random_walk == 0 and not (walk > SMALLEST_VARIANCE**0.5).any())
         for sheet, walk in ((imu.gyro, seen[:3]), (imu.accel, seen[3:]))
     )
     for kind in EXPORTS:
