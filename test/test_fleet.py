@@ -455,6 +455,7 @@ def test_no_scheduler_gets_a_sentence(
     assert '--memory much' in capsys.readouterr().err
 
 
+@pytest.mark.repeats
 def test_a_client_that_is_killed_goes_on_where_it_was(recordings: Path, tmp_path: Path) -> None:
     folder = tmp_path / 'c'
     copies = tmp_path / 'many'

@@ -18,6 +18,7 @@ except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
 
+@pytest.mark.repeats
 def test_a_stand_is_run_to_its_calibration(tmp_path: Path) -> None:
     folder, file = tmp_path / 'a stand', tmp_path / 'table.yaml'
     file.write_text('table: {zeros: 3 arcsec}')

@@ -197,6 +197,7 @@ def test_a_session_is_watched_stopped_and_gone_on_with_from_the_page(shown):
         assert viewer.errors == []
 
 
+@pytest.mark.repeats
 def test_the_command_prints_page_and_token_and_keeps_the_page(tmp_path):
     """Its page shows the result after the session; Ctrl-C ends it, and it counts as done."""
     folder = tmp_path / 'stand'
