@@ -59,7 +59,8 @@ def hangs(stand, node, seconds):
         os.kill(number, signal.SIGCONT)
 
 
-@pytest.mark.parametrize('seconds', [3.0, pytest.param(30.0, marks=pytest.mark.repeats)])
+@pytest.mark.repeats
+@pytest.mark.parametrize('seconds', [3.0, 30.0])
 def test_every_node_may_hang_and_the_session_ends_in_the_true_parameters(tmp_path, seconds):
     """Of ten frames one is damaged besides, in the steps between."""
     waits = {'calibrator_timeout': 2.0, 'watchdog_timeout': 1.0}
