@@ -455,6 +455,19 @@ def test_no_scheduler_gets_a_sentence(
     assert '--memory much' in capsys.readouterr().err
 
 
+def test_where_no_catalogue_can_be_nothing_is_begun(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / 'file'
+    file.touch()
+    for place, words in ((tmp_path / 'none' / 'c', 'does not exist'), (file, 'is a file')):
+        assert main(['batch', str(recordings / 'a'), '-o', str(place)]) == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert 'What was done' not in said
+    assert not (tmp_path / 'none').exists()
+
+
 @pytest.mark.repeats
 def test_a_client_that_is_killed_goes_on_where_it_was(recordings: Path, tmp_path: Path) -> None:
     folder = tmp_path / 'c'

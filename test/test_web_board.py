@@ -13,17 +13,19 @@ from rich.console import Console
 
 from imu_calib.calibrator import Setup
 from imu_calib.cli.table_view import view
+from imu_calib.devices.health import Severity
 from imu_calib.earth import Site
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.plan import load_plan
 from imu_calib.reports.convergence import Courses
 from imu_calib.reports.remaining import Pace, ends_at, in_words
+from imu_calib.sequencing import Phase
 from imu_calib.stream import ImuBlock
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG
 from imu_calib.web import drawing
-from imu_calib.web.board import Board, Level, Outcome, Phase
+from imu_calib.web.board import Board, Outcome
 from imu_calib.web.expectation import expectation
 from imu_calib.web.samples import Dwells
 from imu_calib.web.shape import table_shape
@@ -119,7 +121,7 @@ def test_what_happens_now_follows_the_tables_phase(expected):
         board.take_state(state(100.0, phase), 1.0)
         first = headline(board.snapshot(1.0))
         assert words in first.now
-        assert first.level is Level.OK
+        assert first.level is Severity.OK
     board.take_state(state(100.0, Phase.TURNING, rates=[0.0, 0.0, 30 * DEG], turns_done=2.4), 1.0)
     assert headline(board.snapshot(1.0)).detail == 'inner 30 deg/s, 2.4 turns done.'
 
@@ -128,13 +130,13 @@ def test_a_table_that_has_stopped_says_why_and_a_silent_leader_is_told(expected)
     board = Board(expected)
     board.take_state(state(100.0, Phase.PAUSED, reason='Joint inner stalls.'), 1.0)
     first = headline(board.snapshot(1.0))
-    assert first.level is Level.WARN
+    assert first.level is Severity.WARN
     assert first.detail == 'Joint inner stalls.'
     assert time_left(board.snapshot(1.0), NOON) == ('10 min 0 s', 'once it goes on')
     board.take_state(state(100.0), 1.0)
     assert 'silent' not in headline(board.snapshot(5.0)).now
     first = headline(board.snapshot(9.0))
-    assert first.level is Level.ERROR
+    assert first.level is Severity.ERROR
     assert '8 s' in first.detail
     board.take_state(state(108.0), 9.0)
     board.take_progress(progress(100.0, 1e-3), 1.0)
@@ -195,9 +197,9 @@ def test_a_long_course_is_thinned_and_keeps_its_ends():
 
 def test_how_a_session_ends(expected):
     for status, outcome, level in (
-        ('VALID', Outcome.DONE, Level.OK),
-        ('INCOMPLETE', Outcome.INCOMPLETE, Level.WARN),
-        ('REFUSED', Outcome.FAILED, Level.ERROR),
+        ('VALID', Outcome.DONE, Severity.OK),
+        ('INCOMPLETE', Outcome.INCOMPLETE, Severity.WARN),
+        ('REFUSED', Outcome.FAILED, Severity.ERROR),
     ):
         board = Board(expected)
         board.take_state(state(100.0), 1.0)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 
+from ..api.progress import Show
 from ..errors import NotObservable
 from ..fleet.running import MEMORY, batch
 from . import options
@@ -47,11 +50,17 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Calibrate, and print what came of it."""
-    arguments.last_word = (
-        f'What was done is in {arguments.catalogue}: the same command goes on from there.'
-    )
+
+    @contextmanager
+    def begun(text: str) -> Iterator[Show]:
+        arguments.last_word = (
+            f'What was done is in {arguments.catalogue}: the same command goes on from there.'
+        )
+        with progress_bar(text) as show:
+            yield show
+
     keywords = options.keywords(batch, arguments)
-    done = batch(arguments.sources, arguments.catalogue, **{**keywords, 'progress': progress_bar})
+    done = batch(arguments.sources, arguments.catalogue, **{**keywords, 'progress': begun})
     OUTPUT.print(
         f'{done.recordings} recordings in {done.seconds:.1f} s: {done.calibrated} calibrated, '
         f'{done.failed} failed, {done.known} done before'
@@ -60,5 +69,5 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if not done.failed:
         return Outcome()
     reasons = f'imu-calib catalogue {done.catalogue} --where "status = \'failed\'"'
-    message = f'{done.failed} recordings gave no calibration; {reasons} lists the reasons.'
+    message = f'{done.failed} without a calibration; {reasons} lists the reasons.'
     return Outcome(exit_code=NotObservable.exit_code, message=message)

@@ -11,11 +11,12 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table as Rows
 from rich.text import Text
 
+from ..devices.health import Severity
 from ..reports.convergence import Converging
-from ..web.board import Level, Snapshot
+from ..web.board import Snapshot
 from ..web.words import headline, time_left
 
-_STYLES = {Level.OK: 'bold', Level.WARN: 'bold yellow', Level.ERROR: 'bold red'}
+_STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30
 """Letters."""
 _COLUMNS = ('', 'std now', 'plan', 'limit', 'unit')

@@ -95,6 +95,7 @@ class Catalogue:
         self._rows = self.folder / 'rows'
         self._seen: dict[Path, tuple[int, int, frozenset[str], frozenset[str]]] = {}
         if create:
+            _make_room(self.folder)
             with self._written():
                 self._rows.mkdir(parents=True, exist_ok=True)
         elif not self._rows.is_dir():
@@ -239,6 +240,19 @@ class Catalogue:
                 f'{self.folder}: cannot be written ({error.strerror or error}). What was added '
                 'before is there; run the command again when it can.'
             ) from None
+
+
+def _make_room(folder: Path) -> None:
+    """Refuse a place where no catalogue can be.
+
+    Raises:
+        InputError: The folder that it is to be in does not exist, or something else is there.
+
+    """
+    if not folder.parent.is_dir():
+        raise InputError(f'{folder}: the folder {folder.parent} does not exist.')
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f'{folder}: is a file, expected the name of a folder.')
 
 
 def _read(part: Path, columns: list[str] | None = None) -> pa.Table:

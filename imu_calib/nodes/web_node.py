@@ -18,8 +18,9 @@ from .. import middleware as ros
 from ..cdr import Kind, Malformed, Messages
 from ..extras import require
 from ..middleware import messages
+from ..sequencing import Phase
 from ..stream import ImuBlock, JointBlock, TemperatureBlock
-from ..web.board import Board, Phase
+from ..web.board import Board
 from ..web.expectation import expectation
 from ..web.guard import Token, address, exposure
 from ..web.samples import Dwells

@@ -5,39 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum, IntEnum
+from enum import Enum
 from typing import Any
 
+from ..devices.health import Severity
 from ..model import Parameter
 from ..reports.convergence import Converging, Courses
 from ..reports.remaining import Pace, in_words
+from ..sequencing import Phase
 from ..specification import Specification
 from .samples import Streams
 
 _SILENT = 5.0
 """s: a node speaks once or twice a second."""
 _NS = 1e-9
-
-
-class Level(IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-
-
-class Phase(IntEnum):
-    """As in imu_calib_msgs/TurntableState."""
-
-    IDLE = 0
-    MOVING = 1
-    SETTLING = 2
-    TURNING = 3
-    DWELLING = 4
-    PAUSED = 5
-    DONE = 6
-    ABORTED = 7
 
 
 class Outcome(Enum):
@@ -62,7 +43,7 @@ class Sentence:
     """
 
     source: str
-    level: Level
+    level: Severity
     text: str
     figures: tuple[tuple[str, str], ...] = ()
 
@@ -176,7 +157,7 @@ class Snapshot:
         return tuple(
             sentence
             for sentence in self.sentences
-            if sentence.level is not Level.OK
+            if sentence.level is not Severity.OK
             and not (over and sentence.source.endswith('calibrator_node: calibration'))
         )
 
@@ -322,7 +303,7 @@ class Board:
         for status in message.status:
             sentence = Sentence(
                 status.name,
-                Level(min(status.level[0], Level.ERROR)),
+                Severity(min(status.level[0], Severity.ERROR)),
                 status.message,
                 tuple((v.key, v.value) for v in status.values),
             )
@@ -369,7 +350,7 @@ class Board:
         if self._state.outcome is Outcome.OPEN:
             found += [
                 Sentence(
-                    node, Level.ERROR, f'Nothing was heard for {in_words(passed)}: has it ended?'
+                    node, Severity.ERROR, f'Nothing was heard for {in_words(passed)}: has it ended?'
                 )
                 for node, passed in silent.items()
             ]

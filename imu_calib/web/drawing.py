@@ -9,6 +9,7 @@ from html import escape
 
 import numpy as np
 
+from ..devices.health import Severity
 from ..imu import ImuSpec
 from ..model import TERMS
 from ..reports.allan_plot import noise_plots
@@ -16,14 +17,15 @@ from ..reports.convergence import Converging
 from ..reports.html import facts
 from ..reports.svg import number, tag
 from ..segmentation.segment import CHANNELS
+from ..sequencing import Phase
 from ..specification import COVERAGE
 from ..stream import Units
-from .board import Level, Outcome, Phase, Sentence, Snapshot
+from .board import Outcome, Sentence, Snapshot
 from .samples import Streams
 from .words import headline, joint_words, time_left
 
-_LEVELS = {Level.OK: 'ok', Level.WARN: 'warn', Level.ERROR: 'error'}
-_SIGNS = {Level.OK: '\u2713', Level.WARN: '!', Level.ERROR: '\u2715'}
+_LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
+_SIGNS = {Severity.OK: '\u2713', Severity.WARN: '!', Severity.ERROR: '\u2715'}
 """A state is told by its sign too, not by colour alone."""
 _WIDTH, _HEIGHT = 120.0, 30.0
 _EDGE = 4.0
@@ -63,7 +65,7 @@ def _phase(shown: Snapshot) -> str:
     return 'none' if shown.table is None else shown.table.phase.name.lower()
 
 
-def sign(level: Level) -> str:
+def sign(level: Severity) -> str:
     """Return a mark for how bad something is."""
     return tag('span', _SIGNS[level], class_=f'sign {_LEVELS[level]}', aria_label=level.name)
 
@@ -75,7 +77,7 @@ def troubles(shown: Snapshot) -> str:
             over = shown.outcome is not Outcome.OPEN
             text = 'The nodes have ended.' if over else 'No node has said anything yet.'
             return tag('p', text, class_='muted')
-        return tag('p', sign(Level.OK) + 'Nothing is wrong.', class_='right')
+        return tag('p', sign(Severity.OK) + 'Nothing is wrong.', class_='right')
     return tag('ul', ''.join(_sentence(s) for s in shown.wrong), class_='sentences')
 
 

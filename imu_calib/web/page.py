@@ -11,8 +11,9 @@ from typing import Any
 from nicegui import ui
 
 from ..imu import ImuSpec
+from ..sequencing import Phase
 from . import drawing
-from .board import Outcome, Phase, Snapshot
+from .board import Outcome, Snapshot
 from .guard import Token
 from .shape import Link, Solid
 from .style import STYLE

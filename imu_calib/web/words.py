@@ -6,18 +6,20 @@ import math
 from dataclasses import dataclass
 from datetime import datetime
 
+from ..devices.health import Severity
 from ..reports.remaining import ends_at, in_words
+from ..sequencing import Phase
 from ..units import DEG
-from .board import Level, Outcome, Phase, Snapshot, TableState
+from .board import Outcome, Snapshot, TableState
 
 _WHOLE = 2.0
 """Times real time from which on a session is worth calling faster."""
 
 
 _ENDS = {
-    Outcome.FAILED: (Level.ERROR, 'No calibration'),
-    Outcome.INCOMPLETE: (Level.WARN, 'Done, but positions are missing'),
-    Outcome.DONE: (Level.OK, 'The calibration is done'),
+    Outcome.FAILED: (Severity.ERROR, 'No calibration'),
+    Outcome.INCOMPLETE: (Severity.WARN, 'Done, but positions are missing'),
+    Outcome.DONE: (Severity.OK, 'The calibration is done'),
 }
 
 
@@ -32,7 +34,7 @@ class Headline:
 
     """
 
-    level: Level
+    level: Severity
     now: str
     detail: str = ''
 
@@ -43,7 +45,7 @@ def headline(shown: Snapshot) -> Headline:
         return Headline(*_ENDS[shown.outcome], shown.outcome_text)
     if shown.calibrator_silent:
         return Headline(
-            Level.ERROR,
+            Severity.ERROR,
             'The calibrator is silent',
             f'calibrator_node has said nothing for {in_words(shown.calibrator_silent)}: has it '
             'ended? The table is stopped without it.',
@@ -51,10 +53,10 @@ def headline(shown: Snapshot) -> Headline:
     if not shown.expected.table:
         return _in_the_hand(shown)
     if shown.table is None:
-        return Headline(Level.WARN, 'Waiting for the table', 'turntable_node was not heard yet.')
+        return Headline(Severity.WARN, 'Waiting for the table', 'turntable_node was not heard yet.')
     if shown.table_silent:
         return Headline(
-            Level.ERROR,
+            Severity.ERROR,
             'The table\u2019s leader is silent',
             f'turntable_node has said nothing for {in_words(shown.table_silent)}: has it ended? A '
             'table that is not led stops by itself.',
@@ -64,27 +66,27 @@ def headline(shown: Snapshot) -> Headline:
 
 def _in_the_hand(shown: Snapshot) -> Headline:
     if not shown.progress:
-        return Headline(Level.WARN, 'Waiting', 'calibrator_node was not heard yet.')
-    return Headline(Level.OK, shown.progress)
+        return Headline(Severity.WARN, 'Waiting', 'calibrator_node was not heard yet.')
+    return Headline(Severity.OK, shown.progress)
 
 
 def _of_the_table(shown: Snapshot, table: TableState) -> Headline:
     where = f'position {table.position}' if table.position else 'its start'
     if table.phase is Phase.PAUSED:
-        return Headline(Level.WARN, 'The table has stopped', table.reason)
+        return Headline(Severity.WARN, 'The table has stopped', table.reason)
     if table.phase is Phase.ABORTED:
-        return Headline(Level.ERROR, 'The plan was aborted', table.reason)
+        return Headline(Severity.ERROR, 'The plan was aborted', table.reason)
     if table.phase is Phase.DONE:
-        return Headline(Level.OK, 'The plan is done', 'The result is being computed.')
+        return Headline(Severity.OK, 'The plan is done', 'The result is being computed.')
     if table.phase is Phase.IDLE:
-        return Headline(Level.OK, 'Nothing moves', table.reason or 'The plan is not started.')
+        return Headline(Severity.OK, 'Nothing moves', table.reason or 'The plan is not started.')
     words = {
         Phase.MOVING: f'The table moves to {where}',
         Phase.SETTLING: f'The table comes to rest at {where}',
         Phase.TURNING: f'The table turns at {where}',
         Phase.DWELLING: f'The unit stands still at {where}',
     }
-    return Headline(Level.OK, words[table.phase], _doing(shown, table))
+    return Headline(Severity.OK, words[table.phase], _doing(shown, table))
 
 
 def _doing(shown: Snapshot, table: TableState) -> str:
