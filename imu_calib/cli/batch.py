@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     keywords = options.keywords(batch, arguments)
     done = batch(arguments.sources, arguments.catalogue, **{**keywords, 'progress': begun})
     OUTPUT.print(
-        f'{done.recordings} recordings in {done.seconds:.1f} s: {done.calibrated} calibrated, '
+        f'{done.recordings} recording{"s" * (done.recordings != 1)} in {done.seconds:.1f} s: {done.calibrated} calibrated, '
         f'{done.failed} failed, {done.known} done before'
     )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
