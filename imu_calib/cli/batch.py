@@ -61,9 +61,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     keywords = options.keywords(batch, arguments)
     done = batch(arguments.sources, arguments.catalogue, **{**keywords, 'progress': begun})
+    plural = '' if done.recordings == 1 else 's'
     OUTPUT.print(
-        f'{done.recordings} recording{"s" * (done.recordings != 1)} in {done.seconds:.1f} s: {done.calibrated} calibrated, '
-        f'{done.failed} failed, {done.known} done before'
+        f'{done.recordings} recording{plural} in {done.seconds:.1f} s: '
+        f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before'
     )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
     if not done.failed:
