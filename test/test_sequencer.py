@@ -484,6 +484,26 @@ def test_the_emergency_stop_holds_and_its_release_moves_nothing():
     assert stand.stands()
 
 
+@pytest.mark.parametrize('stop', ['emergency', 'pause then emergency'])
+def test_a_table_that_had_just_set_out_brakes_without_reproach(stop):
+    """Joint states come a tenth of a second late: they show it still where it moves by then."""
+    stand = Stand().started()
+    stand.phase(Phase.TURNING)
+    seen_late = stand.time + 0.1
+    at_rest = stand.table.angles(np.array([stand.time]))[0]
+    stand.plant = lambda time, angles, rates: (
+        (at_rest + 0 * angles, 0 * rates) if time[-1] <= seen_late + 1e-9 else (angles, rates)
+    )
+    stand.tick()
+    if stop != 'emergency':
+        stand.sequencer.pause()
+    stand.sequencer.emergency(True)
+    assert stand.tick().phase is Phase.ABORTED
+    assert np.abs(stand.table.angles(np.array([stand.time]))[0] - at_rest).max() > 0.1 * DEG
+    assert stand.stands()
+    assert stand.sequencer.state().reason == 'Emergency stop.'
+
+
 def test_an_idle_table_that_turns_is_held_and_it_is_said_how_far_and_how_fast():
     """A stranger turns it by eleven rounds at 200 deg/s; nothing was ever started."""
     stand = Stand()

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..middleware import GoalServer, GoalStatus, Node, actions, messages
-from ..sequencing import Phase, Sequencer
+from ..sequencing import SETS_OUT, Phase, Sequencer
 from . import qos
 from .words import sentence
 
@@ -19,8 +19,8 @@ _RESULT_TIMEOUT = 600.0
 """s for the calibrator to solve a session; as long as the plan waits for its word on repeats."""
 _STOP_TIMEOUT = 10.0
 """s that a cancelled goal waits for the table to stand: from 90 deg/s, 10 deg/s^2 brake in 9 s."""
-_STANDING = 200_000_000
-"""ns of joint states after the stop: `Feedback.still` looks back for half of that."""
+_MOST_UNITS = 256
+"""Last words that may come at once: as many as a file of units may list."""
 _FINAL = frozenset({messages.ImuCalibration.VALID, messages.ImuCalibration.INCOMPLETE})
 
 
@@ -48,14 +48,14 @@ class RunAction:
         self._node, self._sequencer = node, sequencer
         self._start, self._hold = start, hold
         self._goal: Any = None
-        self._calibration: Any = None
+        self._calibrations: dict[str, Any] = {}
         self._progress: Any = None
         self._since = self._told_at = 0.0
         self._cancelled_at = 0
         self._told: tuple[Any, ...] = ()
         self._refused = ''
         node.create_subscription(
-            messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
+            messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched(_MOST_UNITS)
         )
         self._server = GoalServer(
             node,
@@ -94,7 +94,7 @@ class RunAction:
         return True
 
     def _on_calibration(self, message: Any) -> None:
-        self._calibration = message
+        self._calibrations[message.serial_number] = message
 
     def _accept(self, goal: Any) -> bool:  # noqa: ARG002
         """Reject a second goal: the first one goes on."""
@@ -107,7 +107,7 @@ class RunAction:
     def _begin(self, goal: Any) -> None:
         """Start; a refusal is told in the result, because a rejection has no words."""
         self._goal, self._since, self._refused = goal, math.nan, ''
-        self._calibration = None
+        self._calibrations.clear()
         try:
             self._check_plan(goal.request.plan)
             sequencer = self._sequencer
@@ -144,7 +144,7 @@ class RunAction:
         self._since = now if math.isnan(self._since) else self._since
         at = self._sequencer.feedback
         # What was still before the stop says nothing of a table that had just been set in motion.
-        stands = at is None or (at.still and at.stamp - self._cancelled_at >= _STANDING)
+        stands = at is None or (at.still and at.stamp - self._cancelled_at >= SETS_OUT * 1e9)
         if stands or now - self._since > _STOP_TIMEOUT:
             where = 'stands' if stands else 'does not stand yet'
             self._end(GoalStatus.CANCELED, f'Cancelled; the table {where}.')
@@ -176,7 +176,18 @@ class RunAction:
 
     @property
     def _has_result(self) -> bool:
-        return self._calibration is not None and self._calibration.status in _FINAL
+        """Whether every unit has had its last word, and one of them a calibration."""
+        several = set() if self._progress is None else set(self._progress.serial_numbers)
+        return bool(self._found) and several <= set(self._calibrations)
+
+    @property
+    def _found(self) -> list[Any]:
+        """The calibrations that there are, in the order of the units."""
+        order = [] if self._progress is None else list(self._progress.serial_numbers)
+        found = [c for c in self._calibrations.values() if c.status in _FINAL]
+        return sorted(
+            found, key=lambda c: order.index(c.serial_number) if c.serial_number in order else -1
+        )
 
     def _tell(self, now: float, state: Any) -> None:
         summary = self._sequencer.summary
@@ -202,7 +213,9 @@ class RunAction:
         if self._progress is not None:
             result.file, result.journal = self._progress.file, self._progress.journal
         if status is GoalStatus.SUCCEEDED and self._has_result:
-            result.calibration = self._calibration
+            result.calibration = self._found[0]
+            if self._progress is not None and self._progress.serial_numbers:
+                result.calibrations = self._found
         else:
             result.calibration.status = messages.ImuCalibration.REFUSED
             result.calibration.status_text = message

@@ -4,8 +4,10 @@ from .encoders import Encoders, Feedback, FeedbackError
 from .rules import Phase, Rules, SequencerState
 from .sequencer import Sequencer
 from .trajectory import Lead, Overtaken
+from .watch import SETS_OUT
 
 __all__ = [
+    'SETS_OUT',
     'Encoders',
     'Feedback',
     'FeedbackError',

@@ -24,6 +24,7 @@ class IdleWatch:
         table: Which.
         rules: Tolerances.
         at: The last joint state before the stop, None if there is none.
+        led: Whether it was on a motion until then.
 
     Attributes:
         moves: Whether it moves at the moment.
@@ -33,10 +34,12 @@ class IdleWatch:
 
     """
 
-    def __init__(self, table: Table, rules: Rules, at: Feedback | None) -> None:
+    def __init__(
+        self, table: Table, rules: Rules, at: Feedback | None, *, led: bool = False
+    ) -> None:
         self._table = table
         self._rules = rules
-        self._standing = Standing(table, rules, at)
+        self._standing = Standing(table, rules, at, led=led)
         self._last = self._origin = None if at is None else at.angles
         self._fault = ''
         self._joint = ''

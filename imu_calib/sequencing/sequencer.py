@@ -402,9 +402,10 @@ class Sequencer:
         self._hold_table()
 
     def _hold_table(self) -> None:
-        self._unled = IdleWatch(self.table, self.rules, self._feedback)
+        led = isinstance(self._watch, Watch) or self._watch.led
+        self._unled = IdleWatch(self.table, self.rules, self._feedback, led=led)
         self._send(self._holding(), None)
-        self._watch = Standing(self.table, self.rules, self._feedback)
+        self._watch = Standing(self.table, self.rules, self._feedback, led=led)
 
     def _go(self) -> None:
         """Go on once the table stands."""

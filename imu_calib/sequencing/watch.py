@@ -31,6 +31,10 @@ _RATE_TOLERANCE = 0.1
 _STRAY = 5.0
 """How many times the arrival tolerance a joint may stray that is to stand."""
 
+SETS_OUT = 2 * WINDOW
+"""s of joint states from a stop on that may show a table still that had just been set in motion:
+`Feedback.still` looks back for half of that, the other half is the table's to set out in."""
+
 
 @dataclass
 class _Way:
@@ -203,13 +207,20 @@ class Standing:
         table: The table that was told to hold.
         rules: Tolerances.
         at: The last joint state before the command, None if there is none.
+        led: Whether it was on a motion until then: what was still before it set out is no rest.
+
+    Attributes:
+        led: The same, until it has come to rest.
 
     """
 
-    def __init__(self, table: Table, rules: Rules, at: Feedback | None) -> None:
+    def __init__(
+        self, table: Table, rules: Rules, at: Feedback | None, *, led: bool = False
+    ) -> None:
         self._table = table
         self._rules = rules
         self._begin = None if at is None else at.stamp
+        self.led = led
         self._rest: tuple[float, ...] | None = None
         stop = max(joint.max_rate / joint.max_acceleration for joint in table.joints)
         self._allowed = _LAG + _SLACK * stop
@@ -233,10 +244,10 @@ class Standing:
                 if abs(angle - rest) > stray:
                     return False, _strays(joint, angle, rest)
             return True, ''
-        if now.still:
-            self._rest = now.angles
-            return True, ''
         elapsed = (now.stamp - self._begin) * 1e-9
+        if now.still and (not self.led or elapsed >= SETS_OUT):
+            self._rest, self.led = now.angles, False
+            return True, ''
         if elapsed > self._allowed:
             return False, f'The table still moves {elapsed:.1f} s after it was told to stand.'
         return False, ''
