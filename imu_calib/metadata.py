@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
+
+import numpy as np
 
 from .earth import MEASURED, NORMAL_GRAVITY, Site
 from .errors import InputError, NotStated
 from .imu import ImuSpec, imu_text
 from .share import named_file
+from .stream import Floats
 from .units import DEG
 
 SERIAL_NUMBER = 'imu_calib.serial_number'
 """Key of a recording's own entries: the unit's serial number."""
+
+LEFT_OUT = 'imu_calib.left_out'
+"""Key of the units that were left out of a session of several: their names, commas between."""
 
 COMPENSATED = 'imu_calib.compensated'
 """Key of the calibration's file that a recording was compensated by."""
@@ -55,6 +62,27 @@ def describe(
     return described
 
 
+def shared_description(description: Mapping[str, str]) -> dict[str, str]:
+    """Return of a recording's own entries what several units have in common."""
+    return {k: v for k, v in description.items() if k not in {_IMU, SERIAL_NUMBER}}
+
+
+def unit_description(topic: str, imu: str, serial_number: str) -> dict[str, str]:
+    """Return a recording's own entries on one of several units.
+
+    Args:
+        topic: Its samples.
+        imu: Name or file of its type.
+        serial_number: Which unit of its type.
+
+    Raises:
+        InputError: There is no such file.
+
+    """
+    text = named_file('imus', imu).read_text(encoding='utf-8')
+    return {imu_key(topic): text, serial_key(topic): serial_number}
+
+
 def described_imu(data: Mapping[str, str], topic: str) -> str | None:
     """Return the YAML text of the IMU behind a topic; None where the recording has none.
 
@@ -66,6 +94,44 @@ def described_imu(data: Mapping[str, str], topic: str) -> str | None:
 def imu_key(topic: str) -> str:
     """Return the key of a recording's own entries that describes the numbers of one topic."""
     return f'{_IMU}:{topic}'
+
+
+def serial_key(topic: str) -> str:
+    """Return the key of a recording's own entries with the serial number behind one topic."""
+    return f'{SERIAL_NUMBER}:{topic}'
+
+
+def mount_description(topic: str, mount: Floats) -> dict[str, str]:
+    """Return a recording's own entry on how the unit behind a topic is turned on the fixture.
+
+    Args:
+        topic: Its samples.
+        mount: (3, 3) columns are its body axes in those that the table's description mounts.
+
+    """
+    return {_mount_key(topic): json.dumps(mount.tolist())}
+
+
+def described_mount(data: Mapping[str, str], topic: str, where: str) -> Floats:
+    """Return how the unit behind a topic is turned, (3, 3); as the table has it where none says.
+
+    Raises:
+        InputError: The entry is broken.
+
+    """
+    if (text := data.get(_mount_key(topic))) is None:
+        return np.eye(3)
+    try:
+        mount = np.array(json.loads(text), dtype=np.float64)
+    except (ValueError, TypeError):
+        mount = np.zeros(0)
+    if mount.shape != (3, 3) or not np.allclose(mount.T @ mount, np.eye(3), atol=1e-9):
+        raise InputError(f'{where}: what it says of the mounting of {topic} is broken.')
+    return mount
+
+
+def _mount_key(topic: str) -> str:
+    return f'imu_calib.mount:{topic}'
 
 
 def described_anew(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import sqlite3
+import threading
 import tracemalloc
 from itertools import pairwise
 
@@ -29,7 +30,7 @@ from bag_files import (
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from imu_calib.bags import RecordingError, RecordingWriter, Topic, open_recording
+from imu_calib.bags import RecordingError, RecordingWriter, Topic, mcap, open_recording
 from imu_calib.bags.merge import STRETCH_NS
 from imu_calib.cdr import Messages, encode_imu, part
 from imu_calib.errors import InputError
@@ -317,3 +318,30 @@ def test_messages_may_be_of_different_sizes_within_one_write(tmp_path):
     with RecordingWriter(tmp_path / 'own') as writer:
         writer.write(IMU, KINDS[IMU].type_name, odd, imu.stamp)
     assert_same(read(tmp_path / 'own', [IMU])[0], {IMU: imu})
+
+
+def test_the_next_compressed_chunk_is_unpacked_while_one_is_decoded(tmp_path, monkeypatch):
+    """Who has taken the first block waits for nothing but the second core."""
+    path = write_own(tmp_path / 'bag', compression='zstd', chunk_bytes=1 << 12)
+    unpack, begun = mcap.decompressor, []
+    second = threading.Event()
+
+    def noted(name):
+        def unpacked(content):
+            begun.append(threading.get_ident())
+            if len(begun) == 2:
+                second.set()
+            return unpack(name)(content)
+
+        return unpacked
+
+    monkeypatch.setattr(mcap, 'decompressor', noted)
+    with open_recording(path) as recording:
+        blocks = iter(recording.read({IMU: KINDS[IMU]}))
+        next(blocks)
+        assert second.wait(60.0)
+        rest = list(blocks)
+    assert rest
+    # One core decodes; all but the first chunk are another's.
+    assert set(begun[1:]).isdisjoint({threading.get_ident()})
+    assert_same(read(path)[0], SESSION)

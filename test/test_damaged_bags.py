@@ -6,6 +6,9 @@ import os
 import shutil
 import sqlite3
 import struct
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -36,6 +39,7 @@ from imu_calib.stream import SetpointBlock
 SESSION = session(seconds=10)
 ROWS = timeline(SESSION)
 SQLITE = StoragePlugin.SQLITE3
+NOBODY = 65534
 
 
 def write_chunks(path, compression='', count=5):
@@ -125,11 +129,25 @@ def test_a_path_without_a_recording_gets_a_sentence(tmp_path):
         open_recording(tmp_path)
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason='root may read everything')
-def test_a_folder_without_permission_gets_a_sentence(tmp_path):
-    (tmp_path / 'locked').mkdir(mode=0)
-    with pytest.raises(InputError, match='cannot be read'):
-        open_recording(tmp_path / 'locked')
+@contextmanager
+def as_somebody():
+    """Be nobody in particular: root may read everything."""
+    me = os.geteuid()
+    os.seteuid(me or NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(me)
+
+
+def test_a_folder_without_permission_gets_a_sentence():
+    with TemporaryDirectory() as place:
+        # What pytest makes of root is root's alone.
+        Path(place).chmod(0o755)
+        locked = Path(place, 'locked')
+        locked.mkdir(mode=0)
+        with as_somebody(), pytest.raises(InputError, match='cannot be read'):
+            open_recording(locked)
 
 
 def test_a_foreign_sqlite_file_is_described(tmp_path):

@@ -3,16 +3,22 @@
 from ..definitions import definition
 from .journal import FINISHED, Journal
 from .recording import Recording, open_recording
+from .remote import AnyPath, RemotePath, is_url, local, located
 from .storage import RecordingError, Topic
 from .writer import RecordingWriter
 
 __all__ = [
     'FINISHED',
+    'AnyPath',
     'Journal',
     'Recording',
     'RecordingError',
     'RecordingWriter',
+    'RemotePath',
     'Topic',
     'definition',
+    'is_url',
+    'local',
+    'located',
     'open_recording',
 ]

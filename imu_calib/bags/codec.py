@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from .remote import AnyPath
+
 _ZSTD_MODULES = ('compression.zstd', 'backports.zstd', 'zstandard')
 _BLOCK = 1 << 20
 """Bytes decompressed at once."""
@@ -65,7 +67,7 @@ def compressor(compression: str) -> Callable[[bytes], bytes]:
     raise InputError(f'Unknown compression {compression!r}: expected none, lz4 or zstd.')
 
 
-def unpack_file(source: Path, target: Path) -> str:
+def unpack_file(source: AnyPath, target: Path) -> str:
     """Unpack a zstd file block by block, as far as it goes.
 
     Args:

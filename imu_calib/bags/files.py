@@ -11,6 +11,7 @@ from pathlib import Path
 from .codec import ZSTD_MAGIC, unpack_file
 from .mcap import McapStorage
 from .metadata import NAME, Metadata, read_metadata
+from .remote import AnyPath, RemotePath, local
 from .sqlite import SqliteStorage
 from .storage import Losses, RecordingError, Storage
 
@@ -33,7 +34,7 @@ _OTHERS = {
 class Found:
     """The storage files of a recording, in order, and its metadata."""
 
-    paths: tuple[Path, ...]
+    paths: tuple[AnyPath, ...]
     metadata: Metadata
 
 
@@ -56,7 +57,7 @@ class Scratch:
             self._folder = None
 
 
-def find_files(path: Path, losses: Losses) -> Found:
+def find_files(path: AnyPath, losses: Losses) -> Found:
     """Find the storage files of a recording.
 
     Args:
@@ -69,6 +70,7 @@ def find_files(path: Path, losses: Losses) -> Found:
     Raises:
         RecordingError: There is nothing to read.
         OSError: The folder cannot be read.
+        InputError: Its connection was lost.
 
     """
     if path.is_file():
@@ -92,11 +94,11 @@ def find_files(path: Path, losses: Losses) -> Found:
 
 
 def _listed(
-    names: tuple[str, ...], present: list[Path], folder: str, losses: Losses
-) -> tuple[Path, ...]:
+    names: tuple[str, ...], present: list[AnyPath], folder: str, losses: Losses
+) -> tuple[AnyPath, ...]:
     """Return the files that the metadata names, in its order."""
     by_name = {p.name: p for p in present} | {_bare(p.name): p for p in present}
-    paths = []
+    paths: list[AnyPath] = []
     for name in names:
         path = by_name.get(name) or by_name.get(_bare(name))
         if path is None:
@@ -114,7 +116,7 @@ def _listed(
     return tuple(paths)
 
 
-def _is_storage(path: Path) -> bool:
+def _is_storage(path: AnyPath) -> bool:
     return _bare(path.name).endswith(_STORAGE)
 
 
@@ -125,12 +127,12 @@ def _bare(name: str) -> str:
     return name
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def _natural(path: AnyPath) -> list[tuple[int, str]]:
     """Sort key that puts name_2 before name_10."""
     return [(int(t or 0), s) for t, s in re.findall(r'(\d*)(\D*)', path.name)]
 
 
-def open_storage(path: Path, scratch: Scratch, losses: Losses) -> Storage:
+def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
     """Open one storage file, unpacking it first where the whole file is compressed.
 
     Args:
@@ -153,13 +155,23 @@ def open_storage(path: Path, scratch: Scratch, losses: Losses) -> Storage:
             with path.open('rb') as file:
                 magic = file.read(16)
         if magic.startswith(b'SQLite format 3') or (not magic and path.suffix == '.db3'):
-            return SqliteStorage(path, losses)
+            return SqliteStorage(_with_its_log(path), losses)
         return McapStorage(path, losses)
     except OSError as error:
         raise RecordingError(f'{path} cannot be read: {error.strerror or error}.') from None
 
 
-def _unpack(path: Path, scratch: Scratch, losses: Losses) -> Path:
+def _with_its_log(path: AnyPath) -> Path:
+    """Return where SQLite can open a database, beside it the log that its writer may have left."""
+    here = local(path)
+    if isinstance(path, RemotePath):
+        log = path.with_name(f'{path.name}-wal')
+        if log.is_file():
+            shutil.copyfile(local(log), here.with_name(log.name))
+    return here
+
+
+def _unpack(path: AnyPath, scratch: Scratch, losses: Losses) -> Path:
     target = scratch.folder() / _bare(path.name)
     problem = unpack_file(path, target)
     if problem:

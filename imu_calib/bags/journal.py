@@ -59,6 +59,15 @@ class Journal:
         """Whether there is something to `replay`."""
         return self._former is not None
 
+    @property
+    def former(self) -> Mapping[str, str]:
+        """What the recording says of itself that is gone on with; nothing where it begins."""
+        return {} if self._former is None else self._former.custom_data
+
+    def note(self, entries: Mapping[str, str]) -> None:
+        """Add entries to what the recording says of itself."""
+        self._writer.add_custom_data(entries)
+
     def replay(self) -> Iterator[tuple[str, Block]]:
         """Yield topic and block of what the session before the crash left.
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..cdr import Messages
+from .ahead import ReadAhead
 from .codec import CodecError, decompressor
+from .mcap_chunk import LONGEST_HEAD, Chunk, chunk_at
 from .mcap_records import MESSAGE_HEAD, RECORD_HEAD, Op, RecordError, walk
-from .mcap_scan import Chunk, scan
+from .mcap_scan import scan
 from .metadata import custom_data_of
 from .storage import (
     Cache,
@@ -26,10 +28,12 @@ from .storage import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from pathlib import Path
-    from typing import BinaryIO
 
     from ..cdr.messages import Bytes, Indices
+
+    _Stored = tuple[Chunk, memoryview, dict[int, Indices]]
+    from .mcap_scan import ByteFile
+    from .remote import AnyPath
 
 _HEAD = RECORD_HEAD + MESSAGE_HEAD
 _LONGEST_INDEX = 1 << 20
@@ -95,7 +99,7 @@ class McapStorage:
 
     """
 
-    def __init__(self, path: Path, losses: Losses) -> None:
+    def __init__(self, path: AnyPath, losses: Losses) -> None:
         self.path = path
         self.size = path.stat().st_size
         self._losses = losses
@@ -135,16 +139,22 @@ class McapStorage:
             for topic in topics
         }
         wanted = [ids for ids in channels.values() if ids]
-        return {topic: self._read(ids, wanted, cache) for topic, ids in channels.items()}
+        read = [c for c in self._chunks if any(_may_hold(c, ids) for ids in wanted)]
+        ahead = ReadAhead(read, self._fetch, self._located)
+        return {topic: self._read(ids, wanted, cache, ahead) for topic, ids in channels.items()}
 
     def _read(
-        self, channels: frozenset[int], wanted: list[frozenset[int]], cache: Cache
+        self,
+        channels: frozenset[int],
+        wanted: list[frozenset[int]],
+        cache: Cache,
+        ahead: ReadAhead[_Stored, Unpacked],
     ) -> Iterator[MessageBatch]:
         for chunk in self._chunks if channels else ():
             if not _may_hold(chunk, channels):
                 continue
             users = sum(_may_hold(chunk, others) for others in wanted)
-            unpacked = cache.get((self.path, chunk.start), partial(self._load, chunk), users)
+            unpacked = cache.get((self.path, chunk.start), partial(ahead.load, chunk), users)
             stretch = unpacked.batch(channels, chunk.end)
             if stretch is not None:
                 yield stretch
@@ -186,10 +196,17 @@ class McapStorage:
             except RecordError as error:
                 self._losses.add(f'{self.path.name}: {error}.')
 
-    def _load(self, chunk: Chunk) -> Unpacked:
-        """Bring a chunk into memory and find its messages."""
+    def _fetch(self, chunk: Chunk) -> _Stored:
+        """Bring a chunk into memory as it is stored."""
         with self.path.open('rb', buffering=0) as file:
             stored, tables = _read_with_index(chunk, file)
+            if chunk.crc is None:
+                chunk = _with_checksum(chunk, file)
+        return chunk, stored, tables
+
+    def _located(self, fetched: _Stored) -> Unpacked:
+        """Unpack a chunk and find its messages."""
+        chunk, stored, tables = fetched
         buffer = self._unpack(chunk, stored)
         if buffer is None:
             return Unpacked(np.empty(0, np.uint8), {})
@@ -230,6 +247,9 @@ class McapStorage:
         if chunk.size != len(content):
             self._lose(chunk, f'unpacks to {len(content)} bytes instead of {chunk.size}')
             return None
+        if chunk.crc is None:
+            self._lose(chunk, 'is not where the summary says')
+            return None
         if chunk.crc and zlib.crc32(content) != chunk.crc:
             self._lose(chunk, 'is corrupt (its CRC does not match)')
             return None
@@ -259,13 +279,24 @@ def _may_hold(chunk: Chunk, channels: frozenset[int]) -> bool:
     return chunk.counts is None or not channels.isdisjoint(chunk.counts)
 
 
-def _read(file: BinaryIO, position: int, size: int) -> memoryview:
+def _read(file: ByteFile, position: int, size: int) -> memoryview:
     """Read bytes of a file, fewer where it ends."""
     file.seek(position)
     return memoryview(file.read(size))
 
 
-def _read_with_index(chunk: Chunk, file: BinaryIO) -> tuple[memoryview, dict[int, Indices]]:
+def _with_checksum(chunk: Chunk, file: ByteFile) -> Chunk:
+    """Add the CRC that a chunk's own head states; none where that is no head of this chunk."""
+    head = bytes(_read(file, chunk.start + RECORD_HEAD, LONGEST_HEAD))
+    try:
+        found, _ = chunk_at(chunk.start, head)
+    except (struct.error, UnicodeDecodeError):
+        return chunk
+    same = replace(chunk, index=None, counts=None, crc=found.crc) == found
+    return replace(chunk, crc=found.crc) if same else chunk
+
+
+def _read_with_index(chunk: Chunk, file: ByteFile) -> tuple[memoryview, dict[int, Indices]]:
     """Read a chunk and the message index behind it: (n, 2) log times and offsets by channel."""
     index = chunk.index or {}
     end = max([chunk.end, *(position + 16 * count for position, count in index.values())])

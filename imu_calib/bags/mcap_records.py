@@ -56,6 +56,30 @@ class Channel:
     described: Described = field(default_factory=Described, compare=False)
 
 
+@dataclass(frozen=True)
+class ChunkIndex:
+    """What the summary says of a chunk.
+
+    Attributes:
+        times: Earliest and latest log time, ns.
+        start: Offset of the chunk record.
+        length: Of the record, its head included.
+        index: Offset of the message index of each channel.
+        behind: Bytes of all message indexes, which follow the chunk.
+        compression: '', 'lz4' or 'zstd'.
+        sizes: Bytes of the messages, stored and unpacked.
+
+    """
+
+    times: tuple[int, int]
+    start: int
+    length: int
+    index: dict[int, int]
+    behind: int
+    compression: str
+    sizes: tuple[int, int]
+
+
 @dataclass
 class Catalogue:
     """What records say of the file as a whole.
@@ -65,7 +89,9 @@ class Catalogue:
         channels: Channels by id.
         metadata: Contents of the metadata records by their names.
         counts: Messages by channel id, from the statistics; None without.
-        chunk_starts: Offsets of chunk records, from the chunk index.
+        chunks: Contents of the chunk index.
+        metadata_at: Offset and length of the metadata records, from their index.
+        totals: Numbers of metadata records and of chunks, from the statistics; None without.
 
     """
 
@@ -73,7 +99,9 @@ class Catalogue:
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: dict[int, int] | None = None
-    chunk_starts: set[int] = field(default_factory=set)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    metadata_at: list[tuple[int, int]] = field(default_factory=list)
+    totals: tuple[int, int] | None = None
 
     def add(self, op: int, content: bytes) -> None:
         """Take note of a record, if it is of a kind that matters.
@@ -84,7 +112,7 @@ class Catalogue:
         """
         try:
             self._add(op, Fields(content))
-        except (struct.error, UnicodeDecodeError) as error:
+        except (struct.error, ValueError) as error:
             raise RecordError(f'record with opcode {op}: {error}') from None
 
     def _add(self, op: int, fields: Fields) -> None:
@@ -102,11 +130,19 @@ class Catalogue:
         elif op == Op.METADATA:
             self.metadata.setdefault(fields.string(), {}).update(fields.strings())
         elif op == Op.CHUNK_INDEX:
-            fields.number('Q')
-            fields.number('Q')
-            self.chunk_starts.add(fields.number('Q'))
+            times = fields.number('Q'), fields.number('Q')
+            start, length = fields.number('Q'), fields.number('Q')
+            pairs = np.frombuffer(fields.block(), [('id', '<u2'), ('offset', '<u8')])
+            index = dict(zip(pairs['id'].tolist(), pairs['offset'].tolist(), strict=True))
+            behind, compression = fields.number('Q'), fields.string()
+            sizes = fields.number('Q'), fields.number('Q')
+            self.chunks.append(ChunkIndex(times, start, length, index, behind, compression, sizes))
+        elif op == Op.METADATA_INDEX:
+            self.metadata_at.append((fields.number('Q'), fields.number('Q')))
         elif op == Op.STATISTICS:
-            fields.skip(42)
+            fields.skip(18)
+            self.totals = fields.number('I'), fields.number('I')
+            fields.skip(16)
             pairs = np.frombuffer(fields.block(), [('id', '<u2'), ('count', '<u8')])
             self.counts = dict(zip(pairs['id'].tolist(), pairs['count'].tolist(), strict=True))
 

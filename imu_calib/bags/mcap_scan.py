@@ -4,79 +4,34 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
 import numpy as np
 
+from .mcap_chunk import INDEX_HEAD, LONGEST_HEAD, Chunk, chunk_at, chunks_of
 from .mcap_records import (
     FOOTER_SIZE,
     MAGIC,
     RECORD_HEAD,
     Catalogue,
-    Fields,
     Op,
     RecordError,
     walk,
 )
-from .storage import Losses, RecordingError, seconds
+from .remote import RemotePath
+from .storage import Losses, RecordingError
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from io import BufferedIOBase
 
     from ..cdr.messages import Bytes, Indices
+    from .remote import AnyPath
+
+    ByteFile: TypeAlias = BinaryIO | BufferedIOBase
 
 _WINDOW = 1 << 22
 """Bytes read at once of messages that lie in no chunk."""
-_CHUNK_FIELDS = 40
-"""Bytes of a chunk's fields before its records: start, end, size, CRC, compression, length
-(mcap.dev/spec)."""
-_INDEX_HEAD = 6
-"""Bytes of a message index before its entries: channel, bytes of entries (mcap.dev/spec)."""
-_LONGEST_HEAD = _CHUNK_FIELDS + 16
-"""Bytes of a record that tell what it holds: a chunk's fields, with the longest name of a
-compression."""
 _SMALL = frozenset({Op.SCHEMA, Op.CHANNEL, Op.METADATA})
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Where messages lie in the file: a chunk record, or a stretch of a file without chunks.
-
-    Attributes:
-        start: Offset of the record.
-        data: Offset of the stored bytes.
-        stored: Number of stored bytes that the file holds.
-        size: Number of bytes that they unpack to; None where the file does not say.
-        compression: '', 'lz4' or 'zstd'.
-        crc: CRC-32 of the unpacked bytes; 0 where there is none.
-        start_ns: Earliest log time.
-        end_ns: Latest log time.
-        index: Offset in the file and number of the message index entries of each channel; None
-            without index.
-        counts: Messages of each channel; None where only unpacking would tell.
-        cut: The file ends within this chunk.
-
-    """
-
-    start: int
-    data: int
-    stored: int
-    size: int | None
-    compression: str
-    crc: int
-    start_ns: int
-    end_ns: int
-    index: dict[int, tuple[int, int]] | None = None
-    counts: dict[int, int] | None = None
-    cut: bool = False
-
-    @property
-    def end(self) -> int:
-        """Offset of the byte after the stored ones."""
-        return self.data + self.stored
-
-    def __str__(self) -> str:
-        return f'the chunk at byte {self.start} ({seconds(self.start_ns, self.end_ns)})'
 
 
 @dataclass
@@ -87,7 +42,7 @@ class Scan:
     catalogue: Catalogue = field(default_factory=Catalogue)
 
 
-def scan(path: Path, losses: Losses) -> Scan:
+def scan(path: AnyPath, losses: Losses) -> Scan:
     """Find the chunks, channels and metadata of a file.
 
     Args:
@@ -110,18 +65,23 @@ def scan(path: Path, losses: Losses) -> Scan:
 class _Scanner:
     """One walk over one open file."""
 
-    def __init__(self, path: Path, file: BinaryIO, losses: Losses) -> None:
+    def __init__(self, path: AnyPath, file: ByteFile, losses: Losses) -> None:
         self.name = path.name
+        self.elsewhere = isinstance(path, RemotePath)
         self.file = file
         self.losses = losses
         self.size = self.end = path.stat().st_size
         self.finished = False
         self.cut_at = 0
+        self.chunk_starts: frozenset[int] = frozenset()
         self.found = Scan()
 
     def scan(self) -> Scan:
         self._check_magic()
         self._read_summary()
+        # Of a file elsewhere a walk over the records would fetch a piece of every chunk.
+        if self.elsewhere and self._is_summed_up():
+            return self.found
         position = len(MAGIC)
         while position < self.end:
             following = self._record(position)
@@ -162,11 +122,23 @@ class _Scanner:
             # The data section says the same again.
             return
         self.found.catalogue = catalogue
+        self.chunk_starts = frozenset(entry.start for entry in catalogue.chunks)
         self.end = int(start)
+
+    def _is_summed_up(self) -> bool:
+        """Take the chunks from the summary; say whether it knows all that the walk would find."""
+        chunks = chunks_of(self.found.catalogue, self.end)
+        if chunks is None:
+            return False
+        for position, length in self.found.catalogue.metadata_at:
+            if self._small(Op.METADATA, position, length - RECORD_HEAD, 0) is None:
+                return False
+        self.found.chunks = chunks
+        return True
 
     def _record(self, position: int) -> int | None:
         """Take in the record at a position; return the next, or None where there is no sense."""
-        beginning = self._read(position, RECORD_HEAD + _LONGEST_HEAD)
+        beginning = self._read(position, RECORD_HEAD + LONGEST_HEAD)
         if len(beginning) < RECORD_HEAD:
             return self._overrun(position)
         op, length = struct.unpack_from('<BQ', beginning)
@@ -174,7 +146,7 @@ class _Scanner:
         head = beginning[RECORD_HEAD:]
         if op == Op.CHUNK:
             return self._chunk(position, length, following, head)
-        if position in self.found.catalogue.chunk_starts:
+        if position in self.chunk_starts:
             return None
         if op == 0 or following > self.end:
             return self._overrun(position) if op in set(Op) else None
@@ -222,7 +194,7 @@ class _Scanner:
 
     def _resume(self, position: int) -> int:
         """State a broken stretch, and go on at the next chunk that the summary knows."""
-        starts = [s for s in self.found.catalogue.chunk_starts if position < s < self.end]
+        starts = [s for s in self.chunk_starts if position < s < self.end]
         following = min(starts, default=self.end)
         what = 'the rest' if following == self.end else f'{following - position} bytes'
         self.losses.add(
@@ -234,33 +206,29 @@ class _Scanner:
 
     def _chunk(self, position: int, length: int, following: int, head: bytes) -> int | None:
         try:
-            fields = Fields(head)
-            start_ns, end_ns, size = (fields.number('Q') for _ in range(3))
-            crc, compression, stored = fields.number('I'), fields.string(), fields.number('Q')
+            chunk, least = chunk_at(position, head)
         except (struct.error, UnicodeDecodeError):
             return self._overrun(position) if following > self.end else None
-        if fields.position + stored > length:
+        if least > length:
             return None
-        data = position + RECORD_HEAD + fields.position
-        chunk = Chunk(position, data, stored, size, compression, crc, start_ns, end_ns)
         if following > self.end:
             if self._overrun(position) is None:
                 return None
-            chunk = replace(chunk, stored=self.size - data, cut=True)
+            chunk = replace(chunk, stored=self.size - chunk.data, cut=True)
             following = self.size
         self.found.chunks.append(chunk)
         return following
 
     def _index(self, position: int, length: int, following: int, head: bytes) -> int | None:
         """Note a message index record: it belongs to the chunk before it."""
-        if length < _INDEX_HEAD:
+        if length < INDEX_HEAD:
             return None
         channel, size = struct.unpack_from('<HI', head)
-        if self.found.chunks and size == length - _INDEX_HEAD and size % 16 == 0:
+        if self.found.chunks and size == length - INDEX_HEAD and size % 16 == 0:
             chunk = self.found.chunks[-1]
             index = {
                 **(chunk.index or {}),
-                channel: (position + RECORD_HEAD + _INDEX_HEAD, size // 16),
+                channel: (position + RECORD_HEAD + INDEX_HEAD, size // 16),
             }
             counts = {key: count for key, (_, count) in index.items()}
             self.found.chunks[-1] = replace(chunk, index=index, counts=counts)

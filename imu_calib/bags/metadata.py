@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from .remote import AnyPath
     from .storage import Topic
 
 NAME = 'metadata.yaml'
@@ -40,7 +41,7 @@ class Metadata:
     problem: str = ''
 
 
-def read_metadata(folder: Path) -> Metadata:
+def read_metadata(folder: AnyPath) -> Metadata:
     """Read the metadata of a recording, as far as it is there.
 
     Args:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import weakref
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +13,7 @@ from ..cdr import Malformed, Messages
 from .codec import ZSTD_MAGIC, CodecError, decompressor
 from .files import Found, Scratch, find_files, open_storage
 from .merge import Piece, merge
+from .remote import AnyPath, located
 from .storage import (
     Cache,
     Losses,
@@ -37,12 +37,13 @@ _HASH_BLOCK = 1 << 20
 """Bytes hashed at once."""
 
 
-def open_recording(path: str | Path) -> Recording:
+def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
     """Open a recording.
 
     Args:
-        path: Folder of rosbag2, with or without metadata.yaml, or one .mcap or .db3 file; a
-            storage file may be compressed with zstd as a whole.
+        path: Folder of rosbag2, with or without metadata.yaml, or one .mcap or .db3 file, or a URL
+            of one that fsspec reads; a storage file may be compressed with zstd as a whole.
+        sha256: Of the storage files, where it is known already.
 
     Returns:
         The recording. What is missing or broken in it is told in `losses`.
@@ -51,7 +52,7 @@ def open_recording(path: str | Path) -> Recording:
         InputError: Nothing of it can be read.
 
     """
-    path = Path(path).expanduser()
+    path = located(path)
     losses = Losses()
     try:
         found = find_files(path, losses)
@@ -60,13 +61,13 @@ def open_recording(path: str | Path) -> Recording:
     scratch = Scratch()
     try:
         storages = _open_all(found.paths, scratch, losses)
-        return Recording(path, found, storages, losses, scratch)
+        return Recording(path, found, storages, losses, scratch, sha256)
     except BaseException:
         scratch.remove()
         raise
 
 
-def _open_all(paths: Sequence[Path], scratch: Scratch, losses: Losses) -> list[Storage]:
+def _open_all(paths: Sequence[AnyPath], scratch: Scratch, losses: Losses) -> list[Storage]:
     """Open what can be opened; a file that cannot be is a loss as long as another one can."""
     opened = [_open_or_tell(path, scratch, losses) for path in paths]
     storages = [storage for storage in opened if not isinstance(storage, RecordingError)]
@@ -78,7 +79,7 @@ def _open_all(paths: Sequence[Path], scratch: Scratch, losses: Losses) -> list[S
     return storages
 
 
-def _open_or_tell(path: Path, scratch: Scratch, losses: Losses) -> Storage | RecordingError:
+def _open_or_tell(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage | RecordingError:
     try:
         return open_storage(path, scratch, losses)
     except RecordingError as error:
@@ -100,13 +101,15 @@ class Recording:
 
     def __init__(
         self,
-        path: Path,
+        path: AnyPath,
         found: Found,
         storages: Sequence[Storage],
         losses: Losses,
         scratch: Scratch,
+        sha256: str | None = None,
     ) -> None:
         self.path = path
+        self._sha256 = sha256
         self.files = found.paths
         self.topics = _topics(storages, found.metadata.counts)
         if not self.topics:
@@ -146,15 +149,12 @@ class Recording:
             RecordingError: A file cannot be read any more.
 
         """
-        digest = hashlib.sha256()
-        try:
-            for path in sorted(self.files, key=lambda p: p.name):
-                with path.open('rb') as file:
-                    while block := file.read(_HASH_BLOCK):
-                        digest.update(block)
-        except OSError as error:
-            raise RecordingError(f'{self.path} cannot be read: {error.strerror}.') from None
-        return digest.hexdigest()
+        if self._sha256 is None:
+            try:
+                self._sha256 = content_hash(self.files)
+            except OSError as error:
+                raise RecordingError(f'{self.path} cannot be read: {error.strerror}.') from None
+        return self._sha256
 
     def read(
         self,
@@ -283,6 +283,22 @@ class Recording:
                     f'{self.path.name}: {found.count} malformed messages of {topic} are left out; '
                     f'the first: {found.reason}.'
                 )
+
+
+def content_hash(files: Sequence[AnyPath]) -> str:
+    """Return the SHA-256 of storage files' contents, in the order of their names.
+
+    Raises:
+        OSError: A file cannot be read.
+        InputError: Its connection was lost.
+
+    """
+    digest = hashlib.sha256()
+    for path in sorted(files, key=lambda p: p.name):
+        with path.open('rb') as file:
+            while block := file.read(_HASH_BLOCK):
+                digest.update(block)
+    return digest.hexdigest()
 
 
 def _topics(storages: Sequence[Storage], counts: Mapping[str, int]) -> tuple[Topic, ...]:

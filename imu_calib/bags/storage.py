@@ -10,10 +10,10 @@ from ..errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Mapping
-    from pathlib import Path
 
     from ..cdr.messages import Messages
     from ..stream import Stamps
+    from .remote import AnyPath
 
 
 class RecordingError(InputError):
@@ -154,7 +154,10 @@ class Cache:
 class Storage(Protocol):
     """One storage file of a recording."""
 
-    path: Path
+    @property
+    def path(self) -> AnyPath:
+        """The file."""
+
     size: int
     start_ns: int | None
     end_ns: int | None

@@ -17,6 +17,7 @@ from .encode import (
     encode_rates,
     encode_setpoints,
     encode_temperatures,
+    rates_payloads,
 )
 from .kinds import Kind
 from .messages import CdrError, Malformed, Messages
@@ -40,4 +41,5 @@ __all__ = [
     'encode_setpoints',
     'encode_temperatures',
     'part',
+    'rates_payloads',
 ]

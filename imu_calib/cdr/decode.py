@@ -76,7 +76,14 @@ class ImuDecoder:
         payload = payloads[0]
         if not layout.fits(payload):
             return self._decode(payloads, malformed)
-        return [_imu_block(layout, np.frombuffer(payload, np.uint8)[None])]
+        return [
+            ImuBlock(
+                layout.stamp_of(payload),
+                layout.row_of(payload, 'angular_velocity'),
+                layout.row_of(payload, 'linear_acceleration'),
+                layout.names[0],
+            )
+        ]
 
     def _decode(self, payloads: list[bytes], malformed: Malformed) -> list[ImuBlock]:
         blocks = decode_imu(Messages.join(payloads), malformed)

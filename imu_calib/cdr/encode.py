@@ -80,18 +80,22 @@ class _Template:
     def repeat(self, stamp: Stamps) -> Bytes:
         """Return (n, size) copies of the message, each with its stamp."""
         if len(stamp) == 1:
-            sec, nanosec = divmod(int(stamp[0]), NS)
-            if not _FIRST_SECOND <= sec <= _LAST_SECOND:
-                _seconds(stamp // NS)
-            content = bytearray(self.content)
-            struct.pack_into('<iI', content, ENCAPSULATION, sec, nanosec)
-            return np.frombuffer(content, np.uint8)[None]
+            return np.frombuffer(self.stamped(int(stamp[0])), np.uint8)[None]
         rows = np.empty((len(stamp), len(self.content)), np.uint8)
         rows[:] = np.frombuffer(self.content, np.uint8)
         seconds, rest = np.divmod(stamp, NS)
         _column(rows, ENCAPSULATION, '<i4', 1)[:, 0] = _seconds(seconds)
         _column(rows, ENCAPSULATION + 4, '<u4', 1)[:, 0] = rest
         return rows
+
+    def stamped(self, stamp: int) -> bytearray:
+        """Return a copy of the message with a stamp, ns."""
+        sec, nanosec = divmod(stamp, NS)
+        if not _FIRST_SECOND <= sec <= _LAST_SECOND:
+            _seconds(np.array([sec]))
+        content = bytearray(self.content)
+        struct.pack_into('<iI', content, ENCAPSULATION, sec, nanosec)
+        return content
 
 
 def _seconds(sec: Stamps) -> Stamps:
@@ -151,6 +155,19 @@ def encode_rates(block: ImuBlock, rate_covariance: Floats, force_covariance: Flo
     return _imu(block, RATES, (rate_covariance, force_covariance))
 
 
+def rates_payloads(
+    block: ImuBlock, rate_covariance: Floats, force_covariance: Floats
+) -> list[bytes]:
+    """Encode as `encode_rates` does, into the bytes of each message: the way of a live stream."""
+    if len(block) != 1:
+        return encode_rates(block, rate_covariance, force_covariance).payloads()
+    template, gyro, accel = _imu_template(block.frame_id, RATES)
+    content = template.stamped(int(block.stamp[0]))
+    _fill_one(content, gyro, block.gyro, rate_covariance)
+    _fill_one(content, accel, block.accel, force_covariance)
+    return [bytes(content)]
+
+
 def _imu(
     block: ImuBlock,
     first_covariances: tuple[float, float, float],
@@ -159,8 +176,9 @@ def _imu(
     template, gyro, accel = _imu_template(block.frame_id, first_covariances)
     rows = template.repeat(block.stamp)
     if len(rows) == 1:
-        _fill_one(rows[0], gyro, block.gyro, None if covariances is None else covariances[0])
-        _fill_one(rows[0], accel, block.accel, None if covariances is None else covariances[1])
+        row = rows[0].data
+        _fill_one(row, gyro, block.gyro, None if covariances is None else covariances[0])
+        _fill_one(row, accel, block.accel, None if covariances is None else covariances[1])
         return _messages(rows)
     _column(rows, gyro, '<f8', 3)[:] = block.gyro
     _column(rows, accel, '<f8', 3)[:] = block.accel
@@ -171,11 +189,13 @@ def _imu(
     return _messages(rows)
 
 
-def _fill_one(row: Bytes, start: int, vector: Floats, covariance: Floats | None) -> None:
+def _fill_one(
+    row: bytearray | memoryview, start: int, vector: Floats, covariance: Floats | None
+) -> None:
     """Write a vector, and its covariance behind it: the way of a live stream."""
-    row.data[start : start + 24] = vector.astype('<f8').tobytes()
+    row[start : start + 24] = vector.astype('<f8', copy=False).tobytes()
     if covariance is not None:
-        row.data[start + 24 : start + 96] = covariance.astype('<f8').tobytes()
+        row[start + 24 : start + 96] = covariance.astype('<f8', copy=False).tobytes()
 
 
 @lru_cache(maxsize=64)
@@ -211,21 +231,32 @@ def encode_joints(block: JointBlock, frame_id: str = '') -> Messages:
         CdrError: A stamp does not fit the header.
 
     """
-    template = _Template()
-    template.string(frame_id)
-    template.strings(block.names)
-    starts = [(v, template.sequence(_carried(v))) for v in (block.position, block.velocity)]
-    template.sequence([])
+    columns = block.position, block.velocity
+    widths = tuple(_carried(values) for values in columns)
+    template, starts = _joint_template(frame_id, tuple(block.names), widths)
     rows = template.repeat(block.stamp)
-    for values, start in starts:
-        if _carried(values):
-            _column(rows, start, '<f8', values.shape[1])[:] = values
+    for values, width, start in zip(columns, widths, starts, strict=True):
+        if width:
+            _column(rows, start, '<f8', width)[:] = values
     return _messages(rows)
 
 
-def _carried(values: Floats) -> list[float]:
-    """Return room for one row of an array, none where it holds nothing."""
-    return [] if np.isnan(values).all() else [0.0] * values.shape[1]
+@lru_cache(maxsize=64)
+def _joint_template(
+    frame_id: str, names: tuple[str, ...], widths: tuple[int, ...]
+) -> tuple[_Template, list[int]]:
+    """Return a message without its numbers, and where those of each sequence start."""
+    template = _Template()
+    template.string(frame_id)
+    template.strings(names)
+    starts = [template.sequence([0.0] * width) for width in widths]
+    template.sequence([])
+    return template, starts
+
+
+def _carried(values: Floats) -> int:
+    """Return how many numbers of a row a message holds: none where all are NaN."""
+    return 0 if np.isnan(values).all() else values.shape[1]
 
 
 def encode_temperatures(

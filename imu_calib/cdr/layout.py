@@ -89,6 +89,16 @@ class Layout:
         stamp: Stamps = sec.astype(np.int64) * NS + nanosec
         return stamp
 
+    def stamp_of(self, payload: bytes) -> Stamps:
+        """Return the header stamp of one message, (1,) ns."""
+        sec, nanosec = struct.unpack_from(f'{self.order}iI', payload, self.stamp)
+        return np.array([sec * NS + nanosec], np.int64)
+
+    def row_of(self, payload: bytes, name: str) -> Floats:
+        """Return the numbers of a column of one message, (1, k)."""
+        offset, width = self.columns[name]
+        return np.array([struct.unpack_from(f'{self.order}{width}d', payload, offset)])
+
     def column(self, rows: Bytes, name: str) -> Floats:
         """Return the (n, k) numbers of a column, in a memory of their own."""
         offset, width = self.columns[name]
