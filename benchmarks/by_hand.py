@@ -4,7 +4,7 @@ What holds in the hand give depends on how the unit is turned between them. Here
 predictions suppose: about one axis in two seconds, in free positions the shortest way, in the six
 positions to a heading that nobody knows.
 
-    python benchmarks/by_hand.py [PLAN ...] [--runs 1000] [--jobs 2]
+    python benchmarks/by_hand.py [PLAN ...] [--runs 1000] [--jobs 2] [--scheduler ADDRESS]
 
 Exit code 1: a parameter is off by more than 10 % and what so many runs spread.
 """
@@ -13,22 +13,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 
 import numpy as np
 from prediction import SITE, judge
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup, calibrator_of
+from imu_calib.engine import run_all
 from imu_calib.imu import load_imu
 from imu_calib.methods.free_positions import NAME as FREE_POSITIONS
 from imu_calib.methods.free_positions import in_frame_of_accelerometers
 from imu_calib.model import PARAMETERS, SensorModel
 from imu_calib.plan import load_plan
 from imu_calib.prediction import forecast
-from imu_calib.repetition import single_threaded
 from imu_calib.share import named_file
 from imu_calib.simulation import ImuOptions
 from imu_calib.simulation.hand import HandSession, as_planned, the_short_way
@@ -56,7 +54,7 @@ def session(setup: Setup, seed: int) -> HandSession:
     return as_planned(setup.plan, rng)
 
 
-def compare(name: str, runs: int, jobs: int | None) -> bool:
+def compare(name: str, runs: int, jobs: int | None, scheduler: str | None) -> bool:
     """Print one plan; say whether every parameter is within its bounds."""
     setup = Setup(load_imu(UNIT), load_plan(name), None, SITE)
     truth = Calibration.load(named_file('truths', UNIT)).model
@@ -64,8 +62,9 @@ def compare(name: str, runs: int, jobs: int | None) -> bool:
         truth = in_frame_of_accelerometers(truth)
     foreseen = forecast(setup, truth).std
     known = foreseen > 0
-    with single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
-        errors = np.array(list(pool.map(partial(one, setup, truth), range(runs), chunksize=10)))
+    errors = np.array(
+        run_all(partial(one, setup, truth), range(runs), jobs=jobs, scheduler=scheduler)
+    )
     parameters = [p for p, told in zip(PARAMETERS, known, strict=True) if told]
     print(f'{name}: {runs} runs', end=', ')
     return judge(parameters, errors[:, known], foreseen[known])
@@ -77,10 +76,14 @@ def main() -> int:
     parser.add_argument('plans', nargs='*', default=PLANS)
     parser.add_argument('--runs', type=int, default=1000)
     parser.add_argument('--jobs', type=int)
+    parser.add_argument('--scheduler', metavar='ADDRESS', help='of a Dask cluster')
     chosen = parser.parse_args()
-    kept = [compare(name, chosen.runs, chosen.jobs) for name in chosen.plans]
+    kept = [compare(n, chosen.runs, chosen.jobs, chosen.scheduler) for n in chosen.plans]
     return 0 if all(kept) else 1
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    # Workers know what they run by the name of this module.
+    import by_hand
+
+    sys.exit(by_hand.main())

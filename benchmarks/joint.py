@@ -8,7 +8,7 @@ whether the normalised errors are standard normal. A perfect estimator stays bel
 times in 100. The bound takes the stream beyond whole turns to tell where the counters stood at the
 cuts, and nothing of the rate.
 
-    python benchmarks/joint.py [--seeds 500] [--jobs 2] [--wandering]
+    python benchmarks/joint.py [--seeds 500] [--jobs 2] [--scheduler ADDRESS] [--wandering]
 
 Exit code 1: a ratio is above its limit.
 """
@@ -16,12 +16,9 @@ Exit code 1: a ratio is above its limit.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +30,7 @@ from bound import bound
 from sessions import SITE, paper_imu, stand, truth
 from test_joint import simulated
 
+from imu_calib.engine import run_all
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint, twelve_position
 from imu_calib.model import PARAMETER_NAMES
@@ -105,15 +103,12 @@ def main() -> int:
     """Run the study."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, default=500)
-    parser.add_argument('--jobs', type=int, default=os.cpu_count())
+    parser.add_argument('--jobs', type=int)
+    parser.add_argument('--scheduler', metavar='ADDRESS', help='of a Dask cluster')
     parser.add_argument('--wandering', action='store_true', help='biases wander by the data sheet')
     chosen = parser.parse_args()
-    # Small matrices gain nothing from threads, and as many processes run as there are cores: what
-    # is spawned reads the variable before it loads NumPy.
-    os.environ['OMP_NUM_THREADS'] = '1'
-    with ProcessPoolExecutor(chosen.jobs, get_context('spawn')) as pool:
-        one = partial(run, wandering=chosen.wandering)
-        runs = np.array(list(pool.map(one, range(chosen.seeds), chunksize=4)))
+    one = partial(run, wandering=chosen.wandering)
+    runs = np.array(run_all(one, range(chosen.seeds), jobs=chosen.jobs, scheduler=chosen.scheduler))
     kept = True
     for words, variant in zip(VARIANTS, np.swapaxes(runs, 0, 1), strict=True):
         print(f'\n{words}: ', end='')
@@ -125,4 +120,7 @@ def main() -> int:
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    # Workers know what they run by the name of this module.
+    import joint
+
+    sys.exit(joint.main())

@@ -5,7 +5,7 @@ the 24 parameters alone and with terms; then it flies (`flight.py`), and what it
 compensated by each of them and navigated (`strapdown.py`). Sessions, flights and their noise are
 others for each seed.
 
-    python benchmarks/navigation.py [--seeds 8] [--jobs 2] [--write]
+    python benchmarks/navigation.py [--seeds 8] [--jobs 2] [--scheduler ADDRESS] [--write]
 
 --write writes docs/navigation.md and docs/navigation.svg. Exit code 1: sensors without error do not
 come out within a metre.
@@ -17,9 +17,7 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +28,11 @@ from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.compensation.apply import Compensation
 from imu_calib.earth import Site, normal_gravity
+from imu_calib.engine import run_all
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.model import TERMS, SensorModel, Term, named_terms
 from imu_calib.plan import load_plan
-from imu_calib.repetition import economical, single_threaded
+from imu_calib.repetition import economical
 from imu_calib.reports.svg import COLOURS, Axis, Panel, drawing, label, tag
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedImu, StandOptions, simulate
@@ -239,12 +238,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, default=8)
     parser.add_argument('--jobs', type=int)
+    parser.add_argument('--scheduler', metavar='ADDRESS', help='of a Dask cluster')
     parser.add_argument('--write', action='store_true', help='docs/navigation.md and its plot')
     chosen_ = parser.parse_args()
     exact = float(without_errors()[1].max())
     print(f'sensors without error: {exact:.3f} m at most in an hour', flush=True)
-    with single_threaded(), ProcessPoolExecutor(chosen_.jobs, get_context('spawn')) as pool:
-        found = list(pool.map(flight_of, range(chosen_.seeds)))
+    seeds = range(chosen_.seeds)
+    found = run_all(flight_of, seeds, jobs=chosen_.jobs, scheduler=chosen_.scheduler)
     count = min(run.shape[1] for run in found)
     times, runs = found[0][0, :count], np.array([run[1:, :count] for run in found])
     rms = np.sqrt((runs**2).mean(axis=0))[:, -1]
@@ -258,4 +258,7 @@ def main() -> int:
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    # Workers know what they run by the name of this module.
+    import navigation
+
+    sys.exit(navigation.main())

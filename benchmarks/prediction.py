@@ -4,8 +4,8 @@ Every session is simulated by the hardware-level simulation, cut and solved by t
 method. The prediction knows plan, table, data sheet and truth, and no session. Of a good one the
 ratio stays within what the spread of so many runs itself is uncertain by.
 
-    python benchmarks/prediction.py [PLAN ...] [--runs 1000] [--jobs 2] [--sample-rate 20]
-                                    [--keep FOLDER]
+    python benchmarks/prediction.py [PLAN ...] [--runs 1000] [--jobs 2] [--scheduler ADDRESS]
+                                    [--sample-rate 20] [--keep FOLDER]
 
 Exit code 1: a parameter is off by more than 10 % and that spread.
 """
@@ -84,7 +84,9 @@ def plainest_table(plan: Plan) -> Table:
     raise InputError(f'No table runs plan {plan.name}. {" ".join(reasons)}')
 
 
-def compare(case: Study, runs: int, jobs: int, keep: Path | None) -> bool:
+def compare(
+    case: Study, runs: int, jobs: int | None, keep: Path | None, scheduler: str | None = None
+) -> bool:
     """Print one plan; say whether every parameter is within its bounds."""
     name = case.setup.plan.name
     setup = case.setup
@@ -92,7 +94,7 @@ def compare(case: Study, runs: int, jobs: int, keep: Path | None) -> bool:
     if foreseen.refusal:
         print(f'{name}: {foreseen.refusal}')
         return True
-    outcome = repeat(case, runs, jobs=jobs)
+    outcome = repeat(case, runs, jobs=jobs, scheduler=scheduler)
     if keep is not None:
         np.savez(keep / f'{name}.npz', errors=outcome.errors, stated=outcome.stated)
     print(f'{name} ({setup.method_name}): {len(outcome.errors)} of {runs} runs', end=', ')
@@ -138,14 +140,20 @@ def main() -> int:
     parser.add_argument('plans', nargs='*')
     parser.add_argument('--runs', type=int, default=1000)
     parser.add_argument('--jobs', type=int)
+    parser.add_argument('--scheduler', metavar='ADDRESS', help='of a Dask cluster')
     parser.add_argument(
         '--sample-rate', type=float, metavar='HZ', help="of the IMU; default: its data sheet's"
     )
     parser.add_argument('--keep', type=Path, help='folder for errors and deviations of all runs')
     chosen = parser.parse_args()
+    if chosen.keep is not None:
+        # Before the hours of work, not after them.
+        chosen.keep.mkdir(parents=True, exist_ok=True)
     names = chosen.plans or shipped()
     cases = (study(name, chosen.sample_rate) for name in names)
-    kept = [compare(case, chosen.runs, chosen.jobs, chosen.keep) for case in cases]
+    kept = [
+        compare(case, chosen.runs, chosen.jobs, chosen.keep, chosen.scheduler) for case in cases
+    ]
     return 0 if all(kept) else 1
 
 

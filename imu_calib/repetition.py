@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 
 import numpy as np
 
 from .calibrator import Calibrator, Setup
-from .errors import ImuCalibError, NotObservable
+from .engine import run_all
+from .errors import NotObservable
 from .model import PARAMETERS, Parameter, SensorModel, indices_of
 from .simulation import StandOptions, simulate
 from .stream import Floats
@@ -22,9 +19,6 @@ _BLOCK_SECONDS = 300.0
 """s computed at once: long ones take less time."""
 _JOINT_STATES = 25.0
 """Hz: less than a stand's, at no loss that shows."""
-_CHUNK = 4
-"""Sessions handed to a process at once."""
-_THREADS = 'OMP_NUM_THREADS'
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +174,11 @@ def repeat(
     seed: int = 0,
     jobs: int | None = None,
     show: Callable[[int, int], None] | None = None,
+    scheduler: str | None = None,
 ) -> Outcome:
     """Repeat a session with seeds `seed`, `seed` + 1 and so on.
 
-    The outcome depends on the seeds alone, not on the number of processes.
+    The outcome depends on the seeds alone, not on where they are run.
 
     Args:
         study: What is repeated.
@@ -191,42 +186,21 @@ def repeat(
         seed: Of the first run.
         jobs: Processes; as many as there are cores if not given.
         show: Called with the runs done and their number.
+        scheduler: As of `run_all`.
 
     Raises:
-        InputError: The stand cannot run the plan, or the method does not exist.
+        InputError: The stand cannot run the plan, the method does not exist, or no scheduler
+            answers.
 
     """
     seeds = range(seed, seed + runs)
-    done: list[Run] = []
-    for run in _runs(study, seeds, jobs or os.cpu_count() or 1):
-        done.append(run)
+    done = 0
+
+    def ended(_: Run) -> None:
+        nonlocal done
+        done += 1
         if show is not None:
-            show(len(done), runs)
-    return Outcome(tuple(done))
+            show(done, runs)
 
-
-def _runs(study: Study, seeds: range, jobs: int) -> Iterator[Run]:
     one = partial(run_once, study)
-    if jobs == 1:
-        yield from map(one, seeds)
-        return
-    with single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
-        try:
-            yield from pool.map(one, seeds, chunksize=max(1, min(_CHUNK, len(seeds) // jobs)))
-        except (ImuCalibError, KeyboardInterrupt):
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Let what is spawned run one thread each: small matrices gain nothing from more."""
-    before = os.environ.get(_THREADS)
-    os.environ[_THREADS] = '1'
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_THREADS]
-        else:
-            os.environ[_THREADS] = before
+    return Outcome(tuple(run_all(one, seeds, jobs=jobs, scheduler=scheduler, ended=ended)))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..calibration import Calibration, write_whole
 from ..calibrator import Setup
 from ..earth import LUOYANG
+from ..engine import run_all
 from ..errors import InputError
 from ..imu import ImuSpec
 from ..methods import check_plan, closed_form_beside
@@ -237,6 +239,7 @@ def reach(
     height_std: float | None = None,
     gravity: float | None = None,
     gravity_std: float | None = None,
+    scheduler: str | None = None,
 ) -> Reached:
     """Find the shortest dwells that reach standard deviations.
 
@@ -255,6 +258,7 @@ def reach(
         height_std: m.
         gravity: m/s^2.
         gravity_std: m/s^2.
+        scheduler: Address of a Dask scheduler, on a worker of which it is found; None for here.
 
     Returns:
         The plan with these dwells, and what it will give.
@@ -277,7 +281,7 @@ def reach(
         gravity=gravity,
         gravity_std=gravity_std,
     )
-    return shortest(setup_of(stated), as_truth(truth).model, wanted)
+    return shortest(setup_of(stated), as_truth(truth).model, wanted, scheduler)
 
 
 def setup_of(stated: Stated) -> Setup:
@@ -314,13 +318,19 @@ def predicted(setup: Setup, truth: SensorModel, *, wander: bool) -> Prediction:
     return Prediction(setup, found, own, told)
 
 
-def shortest(setup: Setup, truth: SensorModel, wanted: Mapping[str, str | float]) -> Reached:
+def shortest(
+    setup: Setup,
+    truth: SensorModel,
+    wanted: Mapping[str, str | float],
+    scheduler: str | None = None,
+) -> Reached:
     """Find the shortest dwells that reach standard deviations.
 
     Args:
         setup: As `setup_of` returns it.
         truth: What the unit is thought to be.
         wanted: By the name of a parameter: a number in SI units, or a text with its unit.
+        scheduler: As of `reach`.
 
     Raises:
         InputError: No such parameter, or no standard deviation; or what no dwell can reach.
@@ -328,7 +338,8 @@ def shortest(setup: Setup, truth: SensorModel, wanted: Mapping[str, str | float]
     """
     parameters = {p.name: p for p in listed(setup)}
     read = dict(_wanted(name, value, parameters) for name, value in wanted.items())
-    return shortest_dwells(setup, truth, read)
+    one = partial(shortest_dwells, setup, truth)
+    return run_all(one, [read], scheduler=scheduler)[0]
 
 
 def _wanted(

@@ -73,6 +73,7 @@ def montecarlo(
     runs: int = 100,
     seed: int = 0,
     jobs: int = 1,
+    scheduler: str | None = None,
     table: Table | Named | None = None,
     truth: Calibration | Named = 'cao2022_table1',
     azimuth: float | None = None,
@@ -96,6 +97,8 @@ def montecarlo(
         seed: Of the first; the outcome depends on the seeds alone.
         jobs: Processes. More than one need a program whose work stands below
             `if __name__ == '__main__':`, as multiprocessing does.
+        scheduler: Address of a Dask scheduler whose workers run them (tcp://host:8786); the extra
+            fleet.
         table: Name, file or value; None for the three-axis table.
         truth: The unit's true parameters.
         azimuth: Heading of the table's zero, deg, known to the calibrator; None draws another one
@@ -112,8 +115,8 @@ def montecarlo(
         progress: Shows how far it is; nothing by default.
 
     Raises:
-        InputError: A file is missing or broken, they do not fit each other, or the plan is run by
-            hand.
+        InputError: A file is missing or broken, they do not fit each other, the plan is run by
+            hand, or no scheduler answers.
         NotObservable: No run gave an estimate; says why.
 
     """
@@ -136,7 +139,7 @@ def montecarlo(
     )
     study = _study(stated, as_plan(plan), as_imu(imu), truth, wander=bias_instability)
     with progress('simulating and calibrating') as show:
-        outcome = repeat(study, runs, seed, min(jobs, runs), show)
+        outcome = repeat(study, runs, seed, jobs, show, scheduler)
     refusals = sorted({r.refusal for r in outcome.refused})
     if len(outcome.refused) == runs:
         raise NotObservable(f'All of {runs} runs were refused: {refusals[0]}')

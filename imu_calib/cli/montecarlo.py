@@ -40,6 +40,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='N',
         help='processes (default: all cores)',
     )
+    options.add_scheduler_option(parser)
     parser.add_argument(
         '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
     )

@@ -65,6 +65,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='the shortest dwells that reach a standard deviation, for instance D_gx=0.05deg/h; '
         'may be given several times',
     )
+    options.add_scheduler_option(parser)
     parser.add_argument(
         '--optimise',
         type=float,
@@ -101,6 +102,8 @@ def run(arguments: argparse.Namespace) -> None:
     table = load_table(arguments.table)
     if arguments.reach and (arguments.imu is None or arguments.plan is None):
         raise InputError('--reach needs a plan and --imu: noise says how long a dwell must be.')
+    if arguments.scheduler is not None and not arguments.reach:
+        raise InputError('--scheduler is for --reach: the rest takes seconds.')
     _check_optimise(arguments)
     if arguments.optimise is not None:
         _optimise(arguments)
@@ -194,7 +197,7 @@ def _side_by_side(own: Forecast, joint: Forecast) -> Forecast:
 
 def _show_reach(arguments: argparse.Namespace, setup: Setup, truth: SensorModel) -> None:
     wanted = dict(_parted(text) for text in arguments.reach)
-    reached = shortest(setup, truth, wanted)
+    reached = shortest(setup, truth, wanted, arguments.scheduler)
     _show_forecast(reached.forecast, reached.wanted)
     rows = Rows(box=None, pad_edge=False, header_style='bold')
     for heading in ('position', 'dwell, s', 'instead of'):

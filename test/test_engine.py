@@ -1,0 +1,168 @@
+"""Independent tasks: the same results wherever they run, and a clean end by Ctrl-C."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dask_cluster import Cluster
+from loopback import CHECKOUT, until
+from test_montecarlo import study
+
+from imu_calib import NotObservable
+from imu_calib.cli.main import main
+from imu_calib.engine import run_all
+from imu_calib.repetition import repeat
+
+
+@pytest.fixture
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler with one worker, which finds this file and the studies."""
+    pytest.importorskip('distributed')
+    cluster = Cluster(tmp_path_factory.mktemp('cluster'))
+    folders = (Path(__file__).parent, CHECKOUT / 'benchmarks', CHECKOUT / 'docs')
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv('PYTHONPATH', os.pathsep.join(map(str, folders)))
+        cluster.start()
+    yield cluster.address
+    cluster.stop()
+
+
+def first_last(folder: Path, task: int) -> tuple[int, int]:
+    """A task of which the first waits for the last one to be done."""
+    if task:
+        (folder / str(task)).touch()
+    else:
+        until((folder / '3').exists, 60)
+    return task, os.getpid()
+
+
+def test_results_keep_the_order_of_the_tasks(tmp_path: Path) -> None:
+    ended: list[tuple[int, int]] = []
+    found = run_all(partial(first_last, tmp_path), range(4), jobs=2, ended=ended.append)
+    assert [task for task, _ in found] == [0, 1, 2, 3]
+    assert ended == found
+    assert os.getpid() not in {process for _, process in found}
+    here = run_all(partial(first_last, tmp_path), [3, 1, 2], jobs=1)
+    assert here == [(task, os.getpid()) for task in (3, 1, 2)]
+
+
+def refused(task: int) -> int:
+    """A task that gives no result."""
+    if task == 1:
+        raise NotObservable('Nothing to see.')
+    return task
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_what_a_task_refuses_is_said(jobs: int) -> None:
+    with pytest.raises(NotObservable, match='Nothing to see'):
+        run_all(refused, range(3), jobs=jobs)
+
+
+def test_a_cluster_gives_what_this_machine_gives(
+    scheduler: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = run_all(partial(first_last, tmp_path), [3, 1, 2], scheduler=scheduler)
+    assert [task for task, _ in there] == [3, 1, 2]
+    with pytest.raises(NotObservable, match='Nothing to see'):
+        run_all(refused, range(3), scheduler=scheduler)
+    here = repeat(study(), 2, seed=7, jobs=1)
+    shown: list[tuple[int, int]] = []
+    found = repeat(study(), 2, seed=7, scheduler=scheduler, show=lambda *at: shown.append(at))
+    np.testing.assert_array_equal(here.errors, found.errors)
+    assert shown == [(1, 2), (2, 2)]
+    reach = ['plans', 'six_position', '--azimuth', '0', '--imu', 'fog_medium', '--height', '0']
+    reach += ['--reach', 'D_gx=0.2deg/h']
+    assert main(reach) == 0
+    alone = capsys.readouterr().out
+    assert main([*reach, '--scheduler', scheduler]) == 0
+    assert capsys.readouterr().out == alone
+    assert main(['plans', 'six_position', '--scheduler', scheduler]) == 2
+    assert '--scheduler is for --reach' in capsys.readouterr().err
+    # The tasks of a study are known by the name of a module, not by that of the script.
+    command = [sys.executable, 'benchmarks/by_hand.py', 'six_position_by_hand', '--runs', '2']
+    command += ['--scheduler', scheduler]
+    done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
+    # Two runs say nothing of a spread: it may end with 1.
+    assert 'six_position_by_hand: 2 runs' in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize('where', ['jobs', 'scheduler'])
+def test_ctrl_c_ends_a_study(where: str, request: pytest.FixtureRequest) -> None:
+    command = [sys.executable, '-m', 'imu_calib.cli.main', 'montecarlo', 'twelve_position']
+    option = ['--jobs', '2']
+    if where == 'scheduler':
+        option = ['--scheduler', request.getfixturevalue('scheduler')]
+    running = subprocess.Popen(
+        [*command, '--runs', '100000', *option],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    )
+    group = os.getpgid(running.pid)
+    try:
+        # Both have processes or threads of their own when they are at work.
+        until(lambda: at_work(running.pid, where), 120)
+        # As a terminal sends it: to all of them.
+        os.killpg(group, signal.SIGINT)
+        _, said = running.communicate(timeout=120)
+    finally:
+        if running.poll() is None:
+            os.killpg(group, signal.SIGKILL)
+            running.communicate()
+    assert running.returncode == 130
+    assert said.strip().splitlines()[-1] == 'imu-calib montecarlo: interrupted'
+    assert 'Traceback' not in said
+    until(lambda: not in_group(group), 30)
+
+
+def at_work(process: int, where: str) -> bool:
+    if where == 'jobs':
+        # The resource tracker and two workers, which have loaded NumPy.
+        children = Path(f'/proc/{process}/task/{process}/children').read_text().split()
+        maps = [Path(f'/proc/{child}/maps').read_text() for child in children]
+        return sum('_multiarray_umath' in text for text in maps) == 2
+    connected = subprocess.run(['ss', '-tnp'], capture_output=True, text=True, check=False).stdout
+    return f'pid={process},' in connected
+
+
+def in_group(group: int) -> list[str]:
+    """Processes of a group."""
+    found = []
+    for stat in Path('/proc').glob('[0-9]*/stat'):
+        try:
+            state, _, of = stat.read_text().rpartition(')')[2].split()[:3]
+        except (OSError, ValueError):
+            continue
+        if int(of) == group and state != 'Z':
+            found.append(stat.parent.name)
+    return found
+
+
+def test_nothing_but_a_scheduler_asks_for_dask(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr('imu_calib.extras.find_spec', lambda name: None)
+    assert run_all(refused, [0, 2], jobs=1) == [0, 2]
+    command = ['montecarlo', 'twelve_position', '--runs', '1', '--scheduler', 'tcp://127.0.0.1:1']
+    assert main(command) == 2
+    assert "pip install 'imu_calib[fleet]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('address', ['nonsense', 'foo://host:8786', 'tcp://host:port', ''])
+def test_what_is_no_address_ends_at_once(address: str) -> None:
+    """In a process of its own: what Dask leaves behind speaks when the interpreter ends."""
+    pytest.importorskip('distributed')
+    words = ['montecarlo', 'six_position', '--runs', '2', '--scheduler', address]
+    command = [sys.executable, '-m', 'imu_calib.cli.main', *words]
+    done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    (said,) = done.stderr.strip().splitlines()
+    assert f'found {address!r}, expected an address as tcp://host:8786' in said
