@@ -1,0 +1,177 @@
+"""imu-calib history: what the calibrations of a catalogue say of units, types and stands."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..api.outputs import output_path
+from ..errors import InputError
+from ..fleet.history import history
+from ..histories.plain import unit_rows
+from ..histories.words import listed
+from ..reports.histories import (
+    by_urgency,
+    course_table,
+    parameter_course_table,
+    population_table,
+    unit_table,
+)
+from .outcome import OUTSIDE, Outcome, add_json_option
+from .terminal import OUTPUT, print_whole, sentence_list
+
+if TYPE_CHECKING:
+    from ..histories.results import History, UnitHistory
+
+_WRITERS = ('.csv', '.json')
+_SHOWN = 25
+"""Units of a table on the screen, the most urgent; a file has all."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
+    parser.add_argument('catalogue', metavar='CATALOGUE', help='the folder')
+    parser.add_argument(
+        '--serial',
+        metavar='NUMBER',
+        help='one unit, parameter by parameter; all others still say what is usual',
+    )
+    parser.add_argument(
+        '--where', metavar='SQL', help='rows that count: "imu = \'fog_medium\'" (default: all)'
+    )
+    parser.add_argument(
+        '--imu',
+        action='append',
+        default=[],
+        metavar='NAME|FILE',
+        help='whose specification counts for its type, instead of that by which its newest '
+        'calibration was judged; may be given several times',
+    )
+    parser.add_argument(
+        '--on', type=_day, metavar='DATE', help='on which units are due or not (default: today)'
+    )
+    parser.add_argument(
+        '-o',
+        '--output',
+        metavar='FILE',
+        help='.json: everything; .csv: a row for each unit and parameter',
+    )
+    add_json_option(parser)
+    parser.epilog = 'Exit code 3: a unit is outside its specification at its newest session.'
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Print tables and sentences, and write a file where one is wanted."""
+    path = None if arguments.output is None else output_path(arguments.output)
+    if path is not None and path.suffix not in _WRITERS:
+        raise InputError(f'{path}: found {path.suffix or "no ending"}, expected .csv or .json.')
+    found = history(
+        arguments.catalogue, serial=arguments.serial, where=arguments.where, imu=arguments.imu
+    )
+    on = arguments.on or date.today()
+    if arguments.serial is None:
+        _print_all(found, np.datetime64(on, 'D'))
+    else:
+        for unit in found.units:
+            _print_unit(unit, found)
+    plain = found.to_dict()
+    if path is not None:
+        _write(found, plain, path)
+        OUTPUT.print(f'\nwritten to {path}', markup=False)
+    outside = [unit.serial for unit in found.outside]
+    if not outside:
+        return Outcome(plain)
+    verb = 'is' if len(outside) == 1 else 'are'
+    return Outcome(plain, OUTSIDE, f'{listed(outside)} {verb} outside the specification.')
+
+
+def _print_all(found: History, on: np.datetime64) -> None:
+    units = by_urgency(found.units)
+    print_whole(unit_table(units[:_SHOWN]))
+    if len(units) > _SHOWN:
+        OUTPUT.print(f'{len(units) - _SHOWN} more, less urgent; -o FILE has all.')
+    for imu, one in found.populations.items():
+        OUTPUT.print(
+            f'\n{imu or "no type"}: {one.units} units, {one.sessions} sessions', markup=False
+        )
+        print_whole(population_table(one))
+    sentence_list('Units', _of_units(found, on))
+    sentence_list('Stands and catalogue', list(found.findings))
+
+
+def _of_units(found: History, on: np.datetime64) -> list[str]:
+    """Say which units are due, drift, stepped, are out of control or apart."""
+    due = [u for u in found.units if not u.outside and u.forecast.recalibrate <= on]
+    groups = (
+        ('Outside the specification', [u.serial for u in found.outside]),
+        (f'Due on {on}', [u.serial for u in due]),
+        ('Drift', [u.serial for u in found.units if u.trend.significant.any()]),
+        ('Stepped', [u.serial for u in found.units if u.steps]),
+        (
+            'Out of control at their newest session',
+            [
+                u.serial
+                for u in found.units
+                if any(s.index == len(u.key) - 1 for s in u.charts.signals)
+            ],
+        ),
+    )
+    said = [f'{words}: {listed(names, 12)}.' for words, names in groups if names]
+    for imu, one in found.populations.items():
+        apart = sorted({outlier.serial for outlier in one.outliers})
+        if apart:
+            said.append(f'Apart from the other units of {imu}: {listed(apart, 12)}.')
+        said += [
+            f'Lot {lot.lot} of {imu} is apart in {lot.parameter}, by {lot.units} units.'
+            for lot in one.lots
+        ]
+    rate = 100 * found.rules.false_alarm
+    return [*said, f'Of a unit in which nothing changed, each statement is wrong in {rate:g} %.']
+
+
+def _print_unit(unit: UnitHistory, found: History) -> None:
+    OUTPUT.print(f'{unit.serial} ({unit.imu}): {len(unit.key)} sessions', markup=False)
+    print_whole(parameter_course_table(unit, found.rules.confidence))
+    OUTPUT.print()
+    print_whole(course_table(unit))
+    sentence_list('Findings', list(unit.findings))
+    sentence_list('Stands and catalogue', list(found.findings))
+
+
+def _write(found: History, plain: dict[str, Any], path: Path) -> None:
+    with path.open('w', encoding='utf-8', newline='') as file:
+        if path.suffix == '.json':
+            json.dump(_finite(plain), file, indent=1, allow_nan=False)
+            return
+        rows = [
+            {'serial': unit.serial, 'imu': unit.imu, **row}
+            for unit in found.units
+            for row in unit_rows(unit)
+        ]
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(_finite(row) for row in rows)
+
+
+def _finite(value: Any) -> Any:
+    """Return plain values with None for what is no finite number."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'found {text!r}, expected 2026-11-22') from None

@@ -1,0 +1,194 @@
+"""The rows of a catalogue as sessions of units, and what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..api.named import Named, as_imu
+from ..errors import InputError, NotObservable
+from ..histories.looking_back import look_back
+from ..histories.results import USUAL, History, Rules, Sessions
+from ..histories.words import listed
+from ..imu import ImuSpec
+from ..model import PARAMETER_NAMES, PARAMETERS
+from ..share import is_shipped
+from ..stream import Floats
+from .catalogue import Catalogue
+from .task import CALIBRATED, limits_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_SIZE = len(PARAMETERS)
+_TEXTS = ('key', 'sha256', 'recording', 'serial', 'imu', 'lot', 'stand', 'status')
+
+
+def history(
+    catalogue: str | Path | Catalogue,
+    *,
+    serial: str | None = None,
+    where: str | None = None,
+    imu: ImuSpec | Named | Sequence[ImuSpec | Named] = (),
+    rules: Rules = USUAL,
+) -> History:
+    """Return what the calibrations of a catalogue say of units, types and stands.
+
+    Source: docs/history.md.
+
+    Args:
+        catalogue: Its folder.
+        serial: Of the units that are wanted; all others still say what is usual, and what stands
+            add.
+        where: Rows that count, a condition in SQL ("imu = 'fog_medium'").
+        imu: Files whose specifications count for their types, instead of those by which units were
+            judged when they were calibrated.
+        rules: What is judged by.
+
+    Raises:
+        InputError: There is no catalogue, the condition is none, or no unit has that number.
+        NotObservable: No row is a calibration.
+
+    """
+    found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
+    table = found.table() if where is None else found.query(f'select * from rows where {where}')
+    sessions, findings, limits = sessions_of(table)
+    if not sessions.key:
+        raise NotObservable(
+            f'{found.folder}: holds no calibration'
+            f'{"" if where is None else f" for which {where}"}: there is no history.'
+        )
+    given = [imu] if isinstance(imu, ImuSpec | str | Path) else list(imu)
+    whole = look_back(sessions, {**limits, **_limits_of(given)}, rules)
+    whole = replace(whole, findings=(*whole.findings, *findings))
+    if serial is None:
+        return whole
+    units = tuple(unit for unit in whole.units if unit.serial == serial)
+    if not units:
+        raise InputError(
+            f'{found.folder}: no calibration is of a unit with the serial number {serial!r}'
+            f'{_only_failed(table, serial)}.'
+        )
+    return replace(whole, units=units)
+
+
+def sessions_of(table: pa.Table) -> tuple[Sessions, list[str], dict[str, Floats]]:
+    """Return the calibrations among the rows of a catalogue.
+
+    Of rows of one recording and one unit the newest counts: it was calibrated again.
+
+    Returns:
+        The sessions, sentences on what was left out, and the limits of each type, (24,): those by
+        which its newest calibration was judged, or of the file of that name that ships.
+
+    """
+    columns = {name: [one or '' for one in table[name].to_pylist()] for name in _TEXTS}
+    at = _times(table['at'].to_pylist())
+    done = [k for k, status in enumerate(columns['status']) if status == CALIBRATED]
+    last: dict[tuple[str, str, str], int] = {}
+    for k in sorted(done, key=lambda k: at[k]):
+        last[_of_recording(columns, k)] = k
+    rows = sorted(last.values())
+    findings = _left_out(columns, len(done) - len(rows))
+    date = _times(table['date'].to_pylist())
+    kept = table.take(np.array(rows, dtype=np.int64))
+    stated = kept['limits'].to_pylist()
+    limits: dict[str, Floats] = {}
+    for k in sorted(range(len(rows)), key=lambda k: (~np.isnat(date[rows[k]]), date[rows[k]])):
+        if stated[k]:
+            limits[columns['imu'][rows[k]]] = np.array(stated[k], dtype=float)
+    values, covariance = _numbers(kept)
+
+    def text(name: str) -> tuple[str, ...]:
+        return tuple(columns[name][k] for k in rows)
+
+    sessions = Sessions(
+        key=text('key'),
+        serial=text('serial'),
+        imu=text('imu'),
+        lot=text('lot'),
+        stand=text('stand'),
+        date=date[rows],
+        values=values,
+        covariance=covariance,
+    )
+    shipped = [kind for kind in {*sessions.imu} - limits.keys() if is_shipped('imus', kind)]
+    return sessions, findings, {**_limits_of(shipped), **limits}
+
+
+def _of_recording(columns: Mapping[str, list[str]], k: int) -> tuple[str, str, str]:
+    name = columns['sha256'][k] or columns['recording'][k] or columns['key'][k]
+    return name, columns['imu'][k], columns['serial'][k]
+
+
+def _times(stamps: list[datetime | None]) -> np.ndarray[tuple[int], np.dtype[np.datetime64]]:
+    """Return dates without their zone, which is UTC."""
+    plain = [None if one is None else one.replace(tzinfo=None) for one in stamps]
+    return np.array(plain, dtype='datetime64[s]')
+
+
+def _left_out(columns: Mapping[str, list[str]], again: int) -> list[str]:
+    good = {
+        serial
+        for serial, status in zip(columns['serial'], columns['status'], strict=True)
+        if status == CALIBRATED
+    }
+    failed = sorted({serial for serial in columns['serial'] if serial} - good)
+    found = []
+    if failed:
+        found.append(
+            f'No recording of {listed(failed)} gave a calibration: '
+            'imu-calib catalogue CATALOGUE --where "status = \'failed\'" says why.'
+        )
+    if again:
+        found.append(
+            f'{again} row{"s" * (again > 1)} of recordings that were calibrated again: the newest '
+            'counts.'
+        )
+    return found
+
+
+def _only_failed(table: pa.Table, serial: str) -> str:
+    there = serial in table['serial'].to_pylist()
+    return ', its recordings failed' if there else ''
+
+
+def _numbers(table: pa.Table) -> tuple[Floats, Floats]:
+    """Return values (n, 24), NaN where not estimated, and covariances (n, 24, 24)."""
+    values = _columns(table, PARAMETER_NAMES)
+    std = _columns(table, [f'std_{name}' for name in PARAMETER_NAMES])
+    # A deviation that is NaN is of what was not estimated; none at all is not stated.
+    stated = np.column_stack([table[f'std_{n}'].is_valid().to_numpy() for n in PARAMETER_NAMES])
+    values = np.where(stated & np.isnan(std), np.nan, values)
+    covariance = np.zeros((len(values), _SIZE, _SIZE))
+    covariance[:, np.arange(_SIZE), np.arange(_SIZE)] = std**2
+    names, numbers = table['parameters'].to_pylist(), table['covariance'].combine_chunks()
+    by_names: dict[tuple[str, ...], list[int]] = {}
+    for k, mine in enumerate(names):
+        if mine and numbers[k].is_valid and len(numbers[k]) == len(mine) ** 2:
+            by_names.setdefault(tuple(mine), []).append(k)
+    for mine, rows in by_names.items():
+        if not set(PARAMETER_NAMES) <= set(mine):
+            continue
+        flat = numbers.take(rows).flatten().to_numpy(zero_copy_only=False)
+        places = [mine.index(name) for name in PARAMETER_NAMES]
+        whole = flat.reshape(len(rows), len(mine), len(mine))
+        covariance[rows] = whole[:, places][:, :, places]
+    return values, covariance
+
+
+def _columns(table: pa.Table, names: Sequence[str]) -> Floats:
+    found = [table[name].to_numpy().astype(np.float64) for name in names]
+    return np.column_stack(found)
+
+
+def _limits_of(imus: Sequence[ImuSpec | Named]) -> dict[str, Floats]:
+    """Return the limits (24,) that the files of some types state."""
+    loaded = [as_imu(one) for one in imus]
+    limits = {one.id: limits_of(one.specification) for one in loaded}
+    return {kind: np.array(one) for kind, one in limits.items() if one is not None}

@@ -1,0 +1,1 @@
+"""What many calibrations say: of a unit's course, of a population, of a stand (docs/history.md)."""

@@ -1,0 +1,156 @@
+"""The crossed model of units and stands: what a stand adds to every unit, unit by unit.
+
+A session is unit + stand + trend of the type + scatter. Units are fixed: only what a unit shows on
+one stand and another tells of stands, however different units are. Source: Huber 1981, 7.6 (robust
+regression and its covariance); docs/history.md, 'Unit or stand?'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats
+
+_TUNING = 2.0
+"""Standard deviations beyond which a session counts only so much: 99 % as good as least squares
+where all are normal, and a unit that was repaired spoils nothing."""
+_ROUNDS = 30
+_SETTLED = 1e-4
+"""Change of a weight below which rounds end."""
+_MAD = 1.4826
+_RANK = 1e-9
+_STEPS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Effects:
+    """Of s stands in one parameter.
+
+    Attributes:
+        effect: (s,) of a stand less the mean of all.
+        covariance: (s, s) of these, of rank s - 1.
+        freedom: Degrees of freedom.
+        residuals: (n,) of the sessions over their standard deviations, outlying ones drawn in; NaN
+            where a session does not count.
+        told: Whether all stands can be compared.
+
+    """
+
+    effect: Floats
+    covariance: Floats
+    freedom: int
+    residuals: Floats
+    told: bool
+
+
+def crossed(
+    units: NDArray[np.int64],
+    stands: NDArray[np.int64],
+    trends: Floats,
+    values: Floats,
+    variance: Floats,
+) -> Effects:
+    """Return what stands add in one parameter.
+
+    Args:
+        units: (n,) number of each session's unit.
+        stands: (n,) number of its stand, from 0 without a gap.
+        trends: (n, k) further columns.
+        values: (n,) NaN where a session does not count.
+        variance: (n,) of sessions, up to a factor.
+
+    """
+    count = int(stands.max()) + 1
+    there = np.isfinite(values) & np.isfinite(variance)
+    own = np.unique(units[there], return_inverse=True)[1]
+    size = np.bincount(own)
+    weight = 1 / np.maximum(variance[there], np.finfo(float).tiny)
+    columns = np.column_stack([np.eye(count)[stands[there]], trends[there], values[there]])
+    plain = _less_units(columns, own, weight)
+    rank = _rank(plain[:, :-1], weight)
+    rest = int(there.sum()) - len(size) - rank
+    told = rank == columns.shape[1] - 2
+    if rest < 1 or rank == 0:
+        unknown = np.full(count, np.nan)
+        empty = np.full(len(values), np.nan)
+        return Effects(unknown, np.full((count, count), np.nan), max(rest, 0), empty, False)
+    # A unit's own mean takes its share of each of its residuals.
+    share = np.sqrt(np.maximum(1 - 1 / size[own], 0.0))
+    trust = np.ones(len(own))
+    scale = 0.0
+    for _ in range(_ROUNDS):
+        less = _less_units(columns, own, weight * trust)
+        coefficients, _ = _solved(less[:, :-1], weight * trust, less[:, -1])
+        left = (less[:, -1] - less[:, :-1] @ coefficients) * np.sqrt(weight)
+        z = np.divide(left, share, out=np.zeros_like(left), where=share > 0)
+        scale = _MAD * float(np.median(np.abs(z[share > 0])))
+        bound = np.maximum(_TUNING * scale, np.finfo(float).tiny)
+        before = trust
+        trust = np.minimum(1.0, bound / np.maximum(np.abs(z), np.finfo(float).tiny))
+        if np.max(np.abs(trust - before)) < _SETTLED:
+            break
+    bounded = left * trust
+    whole = float(np.mean(trust[share > 0] == 1.0))
+    parameters = len(size) + rank
+    kappa = 1 + parameters / len(own) * (1 - whole) / whole
+    factor = kappa**2 * float(np.sum(bounded**2)) / rest / whole**2
+    _, inverse = _solved(plain[:, :-1], weight, plain[:, -1])
+    residuals = np.full(len(values), np.nan)
+    residuals[there] = bounded
+    return Effects(
+        coefficients[:count],
+        factor * inverse[:count, :count],
+        rest,
+        residuals,
+        told,
+    )
+
+
+def reproducibility(effects: Effects) -> float:
+    """Return the standard deviation between stands, by restricted maximum likelihood.
+
+    Along the eigenvectors of the contrasts' covariance each has the variance t + lambda.
+    """
+    count = len(effects.effect)
+    if not effects.told or count < 2:
+        return float('nan')
+    centred = np.linalg.svd(np.eye(count) - 1 / count)[0][:, : count - 1]
+    own, vectors = np.linalg.eigh(centred.T @ effects.covariance @ centred)
+    square = (vectors.T @ centred.T @ effects.effect) ** 2
+    own = np.maximum(own, 0.0)
+    found = float(np.mean(square))
+    for _ in range(_STEPS):
+        weights = 1 / np.maximum(own + found, np.finfo(float).tiny)
+        step = np.sum(weights**2 * (square - own - found)) / np.sum(weights**2)
+        after = max(found + float(step), 0.0)
+        if abs(after - found) <= 1e-9 * max(after, found):
+            break
+        found = after
+    return float(np.sqrt(found))
+
+
+def _less_units(columns: Floats, units: NDArray[np.int64], weight: Floats) -> Floats:
+    """Return columns (n, p) less their weighted mean over the sessions of each unit."""
+    total = np.bincount(units, weight)
+    means = np.column_stack([np.bincount(units, weight * one) / total for one in columns.T])
+    return np.asarray(columns - means[units])
+
+
+def _rank(columns: Floats, weight: Floats) -> int:
+    matrix = columns.T @ (weight[:, None] * columns)
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    return int(np.linalg.matrix_rank(matrix / np.outer(scale, scale), tol=_RANK, hermitian=True))
+
+
+def _solved(columns: Floats, weight: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return the coefficients of least norm, and the pseudo-inverse of the normal matrix.
+
+    Of least norm the effects of stands add up to zero.
+    """
+    matrix = columns.T @ (weight[:, None] * columns)
+    inverse = np.linalg.pinv(matrix, rcond=_RANK, hermitian=True)
+    return np.asarray(inverse @ (columns.T @ (weight * values))), np.asarray(inverse)

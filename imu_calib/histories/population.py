@@ -1,0 +1,100 @@
+"""The units of a type beside each other: distributions, outliers, lots.
+
+Sources: Rosner 1983 (generalised extreme Studentized deviate); t test of a lot against the rest
+with the scatter within lots, Bonferroni; docs/history.md, 'The population'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..stream import Floats
+
+FEWEST = 15
+"""Units among which outliers are looked for: of fewer the levels of Rosner's test do not hold
+(Rosner 1983, simulations)."""
+_SHARE, _MOST = 10, 100
+"""One unit in ten, and a hundred at most, may be outliers."""
+_OF_A_LOT = 2
+"""Units of a lot, and of all others, that a lot is judged by."""
+MAD = 1.4826
+"""Of a normal law: standard deviation over median absolute deviation."""
+
+
+def robust(values: Floats) -> tuple[Floats, Floats]:
+    """Return median and robust standard deviation of the columns of (u, p) values, NaN left out."""
+    some = np.isfinite(values).any(axis=0)
+    safe = np.where(some, values, 0.0)
+    median = np.nanmedian(safe, axis=0)
+    deviation = MAD * np.nanmedian(np.abs(safe - median), axis=0)
+    return np.where(some, median, np.nan), np.where(some, deviation, np.nan)
+
+
+def outliers(values: Floats, false_alarm: float) -> NDArray[np.int64]:
+    """Return the indices of outliers among (u,) values, none NaN, the farthest first.
+
+    The farthest from the mean is taken away time and again; the last one whose deviation, over the
+    standard deviation of what was there, is above its critical value is an outlier with all before
+    it.
+
+    Args:
+        values: Of a normal law but for outliers.
+        false_alarm: Chance that there is one where there is none.
+
+    """
+    count = len(values)
+    if count < FEWEST:
+        return np.zeros(0, dtype=np.int64)
+    kept = np.ones(count, dtype=bool)
+    taken: list[int] = []
+    last = 0
+    for i in range(1, min(count // _SHARE, _MOST) + 1):
+        inside = values[kept]
+        away = np.where(kept, np.abs(values - inside.mean()), -1.0)
+        farthest = int(np.argmax(away))
+        spread = inside.std(ddof=1)
+        if not spread > 0:
+            break
+        taken.append(farthest)
+        if away[farthest] / spread > critical_deviate(count, i, false_alarm):
+            last = i
+        kept[farthest] = False
+    return np.array(taken[:last], dtype=np.int64)
+
+
+def critical_deviate(count: int, i: int, false_alarm: float) -> float:
+    """Return the critical value for the i-th deviate of so many values (Rosner 1983, eq. 2.5)."""
+    rest = count - i
+    t = scipy.special.stdtrit(rest - 1, 1 - false_alarm / (2 * (rest + 1)))
+    return float(rest * t / np.sqrt((rest - 1 + t**2) * (rest + 1)))
+
+
+def lot_shifts(values: Floats, lots: Sequence[str]) -> list[tuple[str, int, float, float, float]]:
+    """Return name, units, shift, its standard deviation and chance of lots in one parameter.
+
+    Args:
+        values: (u,) none NaN.
+        lots: Of each; empty where it is not known.
+
+    """
+    names = sorted({lot for lot in lots if lot})
+    of = np.array(lots)
+    known = of != ''
+    counts = {name: int(np.sum(of == name)) for name in names}
+    freedom = int(known.sum()) - len(names)
+    judged = [n for n in names if _OF_A_LOT <= counts[n] <= known.sum() - _OF_A_LOT]
+    if len(names) < 2 or freedom < 1 or not judged:
+        return []
+    within = sum(np.sum((values[of == n] - values[of == n].mean()) ** 2) for n in names) / freedom
+    found = []
+    for name in judged:
+        own, rest = values[of == name], values[known & (of != name)]
+        shift = float(own.mean() - rest.mean())
+        std = float(np.sqrt(within * (1 / len(own) + 1 / len(rest))))
+        chance = 2 * float(scipy.special.stdtr(freedom, -abs(shift) / std)) if std > 0 else 1.0
+        found.append((name, len(own), shift, std, chance))
+    return found

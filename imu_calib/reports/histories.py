@@ -1,0 +1,158 @@
+"""Tables of a history: units by urgency, the parameters of one, the population of a type."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.table import Table
+
+from ..histories.results import Population, UnitHistory
+from ..model import PARAMETER_NAMES, PARAMETERS
+from .parameter_table import decimals, engineering
+
+_NEVER = np.datetime64('9999-12-31', 'D')
+_UNKNOWN = '-'
+_LAST = ('first', 'drifts', 'steps', 'out of control')
+_COUNTED = ('sessions', 'drifts', 'steps', 'out of control')
+_SIZES = ('units', 'median', 'robust std', '5 %', '95 %', 'turn-on', 'per month', 'std')
+_HEADS = (*_SIZES, 'outside', 'outliers')
+
+
+def by_urgency(units: Sequence[UnitHistory]) -> list[UnitHistory]:
+    """Return units in the order in which they need attention: outside, due, then by date."""
+
+    def key(unit: UnitHistory) -> tuple[bool, np.datetime64, bool, str, str]:
+        due = unit.forecast.recalibrate
+        odd = not (unit.steps or unit.charts.signals)
+        return (not unit.outside, _NEVER if np.isnat(due) else due, odd, unit.imu, unit.serial)
+
+    return sorted(units, key=key)
+
+
+def unit_table(units: Sequence[UnitHistory]) -> Table:
+    """Return one row for each unit."""
+    table = _table(
+        ('serial', 'type', 'sessions', 'newest', 'specification', 'recalibrate by', *_LAST),
+        right=_COUNTED,
+    )
+    for unit in units:
+        due = unit.forecast
+        table.add_row(
+            unit.serial,
+            unit.imu,
+            str(len(unit.key)),
+            _day(unit.date[-1]),
+            _UNKNOWN if unit.verdict is None else unit.verdict.value,
+            _day(due.recalibrate),
+            due.parameter or _UNKNOWN,
+            str(int(unit.trend.significant.sum())),
+            str(len(unit.steps)),
+            str(len({one.index for one in unit.charts.signals})),
+        )
+    return table
+
+
+def course_table(unit: UnitHistory) -> Table:
+    """Return one row for each session of a unit."""
+    charts = unit.charts
+    table = _table(
+        ('date', 'stand', 'largest score', 'of', 'T^2', 'limit', 'chance'),
+        right=('largest score', 'T^2', 'limit', 'chance'),
+    )
+    for i, date in enumerate(unit.date):
+        score = np.nan_to_num(charts.score[i])
+        k = int(np.argmax(np.abs(score)))
+        told = bool(np.isfinite(charts.score[i]).any())
+        table.add_row(
+            _day(date),
+            unit.stand[i] or _UNKNOWN,
+            f'{score[k]:+.2f}' if told else _UNKNOWN,
+            PARAMETER_NAMES[k] if told else _UNKNOWN,
+            _number(charts.t2[i], 1),
+            _number(charts.t2_limit[i], 1),
+            f'{charts.t2_chance[i]:.2g}' if np.isfinite(charts.t2_chance[i]) else _UNKNOWN,
+        )
+    return table
+
+
+def parameter_course_table(unit: UnitHistory, confidence: float) -> Table:
+    """Return one row for each parameter of a unit."""
+    share = f'{100 * confidence:g} %'
+    heads = ('value', 'std', 'limit', 'turn-on', share, 'per month', share)
+    table = _table(('', *heads, 'unit', 'leaves', 'inside until'), right=heads)
+    trend, scatter, due = unit.trend, unit.scatter, unit.forecast
+    for k, parameter in enumerate(PARAMETERS):
+        if not np.isfinite(unit.values[-1, k]):
+            continue
+        shown = engineering(parameter)
+        std = unit.std[-1, k] / shown.scale
+        places = decimals(std if std > 0 else scatter.std[k] / shown.scale)
+        finer = decimals(trend.std[k] / shown.scale)
+
+        def text(value: float, to: int = places, scale: float = shown.scale) -> str:
+            return _number(value / scale, to)
+
+        table.add_row(
+            parameter.name,
+            text(unit.values[-1, k]),
+            text(unit.std[-1, k]),
+            _UNKNOWN if np.isnan(unit.limit[k]) else f'±{unit.limit[k] / shown.scale:g}',
+            text(scatter.std[k]),
+            _interval(text(scatter.low[k]), text(scatter.high[k])),
+            text(trend.slope[k], finer),
+            _interval(text(trend.low[k], finer), text(trend.high[k], finer)),
+            shown.unit,
+            _day(due.leaves[k]),
+            _day(due.earliest[k]),
+        )
+    return table
+
+
+def population_table(one: Population) -> Table:
+    """Return one row for each parameter of a type."""
+    table = _table(('', *_HEADS, 'unit'), right=_HEADS)
+    for k, parameter in enumerate(PARAMETERS):
+        shown = engineering(parameter)
+        places = decimals(one.robust_std[k] / shown.scale / 10)
+        finer = decimals(one.trend_std[k] / shown.scale)
+        turn_on = one.turn_on[k] / shown.scale
+        table.add_row(
+            parameter.name,
+            str(int(one.count[k])),
+            *(
+                _number(value / shown.scale, places)
+                for value in (
+                    one.median[k],
+                    one.robust_std[k],
+                    one.quantiles[0, k],
+                    one.quantiles[-1, k],
+                )
+            ),
+            _number(turn_on, decimals(turn_on)),
+            _number(one.trend[k] / shown.scale, finer),
+            _number(one.trend_std[k] / shown.scale, finer),
+            str(int(one.outside[k])),
+            str(sum(apart.parameter == parameter.name for apart in one.outliers)),
+            shown.unit,
+        )
+    return table
+
+
+def _table(heads: Sequence[str], right: Sequence[str]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    for head in heads:
+        table.add_column(head, justify='right' if head in right else 'left', no_wrap=True)
+    return table
+
+
+def _interval(low: str, high: str) -> str:
+    return _UNKNOWN if _UNKNOWN in (low, high) else f'{low} to {high}'
+
+
+def _number(value: float, places: int) -> str:
+    return f'{value:.{places}f}' if np.isfinite(value) else _UNKNOWN
+
+
+def _day(date: np.datetime64) -> str:
+    return _UNKNOWN if np.isnat(date) else str(date.astype('datetime64[D]'))
