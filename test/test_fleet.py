@@ -16,15 +16,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from buckets import put, served
+from dask_cluster import Cluster
 from loopback import until
 
 import imu_calib
 from imu_calib import InputError
 from imu_calib.api.stated import Stated
 from imu_calib.cli.main import main
+from imu_calib.engine import Engine
 from imu_calib.fleet.catalogue import Catalogue, schema
 from imu_calib.fleet.recordings import Job, Labels, find_jobs, read_manifest
-from imu_calib.fleet.running import Engine, run_batch
+from imu_calib.fleet.running import run_batch
 from imu_calib.fleet.task import DEFECT, LOST, Done, failed, key_of, run
 
 pa = pytest.importorskip('pyarrow')
@@ -40,6 +43,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('recordings')
     plan = folder / 'brief.yaml'
     text = Path(imu_calib.share.named_file('plans', 'twelve_position')).read_text('utf-8')
+    text = text.replace('[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ', '[')
     lines = ['dwell: 3.0 s\n' if row.startswith('dwell:') else row for row in text.splitlines(True)]
     plan.write_text(''.join(lines), encoding='utf-8')
     for name, seed in (('a', 1), ('b', 2)):
@@ -53,7 +57,12 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def done(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The catalogue of a batch over all of them."""
     folder = tmp_path_factory.mktemp('done') / 'catalogue'
-    assert main(['batch', str(recordings), '-o', str(folder), '--workers', '2']) == 1
+    with pytest.MonkeyPatch.context() as patched:
+        said: list[str] = []
+        patched.setattr('imu_calib.cli.batch.ERRORS.print', lambda text, **_: said.append(text))
+        assert main(['batch', str(recordings), '-o', str(folder), '--workers', '2']) == 1
+    # Where to look on, on the screen, whether it is a terminal or not.
+    assert said[0].startswith('dashboard: http://127.0.0.1:')
     return folder
 
 
@@ -76,7 +85,6 @@ def test_sources_are_found(recordings: Path) -> None:
     assert names(recordings / '[ab]') == ['a', 'b']
     assert names(recordings / 'b', recordings / 'b') == ['b']
     assert names(recordings / '**' / 'again') == ['deeper/again']
-    assert find_jobs(['s3://bucket/one'], Stated())[0].recording == 's3://bucket/one'
     with pytest.raises(InputError, match='no such file; expected a recording'):
         find_jobs([str(recordings / 'c')], Stated())
     with pytest.raises(InputError, match='holds no recording'):
@@ -267,13 +275,13 @@ def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
     kept.add([a_row(1)])
     part = tmp_path / 'c' / 'rows' / 'part-000000.parquet'
     table = pa.parquet.read_table(part)
-    pa.parquet.write_table(table.drop_columns(['operator', 'K_gx']), part)
+    pa.parquet.write_table(table.drop_columns(['operator', 'lot', 'K_gx']), part)
     assert kept.add([a_row(2, operator='me')]) == 1
     assert [row['operator'] for row in rows(tmp_path / 'c')] == [None, 'me']
     assert Catalogue(tmp_path / 'c').table().schema == schema()
-    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'2'})
+    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'3'})
     pa.parquet.write_table(newer, part)
-    with pytest.raises(InputError, match=r'found version 2 .* expected 1 or older'):
+    with pytest.raises(InputError, match=r'found version 3 .* expected 2 or older'):
         Catalogue(tmp_path / 'c').table()
     part.write_bytes(b'PAR1 no more')
     with pytest.raises(InputError, match='is no part of a catalogue'):
@@ -290,59 +298,34 @@ def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recording
     assert 'ZeroDivisionError: by zero' in ended.row['error'] and ended.row['sha256']
 
 
-@pytest.fixture
-def bucket(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A recording in a bucket of an S3 server on the loopback interface."""
-    server_of = pytest.importorskip('moto.server', reason='moto is not installed')
-    pytest.importorskip('s3fs', reason='s3fs is not installed')
-    import fsspec
+def test_a_recording_lies_in_a_bucket(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    s3fs = pytest.importorskip('s3fs', reason='s3fs is not installed')
+    whole, sizes = s3fs.S3FileSystem._cat_file, []
 
-    for name in ('AWS_ACCESS_KEY_ID', 'AWS_SECRET_ACCESS_KEY'):
-        monkeypatch.setenv(name, 'test')
-    server = server_of.ThreadedMotoServer('127.0.0.1', 0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    endpoint = {'endpoint_url': f'http://{host}:{port}', 'skip_instance_cache': True}
-    monkeypatch.setitem(fsspec.config.conf, 's3', endpoint)
-    try:
-        files = fsspec.filesystem('s3')
-        files.mkdir('lab')
-        for file in (recordings / 'a').iterdir():
-            files.put_file(str(file), f'lab/a/{file.name}')
-        yield 's3://lab'
-    finally:
-        server.stop()
+    async def counted(files: object, *arguments: object, **keywords: object) -> bytes:
+        content = await whole(files, *arguments, **keywords)
+        sizes.append(len(content))
+        return content
 
-
-def test_a_recording_lies_in_a_bucket(
-    recordings: Path, bucket: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import s3fs
-
-    whole, lost = s3fs.S3FileSystem._get, []
-
-    async def once(files: object, *args: object, **keywords: object) -> object:
-        if not lost:
-            lost.append(True)
-            raise ConnectionError('the connection was lost')
-        return await whole(files, *args, **keywords)
-
-    monkeypatch.setattr(s3fs.S3FileSystem, '_get', once)
+    monkeypatch.setattr(s3fs.S3FileSystem, '_cat_file', counted)
     here = run(Job(str(recordings / 'a')))
-    there = run(Job(f'{bucket}/a'))
-    assert there.row is not None and there.row['error'] == ''
-    assert lost
-    assert here.row is not None
-    assert there.key == here.key and there.calibration == here.calibration
-    assert there.row['values'] == here.row['values']
-    # As it is known by its content, it is not done again from where it lies now.
-    assert run(Job(f'{bucket}/a'), frozenset({here.key})).row is None
-    gone = run(Job(f'{bucket}/b')).row
-    assert gone is not None and gone['error'] == f'{bucket}/b: no such recording.'
+    with served() as bucket:
+        put(recordings / 'a', f'{bucket}/a')
+        there = run(Job(f'{bucket}/a'))
+        assert there.row is not None and there.row['error'] == ''
+        # Hashed, then read: the network brings it once.
+        assert sum(sizes) <= sum(file.stat().st_size for file in (recordings / 'a').iterdir())
+        assert here.row is not None
+        assert there.key == here.key and there.calibration == here.calibration
+        assert there.row['values'] == here.row['values']
+        # As it is known by its content, it is not done again from where it lies now.
+        assert run(Job(f'{bucket}/a'), frozenset({here.key})).row is None
+        gone = run(Job(f'{bucket}/b')).row
+        assert gone is not None and gone['error'].startswith(f'{bucket}/b: no such recording')
 
 
 def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('imu_calib.fleet.remote._PAUSE', 0.0)
+    monkeypatch.setattr('imu_calib.bags.remote.PAUSE', 0.0)
     pytest.importorskip('aiohttp')
     row = run(Job('http://127.0.0.1:9/rec.mcap')).row
     assert row is not None and row['exit_code'] == 2
@@ -371,49 +354,10 @@ def test_a_recording_that_kills_its_worker_is_a_row(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator['Cluster']:
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
     with_port = Cluster(tmp_path)
     yield with_port
     with_port.stop()
-
-
-class Cluster:
-    """A scheduler and a worker in processes of their own, as on a cluster."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.address = ''
-        self.processes: list[subprocess.Popen[bytes]] = []
-
-    def start(self) -> None:
-        """Start both, the scheduler where it was."""
-        file = self.folder / 'scheduler.json'
-        file.unlink(missing_ok=True)
-        port = self.address.rsplit(':', 1)[-1] if self.address else '0'
-        run = [sys.executable, '-m', 'distributed.cli.dask_scheduler', '--no-dashboard']
-        run = [*run, '--host', '127.0.0.1', '--port', port, '--scheduler-file', str(file)]
-        self.processes.append(self._quiet(run))
-        until(file.is_file, 60)
-        until(lambda: b'"address"' in file.read_bytes(), 60)
-        import json
-
-        self.address = json.loads(file.read_text())['address']
-        work = [sys.executable, '-m', 'distributed.cli.dask_worker', self.address]
-        self.processes.append(
-            self._quiet([*work, '--nthreads', '1', '--no-dashboard', '--no-nanny'])
-        )
-
-    def _quiet(self, command: list[str]) -> 'subprocess.Popen[bytes]':
-        return subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=self.folder
-        )
-
-    def stop(self) -> None:
-        """Kill both."""
-        for process in self.processes:
-            process.kill()
-            process.wait()
-        self.processes.clear()
 
 
 def slow(job: Job, known: frozenset[str]) -> Done:
@@ -444,11 +388,60 @@ def test_a_scheduler_that_is_started_again_is_gone_on_with(
     assert sorted(row['recording'] for row in rows(tmp_path / 'c')) == ['r0', 'r1', 'r2']
 
 
+def test_two_clients_of_one_catalogue_add_each_row_once(
+    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent))
+    cluster.start()
+    (tmp_path / 'go').touch()
+    jobs = [Job(str(tmp_path / str(k))) for k in range(20)]
+    folder = tmp_path / 'c'
+    Catalogue(folder, create=True)
+    # Each knows what is done when it begins: nothing.
+    both = threading.Barrier(2, timeout=120)
+
+    def client(_: int) -> int:
+        engine = Engine(scheduler=cluster.address)
+        both.wait()
+        return run_batch(jobs, Catalogue(folder), engine, task=slow).failed
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(client, range(2))) == [20, 20]
+    assert sorted(row['recording'] for row in rows(folder)) == sorted(f'r{k}' for k in range(20))
+
+
+@pytest.mark.repeats
+def test_one_corrupt_recording_of_twenty_costs_its_own_row(
+    recordings: Path, tmp_path: Path
+) -> None:
+    damaged = tmp_path / 'damaged'
+    shutil.copytree(recordings / 'a', damaged)
+    storage = next(damaged.glob('*.mcap'))
+    content = bytearray(storage.read_bytes())
+    # All but the beginning, as a disk that lost its blocks gives it.
+    content[4096:] = bytes(len(content) - 4096)
+    storage.write_bytes(content)
+    sound = [Job(str(recordings / 'a'), labels=Labels(operator=str(k))) for k in range(19)]
+    jobs = [*sound[:10], Job(str(damaged)), *sound[10:]]
+    kept = Catalogue(tmp_path / 'c', create=True)
+    ended = run_batch(jobs, kept, Engine(workers=2))
+    assert (ended.calibrated, ended.failed, ended.known) == (19, 1, 0)
+    found = rows(tmp_path / 'c')
+    assert len({row['key'] for row in found}) == len(found) == 20
+    assert {tuple(row['values']) for row in found if row['status'] == 'calibrated'} == {
+        tuple(imu_calib.calibrate(recordings / 'a').calibration.values.tolist())
+    }
+    (lost,) = (row for row in found if row['status'] == 'failed')
+    assert lost['recording'] == str(damaged) and lost['exit_code'] in {1, 2} and lost['sha256']
+    again = run_batch(jobs, kept, Engine(workers=1))
+    assert (again.calibrated, again.failed, again.known) == (0, 0, 20)
+
+
 def test_no_scheduler_gets_a_sentence(
     recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ['batch', str(recordings / 'a'), '-o', str(tmp_path / 'c')]
-    assert main([*command, '--scheduler', 'here']) == 2
+    assert main([*command, '--scheduler', 'tcp://127.0.0.1:1']) == 2
     assert 'no Dask scheduler answers there' in capsys.readouterr().err
     assert main([*command, '--workers', '0']) == 2
     assert main([*command, '--memory', 'much']) == 2

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from ..api.progress import Show
+from ..engine import MEMORY
 from ..errors import NotObservable
-from ..fleet.running import MEMORY, batch
+from ..fleet.running import batch
 from . import options
 from .outcome import Outcome
-from .terminal import OUTPUT, progress_bar
+from .terminal import ERRORS, OUTPUT, progress_bar
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -25,11 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '-o', '--output', required=True, dest='catalogue', metavar='CATALOGUE', help='a folder'
     )
-    parser.add_argument(
-        '--scheduler',
-        metavar='ADDRESS',
-        help='of a Dask cluster, tcp://host:8786 (default: workers on this machine)',
-    )
+    options.add_scheduler_option(parser)
     parser.add_argument(
         '--workers', type=int, metavar='N', help='on this machine (default: one for each core)'
     )
@@ -48,6 +45,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
+def _say_where(dashboard: str) -> None:
+    ERRORS.print(f'dashboard: {dashboard}', markup=False)
+
+
 def run(arguments: argparse.Namespace) -> Outcome:
     """Calibrate, and print what came of it."""
 
@@ -60,7 +61,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
             yield show
 
     keywords = options.keywords(batch, arguments)
-    done = batch(arguments.sources, arguments.catalogue, **{**keywords, 'progress': begun})
+    done = batch(
+        arguments.sources, arguments.catalogue, **keywords, progress=begun, connected=_say_where
+    )
     plural = '' if done.recordings == 1 else 's'
     OUTPUT.print(
         f'{done.recordings} recording{plural} in {done.seconds:.1f} s: '

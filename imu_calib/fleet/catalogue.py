@@ -29,7 +29,7 @@ from .task import CALIBRATED, Done
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION = 1
+VERSION = 2
 """Of the columns; a reader refuses a newer one and fills in what an older one has not."""
 
 _VERSION_KEY = b'imu_calib.catalogue'
@@ -53,7 +53,7 @@ def schema() -> pa.Schema:
     units = [parameter.unit.si for parameter in PARAMETERS]
     columns = [
         *(column(name, text) for name in texts),
-        *(column(name, text) for name in ('method', 'site', 'stand', 'operator', 'version')),
+        *(column(name, text) for name in ('method', 'site', 'stand', 'operator', 'lot', 'version')),
         column('exit_code', pa.int32()),
         column('date', when),
         column('at', when),
@@ -69,6 +69,7 @@ def schema() -> pa.Schema:
         column('parameters', pa.list_(text)),
         column('values', pa.list_(number)),
         column('covariance', pa.list_(number)),
+        column('limits', pa.list_(number)),
         column('calibration', text),
     ]
     return pa.schema(columns, metadata={_VERSION_KEY: str(VERSION).encode()})
@@ -123,7 +124,8 @@ class Catalogue:
         with self._written(), self._locked():
             there = self.keys()
             fresh = {one.key: one for one in done if replace or one.key not in there}
-            rows = {key: self._with_file(one) for key, one in fresh.items()}
+            newest: dict[Path, str] = {}
+            rows = {key: self._with_file(one, newest) for key, one in fresh.items()}
             for part in self._parts():
                 mine = self._seen[part][2] & rows.keys()
                 if mine:
@@ -164,8 +166,14 @@ class Catalogue:
         finally:
             connection.close()
 
-    def _with_file(self, one: Done) -> dict[str, Any]:
-        """Write a calibration's files; return its row with the path of the first in it."""
+    def _with_file(self, one: Done, newest: dict[Path, str]) -> dict[str, Any]:
+        """Write a calibration's files; return its row with the path of the first in it.
+
+        Args:
+            one: With a row.
+            newest: Name of the newest file of each unit that was looked through.
+
+        """
         row = dict(one.row or {})
         if row['status'] != CALIBRATED:
             return row
@@ -175,8 +183,10 @@ class Catalogue:
         own = kind / serial / f'{date:%Y-%m-%dT%H%M%SZ}_{one.key[:8]}.yaml'
         own.parent.mkdir(parents=True, exist_ok=True)
         write_whole(own, one.calibration)
-        newest = max(own.parent.glob('*.yaml'), key=lambda p: p.name)
-        if newest == own and row['serial']:
+        if own.parent not in newest:
+            newest[own.parent] = max(path.name for path in own.parent.glob('*.yaml'))
+        newest[own.parent] = max(newest[own.parent], own.name)
+        if newest[own.parent] == own.name and row['serial']:
             write_whole(kind / f'{serial}.yaml', one.calibration)
         return {**row, 'calibration': str(own.relative_to(self.folder))}
 

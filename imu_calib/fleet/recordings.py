@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from ..api.stated import Stated
+from ..bags import AnyPath, RemotePath, is_url, located
 from ..errors import InputError
 from ..yaml_text import load
 
@@ -36,6 +37,7 @@ class Labels:
         site: Where it was taken.
         stand: The table.
         operator: Who took it.
+        lot: Of the unit, as it was made.
         date: When, UTC; None for the time of its first message.
 
     """
@@ -43,6 +45,7 @@ class Labels:
     site: str = ''
     stand: str = ''
     operator: str = ''
+    lot: str = ''
     date: datetime | None = None
 
 
@@ -75,11 +78,11 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated) -> list[Job]:
 
     Args:
         sources: Recordings, folders that hold some (however deep), patterns (*, ?, **), manifests
-            (.csv, .yaml), or URLs of recordings (s3://...).
+            (.csv, .yaml), here or as URLs (s3://...).
         stated: Holds for each, where its manifest does not say otherwise.
 
     Raises:
-        InputError: A source is not there or holds none, or a manifest is broken.
+        InputError: A source is not there, cannot be reached or holds none, or a manifest is broken.
 
     """
     jobs: dict[Job, None] = {}
@@ -91,16 +94,8 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated) -> list[Job]:
     return list(jobs)
 
 
-def is_url(name: str) -> bool:
-    """Say whether a name is a URL, and no path of this machine."""
-    return '://' in name
-
-
 def _jobs(source: str, stated: Stated) -> Iterator[Job]:
-    if is_url(source):
-        yield Job(source, stated)
-        return
-    path = Path(source).expanduser()
+    path = located(source)
     if path.is_dir():
         for recording in recordings_below(path):
             yield Job(str(recording), stated)
@@ -109,11 +104,9 @@ def _jobs(source: str, stated: Stated) -> Iterator[Job]:
     elif path.exists():
         yield Job(str(path), stated)
     elif glob.has_magic(source):
-        # Of the user's, relative or not: a Path knows patterns only below itself.
-        for name in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207
-            one = Path(name)
+        for one in _matching(path):
             if one.is_dir() or one.name.endswith(_STORAGE):
-                yield from _jobs(name, stated)
+                yield from _jobs(str(one), stated)
     else:
         raise InputError(
             f'{source}: no such file; expected a recording, a folder of some, a pattern, a '
@@ -121,8 +114,21 @@ def _jobs(source: str, stated: Stated) -> Iterator[Job]:
         )
 
 
-def recordings_below(folder: Path) -> Iterator[Path]:
+def _matching(path: AnyPath) -> Iterator[AnyPath]:
+    """Yield what a pattern names, in the order of the names."""
+    if isinstance(path, RemotePath):
+        yield from path.matching()
+        return
+    # Of the user's, relative or not: a Path knows patterns only below itself.
+    for name in sorted(glob.glob(str(path), recursive=True)):  # noqa: PTH207
+        yield Path(name)
+
+
+def recordings_below(folder: AnyPath) -> Iterator[AnyPath | str]:
     """Yield recordings: folders that are one, and storage files that lie in no such folder."""
+    if isinstance(folder, RemotePath):
+        yield from _among(folder.below())
+        return
     inside = sorted(folder.iterdir())
     storages = [p for p in inside if p.is_file() and p.name.endswith(_STORAGE)]
     if storages and (folder / _METADATA).is_file():
@@ -134,7 +140,22 @@ def recordings_below(folder: Path) -> Iterator[Path]:
             yield from recordings_below(path)
 
 
-def read_manifest(path: Path, stated: Stated) -> Iterator[Job]:
+def _among(files: Iterable[RemotePath]) -> Iterator[str]:
+    """Yield the URLs of recordings among files, a folder before what lies below it."""
+    names: dict[str, list[str]] = {}
+    for file in files:
+        if file.name == _METADATA or file.name.endswith(_STORAGE):
+            folder, _, name = str(file).rpartition('/')
+            names.setdefault(folder, []).append(name)
+    whole = tuple(f'{f}/' for f, held in names.items() if _METADATA in held and len(held) > 1)
+    for folder, held in sorted(names.items()):
+        if f'{folder}/' in whole:
+            yield folder
+        elif not folder.startswith(whole):
+            yield from (f'{folder}/{name}' for name in held if name != _METADATA)
+
+
+def read_manifest(path: AnyPath, stated: Stated) -> Iterator[Job]:
     """Yield what a manifest lists: a table with the columns `COLUMNS`, of which one is needed.
 
     Args:
@@ -150,12 +171,12 @@ def read_manifest(path: Path, stated: Stated) -> Iterator[Job]:
         if not recording:
             raise InputError(f'{where}: found no {_RECORDING}, expected the path of one.')
         if not is_url(recording):
-            recording = str(path.parent / Path(recording).expanduser())
+            recording = _beside(path, recording)
         given = {name: value for name, value in row.items() if value not in ('', None)}
-        yield _job(recording, given, stated, path.parent, where)
+        yield _job(recording, given, stated, path, where)
 
 
-def _rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
     try:
         text = path.read_text(encoding='utf-8-sig')
     except OSError as error:
@@ -183,7 +204,9 @@ def _rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     return numbered
 
 
-def _job(recording: str, given: Mapping[str, Any], stated: Stated, folder: Path, where: str) -> Job:
+def _job(
+    recording: str, given: Mapping[str, Any], stated: Stated, manifest: AnyPath, where: str
+) -> Job:
     values: dict[str, Any] = {}
     labels: dict[str, Any] = {}
     for name, value in given.items():
@@ -196,14 +219,24 @@ def _job(recording: str, given: Mapping[str, Any], stated: Stated, folder: Path,
         elif name == 'imu_only':
             values[name] = _flag(value, f'{where}: {name}')
         else:
-            values[name] = _named(str(value), folder, name)
+            values[name] = _named(str(value), manifest, name)
     return Job(recording, replace(stated, **values), Labels(**labels))
 
 
-def _named(text: str, folder: Path, column: str) -> str:
+def _beside(manifest: AnyPath, name: str) -> str:
+    """Return the path or the URL of what a manifest names."""
+    path = Path(name).expanduser()
+    if not isinstance(manifest, RemotePath):
+        return str(manifest.parent / path)
+    return str(path) if path.is_absolute() else f'{str(manifest).rpartition("/")[0]}/{name}'
+
+
+def _named(text: str, manifest: AnyPath, column: str) -> str:
     """Return the name of a shipped file, or the path of one beside the manifest."""
-    beside = folder / text
-    return str(beside) if column in {'imu', 'table', 'plan'} and beside.is_file() else text
+    if column not in {'imu', 'table', 'plan'} or isinstance(manifest, RemotePath):
+        return text
+    beside = manifest.parent / text
+    return str(beside) if beside.is_file() else text
 
 
 def _number(value: Any, where: str) -> float:

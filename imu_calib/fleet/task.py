@@ -7,22 +7,23 @@ import json
 import time
 from dataclasses import asdict, dataclass, fields
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any
 
-from ..api.calibrating import open_session, solve
+from ..api.calibrating import solve
+from ..api.opening import open_session
 from ..api.stated import NO_PLAN
+from ..bags import AnyPath, located
 from ..bags.files import find_files
+from ..bags.recording import content_hash
 from ..bags.storage import Losses
 from ..calibrator import Result
 from ..errors import ImuCalibError, InputError
 from ..model import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..reports.assessment import assess
 from ..share import named_file
-from ..specification import Verdict
+from ..specification import Specification, Verdict
 from ..version import version
 from .recordings import Job
-from .remote import local
 
 CALIBRATED = 'calibrated'
 FAILED = 'failed'
@@ -31,7 +32,6 @@ DEFECT = 70
 """Exit code of what no sentence was foreseen for (EX_SOFTWARE of sysexits.h)."""
 LOST = 137
 """Exit code of a recording that its workers died of: 128 + SIGKILL, as a shell says it."""
-_HASH_BLOCK = 1 << 20
 _FOLDERS = {'imu': 'imus', 'plan': 'plans', 'table': 'tables'}
 
 
@@ -51,7 +51,7 @@ class Done:
     calibration: str = ''
 
 
-def key_of(job: Job, path: Path) -> tuple[str, str]:
+def key_of(job: Job, path: AnyPath) -> tuple[str, str]:
     """Return what a task is known by, and the SHA-256 of its recording.
 
     The key is that of the recording's content, of all that is stated with the content of the files
@@ -72,22 +72,17 @@ def key_of(job: Job, path: Path) -> tuple[str, str]:
     return hashlib.sha256(text.encode()).hexdigest()[:32], recording
 
 
-def content_of(path: Path) -> str:
+def content_of(path: AnyPath) -> str:
     """Return the SHA-256 of a recording's storage files, as its `sha256`, without opening it.
 
     Raises:
         InputError: There is no recording, or it cannot be read.
 
     """
-    digest = hashlib.sha256()
     try:
-        for file in sorted(find_files(path, Losses()).paths, key=lambda p: p.name):
-            with file.open('rb') as opened:
-                while block := opened.read(_HASH_BLOCK):
-                    digest.update(block)
+        return content_hash(find_files(path, Losses()).paths)
     except OSError as error:
         raise InputError(f'{path}: cannot be read ({error.strerror or error}).') from None
-    return digest.hexdigest()
 
 
 def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
@@ -101,14 +96,14 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
     begun = time.process_time()
     key, sha256 = '', ''
     try:
-        with local(job.recording) as path:
-            key, sha256 = key_of(job, path)
-            if key in known:
-                return Done(key)
-            opened = open_session(path, job.stated)
-            with opened.recording as recording:
-                start = recording.start_ns
-                result = solve(opened)
+        path = located(job.recording)
+        key, sha256 = key_of(job, path)
+        if key in known:
+            return Done(key)
+        opened = open_session(path, job.stated, sha256)
+        with opened.recording as recording:
+            start = recording.start_ns
+            result = solve(opened)
         text = result.calibration.to_yaml()
         row = {**_common(job, key, sha256), **_calibrated(result), **_when(job, start)}
         row['seconds'] = time.process_time() - begun
@@ -135,8 +130,7 @@ def failed(job: Job, key: str, sha256: str, sentence: str, code: int) -> dict[st
 def lost(job: Job) -> Done:
     """Return the row of a recording that its workers died of, one after the other."""
     try:
-        with local(job.recording) as path:
-            key, sha256 = key_of(job, path)
+        key, sha256 = key_of(job, located(job.recording))
     except ImuCalibError:
         key, sha256 = unread_key(job), ''
     sentence = (
@@ -150,6 +144,14 @@ def unread_key(job: Job) -> str:
     """Return what a recording is known by that cannot be read: its name and what is stated."""
     text = json.dumps(['unread', asdict(job)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def limits_of(specification: Specification | None) -> list[float] | None:
+    """Return the largest amounts of the 24 parameters, NaN without one; None: none are known."""
+    if specification is None:
+        return None
+    limits = [specification.limit(parameter) for parameter in PARAMETERS]
+    return [float('nan') if one is None else one for one in limits]
 
 
 def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
@@ -169,6 +171,7 @@ def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
         'site': labels.site,
         'stand': labels.stand,
         'operator': labels.operator,
+        'lot': labels.lot,
         'version': version(),
         'at': datetime.now(timezone.utc),
     }
@@ -211,4 +214,5 @@ def _calibrated(result: Result) -> dict[str, Any]:
         'parameters': [p.name for p in found.parameters],
         'values': found.values.tolist(),
         'covariance': found.covariance.ravel().tolist(),
+        'limits': limits_of(found.imu.specification),
     }

@@ -1,0 +1,73 @@
+"""imu-calib fleet: one page on all units of a catalogue: due, failed, drifting, odd, and each."""
+
+from __future__ import annotations
+
+import argparse
+from datetime import datetime
+
+from ..errors import InputError
+from ..fleet.report import written
+from ..histories.results import USUAL
+from ..reports.fleet.contents import AHEAD, Flag, Fleet
+from .terminal import OUTPUT, progress_bar
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the subcommand."""
+    parser.add_argument('catalogue', metavar='CATALOGUE', help='the folder')
+    parser.add_argument(
+        '-o', '--output', default='fleet.html', metavar='FILE', help='default: %(default)s'
+    )
+    parser.add_argument(
+        '--where', metavar='SQL', help='rows that count: "imu = \'fog_medium\'" (default: all)'
+    )
+    parser.add_argument(
+        '--imu',
+        action='append',
+        default=[],
+        metavar='NAME|FILE',
+        help='whose specification counts for its type, instead of that of its newest calibration; '
+        'may be given several times',
+    )
+    parser.add_argument('--on', metavar='DATE', help='of which the page is (default: today)')
+    parser.add_argument(
+        '--ahead',
+        type=float,
+        default=AHEAD,
+        metavar='DAYS',
+        help='before a recalibration is due from which the page says so (default: %(default)g)',
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the page, and print what needs a person."""
+    if not arguments.ahead >= 0:
+        raise InputError(f'--ahead: found {arguments.ahead:g}, expected 0 days or more.')
+    path, fleet = written(
+        arguments.catalogue,
+        arguments.output,
+        arguments.where,
+        arguments.imu,
+        USUAL,
+        _date(arguments.on),
+        arguments.ahead,
+        progress_bar,
+    )
+    OUTPUT.print(f'{len(fleet.units)} units, {len(fleet.recordings.key)} recordings')
+    for words, number in _counts(fleet):
+        OUTPUT.print(f'{number:6} {words}')
+    OUTPUT.print(f'written to {path} ({path.stat().st_size / 1e6:.1f} MB)', markup=False)
+
+
+def _counts(fleet: Fleet) -> list[tuple[str, int]]:
+    """Return what may be said of units with how many it is said of; nothing of what none has."""
+    counts = [(flag.value.words, len(fleet.flagged(flag))) for flag in Flag]
+    return [(words, number) for words, number in counts if number]
+
+
+def _date(text: str | None) -> datetime | None:
+    try:
+        return None if text is None else datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f'--on: found {text!r}, expected a date as 2026-11-22.') from None

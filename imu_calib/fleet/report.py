@@ -1,0 +1,175 @@
+"""A catalogue to one HTML page: what needs a person, the types, and every unit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+import numpy as np
+
+from ..api.named import Named
+from ..api.outputs import output_path
+from ..api.progress import Progress, silent
+from ..calibration import write_whole
+from ..extras import require
+from ..histories.looking_back import look_back
+from ..histories.results import USUAL, Dates, History, Rules, Sessions
+from ..imu import ImuSpec
+from ..model import PARAMETER_NAMES
+from ..reports.fleet.contents import AHEAD, Fleet, Recordings
+from ..reports.fleet.page import page
+from ..stream import Floats
+from .catalogue import Catalogue
+from .history import history
+from .task import CALIBRATED
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_STEPS = 3
+"""Of the progress: read, look back, write."""
+
+
+def fleet_report(
+    catalogue: str | Path | Catalogue,
+    output: Named = 'fleet.html',
+    *,
+    where: str | None = None,
+    imu: ImuSpec | Named | Sequence[ImuSpec | Named] = (),
+    rules: Rules = USUAL,
+    on: datetime | None = None,
+    ahead: float = AHEAD,
+    progress: Progress = silent,
+) -> Path:
+    """Write a page on all units of a catalogue: one HTML file that needs no network.
+
+    Calibrations' files, and reports beside them under the same name (`.html`), are linked where
+    they lie: keep the page where it was written, or the links lead nowhere.
+
+    Args:
+        catalogue: Its folder.
+        output: HTML file to write.
+        where: Rows that count, a condition in SQL ("imu = 'fog_medium'").
+        imu: Files whose specifications count instead of those with which units were calibrated.
+        rules: What is judged by.
+        on: The day of which the page is, for what is due; UTC where it names no zone. None for
+            today.
+        ahead: Days before a recalibration is due from which the page says so.
+        progress: Shows how far it is.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: There is no catalogue, the condition is none, the file cannot be written, or
+            Bokeh is not installed.
+
+    """
+    return written(catalogue, output, where, imu, rules, on, ahead, progress)[0]
+
+
+def written(
+    catalogue: str | Path | Catalogue,
+    output: Named,
+    where: str | None,
+    imu: ImuSpec | Named | Sequence[ImuSpec | Named],
+    rules: Rules,
+    on: datetime | None,
+    ahead: float,
+    progress: Progress,
+) -> tuple[Path, Fleet]:
+    """Write the page; return the file and what it was written from."""
+    path = output_path(output)
+    require('bokeh', 'A page on a catalogue', 'fleet')
+    found = catalogue if isinstance(catalogue, Catalogue) else Catalogue(catalogue)
+    with progress('looking back') as show:
+        table = found.table() if where is None else found.query(f'select * from rows where {where}')
+        recordings = recordings_of(table, found.folder, path.parent)
+        del table
+        show(1, _STEPS)
+        told = (
+            history(found, where=where, imu=imu, rules=rules)
+            if recordings.calibrated.any()
+            else _nothing(rules)
+        )
+        fleet = Fleet(found.folder.resolve().name, recordings, told, _day(on), ahead)
+        show(2, _STEPS)
+        write_whole(path, page(fleet))
+        show(_STEPS, _STEPS)
+    return path, fleet
+
+
+def _nothing(rules: Rules) -> History:
+    """Return what a catalogue says that holds no calibration."""
+    size = len(PARAMETER_NAMES)
+    none: tuple[str, ...] = ()
+    dates, values = np.array([], 'M8[s]'), np.empty((0, size))
+    covariance = np.empty((0, size, size))
+    sessions = Sessions(none, none, none, none, none, dates, values, covariance)
+    return look_back(sessions, {}, rules)
+
+
+def _day(on: datetime | None) -> np.datetime64:
+    when = datetime.now(timezone.utc) if on is None else on
+    if when.tzinfo is not None:
+        when = when.astimezone(timezone.utc).replace(tzinfo=None)
+    return np.datetime64(when, 's')
+
+
+def recordings_of(table: pa.Table, folder: Path, base: Path) -> Recordings:
+    """Return the rows of a catalogue.
+
+    Args:
+        table: Rows.
+        folder: Of the catalogue.
+        base: Where the page will lie: links are relative to it.
+
+    """
+
+    def texts(name: str) -> list[str]:
+        return [one or '' for one in table[name].to_pylist()]
+
+    files = [folder / name if name else None for name in texts('calibration')]
+    reports = [None if file is None else file.with_suffix('.html') for file in files]
+    return Recordings(
+        key=texts('key'),
+        recording=texts('recording'),
+        imu=texts('imu'),
+        serial=texts('serial'),
+        stand=texts('stand'),
+        date=_dates(table),
+        calibrated=np.array([one == CALIBRATED for one in table['status'].to_pylist()], bool),
+        error=texts('error'),
+        verdict=texts('verdict'),
+        values=_numbers(table, ''),
+        std=_numbers(table, 'std_'),
+        findings=[one or [] for one in table['findings'].to_pylist()],
+        calibration=[_link(file, base) for file in files],
+        report=[_link(file, base) for file in reports],
+    )
+
+
+def _dates(table: pa.Table) -> Dates:
+    plain = [None if d is None else d.replace(tzinfo=None) for d in table['date'].to_pylist()]
+    return np.array(plain, dtype='M8[s]')
+
+
+def _numbers(table: pa.Table, prefix: str) -> Floats:
+    """Return (n, 24), NaN for what is not there."""
+    columns = [table[f'{prefix}{name}'].to_numpy().astype(np.float64) for name in PARAMETER_NAMES]
+    return np.column_stack(columns)
+
+
+def _link(file: Path | None, base: Path) -> str:
+    """Return a file's address relative to a page; empty where there is none."""
+    if file is None or not file.is_file():
+        return ''
+    try:
+        return quote(os.path.relpath(file, base).replace(os.sep, '/'))
+    except ValueError:
+        # On another drive.
+        return ''

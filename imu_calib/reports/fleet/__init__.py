@@ -1,0 +1,1 @@
+"""The page on a catalogue: what needs a person, the types, and every unit."""
