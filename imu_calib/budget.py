@@ -51,6 +51,7 @@ class Source(Enum):
     TIME_CONSTANT = 'time_constant'
     TEMPERATURE = 'temperature'
     TERMS = 'terms'
+    OTHER_UNITS = 'other_units'
 
     @property
     def evaluation(self) -> str:
@@ -106,6 +107,11 @@ _ROWS = {
         'B',
         'temp',
         'temperature that moved, by the coefficients that the IMU description states',
+    ),
+    Source.OTHER_UNITS: (
+        'A',
+        'units',
+        'what the other units on the table say of it, by their noise',
     ),
     Source.TERMS: ('A', 'terms', 'terms that the session does not determine or exclude'),
 }

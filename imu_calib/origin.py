@@ -16,7 +16,7 @@ _CHANNELS = 6
 _TEXTS = (
     *('recording', 'sha256', 'recorded', 'method', 'plan', 'table', 'gravity_source', 'frame'),
 )
-_LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions')
+_LISTS_OF_TEXTS = ('topics', 'terms', 'missing_positions', 'shared_with')
 _FLAGS = ('terms_looked_for', 'height_assumed')
 _COUNTS = ('segments', 'turns', 'samples')
 _NUMBERS = ('height', 'azimuth_seen_deg', 'azimuth_seen_std_deg', 'condition_number')

@@ -9,6 +9,7 @@ turn. Source of the closed forms: Rodrigues; docs/mathematics.md, "Moves", has t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -56,11 +57,21 @@ def in_rotated_frame(rows: Floats, axis: Floats, angle: Floats) -> Floats:
         angle: (...) rad, or one for all.
 
     """
+    return all_in_rotated_frame([rows], axis, angle)[0]
+
+
+def all_in_rotated_frame(several: Sequence[Floats], axis: Floats, angle: Floats) -> list[Floats]:
+    """Return `in_rotated_frame` of several arrays of vectors, by the same angles."""
     if angle.size == 1:
-        return np.asarray(rows @ rotation(axis, float(angle.flat[0])))
-    along = rows @ np.outer(axis, axis)
-    turned = np.cos(angle)[..., None] * (rows - along)
-    return np.asarray(along + turned + np.sin(angle)[..., None] * (rows @ cross_matrix(axis)))
+        turn = rotation(axis, float(angle.flat[0]))
+        return [rows @ turn for rows in several]
+    cosine, sine = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    project, cross = np.outer(axis, axis), cross_matrix(axis)
+    turned = []
+    for rows in several:
+        along = rows @ project
+        turned.append(along + cosine * (rows - along) + sine * (rows @ cross))
+    return turned
 
 
 def rotations(vectors: Floats) -> Floats:

@@ -325,7 +325,7 @@ def read_table(section: Section) -> Table:
     table = Table(
         section.text('name'),
         joints,
-        _read_mount(section),
+        read_mount(section),
         azimuth,
         sizes['positioning'],
         clock,
@@ -371,7 +371,7 @@ def _read_axis(value: object, where: str) -> tuple[float, float, float]:
     raise InputError(f'{where}: found {value!r}, expected x, y, z, -x, -y, -z or three numbers.')
 
 
-def _read_mount(section: Section) -> Floats:
+def read_mount(section: Section) -> Floats:
     """Read where the body axes lie on the last joint: three axes, or yaw, pitch and roll."""
     if not section.has('mount'):
         return np.eye(3)

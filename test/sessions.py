@@ -16,10 +16,10 @@ from loopback import until
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Result, Setup
 from imu_calib.earth import Site, normal_gravity
+from imu_calib.engine import single_threaded
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import Plan, Position, RateTest, load_plan
-from imu_calib.repetition import single_threaded
 from imu_calib.segmentation.labelling import label
 from imu_calib.share import named_file
 from imu_calib.simulation import StandOptions, simulate

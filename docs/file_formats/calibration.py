@@ -264,6 +264,7 @@ _PROVENANCE = [
     Key('highest_rate', number(least=0), 'at which the unit was turned, rad/s'),
     Key('temperature', _noted(_TEMPERATURE), 'of the unit', None, 'not recorded'),
     Key('missing_positions', array(text(), 0, words='list of texts'), 'of the plan'),
+    Key('shared_with', array(text(), 0, words='list of texts'), 'other units of its table'),
     Key('closed_form', Value({'type': 'object'}, 'keys'), 'the closed form of the plan beside it'),
     Key('clock', _noted(_COMPARED), 'how the clocks compare'),
     Key('versions', Value({'type': 'object'}, 'keys'), 'of the software'),

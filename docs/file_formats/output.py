@@ -22,7 +22,7 @@ from .keys import (
     whole,
 )
 
-COMMANDS = ('calibrate', 'verify', 'compare', 'info', 'report')
+COMMANDS = ('calibrate', 'verify', 'compare', 'info', 'report', 'history')
 _STEPS = tuple(f'{name}s' for name in TRIADS.values())
 
 
@@ -97,6 +97,30 @@ _CALIBRATE = [
     _key('samples', whole(0), 'of the IMU'),
     _SPECIFIED,
     _FILE,
+]
+_SEVERAL_UNIT = [
+    _key('serial_number', _TEXT, 'of the unit'),
+    _key('topic', _TEXT, 'of its samples'),
+    _key('place', _TEXT, 'on the fixture; empty where nobody says'),
+    _key('exit_code', choice([0, 1, 2, 3]), 'that the unit alone would have; the worst counts'),
+    _key('error', _maybe(_below(_ERROR)), 'why it failed'),
+    _key('result', _maybe(_below(_CALIBRATE)), 'as of one unit, above'),
+]
+_SEEN = [
+    _key('name', _TEXT, 'azimuth, tilt, or a joint and the position at which it stopped'),
+    _key('value', _NUMBER, 'rad'),
+    _key('std', _NUMBER, 'its standard deviation, rad'),
+    _key('prior_std', _NUMBER, 'the one beforehand, rad'),
+]
+_LEFT_OUT = [
+    _key('serial_number', _TEXT, 'of the unit'),
+    _key('message', _TEXT, 'why it is calibrated by itself'),
+]
+_SEVERAL = [
+    _key('units', _rows(_SEVERAL_UNIT), 'of several units on one table, each'),
+    _key('table', _maybe(_rows(_SEEN)), 'what they found of the table together'),
+    _key('shared', _TEXTS, 'serial numbers of the units from which that is'),
+    _key('left_out', _rows(_LEFT_OUT), 'units that contradict the others'),
 ]
 _MOVED = [
     _NAME,
@@ -207,17 +231,182 @@ _INFO = [
     _key('not_said', _TEXT, 'what would have to be said for that'),
 ]
 _REPORT = [_FILE, _SPECIFIED]
+_DAY = _maybe(_TEXT, 'date, `2026-11-22`, or `null`')
+_EACH = array(_UNKNOWN, 24, 24, 'list of 24 numbers, each may be `null`')
+_RULES = [
+    _key('false_alarm', _NUMBER, 'largest chance of a wrong statement of each kind'),
+    _key('confidence', _NUMBER, 'of intervals'),
+    _key('inside', _NUMBER, 'probability of being within the specification until due'),
+    _key('smoothing', _NUMBER, 'weight of the newest session in an EWMA'),
+    _key('horizon', _NUMBER, 'years beyond which nothing is predicted'),
+    _key('individuals_limit', _NUMBER, 'of scores, to either side'),
+    _key('ewma_limit', _NUMBER, 'of their EWMA, to either side'),
+    _key('parameter_run', _NUMBER, 'sessions between false alarms of one parameter'),
+    _key('unit_run', _NUMBER, 'sessions between false alarms of a unit, at least'),
+]
+_OF_UNIT = [
+    _NAME,
+    _UNIT,
+    _key('value', _UNKNOWN, 'at the newest session'),
+    _key('std', _UNKNOWN, 'its standard deviation, as stated'),
+    _key('limit', _UNKNOWN, 'largest amount allowed'),
+    _key('outside', flag(), 'whether it is proven to be beyond that'),
+    _key('level', _UNKNOWN, 'of the line at the newest session'),
+    _key('level_std', _UNKNOWN, 'its standard deviation'),
+    _key('slope', _UNKNOWN, 'of the line, per month'),
+    _key('slope_std', _UNKNOWN, 'its standard deviation'),
+    _key('slope_low', _UNKNOWN, 'lower end of its interval'),
+    _key('slope_high', _UNKNOWN, 'upper end'),
+    _key('slope_chance', _UNKNOWN, 'probability of so much without a trend'),
+    _key('drifts', flag(), 'whether the slope is significant, all parameters considered'),
+    _key('turn_on', _UNKNOWN, 'standard deviation between sessions, beyond what they state'),
+    _key('turn_on_low', _UNKNOWN, 'lower end of its interval'),
+    _key('turn_on_high', _UNKNOWN, 'upper end'),
+    _key('stated', _UNKNOWN, 'standard deviation that sessions state, root mean square'),
+    _key('degrees_of_freedom', _NUMBER, 'of the scatter'),
+    _key('overstated', flag(), 'whether sessions agree better than they state'),
+    _key('leaves', _DAY, 'when the line crosses the limit'),
+    _key('inside_until', _DAY, 'until when it is inside with the probability `inside`'),
+]
+_OF_SESSION = [
+    _key('key', _TEXT, 'of the row in the catalogue'),
+    _key('date', _TEXT, 'UTC'),
+    _key('stand', _TEXT, 'empty where it is not known'),
+    _key('values', _EACH, 'in the order of `parameters`'),
+    _key('std', _EACH, 'as stated'),
+    _key('corrected', _EACH, 'values less what a named stand adds'),
+    _key('score', _EACH, 'against the sessions before, as normal deviates'),
+    _key('ewma', _EACH, 'of the scores'),
+    _key('t2', _UNKNOWN, "Hotelling's T^2 of the scores"),
+    _key('t2_limit', _UNKNOWN, 'its limit'),
+    _key('t2_chance', _UNKNOWN, 'probability of so much in control'),
+]
+_STEPPED = [
+    _NAME,
+    _UNIT,
+    _key('size', _NUMBER, 'after less before'),
+    _key('std', _NUMBER, 'its standard deviation'),
+    _key('low', _NUMBER, 'lower end of its interval'),
+    _key('high', _NUMBER, 'upper end'),
+]
+_STEP = [
+    _key('session', whole(0), 'first one after it, from 0'),
+    _key('after', _TEXT, 'date of the last session before it'),
+    _key('before', _TEXT, 'date of the first session after it'),
+    _key('cause', choice(['mount', 'unit']), 'what it looks like'),
+    _key('rotation', array(_UNKNOWN, 3, 3, 'list of 3 numbers'), 'of a mount, rad; else `null`'),
+    _key('parameters', _rows(_STEPPED), 'that step significantly'),
+]
+_SIGNAL = [
+    _key('chart', choice(['individuals', 'EWMA', 'T^2']), 'which'),
+    _key('session', whole(0), 'from 0'),
+    _key('parameter', _TEXT, 'empty for T^2'),
+    _key('value', _NUMBER, 'what the chart shows'),
+    _key('limit', _NUMBER, 'that it leaves'),
+]
+_OF_UNITS = [
+    _key('serial', _TEXT, 'number'),
+    _key('imu', _TEXT, 'type'),
+    _key('lot', _TEXT, 'empty where it is not known'),
+    _key('verdict', _maybe(_VERDICT), 'of the newest session'),
+    _key('outside', _TEXTS, 'parameters beyond their limits'),
+    _key('recalibrate', _DAY, 'until when all parameters are inside'),
+    _key('first_in_doubt', _TEXT, 'parameter that is most likely outside then'),
+    _key('borrowed', flag(), "whether the type's trends stand in for the unit's"),
+    _key('reason', _TEXT, 'why there is no date; else empty'),
+    _key('parameters', _rows(_OF_UNIT), 'all 24'),
+    _key('sessions', _rows(_OF_SESSION), 'by date'),
+    _key('steps', _rows(_STEP), 'between sessions'),
+    _key('signals', _rows(_SIGNAL), 'of the charts'),
+    _key('findings', _TEXTS, 'what a person should know'),
+]
+_DISTRIBUTION = [
+    _NAME,
+    _UNIT,
+    _key('count', whole(0), 'units with a value'),
+    _key('mean', _UNKNOWN, 'of the newest values'),
+    _key('std', _UNKNOWN, 'between units'),
+    _key('median', _UNKNOWN, 'of them'),
+    _key('robust_std', _UNKNOWN, '1.4826 times the median absolute deviation'),
+    _key('quantiles', Value({'type': 'object'}, 'by probability'), 'of them'),
+    _key('turn_on', _UNKNOWN, 'typical standard deviation between sessions'),
+    _key('trend', _UNKNOWN, 'mean slope, per month'),
+    _key('trend_std', _UNKNOWN, "of units' slopes about it"),
+    _key('outside', whole(0), 'units beyond the limit'),
+]
+_OUTLIER = [
+    _key('serial', _TEXT, 'unit'),
+    _key('parameter', _TEXT, 'name'),
+    _key('value', _NUMBER, 'SI'),
+    _key('score', _UNKNOWN, 'distance from the median in robust standard deviations'),
+]
+_LOT = [
+    _key('lot', _TEXT, 'name'),
+    _key('parameter', _TEXT, 'name'),
+    _key('units', whole(0), 'of it'),
+    _key('shift', _NUMBER, 'against all others, SI'),
+    _key('std', _NUMBER, 'its standard deviation'),
+    _key('chance', _NUMBER, 'probability of so much, all that was tested considered'),
+]
+_POPULATION = [
+    _key('imu', _TEXT, 'type'),
+    _key('units', whole(0), 'how many'),
+    _key('sessions', whole(0), 'of all'),
+    _key('parameters', _rows(_DISTRIBUTION), 'all 24'),
+    _key('outliers', _rows(_OUTLIER), 'units apart'),
+    _key('lots', _rows(_LOT), 'lots apart'),
+]
+_COUNTS = array(whole(0), 0, words='list of numbers')
+_EFFECT = [
+    _key('stand', _TEXT, 'name'),
+    _key('effect', _EACH, 'less the mean of the stands that units link'),
+    _key('std', _EACH, 'their standard deviations'),
+]
+_SHIFT = [
+    _key('stand', _TEXT, 'name'),
+    _key('others', _TEXTS, 'that it was held against'),
+    _key('alone', flag(), 'whether it is this one that is off'),
+    _key('what', _TEXT, 'a parameter, or `K_g`, `K_a`, `E about X`'),
+    _key('parameters', _TEXTS, 'that are shifted'),
+    _UNIT,
+    _key('shift', _NUMBER, 'that it adds'),
+    _key('std', _NUMBER, 'its standard deviation'),
+    _key('low', _NUMBER, 'lower end of its interval, all that was tested considered'),
+    _key('high', _NUMBER, 'upper end'),
+    _key('chance', _NUMBER, 'probability of so much, all that was tested considered'),
+    _key('units', whole(0), 'that were on this stand and on another'),
+]
+_STANDS = [
+    _key('names', _TEXTS, 'of the stands'),
+    _key('sessions', _COUNTS, 'of each'),
+    _key('units', _COUNTS, 'of each'),
+    _key('groups', array(_TEXTS, 0, words='list of lists'), 'that units link'),
+    _key('effects', _rows(_EFFECT), 'of each'),
+    _key('reproducibility', _EACH, 'standard deviation between stands'),
+    _key('shifts', _rows(_SHIFT), 'stands that are off'),
+]
+_HISTORY = [
+    _key('rules', _below(_RULES), 'what was judged by'),
+    _key('units', _rows(_OF_UNITS), 'by type and serial number'),
+    _key('populations', _rows(_POPULATION), 'of each type'),
+    _key('stands', _below(_STANDS), 'held against each other'),
+    _key('findings', _TEXTS, 'what a person should know of the whole'),
+]
 _RESULTS = {
     'calibrate': _CALIBRATE,
     'verify': _VERIFY,
     'compare': _COMPARE,
     'info': _INFO,
     'report': _REPORT,
+    'history': _HISTORY,
 }
 
 
 def _of_command(name: str) -> Schema:
-    result = or_nothing(mapping(_RESULTS[name]).schema)
+    schema = mapping(_RESULTS[name]).schema
+    if name == 'calibrate':
+        schema = {'anyOf': [schema, mapping(_SEVERAL).schema]}
+    result = or_nothing(schema)
     return when(has('command', name), {'properties': {'result': result}})
 
 
@@ -232,6 +421,10 @@ TABLES: Tables = {
     'output': KEYS,
     'error': _ERROR,
     'calibrate': _CALIBRATE,
+    'several': _SEVERAL,
+    'several_unit': _SEVERAL_UNIT,
+    'seen': _SEEN,
+    'left_out': _LEFT_OUT,
     'estimated': _PARAMETER,
     'specification': _SPECIFICATION,
     'judged': _JUDGED,
@@ -249,6 +442,21 @@ TABLES: Tables = {
     'rests': _REST,
     'turns': _TURN,
     'report': _REPORT,
+    'history': _HISTORY,
+    'rules': _RULES,
+    'units': _OF_UNITS,
+    'of_unit': _OF_UNIT,
+    'sessions': _OF_SESSION,
+    'steps': _STEP,
+    'stepped': _STEPPED,
+    'signals': _SIGNAL,
+    'populations': _POPULATION,
+    'distribution': _DISTRIBUTION,
+    'outliers': _OUTLIER,
+    'lots': _LOT,
+    'stands': _STANDS,
+    'effects': _EFFECT,
+    'shifts': _SHIFT,
 }
 VALUE = mapping(KEYS, *(_of_command(name) for name in COMMANDS))
-TITLE = 'What calibrate, verify, compare, info and report write to stdout with --json'
+TITLE = 'What calibrate, verify, compare, info, report and history write to stdout with --json'

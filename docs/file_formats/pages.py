@@ -10,6 +10,7 @@ from typing import Any
 from imu_calib.units import Dimension
 
 from . import calibration, certificate, device, imperfections, imu, output, plan, table
+from . import units as several_units
 from .keys import Schema, dimension_words, document
 from .keys import table as table_of
 
@@ -26,6 +27,7 @@ FORMATS = {
     'imperfections': imperfections,
     'output': output,
     'certificate': certificate,
+    'units': several_units,
 }
 
 _WIDTH = 110
@@ -64,7 +66,7 @@ def _filled(page: Path) -> str:
     """Return a page with the tables between its marks as they should be."""
 
     def table_for(match: re.Match[str]) -> str:
-        if match[2] == 'units':
+        if match[2] == 'dimensions':
             keys = units()
         else:
             kind, _, name = match[2].partition(': ')

@@ -47,7 +47,7 @@ _JOINT = [
     ),
 ]
 
-_MOUNT = [
+TURNS = [
     Key(name, quantity(D.ANGLE), f'turn about {axis}, in this order', '0 deg')
     for name, axis in (('yaw', 'z'), ('pitch', 'y'), ('roll', 'x'))
 ]
@@ -80,6 +80,17 @@ ERRORS = [
         '0 ppm',
     ),
 ]
+MOUNT = Key(
+    'mount',
+    either(
+        array(AXIS, 3, 3),
+        mapping(TURNS),
+        words='list of three axes, or `yaw`, `pitch` and `roll`',
+    ),
+    'where the body axes X, Y, Z lie on the last joint: perpendicular and right-handed',
+    None,
+    '`[x, y, z]`',
+)
 KEYS = [
     Key('name', text(), 'of the table, for messages', REQUIRED),
     Key(
@@ -94,24 +105,14 @@ KEYS = [
         'from the base outwards',
         REQUIRED,
     ),
-    Key(
-        'mount',
-        either(
-            array(AXIS, 3, 3),
-            mapping(_MOUNT),
-            words='list of three axes, or `yaw`, `pitch` and `roll`',
-        ),
-        'where the body axes X, Y, Z lie on the last joint: perpendicular and right-handed',
-        None,
-        '`[x, y, z]`',
-    ),
+    MOUNT,
 ]
 
 TABLES: Tables = {
     'table': KEYS,
     'joints': _JOINT,
     'limits': _LIMITS,
-    'mount': _MOUNT,
+    'mount': TURNS,
     'errors': ERRORS,
 }
 VALUE = mapping([*KEYS, *ERRORS])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,10 +12,13 @@ from ..cdr import Kind
 from ..errors import NotStated
 from ..imu import ImuSpec, load_imu
 from ..plan import Plan, load_plan
-from ..segmentation.segmented import Segmented
 from ..share import shipped
 from ..stream import Floats, ImuBlock
 from ..units import STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    # Costs more to load than most commands need.
+    from ..segmentation.segmented import Segmented
 
 _SI, _BY_HAND = 'si', 'free_positions'
 _BLOCKS = 200

@@ -2,63 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
-from ..bags import Recording, open_recording
-from ..calibrator import HandCalibrator, Result, Setup, calibrator_of
-from ..errors import InputError, NotObservable, NotStated
+from ..bags import AnyPath
+from ..calibrator import Calibrator, HandCalibrator, Result, calibrator_of
+from ..errors import NotObservable, NotStated
 from ..imu import ImuSpec
 from ..plan import Plan
 from ..segmentation.segmented import Segmented
-from ..stream import Block
 from ..turntable import Table
-from .assumed import (
-    SAID_BY_HAND,
-    SAID_SI,
-    ask_for_plan,
-    plan_by_hand,
-    taken_as_si,
-    was_in_the_hand,
-)
+from .assumed import SAID_BY_HAND, ask_for_plan, was_in_the_hand
 from .conforming import specification_of
 from .named import Named
+from .opening import Opened, open_session
 from .progress import Progress, silent
-from .stated import (
-    Stated,
-    Streams,
-    plan_of,
-    serial_of,
-    site_of,
-    stated_imu,
-    streams_of,
-    table_of,
-)
-
-
-@dataclass(frozen=True)
-class Opened:
-    """A recording with all that is needed to calibrate from it.
-
-    Attributes:
-        recording: Open for reading.
-        setup: What a calibrator must know of it.
-        streams: Its topics.
-        assumed: What nobody said and is taken for granted, in sentences.
-
-    """
-
-    recording: Recording
-    setup: Setup
-    streams: Streams
-    assumed: tuple[str, ...] = ()
-
-    def blocks(self, progress: Progress = silent) -> Iterator[Block]:
-        """Read the topics that count, in order."""
-        with progress('reading') as show:
-            for _, block in self.recording.read(self.streams.kinds(), show):
-                yield block
+from .stated import Stated
 
 
 def calibrate(
@@ -89,7 +47,7 @@ def calibrate(
     ship (`imu-calib plans` lists plans), paths those of your own.
 
     Args:
-        bag: Folder of rosbag2, or one .mcap or .db3 file.
+        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
         plan: That was run; 'none' where none was.
         imu: What the IMU's numbers mean.
         table: The turntable.
@@ -141,7 +99,11 @@ def calibrate(
 
 
 def calibrated(
-    bag: Named, stated: Stated, progress: Progress = silent, *, to_be_judged: bool = False
+    bag: str | AnyPath,
+    stated: Stated,
+    progress: Progress = silent,
+    *,
+    to_be_judged: bool = False,
 ) -> Result:
     """Calibrate from a recording, with what is stated of it as one value; as `calibrate`.
 
@@ -159,40 +121,6 @@ def calibrated(
         return solve(opened, progress)
 
 
-def open_session(bag: Named, stated: Stated) -> Opened:
-    """Open a recording, and find what goes with it.
-
-    Raises:
-        InputError: Something is missing, ambiguous or unreadable.
-
-    """
-    if not isinstance(bag, str | Path) or bag == '':
-        raise InputError(f'found {bag!r}, expected the path of a recording.')
-    recording = open_recording(Path(bag))
-    streams = streams_of(stated, recording)
-    table = table_of(stated, recording)
-    known = stated_imu(stated, recording, streams.imu)
-    imu = taken_as_si(recording, streams.imu) if known is None else known[0]
-    plan = plan_of(stated, recording, streams)
-    steps = plan_by_hand() if plan is None else plan
-    said = (*([] if known else [SAID_SI]), *([] if plan else [SAID_BY_HAND]))
-    if streams.skew is None:
-        # Nobody is to wait for a gyro that the recording does not hold.
-        imu = replace(imu, skewed=None)
-    setup = Setup(
-        imu,
-        steps,
-        table if streams.joints is not None else None,
-        site_of(stated, recording, by_hand=steps.by_hand),
-        stated.method,
-        serial_of(stated, recording),
-        stated.sensor_terms,
-        stated.changes,
-        stated.search_terms,
-    )
-    return Opened(recording, setup, streams, said)
-
-
 def solve(opened: Opened, progress: Progress = silent) -> Result:
     """Run an opened recording through the calibrator.
 
@@ -204,6 +132,17 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
     calibrator = calibrator_of(opened.setup)
     for block in opened.blocks(progress):
         calibrator.feed(block)
+    return documented(opened, finished(opened, calibrator))
+
+
+def finished(opened: Opened, calibrator: Calibrator | HandCalibrator) -> Result:
+    """End a session whose recording was fed to a calibrator.
+
+    Raises:
+        InputError: It is not what it is said to be.
+        NotObservable: The data cannot give all parameters.
+
+    """
     lost = tuple(opened.recording.losses)
     by_hand = SAID_BY_HAND in opened.assumed
     before = calibrator.snapshot()
@@ -215,6 +154,11 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
         raise NotObservable(' '.join([str(error), *lost, *opened.assumed])) from None
     if by_hand:
         _check_that_it_was(opened, result.session)
+    return result
+
+
+def documented(opened: Opened, result: Result) -> Result:
+    """Return a result with the recording that it is from."""
     calibration = result.calibration
     provenance = {
         'recording': opened.recording.path.name,
@@ -222,7 +166,7 @@ def solve(opened: Opened, progress: Progress = silent) -> Result:
         'topics': sorted(opened.streams.kinds()),
         **calibration.provenance,
     }
-    findings = (*opened.assumed, *calibration.findings, *lost)
+    findings = (*opened.assumed, *calibration.findings, *opened.recording.losses)
     calibration = replace(calibration, provenance=provenance, findings=findings)
     return replace(result, calibration=calibration)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bags import Recording, Topic, open_recording
+from ..bags import AnyPath, Recording, Topic, open_recording
 from ..cdr import Kind
 from ..config import Section
 from ..errors import InputError
@@ -27,7 +27,6 @@ from ..stream import (
     Units,
 )
 from ..views import draw_columns
-from .named import Named
 
 if TYPE_CHECKING:
     import pandas
@@ -107,14 +106,14 @@ class Columns:
 
 
 @overload
-def read(bag: Named, topic: str) -> Columns: ...
+def read(bag: str | AnyPath, topic: str) -> Columns: ...
 @overload
-def read(bag: Named, topic: None = None) -> dict[str, Columns]: ...
-def read(bag: Named, topic: str | None = None) -> Columns | dict[str, Columns]:
+def read(bag: str | AnyPath, topic: None = None) -> dict[str, Columns]: ...
+def read(bag: str | AnyPath, topic: str | None = None) -> Columns | dict[str, Columns]:
     """Read topics of a recording into memory.
 
     Args:
-        bag: Folder of rosbag2, or one .mcap or .db3 file.
+        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
         topic: The one that is wanted; None for all that the suite understands: sensor_msgs/Imu,
             JointState and Temperature, imu_calib_msgs/TurntableSetpoint.
 

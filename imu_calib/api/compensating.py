@@ -86,7 +86,7 @@ def compensate(
     """Write a recording again, its raw IMU stream as rates and forces in SI.
 
     Args:
-        bag: Folder of rosbag2, or one .mcap or .db3 file.
+        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
         calibration: calibration.yaml, single or combined, or what was read from one.
         output: Recording to write (mcap): a folder that does not exist.
         imu: What the IMU's numbers mean; None: as the recording says, else the calibration.
@@ -210,7 +210,7 @@ def _check_unit(
     calibration: AnyCalibration, name: str, stated: Stated, recording: Recording, topic: Topic
 ) -> ImuSpec:
     """Hold the calibration against what is said of the IMU, if anything is; return what is."""
-    serial = serial_of(stated, recording)
+    serial = serial_of(stated, recording, topic.name)
     known = stated_imu(stated, recording, topic.name)
     # Where nobody says anything of the unit's type, the calibration does.
     imu, where = (first_of(calibration).imu, str(recording.path)) if known is None else known

@@ -9,7 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..bags import Recording, RecordingError, RecordingWriter, open_recording
+from ..bags import (
+    AnyPath,
+    Recording,
+    RecordingError,
+    RecordingWriter,
+    local,
+    located,
+    open_recording,
+)
 from ..cdr import (
     Kind,
     Messages,
@@ -91,7 +99,7 @@ def convert(
     read at the stamps of the gyros, by straight lines between their samples.
 
     Args:
-        source: Text file, bag of ROS 1, or recording of rosbag2.
+        source: Text file, bag of ROS 1, recording of rosbag2, or a URL of one that fsspec reads.
         output: Folder to create.
         stamp: Column of the time of each row, for instance 't:s' (s, ms, us, ns).
         rate: Of the rows, where none holds their time: '200 Hz'.
@@ -109,9 +117,10 @@ def convert(
         InputError: Unreadable, the options do not fit the file, or the output exists.
 
     """
-    path, target = Path(source).expanduser(), Path(output).expanduser()
+    target = Path(output).expanduser()
     if target.exists():
         raise InputError(f'{target}: exists already; name a folder that does not.')
+    path = located(source)
     columns = {'stamp': stamp, 'gyro': gyro, 'accel': accel, 'joints': joints}
     columns |= {'temperature': temperature, 'rate': rate}
     if path.suffix == '.bag' or path.is_dir() or path.suffix in {'.mcap', '.db3'}:
@@ -277,7 +286,7 @@ def _write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:
 
 
 def _joined(
-    path: Path,
+    path: AnyPath,
     target: Path,
     gyro_topic: str,
     accel_topic: str,
@@ -356,7 +365,7 @@ def _resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
     )
 
 
-def _from_ros1(path: Path, target: Path) -> Converted:
+def _from_ros1(path: AnyPath, target: Path) -> Converted:
     """Write a bag of ROS 1 anew, with the messages that a calibration can use."""
     require('rosbags', f'{path}: a bag of ROS 1', 'ros1')
     from rosbags.convert import ConverterError
@@ -366,7 +375,7 @@ def _from_ros1(path: Path, target: Path) -> Converted:
     stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
     types = [k.type_name for k in (Kind.IMU, Kind.JOINTS, Kind.TEMPERATURES)]
     try:
-        rewritten([path], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
+        rewritten([local(path)], target, 'mcap', 9, None, 'none', *stores, [], [], [], types)
         with open_recording(target) as recording:
             counts = {topic.name: topic.count or 0 for topic in recording.topics}
     except (ConverterError, RecordingError) as error:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..bags import open_recording
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..compensation.thermal import AnyCalibration, ThermalCalibration
@@ -20,8 +19,9 @@ from ..model import AUTO_TERMS, NO_TERMS, terms_of
 from ..model.session_terms import SESSION_TERMS
 from ..reports.page import Contents, page
 from ..reports.thermal_page import thermal_page
-from .calibrating import calibrated
+from .calibrating import solve
 from .named import Named, as_calibration, as_combined, as_imu
+from .opening import open_session
 from .outputs import output_path
 from .progress import Progress, silent
 from .stated import NO_PLAN, Stated
@@ -156,14 +156,15 @@ def _recalibrate(
     method = told.get('method') if stated.method is None else stated.method
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
     plan = NO_PLAN if stated.plan is None and told.get('plan', '') is None else stated.plan
-    with open_recording(bag) as recording:
+    opened = open_session(bag, replace(stated, method=method, terms=terms, plan=plan))
+    with opened.recording as recording:
         expected, found = told.get('sha256'), recording.sha256()
         if expected is not None and expected != found:
             raise InputError(
                 f'{recording.path}: is not the recording that {name} was made '
                 f'from (sha256 {found[:12]}..., expected {str(expected)[:12]}...).'
             )
-    result = calibrated(bag, replace(stated, method=method, terms=terms, plan=plan), progress)
+        result = solve(opened, progress)
     again = result.calibration
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(

@@ -30,7 +30,7 @@ from ..stream import (
     Stamps,
     TemperatureBlock,
 )
-from ..turntable import load_table
+from ..turntable import Table, load_table
 from ..units import DEG
 from .named import Named, as_imu, load_truth
 from .outputs import new_folder, whole_or_not_at_all
@@ -141,15 +141,15 @@ def simulate(
     named = None if steps.by_hand else table or _TABLE
     blocks: Iterator[tuple[str, Block]]
     stands = None if named is None else load_table(named)
-    stated = StandOptions(
-        azimuth=(azimuth or 0.0) * DEG,
-        # A uniform error of this half width has the standard deviation that the table states.
-        positioning_error=0.0 if stands is None else math.sqrt(3) * stands.positioning,
+    stated = options_of(
+        stands,
+        azimuth,
+        imperfections,
+        seed,
         bias_instability=bias_instability,
+        start=start,
+        temperature=temperature,
     )
-    if imperfections is not None:
-        stated = load_imperfections(imperfections, stated, stands, seed)
-    stated = _at(stated, start, temperature)
     if stands is None:
         _refuse_table(steps, table, azimuth)
         held = as_planned(steps, np.random.default_rng([seed, 1]))
@@ -159,20 +159,64 @@ def simulate(
         stand = SimulatedStand(steps, stands, spec, true.model, site, stated, seed)
         duration, blocks = stand.duration, stand.blocks()
     data = describe(str(plan), str(imu), None if named is None else str(named), site, serial or '')
-    true_table = None
     with whole_or_not_at_all(target):
-        with RecordingWriter(target, data, compression) as writer, progress('simulating') as show:
-            first = None
-            for topic, block in blocks:
-                kind, messages, stamp = serialised(block)
-                writer.write(f'/{topic}', kind.type_name, messages, stamp)
-                first = int(stamp[0]) if first is None else first
-                show(int(stamp[-1]) - first, round(duration * 1e9))
+        with RecordingWriter(target, data, compression) as writer:
+            write_blocks(writer, blocks, duration, progress)
         true.save(target / TRUTH)
-        if stands is not None and stated.true is not None:
-            true_table = target / TRUE_TABLE
-            stated.true.save(true_table, stands)
+        true_table = save_true_table(target, stated, stands)
     return Simulated(target, steps, true, duration, true_table)
+
+
+def options_of(
+    table: Table | None,
+    azimuth: float | None,
+    imperfections: Named | None,
+    seed: int,
+    *,
+    bias_instability: bool,
+    start: str | datetime | None,
+    temperature: float | None,
+) -> StandOptions:
+    """Return how a simulated stand differs from its descriptions; arguments as for `simulate`.
+
+    Raises:
+        InputError: The file is broken, or a date or a temperature is none.
+
+    """
+    options = StandOptions(
+        azimuth=(azimuth or 0.0) * DEG,
+        # A uniform error of this half width has the standard deviation that the table states.
+        positioning_error=0.0 if table is None else math.sqrt(3) * table.positioning,
+        bias_instability=bias_instability,
+    )
+    if imperfections is not None:
+        options = load_imperfections(imperfections, options, table, seed)
+    return _at(options, start, temperature)
+
+
+def write_blocks(
+    writer: RecordingWriter,
+    blocks: Iterable[tuple[str, Block]],
+    duration: float,
+    progress: Progress,
+) -> None:
+    """Write blocks of topics to a recording, and show how far it is of a duration, s."""
+    with progress('simulating') as show:
+        first = None
+        for topic, block in blocks:
+            kind, messages, stamp = serialised(block)
+            writer.write(f'/{topic.removeprefix("/")}', kind.type_name, messages, stamp)
+            first = int(stamp[0]) if first is None else first
+            show(int(stamp[-1]) - first, round(duration * 1e9))
+
+
+def save_true_table(folder: Path, options: StandOptions, table: Table | None) -> Path | None:
+    """Write the table as it truly is, where it is not as described; return its file."""
+    if table is None or options.true is None:
+        return None
+    path = folder / TRUE_TABLE
+    options.true.save(path, table)
+    return path
 
 
 def _at(

@@ -6,15 +6,28 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..cdr import Kind
 from ..config import Section
 from ..earth import MEASURED, Site
 from ..errors import InputError, NotStated
 from ..imu import ImuSpec, read_imu
-from ..metadata import SERIAL_NUMBER, described_imu, described_site, imu_key, tells_site
+from ..metadata import (
+    LEFT_OUT,
+    SERIAL_NUMBER,
+    described_imu,
+    described_mount,
+    described_site,
+    imu_key,
+    serial_key,
+    tells_site,
+)
 from ..model import AUTO_TERMS, Term, asks_for_search, named_terms
 from ..model.session_terms import Change, split_terms
+from ..mounted import namespace
 from ..plan import UNPLANNED, Plan, read_plan
+from ..stream import Floats
 from ..turntable import Table, read_table
 from ..units import DEG
 from .named import Named, as_imu, as_plan, as_table
@@ -59,6 +72,7 @@ class Stated:
         method: Name of the estimator.
         terms: What the joint estimate adds to the 24 parameters: names with commas between.
         serial: Serial number of the unit.
+        mount: (3, 3) its body axes in those that the table's description mounts.
 
     """
 
@@ -79,6 +93,7 @@ class Stated:
     method: str | None = None
     terms: str | None = None
     serial: str | None = None
+    mount: Floats | None = None
 
     @property
     def _terms(self) -> str:
@@ -219,20 +234,45 @@ def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpe
     return given, name
 
 
-def serial_of(stated: Stated, recording: Recording) -> str:
+def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
     """Return the serial number that is stated, or that of the recording; empty without one.
+
+    Args:
+        stated: What is known.
+        recording: The recording.
+        topic: Of the unit's samples: where there are several units each has its own.
 
     Raises:
         InputError: The two differ.
 
     """
-    said, given = recording.custom_data.get(SERIAL_NUMBER, ''), stated.serial
+    data = recording.custom_data
+    said, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
     if given is not None and said and given != said:
         raise InputError(
             f'--serial: found {given}, but {recording.path} is of the unit with serial number '
             f'{said}.'
         )
     return given or said
+
+
+def mounted_on(table: Table, stated: Stated, recording: Recording, topic: str) -> Table:
+    """Return a table that a unit is turned on, as it is stated or as the recording says.
+
+    Args:
+        table: By its description.
+        stated: What is known.
+        recording: The recording.
+        topic: Of the unit's samples.
+
+    Raises:
+        InputError: What the recording says is broken.
+
+    """
+    mount = stated.mount
+    if mount is None:
+        mount = described_mount(recording.custom_data, topic, str(recording.path))
+    return table if np.array_equal(mount, np.eye(3)) else replace(table, mount=table.mount @ mount)
 
 
 def table_of(stated: Stated, recording: Recording) -> Table:
@@ -314,6 +354,19 @@ def imu_topic(wanted: str | None, recording: Recording) -> str:
     return imu
 
 
+def units_of(recording: Recording) -> tuple[str, ...]:
+    """Return the topics of several units of which the recording says which they are.
+
+    None where there is one unit at most. Those that were left out of the session are not among
+    them.
+    """
+    kind, data = Kind.IMU.type_name, recording.custom_data
+    topics = [t.name for t in recording.topics if t.type == kind and serial_key(t.name) in data]
+    left_out = data.get(LEFT_OUT, '').split(',')
+    kept = [topic for topic in topics if namespace(data[serial_key(topic)]) not in left_out]
+    return tuple(sorted(kept)) if len(topics) > 1 else ()
+
+
 def skew_topic(recording: Recording, imu: str) -> str | None:
     """Return the topic of a skewed gyro beside an IMU's; None without one, or with several."""
     skewed = [
@@ -346,9 +399,12 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
         return None
     if len(filled) > 1:
         listed = ', '.join(t.name for t in filled)
+        several = ''
+        if kind is Kind.IMU:
+            several = ' Where they are units on one table, calibrate --imus takes all.'
         raise NotStated(
             f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
-            f'Choose with {option}.'
+            f'Choose with {option}.{several}'
         )
     return filled[0].name
 

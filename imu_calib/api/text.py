@@ -6,10 +6,10 @@ import csv
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from ..bags import AnyPath
 from ..errors import InputError
 from ..stream import Floats
 
@@ -29,7 +29,7 @@ class Text:
 
     """
 
-    path: Path
+    path: AnyPath
     names: tuple[str, ...]
     values: Floats
     broken: int
@@ -50,7 +50,7 @@ class Text:
         )
 
 
-def read_text(path: Path, delimiter: str | None = None) -> Text:
+def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     """Read a table of numbers: CSV, or columns with tabs, semicolons or blanks between.
 
     Lines that begin with #, % or // and empty ones are passed over. A first line that is no row of

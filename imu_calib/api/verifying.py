@@ -71,7 +71,7 @@ def verify(
 
     Args:
         calibration: calibration.yaml, single or combined, or what was read from one.
-        bag: Folder of rosbag2, or one .mcap or .db3 file.
+        bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
         plan: As for `calibrate`, as are all below but the last two.
         imu: What the IMU's numbers mean; where nobody says, the calibration does.
         table: The turntable.
@@ -146,7 +146,8 @@ def _verify(
     known = stated_imu(stated, recording, streams.imu)
     imu, says = (_described(first_of(loaded)), str(recording.path)) if known is None else known
     if not another_unit:
-        _check_identity(loaded, name, imu, says, serial_of(stated, recording))
+        serial = serial_of(stated, recording, streams.imu)
+        _check_identity(loaded, name, imu, says, serial)
     # A skewed gyro is not verified: nobody is to wait for it.
     imu = replace(imu, skewed=None)
     site = site_of(stated, recording)

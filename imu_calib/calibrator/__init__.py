@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
-from ..methods import free_positions
-from .by_hand import HandCalibrator
-from .on_table import Calibrator
-from .results import Result, Review
-from .setup import Setup
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .by_hand import HandCalibrator
+    from .on_table import Calibrator
+    from .results import Result, Review
+    from .setup import Setup
+
+_WHERE = {
+    'Calibrator': 'on_table',
+    'HandCalibrator': 'by_hand',
+    'Result': 'results',
+    'Review': 'results',
+    'Setup': 'setup',
+}
+"""Loaded when they are asked for: a session in the hand needs none of what solves one on a table,
+and what only looks into a recording solves few."""
 
 __all__ = ['Calibrator', 'HandCalibrator', 'Result', 'Review', 'Setup', 'calibrator_of']
 
@@ -19,5 +32,16 @@ def calibrator_of(setup: Setup) -> Calibrator | HandCalibrator:
         NotObservable: The plan cannot give the method its parameters, however it is run.
 
     """
-    by_hand = setup.method_name == free_positions.NAME
-    return HandCalibrator(setup) if by_hand else Calibrator(setup)
+    if setup.method_name == 'free_positions':
+        from .by_hand import HandCalibrator
+
+        return HandCalibrator(setup)
+    from .on_table import Calibrator
+
+    return Calibrator(setup)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'.{_WHERE[name]}', __name__), name)

@@ -18,6 +18,7 @@ from ..methods.free_positions import (
     FREE,
     NAME,
     FreeFit,
+    is_clear,
     scatter_words,
     solve,
     term_words,
@@ -93,6 +94,15 @@ class HandCalibrator:
     def segmented(self) -> Segmented:
         """End of the session: return what its streams contain, solved or not."""
         return self._segmenter.finish()
+
+    def refusal(self, session: Segmented) -> str:
+        """Say why what `segmented` returned gives no calibration; empty where it does."""
+        try:
+            if not (session.segments and is_clear(self.evidence(session))):
+                self._solve(session)
+        except NotObservable as error:
+            return str(error)
+        return ''
 
     def evidence(self, session: Segmented) -> Evidence:
         """Return the holds of a session, and the turns between them, as what `solve` works on.

@@ -8,10 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..budget import Budget, Source
-from ..calibration import Calibration, ResidualRow
 from ..errors import Contradiction, InputError, NotObservable
-from ..gravity import gravity_covariance, with_gravity
+from ..gravity import gravity_covariance
 from ..methods import (
     check_plan,
     closed_form_beside,
@@ -29,16 +27,11 @@ from ..segmentation.segmented import Segmented
 from ..segmentation.segmenter import Segmenter
 from ..stream import Block
 from ..table_clock import clock_share
-from .losses import assumption_findings, loss_findings, nothing_found
-from .provenance import noise, provenance, stamping
+from .basis import Basis
+from .losses import loss_findings, nothing_found
 from .results import Result, Review
 from .setup import Setup
 from .unsupported import unsupported_steps
-
-_LATER = (
-    'Provisional: terms are looked for when the session ends (--terms auto); a scale factor that '
-    'differs between the senses, say, is not in this estimate.',
-)
 
 
 class Calibrator:
@@ -224,35 +217,5 @@ class Calibrator:
             solution, comparison = self._estimate(evidence, labelled, session, solver)
         except NotObservable as error:
             raise type(error)(' '.join([str(error), *lost])) from None
-        contradiction = comparison.finding() if comparison is not None else []
-        findings = (
-            *(() if final or not setup.search_terms else _LATER),
-            *solution.findings,
-            *contradiction,
-            *lost,
-            *assumption_findings(setup, solution),
-        )
-        calibration = Calibration(
-            setup.imu,
-            solution.model,
-            solution.covariance,
-            tuple(
-                ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:])
-                for r in solution.residuals
-            ),
-            findings,
-            provenance(setup, evidence, session, solution, comparison)
-            | (noise(evidence) if final else {}),
-            setup.serial_number,
-            solution.parameters,
-            None if solution.shares is None else Budget.of(solution.shares),
-            solution.changes,
-            stamping(setup, evidence),
-        )
-        calibration = with_gravity(calibration, setup.site)
-        if setup.table is not None and setup.table.clock:
-            share = clock_share(
-                calibration.model, calibration.parameters, setup.imu.units, setup.table.clock
-            )
-            calibration = calibration.with_share(Source.TABLE_CLOCK, share)
-        return Result(calibration, solution, session, labelled, comparison)
+        found = Basis(setup, evidence, session, labelled, comparison, tuple(lost), final)
+        return found.concluded(solution)

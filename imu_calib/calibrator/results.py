@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from ..segmentation.labelling import Labelled
 from ..segmentation.segmented import Segmented
 from ..stream import Floats
 
+if TYPE_CHECKING:
+    from .basis import Basis
+
 
 @dataclass(frozen=True, eq=False)
 class Result:
@@ -27,6 +30,7 @@ class Result:
         session: What the streams contain.
         labelled: Its segments by name.
         comparison: How the closed form of the plan compares; None where there is none beside.
+        basis: What it was concluded from; None of a unit in the hand.
 
     """
 
@@ -35,6 +39,7 @@ class Result:
     session: Segmented
     labelled: Labelled
     comparison: Comparison | None = None
+    basis: Basis | None = None
 
     @property
     def terms(self) -> tuple[str, ...]:

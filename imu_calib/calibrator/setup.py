@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from ..earth import Site
 from ..imu import ImuSpec
-from ..methods import JOINT, default_method, estimated_parameters
 from ..model import Parameter, Term
 from ..model.session_terms import Change
+from ..mounted import MountedUnit
 from ..plan import Plan, Step
 from ..turntable import Table
 
@@ -45,6 +45,8 @@ class Setup:
     @property
     def method_name(self) -> str:
         """Name of the solver."""
+        from ..methods import default_method
+
         return self.method or default_method(self.plan)
 
     @property
@@ -55,6 +57,8 @@ class Setup:
             InputError: There is no such method, or it knows no terms.
 
         """
+        from ..methods import estimated_parameters
+
         return estimated_parameters(self.method_name, self.terms)
 
     @cached_property
@@ -65,4 +69,18 @@ class Setup:
     @property
     def plan_alone(self) -> bool:
         """Whether the method is a closed form, which knows the plan's positions alone."""
+        from ..methods import JOINT
+
         return self.method_name not in JOINT
+
+    def of_unit(self, unit: MountedUnit, imu: ImuSpec) -> Setup:
+        """Return the set-up of one of several units; the plan, the table and the site are theirs.
+
+        Args:
+            unit: Which, and how it sits on the table.
+            imu: What its numbers mean.
+
+        """
+        assert self.table is not None, 'several units are turned by a table'
+        mounted = unit.table(self.table)
+        return replace(self, imu=imu, serial_number=unit.serial_number, table=mounted)

@@ -50,6 +50,9 @@ FREE = np.array([(p.triad, p.row, p.column) not in _KEPT for p in PARAMETERS])
 
 ESTIMATES = tuple(p for p, found in zip(PARAMETERS, FREE, strict=True) if found)
 
+_RATIOS = np.array([p.kind is not ParameterKind.BIAS for p in ESTIMATES])
+"""(21,) which of them are no biases."""
+
 FEWEST = 9
 """Holds below which gravity cannot tell nine parameters of the accelerometers."""
 
@@ -68,6 +71,12 @@ positions')."""
 _USELESS = 0.05
 """Standard deviation of a ratio from which on it says nothing of the unit: data sheets are
 better."""
+_CLEAR = 10.0
+"""Times: by so much a session keeps away from what is refused to be called clear by its first step
+alone. A judgement: the steps after it change standard deviations and residuals by percents."""
+_STRAIGHT = 0.1
+"""Largest first step, of ratios and rotations (rad), within which the equations are as good as
+linear: what is left is of its square, 1 %."""
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
@@ -208,6 +217,55 @@ def solve(evidence: Evidence) -> FreeFit:
         },
         chance if chance < _SHOWN else 1.0,
     )
+
+
+def is_clear(evidence: Evidence) -> bool:
+    """Say whether it is clear by one linear step that `solve` refuses nothing; False in doubt.
+
+    The equations stay close to linear over the step, no turn stands out, and what `solve` may widen
+    by scatter stays far from useless: inflating the noise of groups by factors up to s inflates the
+    covariance by s^2 at most.
+
+    Source: docs/mathematics.md, 'Free positions'.
+
+    Args:
+        evidence: As for `solve`.
+
+    """
+    if len(evidence.segments) < FEWEST:
+        return False
+    try:
+        state = _State(*initial_equations(evidence), np.ones(3))
+    except NotObservable:
+        return False
+    equations, values = state.equations, state.values
+    jacobian, left = equations.jacobian(values), equations.outputs - equations.predict(values)
+    # Not `whitened`, whose triangular solver takes longer to load than all of this takes.
+    root = np.linalg.cholesky(equations.covariance(values))
+    rows = np.linalg.solve(root, np.column_stack([jacobian, left]))
+    rows = np.vstack([rows, equations.prior_rows(values)])
+    information = Information.of(rows[:, :-1])
+    if not information.observed.all():
+        return False
+    step = information.gain @ rows[:, -1]
+    rest = rows[:, -1] - rows[:, :-1] @ step
+    if _largest(step, equations) > _STRAIGHT:
+        return False
+    if _outstanding_turn(state, rest, _OUTLYING / 2) is not None:
+        return False
+    taken = (information.gain * rows[:, :-1].T).sum(axis=0)
+    scatter = max(
+        float(rest[of] @ rest[of]) / max(1.0, float(len(of) - taken[of].sum()))
+        for of in state.groups
+    )
+    std = np.sqrt(np.diag(information.covariance)[: len(ESTIMATES)] * max(1.0, scatter))
+    return bool((std[_RATIOS] * _CLEAR < _USELESS).all())
+
+
+def _largest(step: Floats, equations: FreeEquations) -> float:
+    """Return the largest of a step's changes of ratios and rotations."""
+    ratios, turned = step[: len(ESTIMATES)][_RATIOS], step[equations.north.stop :]
+    return float(np.abs(np.concatenate([ratios, turned])).max())
 
 
 def initial_equations(evidence: Evidence) -> tuple[FreeEquations, Floats]:
@@ -388,11 +446,15 @@ def _scatter(state: _State) -> Floats:
 
 def _wild_turn(state: _State) -> int | None:
     """Find the turn that stands far out of the rest, if any does."""
-    left = state.scattering(np.ones(3)).rows()[1]
+    return _outstanding_turn(state, state.scattering(np.ones(3)).rows()[1], _OUTLYING)
+
+
+def _outstanding_turn(state: _State, left: Floats, limit: float) -> int | None:
+    """Find the turn whose residual is the largest, if it is beyond a limit, times the usual."""
     size = np.linalg.norm(left[state.equations.layout.move], axis=1)
     if not len(size):
         return None
     # Across the vertical: about it nothing is left, since headings are sought.
     usual = max(1.0, float(np.median(size)) / np.sqrt(2 * np.log(2)))
     worst = int(np.argmax(size))
-    return worst if size[worst] > _OUTLYING * usual else None
+    return worst if size[worst] > limit * usual else None

@@ -18,7 +18,7 @@ from ..changes import Changes
 from ..errors import Contradiction, NotObservable
 from ..estimation.converge import NotConverged
 from ..estimation.fit import Estimate, Outlier, RejectedMove, estimate
-from ..estimation.search import search_terms
+from ..estimation.search import Search, search_terms
 from ..estimation.temperature_change import temperature_finding
 from ..estimation.term_tests import findings, tested
 from ..model import Term, parameters_of
@@ -85,6 +85,16 @@ def solve(
         raise
     if search.found and not evidence.plan.by_hand:
         _check_that_no_latitude_explains(search.before_search)
+    return concluded(search, terms, changes)
+
+
+def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ...]) -> Solution:
+    """Hold what was found against the world, and say what of it was asked for.
+
+    Raises:
+        NotObservable: It contradicts itself.
+
+    """
     found = _concluded(search.estimate)
     return replace(
         found,
@@ -92,6 +102,7 @@ def solve(
         findings=(*findings(search), *found.findings),
         shares=search.shares(),
         tests=tested(search, terms, changes),
+        search=search,
     )
 
 

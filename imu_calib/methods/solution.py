@@ -8,6 +8,7 @@ import numpy as np
 
 from ..budget import Shares
 from ..changes import Changes
+from ..estimation.search import Search
 from ..estimation.term_tests import TermTest
 from ..model import PARAMETERS, Parameter, SensorModel
 from ..stream import Floats
@@ -56,6 +57,8 @@ class Solution:
         gain: (n, m + u) derivatives of the parameters by the outputs of rests and turns, then by
             those of a skewed gyro in the u turns that it saw; None for a method that weighs them
             by what they show.
+        search: What the joint estimate found, from which several units on a table go on; None for
+            other methods, and for a session that goes on.
 
     """
 
@@ -74,6 +77,7 @@ class Solution:
     changes: Changes | None = None
     tests: tuple[TermTest, ...] = ()
     gain: Floats | None = None
+    search: Search | None = None
 
     def __post_init__(self) -> None:
         """Refuse a covariance of other parameters."""

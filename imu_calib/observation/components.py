@@ -130,13 +130,23 @@ class Component:
     freedom: float = np.inf
 
 
-def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]:
-    """Return the covariance of parameters that are (n, m) times the outputs, by source.
+def parts(
+    components: Iterable[Component], gain: Floats
+) -> defaultdict[Source, list[tuple[Floats, float]]]:
+    """Return independent covariances of parameters that are (n, m) times the outputs, by source.
 
-    Source: docs/mathematics.md, 'Uncertainty budget'.
+    Each (n, n), with its degrees of freedom.
     """
     found: defaultdict[Source, list[tuple[Floats, float]]] = defaultdict(list)
     for component in components:
         terms = component.part.through(gain)
         found[component.source] += [(term, component.freedom) for term in terms]
-    return {source: Share.of_parts(parts) for source, parts in found.items() if parts}
+    return found
+
+
+def shares(components: Iterable[Component], gain: Floats) -> dict[Source, Share]:
+    """Return the covariance of parameters that are (n, m) times the outputs, by source.
+
+    Source: docs/mathematics.md, 'Uncertainty budget'.
+    """
+    return {source: Share.of_parts(of) for source, of in parts(components, gain).items() if of}

@@ -33,7 +33,13 @@ from .evidence import SMALLEST_VARIANCE, Evidence
 from .headings import mean_over_turn
 from .layout import OutputLayout
 from .modulation import columns, slopes, stated_changes
-from .output_noise import encoder_rates, level_gravity, own_parts, unknown_north
+from .output_noise import (
+    encoder_rate_errors,
+    encoder_rates,
+    level_gravity,
+    own_parts,
+    unknown_north,
+)
 from .positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
 
 
@@ -541,6 +547,26 @@ class Equations:
         if not at_rest.shape[2]:
             return np.zeros((len(self.layout), 0))
         return self._leaning(state, at_rest, turning)
+
+    def by_attitude_errors(self, state: Floats, at_rest: Floats, turned: Floats) -> Floats:
+        """Return what e errors of attitudes do to the outputs, (m, e).
+
+        Args:
+            state: (n,) of sensors and table.
+            at_rest: (s, 3, e) rotations of the stretches about the body axes, rad.
+            turned: (t, 3, e) of the turns.
+
+        """
+        return self._leaning(state, at_rest, turned)
+
+    def by_encoder_rates(self, state: Floats) -> Floats:
+        """Return what the error of the encoder's rate in each turn does, (m, t): one deviation."""
+        evidence, response = self.evidence, self.model(state).gyro.response
+        result = np.zeros((len(self.layout), len(evidence.turns)))
+        rates, pulled = self._turning[1], self._pulled(state)
+        for turns, rows, seen in encoder_rate_errors(evidence, rates, response, pulled):
+            result[rows, turns[:, None]] = seen
+        return result
 
     def latitude_slope(self, state: Floats) -> Floats:
         """Return the derivatives of `predict` by the latitude, (m,) per rad."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..budget import Source
 from ..stream import Floats
@@ -92,6 +93,29 @@ def encoder_rates(
         pulled: (f, 3) what the square of the rate makes accelerometers that count feel, m/s^2.
 
     """
+    found = []
+    for _, rows, seen in encoder_rate_errors(evidence, rates, response, pulled):
+        blocks = Blocks(rows, seen[:, :, None] * seen[:, None, :])
+        found.append(Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM))
+    return found
+
+
+def encoder_rate_errors(
+    evidence: Evidence, rates: Floats, response: Floats, pulled: Floats
+) -> list[tuple[NDArray[np.intp], NDArray[np.intp], Floats]]:
+    """Return what one standard deviation of the encoder's rate does to the outputs of each turn.
+
+    Args:
+        evidence: The session.
+        rates: As in `encoder_rates`.
+        response: Likewise.
+        pulled: Likewise.
+
+    Returns:
+        For turns of gyros alone, and for those whose accelerometers count: which turns (k,), which
+        outputs (k, 3) or (k, 6), and what it does to them.
+
+    """
     turns = evidence.turns
     ups = np.array([t.up for t in turns]).reshape(-1, 3)
     errors = np.array([t.rate_error for t in turns]) * rates
@@ -99,17 +123,14 @@ def encoder_rates(
     layout, both = evidence.layout, evidence.arms.turns
     alone = np.delete(np.arange(len(turns)), both)
     relative = np.array([turns[k].rate_error for k in both]).reshape(-1, 1)
-    found = []
-    for rows, felt in (
-        (layout.turn[alone], seen[alone]),
+    return [
+        (alone, layout.turn[alone], seen[alone]),
         (
+            both,
             np.hstack([layout.turn[both], layout.turn_accels]),
             np.hstack([seen[both], 2 * relative * pulled]),
         ),
-    ):
-        blocks = Blocks(rows, felt[:, :, None] * felt[:, None, :])
-        found.append(Component(Source.ENCODER_RATE, blocks, ENCODER_FREEDOM))
-    return found
+    ]
 
 
 def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component:

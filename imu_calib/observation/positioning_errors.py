@@ -9,6 +9,7 @@ Source: docs/mathematics.md, 'Positioning errors'.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,8 +87,8 @@ def of_joints(
     order = np.argsort([part.start for part in parts], kind='stable')
     columns: list[Floats] = []
     for joint in range(angles.shape[1]):
-        about = _axes(table, joint, angles, turns)
-        for run in _runs(joint, angles[:, joint], parts, order.tolist()):
+        about = axes_of(table, joint, angles, turns)
+        for run in stops_of(joint, angles[:, joint], parts, order.tolist()):
             column = np.zeros((len(parts), 3))
             column[run] = about[run]
             columns.append(column)
@@ -110,7 +111,7 @@ def around(angles: Floats, joint: int) -> Floats:
     return steps
 
 
-def _axes(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -> Floats:
+def axes_of(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -> Floats:
     """Return the axis of a joint in body axes, (s + t, 3), over a turn its mean.
 
     The error of a joint that turns is its encoder's, and goes round.
@@ -125,8 +126,8 @@ def _axes(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -> 
     return about
 
 
-def _runs(
-    joint: int, readings: Floats, parts: list[Segment | Turn], order: list[int]
+def stops_of(
+    joint: int, readings: Floats, parts: Sequence[Segment | Turn], order: Sequence[int]
 ) -> list[list[int]]:
     """Return the stretches and turns of each stop of a joint, in time."""
     found: list[list[int]] = []

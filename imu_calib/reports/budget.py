@@ -60,6 +60,7 @@ _COLOURS = {
     Source.TIME_CONSTANT: '#5a2a83',
     Source.TEMPERATURE: '#ff9da7',
     Source.TERMS: '#2f6f6f',
+    Source.OTHER_UNITS: '#9db4c0',
 }
 """Neighbours differ in lightness too, for readers that do not tell the hues apart."""
 

@@ -15,6 +15,7 @@ from .options import (
     WarmUp,
     switched_on,
 )
+from .several import SeveralOnTable, SimulatedUnit
 from .stand import SimulatedStand, simulate
 from .table import SimulatedTable, TableState
 from .true_table import TableSizes, TrueJoint, TrueTable
@@ -23,10 +24,12 @@ __all__ = [
     'Delivery',
     'ImuOptions',
     'Knock',
+    'SeveralOnTable',
     'Shake',
     'SimulatedImu',
     'SimulatedStand',
     'SimulatedTable',
+    'SimulatedUnit',
     'StandOptions',
     'TableOptions',
     'TableSizes',

@@ -147,7 +147,7 @@ class SimulatedImu:
         self._gyro = self._channels(gyros, 'gyro')
         self._accel = self._channels(accels, 'accel')
         self._device_period = 1 / rate
-        self._places = places(model)
+        self._places, self._late = places(model), delay(model)
         self._line = DeliveryLine(self.options.delivery, self._device_period, rng.spawn(1)[0])
         self._phase = float(phase.uniform())
         self._next = 0
@@ -180,7 +180,7 @@ class SimulatedImu:
             self.taken = np.empty(0, np.intp)
             return ImuBlock(stamps, np.empty((0, 3)), np.empty((0, 3)), self.options.frame_id)
         widths = np.diff(edges)
-        late = delay(self.model)
+        late = self._late
         # Accelerometers that answer early are in time, and all else late.
         on_time = edges + min(0.0, late)
         angle, velocity = motion.increments(on_time, self.site, np.array(self.options.lever))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
 from ..earth import Site
-from ..rotations import in_rotated_frame
+from ..rotations import all_in_rotated_frame, in_rotated_frame
 from ..stream import Floats
 from .tracks import Track
 
@@ -136,6 +136,9 @@ class Motion:
     ringing: tuple[Ringing, ...] = ()
     shaking: Shaking | None = None
     links: tuple[Link, ...] = ()
+    _rests: dict[tuple[int, Site, bytes], tuple[Floats, Floats]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def attitude(self, times: Floats) -> Floats:
         """Return R_nb (n, 3, 3) at (n,) times, without the ringing."""
@@ -163,10 +166,12 @@ class Motion:
         """
         starts = self.track.start
         inside = starts[(starts > edges[0]) & (starts < edges[-1])]
-        cuts = np.union1d(edges, inside) if len(inside) else edges
+        cuts, bounds = edges, [0, len(edges) - 1]
+        if len(inside):
+            cuts = np.union1d(edges, inside)
+            bounds = [0, *np.searchsorted(cuts, np.unique(inside)).tolist(), len(cuts) - 1]
         angle = np.empty((len(cuts) - 1, 3))
         velocity = np.empty((len(cuts) - 1, 3))
-        bounds = [0, *np.searchsorted(cuts, np.unique(inside)).tolist(), len(cuts) - 1]
         for first, last in pairwise(bounds):
             rows = slice(first, last)
             angle[rows], velocity[rows] = self._within_piece(cuts[first : last + 1], site, lever)
@@ -185,7 +190,7 @@ class Motion:
             self.track.rate[index] + acceleration * (edges[[0, -1]] - start)[:, None]
         ).max(axis=0)
         if not fastest.any():
-            rate, force = self._at(self.track.value[index][:, None], None, None, site, lever)
+            rate, force = self._at_rest(index, site, lever)
             return widths[:, None] * rate, widths[:, None] * force
         steps = max(1, math.ceil(float(fastest.sum() * widths.max()) / _LARGEST_TURN))
         nodes = ((np.arange(steps)[:, None] + (_NODES + 1) / 2) / steps).ravel()
@@ -200,6 +205,14 @@ class Motion:
         )
         angle, velocity = (mean * widths[:, None] for mean in means)
         return angle, velocity
+
+    def _at_rest(self, index: int, site: Site, lever: Floats) -> tuple[Floats, Floats]:
+        """Return `_at` in a piece that stands: a live stand asks ten times a second."""
+        key = (index, site, lever.tobytes())
+        if key not in self._rests:
+            value = self.track.value[index][:, None]
+            self._rests[key] = self._at(value, None, None, site, lever)
+        return self._rests[key]
 
     def _at(
         self,
@@ -231,9 +244,7 @@ class Motion:
         for k, axis in enumerate(self.axes):
             moves = rates is not None and bool(rates[k].any())
             angle = (angles[k] if moves else angles[k, :1]) + self.zeros[k]
-            earth, up, spin, spin_up = (
-                in_rotated_frame(v, axis, angle) for v in (earth, up, spin, spin_up)
-            )
+            earth, up, spin, spin_up = all_in_rotated_frame([earth, up, spin, spin_up], axis, angle)
             if rates is not None and accelerations is not None and moves:
                 own = rates[k][:, None] * axis
                 spin_up = spin_up + np.cross(spin, own) + accelerations[k][:, None] * axis

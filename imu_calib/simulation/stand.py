@@ -114,12 +114,16 @@ class SimulatedStand:
             named: list[tuple[str, Block]] = [
                 (SETPOINT_TOPIC, self._setpoints(begin, end)),
                 (JOINT_TOPIC, self._joint_states(begin, end)),
-                (IMU_TOPIC, self._imu.advance(self.motion, end)),
+                *self._sampled(end),
                 (TEMPERATURE_TOPIC, self._temperatures(begin, end)),
             ]
-            if self._imu.skewed is not None:
-                named.append((SKEW_TOPIC, self._imu.skewed))
             yield from ((topic, block) for topic, block in named if len(block))
+
+    def _sampled(self, end: float) -> Iterator[tuple[str, Block]]:
+        """Yield what the unit has sampled since the last call, up to a time."""
+        yield IMU_TOPIC, self._imu.advance(self.motion, end)
+        if self._imu.skewed is not None:
+            yield SKEW_TOPIC, self._imu.skewed
 
     def _check_options(self) -> None:
         o = self.options

@@ -112,6 +112,7 @@ class SimulatedTable:
         true = encoder + self._hidden()
         self._track = Track.standing(0.0, np.concatenate([encoder, true]))
         self._base = Track.standing(0.0, self._base_error())
+        self._motion: tuple[tuple[Track, Track], Motion] | None = None
         self._order = _Order(encoder, encoder, true, self._fastest)
         self._setpoint: Setpoint | None = None
         self._deadline = math.inf
@@ -184,6 +185,12 @@ class SimulatedTable:
     def motion(self, until: float) -> Motion:
         """Return the true motion, which holds up to `until`, s since the epoch."""
         self._reach(np.array([until]))
+        course = self._track, self._base
+        if self._motion is None or self._motion[0] != course:
+            self._motion = course, self._true_motion()
+        return self._motion[1]
+
+    def _true_motion(self) -> Motion:
         azimuth = self.table.azimuth if self.options.azimuth is None else self.options.azimuth
         tilt = np.array([*self.options.tilt, 0.0])
         size = float(np.linalg.norm(tilt))

@@ -90,6 +90,8 @@ class Track:
     def since(self, time: float) -> Track:
         """Return the track without the pieces that end before a time."""
         first = int(self.piece(np.array([time]))[0])
+        if not first:
+            return self
         return Track(
             self.start[first:], self.value[first:], self.rate[first:], self.acceleration[first:]
         )

@@ -1,0 +1,257 @@
+"""What the streams of a recording contain: rests, turns, what contradicts what was stated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..bags import Recording
+from ..calibrator import HandCalibrator, calibrator_of
+from ..calibrator.setup import Setup
+from ..errors import InputError, NotObservable
+from ..observation.earth_seen import contradicts, latitude_seen, up_rate_seen
+from ..plan import Plan
+from ..segmentation.labelling import Labelled, label
+from ..segmentation.naming import heading, up_words
+from ..segmentation.segment import Segment
+from ..segmentation.segmented import Segmented
+from ..segmentation.without_joint_states import up_by_accelerometers
+from ..turntable import TURN
+from ..units import DEG, DEG_H
+from .opening import Opened
+from .progress import Progress
+
+if TYPE_CHECKING:
+    # Loaded for a session on a table.
+    from ..calibrator import Calibrator
+
+_SAME_UP = 0.999
+"""Cosine of 2.6 deg: turns about axes that are closer are of the same position. A judgement: the
+positions of a rate test are 90 deg apart."""
+
+PASSING = 'on the way'
+UNUSED = 'not used'
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A static dwell.
+
+    Attributes:
+        at: s after the start of the recording.
+        seconds: How long it lasted.
+        missing: Samples that are missing in it.
+        up: Attitude in words.
+        heading: Of the unit about up by the table's angles, deg; None where nobody knows.
+        position: Of the plan, or what became of it; empty where there is no plan.
+        mean: (6,) what the sensors read, rad/s and m/s^2.
+
+    """
+
+    at: float
+    seconds: float
+    missing: int
+    up: str
+    heading: float | None
+    position: str
+    mean: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A measurement of whole turns: as for `Rest`; the rate in rad/s, counter-clockwise."""
+
+    at: float
+    seconds: float
+    up: str
+    rate: float
+    turns: int
+    position: str
+
+
+@dataclass(frozen=True)
+class Inside:
+    """What the streams of a recording contain.
+
+    Attributes:
+        rests: Static dwells.
+        turns: Whole turns.
+        plan: Name; empty without one.
+        missing: What of the plan is not there; None where no plan has to be kept to.
+        told: Whether all parameters are determined, in a sentence.
+        latitude: Seen by the gyros, and its standard deviation, deg; None where they do not tell.
+        contradictions: What does not go with the latitude, the plan or the description of the IMU.
+        left_out: What is not used, and why.
+        lost: What was lost.
+
+    """
+
+    rests: tuple[Rest, ...]
+    turns: tuple[Turned, ...]
+    plan: str
+    missing: tuple[str, ...] | None
+    told: str
+    latitude: tuple[float, float] | None
+    contradictions: tuple[str, ...]
+    left_out: tuple[str, ...]
+    lost: tuple[str, ...]
+
+
+def inside(opened: Opened, progress: Progress) -> Inside:
+    """Read the streams, and say what they contain.
+
+    Raises:
+        InputError: Unreadable, or what is stated does not go with it.
+
+    """
+    setup = opened.setup
+    calibrator = calibrator_of(setup)
+    for block in opened.blocks(progress):
+        calibrator.feed(block)
+    session, refusal = _segmented(calibrator)
+    free = isinstance(calibrator, HandCalibrator)
+    if session.strangers:
+        raise InputError(session.strangers)
+    labelled = (
+        Labelled(session.segments, (), ()) if free else label(session, setup.plan, setup.table)
+    )
+    zero = _zero(opened.recording, session)
+    seen = up_rate_seen(session.segments)
+    found = None if seen is None else latitude_seen(*seen)
+    contradictions = [refusal] if refusal else []
+    if seen is not None and found is not None and contradicts(*seen, setup.site.latitude):
+        contradictions.insert(0, _other_latitude(seen, found, setup))
+    return Inside(
+        tuple(_rests(session, labelled, setup.plan, zero, free=free)),
+        tuple(_turns(labelled, setup.plan, zero)),
+        setup.plan.name if setup.plan.is_stated else '',
+        None if free or not setup.plan.is_stated else tuple(_missing(labelled, setup.plan)),
+        _told(session, labelled, setup, free=free) if refusal else _determined(setup),
+        None if found is None else (found[0] / DEG, found[1] / DEG),
+        tuple(contradictions),
+        (
+            *(
+                f'{r.position or f"at {(r.start - zero) * 1e-9:.1f} s"}: {r.reason}'
+                for r in labelled.rejected
+            ),
+            *labelled.notes,
+        ),
+        (*opened.recording.losses, *session.losses),
+    )
+
+
+def _segmented(calibrator: Calibrator | HandCalibrator) -> tuple[Segmented, str]:
+    """Return what the streams contain, and why no calibration comes of it; empty where one does."""
+    if isinstance(calibrator, HandCalibrator):
+        session = calibrator.segmented()
+        return session, calibrator.refusal(session)
+    review = calibrator.review()
+    return review.session, review.refusal
+
+
+def _other_latitude(seen: tuple[float, float], found: tuple[float, float], setup: Setup) -> str:
+    rate, std = (v / DEG_H for v in seen)
+    return (
+        f'The gyros see the Earth turn at {rate:+.2f} +- {std:.2f} deg/h about up; at latitude '
+        f'{setup.site.latitude / DEG:.2f} deg it turns at {setup.site.up_rate / DEG_H:+.2f}. They '
+        f'fit a latitude of {found[0] / DEG:.1f} +- {found[1] / DEG:.1f} deg.'
+    )
+
+
+def _zero(recording: Recording, session: Segmented) -> int:
+    """Return the instant that times count from, ns: the start of the recording.
+
+    Stamps of a clock that counts from something else have their own beginning.
+    """
+    first, start, end = session.start, recording.start_ns, recording.end_ns
+    if first is None or start is None or end is None:
+        return first or 0
+    return start if start <= first <= end else first
+
+
+def _determined(setup: Setup) -> str:
+    return f'the attitudes and turns determine all {len(setup.parameters)} parameters'
+
+
+def _told(session: Segmented, labelled: Labelled, setup: Setup, *, free: bool) -> str:
+    """Say whether a session that is refused determines all parameters, or what it lacks."""
+    if free:
+        return f'{len(session.segments)} holds do not determine them all'
+    from ..calibrator import Calibrator
+    from ..estimation.fit import check_observable
+    from ..observation.equations import Equations
+
+    try:
+        evidence = Calibrator(setup).evidence(labelled, session)
+        check_observable(Equations(evidence, setup.parameters))
+    except NotObservable as error:
+        return f'the attitudes decide. {error}'
+    return _determined(setup)
+
+
+def _rests(
+    session: Segmented, labelled: Labelled, plan: Plan, zero: int, *, free: bool
+) -> list[Rest]:
+    """List every rest: when, how long, how the unit stood, and what the plan calls it."""
+    names = {s.start: str(s.position) for s in labelled.segments}
+    known = {p.id for p in plan.positions}
+    passing = {s.start for s in labelled.passing}
+    by_plan = {} if free else {s.start: s.attitude for s in labelled.segments}
+    rows = []
+    for segment in session.segments:
+        attitude = segment.attitude if segment.attitude is not None else by_plan.get(segment.start)
+        name = names.get(segment.start)
+        if free:
+            name = ''
+        elif name is None:
+            name = PASSING if segment.start in passing else UNUSED
+        elif name not in known:
+            name = ''
+        rows.append(
+            Rest(
+                (segment.start - zero) * 1e-9,
+                float(segment.statistics.duration),
+                int(segment.statistics.missing),
+                up_words(_up(segment, free=free) if attitude is None else attitude[2]),
+                None if attitude is None else round(heading(attitude) / DEG, 2) % 360,
+                name,
+                tuple(segment.statistics.mean.tolist()),
+            )
+        )
+    return rows
+
+
+def _up(segment: Segment, *, free: bool) -> Any:
+    """Return where up is by the accelerometers: biases that nobody knows yet included."""
+    if not free:
+        return up_by_accelerometers(segment)
+    force = segment.statistics.mean[3:]
+    return force / np.linalg.norm(force)
+
+
+def _turns(labelled: Labelled, plan: Plan, zero: int) -> list[Turned]:
+    """List every measurement of whole turns: when, about what, how fast, how many."""
+    known = {p.id for p in plan.positions}
+    return [
+        Turned(
+            (turn.start - zero) * 1e-9,
+            float(turn.statistics.duration),
+            up_words(turn.up),
+            float(turn.rate()),
+            round(abs(turn.angle) / TURN),
+            str(turn.position) if turn.position in known else '',
+        )
+        for turn in labelled.turns
+    ]
+
+
+def _missing(labelled: Labelled, plan: Plan) -> list[str]:
+    found = {s.position for s in labelled.segments}
+    missing = [p.id for p in plan.positions if p.dwell > 0 and p.id not in found]
+    return missing + [
+        f'the turns at {p.id}'
+        for p in plan.positions
+        if p.rate_test and not any(t.up @ p.up > _SAME_UP for t in labelled.turns)
+    ]

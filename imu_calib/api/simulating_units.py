@@ -1,0 +1,149 @@
+"""A recording of several units on one table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from ..bags import RecordingWriter
+from ..calibration import Calibration
+from ..earth import LUOYANG
+from ..errors import InputError
+from ..metadata import describe, mount_description, shared_description, unit_description
+from ..methods import check_plan
+from ..mounted import TRUTHS, MountedUnit, load_units, spread_seeds
+from ..plan import Plan, load_plan
+from ..simulation import SeveralOnTable, SimulatedUnit
+from ..turntable import load_table
+from .named import Named, as_imu, load_truth
+from .outputs import new_folder, whole_or_not_at_all
+from .progress import Progress, silent
+from .simulating import options_of, save_true_table, write_blocks
+from .stated import Stated
+
+_TABLE = 'three_axis'
+_TRUTH = 'cao2022_table1'
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedUnits:
+    """A recording of several units that was simulated.
+
+    Attributes:
+        path: Its folder.
+        plan: What was run.
+        truths: The true parameters of each unit by serial number, also in the folder `TRUTHS`.
+        duration: s.
+        true_table: The file of the table as it truly is; None where it is as described.
+
+    """
+
+    path: Path
+    plan: Plan
+    truths: Mapping[str, Calibration]
+    duration: float
+    true_table: Path | None
+
+
+def simulate_units(
+    plan: Named,
+    output: Named,
+    imus: Named | Sequence[MountedUnit],
+    *,
+    table: Named | None = None,
+    truth: Calibration | Named = _TRUTH,
+    azimuth: float | None = None,
+    bias_instability: bool = False,
+    imperfections: Named | None = None,
+    seed: int = 0,
+    latitude: float | None = None,
+    latitude_std: float | None = None,
+    height: float | None = None,
+    height_std: float | None = None,
+    gravity: float | None = None,
+    gravity_std: float | None = None,
+    start: str | datetime | None = None,
+    temperature: float | None = None,
+    compression: str = '',
+    progress: Progress = silent,
+) -> SimulatedUnits:
+    """Simulate a session of several units on one table and write its recording.
+
+    Args:
+        plan: Name or file; one of a table.
+        output: Folder to create.
+        imus: File of the units (docs/files/units.md), or the units.
+        table: Name or file; None for the three-axis table.
+        truth: True parameters of the units that state none of their own.
+        azimuth: As for `simulate`, as are all that follow.
+        bias_instability: Of every unit, by its own figure.
+        imperfections: The table's own are the same for all units.
+        seed: Of the table, and of the units that state none of their own.
+        latitude: deg.
+        latitude_std: deg.
+        height: m.
+        height_std: m.
+        gravity: m/s^2.
+        gravity_std: m/s^2.
+        start: Date of the first sample.
+        temperature: degC.
+        compression: '', 'lz4' or 'zstd'.
+        progress: Shows how far it is.
+
+    Raises:
+        InputError: A file is missing or broken, they do not fit each other, the folder exists, or
+            the one that it is to stand in does not.
+        NotObservable: The plan cannot give its method the parameters, however it is run.
+
+    """
+    if seed < 0:
+        raise InputError(f'--seed: found {seed}, expected 0 or more.')
+    target = new_folder(output)
+    listed = load_units(imus) if isinstance(imus, str | Path) else tuple(imus)
+    site = Stated(
+        latitude=latitude,
+        latitude_std=latitude_std,
+        height=height,
+        height_std=height_std,
+        gravity=gravity,
+        gravity_std=gravity_std,
+    ).site(LUOYANG)
+    steps = load_plan(plan)
+    check_plan(steps.method, steps, site)
+    if steps.by_hand:
+        raise InputError(
+            f'--imus: plan {steps.name} is run by hand, without a table: expected one unit (--imu).'
+        )
+    stands = load_table(table or _TABLE)
+    options = options_of(
+        stands,
+        azimuth,
+        imperfections,
+        seed,
+        bias_instability=bias_instability,
+        start=start,
+        temperature=temperature,
+    )
+    units, truths = [], {}
+    for one, own_seed in zip(listed, spread_seeds(listed, seed), strict=True):
+        spec = as_imu(one.imu)
+        true = replace(load_truth(one.truth or truth, spec), imu=spec)
+        truths[one.serial_number] = replace(true, serial_number=one.serial_number)
+        unit = SimulatedUnit(one.topic, spec, true.model, one.mount, one.lever, own_seed)
+        units.append(unit)
+    stand = SeveralOnTable(steps, stands, units, site, options, seed)
+    data = shared_description(describe(str(plan), str(listed[0].imu), str(table or _TABLE), site))
+    for one in listed:
+        data |= unit_description(one.topic, one.imu, one.serial_number)
+        if one.turned:
+            data |= mount_description(one.topic, one.mount)
+    with whole_or_not_at_all(target):
+        with RecordingWriter(target, data, compression) as writer:
+            write_blocks(writer, stand.blocks(), stand.duration, progress)
+        (target / TRUTHS).mkdir()
+        for number, true in truths.items():
+            true.save(target / TRUTHS / f'{number}.yaml')
+        true_table = save_true_table(target, options, stands)
+    return SimulatedUnits(target, steps, truths, stand.duration, true_table)

@@ -1,0 +1,83 @@
+"""What a result is concluded from: a solution with the session that it is of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..budget import Budget, Source
+from ..calibration import Calibration, ResidualRow
+from ..gravity import with_gravity
+from ..methods.cross_check import Comparison
+from ..methods.solution import Solution
+from ..observation.evidence import Evidence
+from ..segmentation.labelling import Labelled
+from ..segmentation.segmented import Segmented
+from ..table_clock import clock_share
+from .losses import assumption_findings
+from .provenance import noise, provenance, stamping
+from .results import Result
+from .setup import Setup
+
+_LATER = (
+    'Provisional: terms are looked for when the session ends (--terms auto); a scale factor that '
+    'differs between the senses, say, is not in this estimate.',
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """A session that was solved, as far as a result is made of it.
+
+    Attributes:
+        setup: What was known beforehand.
+        evidence: What was solved.
+        session: What the streams contain.
+        labelled: Its segments by name.
+        comparison: How the closed form of the plan compares; None where there is none beside.
+        lost: Sentences on what was lost.
+        final: Whether the session is over.
+
+    """
+
+    setup: Setup
+    evidence: Evidence
+    session: Segmented
+    labelled: Labelled
+    comparison: Comparison | None
+    lost: tuple[str, ...]
+    final: bool
+
+    def concluded(self, solution: Solution) -> Result:
+        """Return the result of a solution, with the doubt of gravity and of the table's clock."""
+        setup, comparison = self.setup, self.comparison
+        findings = (
+            *(() if self.final or not setup.search_terms else _LATER),
+            *solution.findings,
+            *(comparison.finding() if comparison is not None else []),
+            *self.lost,
+            *assumption_findings(setup, solution),
+        )
+        calibration = Calibration(
+            setup.imu,
+            solution.model,
+            solution.covariance,
+            tuple(
+                ResidualRow(r.position, r.start * 1e-9, r.value[:3], r.value[3:])
+                for r in solution.residuals
+            ),
+            findings,
+            provenance(setup, self.evidence, self.session, solution, comparison)
+            | (noise(self.evidence) if self.final else {}),
+            setup.serial_number,
+            solution.parameters,
+            None if solution.shares is None else Budget.of(solution.shares),
+            solution.changes,
+            stamping(setup, self.evidence),
+        )
+        calibration = with_gravity(calibration, setup.site)
+        if setup.table is not None and setup.table.clock:
+            share = clock_share(
+                calibration.model, calibration.parameters, setup.imu.units, setup.table.clock
+            )
+            calibration = calibration.with_share(Source.TABLE_CLOCK, share)
+        return Result(calibration, solution, self.session, self.labelled, comparison, self)

@@ -1,0 +1,129 @@
+"""Several units on one table: the results of each, with what they share estimated once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from ..errors import ImuCalibError
+from ..estimation.search import Search
+from ..estimation.several import Contradicting, TableSeen, join
+from ..methods import joint
+from ..observation.common_errors import shares_a_table
+from .basis import Basis
+from .results import Result
+
+_NOBODY = (
+    'What it says of the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
+    'degrees of freedom): nobody knows which of two is right, and each is calibrated by itself. A '
+    'third unit would tell.'
+)
+_ODD = (
+    'What it says of the table contradicts the other units (chi-square {square:.0f} with {freedom} '
+    'degrees of freedom): it is calibrated by itself. A unit that is loose on the fixture does so, '
+    'one whose samples froze or whose clock jumps, and sensors that do not answer as they are said '
+    'to.'
+)
+
+
+_PARTIAL = (
+    'It saw {seen} of the {of_all} static dwells of all units, and is calibrated by itself: its '
+    'samples ended, froze or began late.'
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """Results of several units.
+
+    Attributes:
+        results: One for each: with what the units share where it took part, else as it was.
+        table: What the units found of the table; None where fewer than two took part.
+        shared: Which took part.
+        left_out: Why others did not, by their place.
+
+    """
+
+    results: tuple[Result | None, ...]
+    table: TableSeen | None
+    shared: tuple[int, ...]
+    left_out: Mapping[int, str]
+
+
+def together(alone: Sequence[Result | None], names: Sequence[str]) -> Together:
+    """Estimate what several units on one table share once, from all of them.
+
+    Takes part what the joint estimate solved on a table whose joint angles are known: closed forms,
+    units in the hand and what failed stay as they are.
+
+    Args:
+        alone: The result of each by itself; None of one that failed.
+        names: Of each, for what is said and for the provenance of the others.
+
+    """
+    results = list(alone)
+    parts = {k: part for k, one in enumerate(alone) if one and (part := _part(one))}
+    places = list(parts)
+    if len(places) < 2:
+        return Together(tuple(results), None, (), {})
+    try:
+        joined = join([search.estimate for _, search in parts.values()])
+    except ImuCalibError as error:
+        said = f'What the units share could not be estimated from all of them: {error}'
+        return Together(_noted(results, dict.fromkeys(places, said)), None, (), {})
+    shared, left_out = [], {}
+    for i, estimate in joined.estimates.items():
+        place = places[i]
+        basis, search = parts[place]
+        found = replace(search, estimate=estimate)
+        try:
+            solution = joint.concluded(found, basis.setup.terms, basis.setup.changes)
+        except ImuCalibError as error:
+            left_out[place] = f'With what the units share it is refused: {error}'
+            continue
+        results[place] = basis.concluded(solution)
+        shared.append(place)
+    for place in shared:
+        others = [names[other] for other in shared if other != place]
+        results[place] = _beside(results[place], others)
+    for i, seen, of_all in joined.partial:
+        left_out[places[i]] = _PARTIAL.format(seen=seen, of_all=of_all)
+    for odd in joined.contradicting:
+        left_out[places[odd.unit]] = _words(odd, others=len(shared))
+    if joined.contradicting and not joined.estimates:
+        # Of the last two neither is right for certain.
+        last = [p for p in places if p not in left_out]
+        left_out |= {p: _words(joined.contradicting[-1], others=0) for p in last}
+    return Together(_noted(results, left_out), joined.table, tuple(shared), left_out)
+
+
+def _beside(result: Result | None, others: Sequence[str]) -> Result | None:
+    """Return a result that says with which other units its table was estimated."""
+    if result is None or not others:
+        return result
+    calibration = result.calibration
+    provenance = {**calibration.provenance, 'shared_with': list(others)}
+    return replace(result, calibration=replace(calibration, provenance=provenance))
+
+
+def _part(result: Result) -> tuple[Basis, Search] | None:
+    basis, search = result.basis, result.solution.search
+    if basis is None or search is None or not shares_a_table(search.estimate.equations):
+        return None
+    return basis, search
+
+
+def _words(odd: Contradicting, *, others: int) -> str:
+    words = _ODD if others else _NOBODY
+    return words.format(square=odd.chi_square, freedom=odd.freedom)
+
+
+def _noted(results: Sequence[Result | None], said: Mapping[int, str]) -> tuple[Result | None, ...]:
+    """Return results with a sentence more on some of them."""
+    found = list(results)
+    for place, sentence in said.items():
+        if (result := found[place]) is not None:
+            calibration = result.calibration
+            noted = replace(calibration, findings=(*calibration.findings, sentence))
+            found[place] = replace(result, calibration=noted)
+    return tuple(found)

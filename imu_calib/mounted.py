@@ -1,0 +1,209 @@
+"""Several units on one table: which there are, on which topics, and how they sit on the fixture.
+
+A file (docs/files/units.md) lists them. What is theirs alone stands there; plan, table and site are
+those of the session.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from .config import Section
+from .errors import InputError
+from .stream import Floats
+from .turntable import Table, read_mount
+
+_NAME = r'[A-Za-z_][A-Za-z0-9_]*'
+TOPIC = rf'/?{_NAME}(/{_NAME})*'
+"""Names of topics (ROS 2 design, "Topic and Service name mapping"): what of them a file may say."""
+SERIAL = r'[^/\\\x00-\x1f.][^/\\\x00-\x1f]*'
+"""Serial numbers that name a file: bringup finds a calibration by it."""
+TRUTHS = 'truths'
+"""Folder that takes what simulated units truly are, SERIAL.yaml each."""
+PULSES = 'imu/pulses'
+"""Topic of a unit's samples, in its namespace."""
+_NO_NAME = re.compile(r'[^A-Za-z0-9_]')
+"""What a name of ROS may not hold."""
+_FASTEST_LINE = 10_000_000
+"""bit/s: more than any serial port has."""
+_MOST = 256
+"""Units of a session: each topic needs its reader, and no table has room for more."""
+
+
+@dataclass(frozen=True, eq=False)
+class MountedUnit:
+    """One of several units on a table.
+
+    Attributes:
+        serial_number: Which unit of its type; its calibration is called by it.
+        imu: Name or file of its type: what its numbers mean.
+        topic: Of its sensor_msgs/Imu messages, with a leading slash.
+        place: Where it sits on the fixture, for people.
+        mount: (3, 3) columns are its body axes in those that the table's description mounts.
+        lever: (3,) from the centre of rotation to its accelerometers, its body axes, m; of a
+            simulated unit.
+        port: Of its device; empty where others read it, or where it is simulated.
+        device: Name or file of the format of its frames; empty: as for all units.
+        baud: Of a serial port, bit/s; 0: as the device's file says.
+        truth: Name or file of its true parameters, of a simulated unit; empty: as for all units.
+        seed: Of the noise of a simulated unit; None for one that follows from the session's.
+
+    """
+
+    serial_number: str
+    imu: str
+    topic: str
+    place: str = ''
+    mount: Floats = field(default_factory=lambda: np.eye(3))
+    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    port: str = ''
+    device: str = ''
+    baud: int = 0
+    truth: str = ''
+    seed: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Namespace of its node and topics: unit_ and the serial number, as ROS can spell it."""
+        return namespace(self.serial_number)
+
+    @property
+    def named_topic(self) -> str:
+        """Its topic where that is no default; empty where a namespace of the stand may move it."""
+        return '' if self.topic == f'/{self.name}/{PULSES}' else self.topic
+
+    @property
+    def turned(self) -> bool:
+        """Whether its axes are others than the table's description has them."""
+        return not np.array_equal(self.mount, np.eye(3))
+
+    def table(self, table: Table) -> Table:
+        """Return the table with this unit mounted on it."""
+        return replace(table, mount=table.mount @ self.mount) if self.turned else table
+
+
+def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
+    """Read the file of several units; the files that it names are sought beside it first.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    path = Path(path).expanduser()
+    return read_units(Section.load(path), path.parent)
+
+
+def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUnit, ...]:
+    """Read several units from their YAML mapping.
+
+    Args:
+        section: The mapping.
+        folder: Beside whose files those that it names may lie.
+
+    Raises:
+        InputError: File, key, what was found and what was expected.
+
+    """
+    parts = section.sections('units')
+    if len(parts) > _MOST:
+        raise InputError(f'{section.key("units")}: found {len(parts)} units, at most {_MOST}.')
+    units = tuple(_read_unit(part, folder) for part in parts)
+    section.finish()
+    for what, found in (
+        ('serial_number', [unit.name for unit in units]),
+        ('topic', [unit.topic for unit in units]),
+        ('port', [unit.port for unit in units if unit.port]),
+    ):
+        twice = next((one for one in found if found.count(one) > 1), None)
+        if twice is not None:
+            raise InputError(
+                f'{section.key("units")}: found {what} {twice} twice, expected one for each unit.'
+            )
+    return units
+
+
+def namespace(serial_number: str) -> str:
+    """Return what topics and nodes of a unit begin with.
+
+    >>> namespace('A-1001')
+    'unit_A_1001'
+
+    """
+    return f'unit_{_NO_NAME.sub("_", serial_number)}'
+
+
+def remaining(units: Sequence[MountedUnit], without: str) -> tuple[MountedUnit, ...]:
+    """Return the units but for those that a person leaves out.
+
+    Args:
+        units: All.
+        without: Serial numbers, commas between; empty: none is left out.
+
+    Raises:
+        InputError: There is no such unit, or none is left.
+
+    """
+    names = [name.strip() for name in without.split(',') if name.strip()]
+    known = [unit.serial_number for unit in units]
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f'Units to be left out: found {name!r}, expected some of {", ".join(known)}.'
+            )
+    left = tuple(unit for unit in units if unit.serial_number not in names)
+    if not left:
+        raise InputError('All units are left out: there is nothing to be calibrated.')
+    return left
+
+
+def spread_seeds(units: Sequence[MountedUnit], seed: int) -> tuple[int, ...]:
+    """Return the seed of each simulated unit: its own, or one that follows from the session's."""
+    drawn = np.random.SeedSequence([seed, len(units)]).generate_state(len(units))
+    return tuple(
+        int(other) if unit.seed is None else unit.seed
+        for unit, other in zip(units, drawn, strict=True)
+    )
+
+
+def _read_unit(section: Section, folder: Path | None) -> MountedUnit:
+    number = _matching(section, 'serial_number', SERIAL, 'a serial number that can name a file')
+    topic = f'{namespace(number)}/{PULSES}'
+    if section.has('topic'):
+        topic = _matching(section, 'topic', TOPIC, 'the name of a topic, as unit_1/imu/pulses')
+    lever = section.array('lever', (3,)) if section.has('lever') else np.zeros(3)
+    unit = MountedUnit(
+        number,
+        _named(section.text('imu'), folder),
+        topic if topic.startswith('/') else f'/{topic}',
+        section.text('place', ''),
+        read_mount(section),
+        (float(lever[0]), float(lever[1]), float(lever[2])),
+        section.text('port', ''),
+        _named(section.text('device', ''), folder),
+        section.whole('baud', 0, _FASTEST_LINE, 0),
+        _named(section.text('truth', ''), folder),
+        section.whole('seed', 0) if section.has('seed') else None,
+    )
+    section.finish()
+    return unit
+
+
+def _matching(section: Section, key: str, pattern: str, expected: str) -> str:
+    text = section.text(key)
+    if not re.fullmatch(pattern, text):
+        raise InputError(f'{section.key(key)}: found {text!r}, expected {expected}.')
+    return text
+
+
+def _named(name: str, folder: Path | None) -> str:
+    """Return the name of a file that ships, or the path of one beside this."""
+    path = Path(name).expanduser()
+    if folder is None or (path.suffix not in {'.yaml', '.yml'} and path.parent == Path()):
+        return name
+    beside = folder / path
+    return str(beside) if beside.is_file() else name

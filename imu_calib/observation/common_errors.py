@@ -1,0 +1,288 @@
+"""What several units on one table have in common: errors of it that all their outputs hold.
+
+Units that one table turns go through the same attitudes, and err by the same angles: the
+positioning error of each stop, what its description leaves open of axes, zeros and encoders, the
+noise of its encoders, and the latitude of the site. Each of these is one unknown of deviation one,
+whatever the number of units; azimuth and tilts are in the state of each unit, and are the same.
+
+Source: docs/mathematics.md, 'Several units on one table'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..budget import Source
+from ..segmentation.segment import Segment, Turn
+from ..stream import Floats
+from ..table_errors import TableErrors
+from .equations import Equations, Nuisance
+from .evidence import Evidence
+from .positioning_errors import PositioningErrors, axes_of, stops_of
+
+TABLE_STATE = (Nuisance.AZIMUTH, Nuisance.TILT_X, Nuisance.TILT_Y)
+"""What of the state of each unit is the table's."""
+
+SHARED = frozenset(
+    {
+        Source.ARRIVAL_STATED,
+        Source.ARRIVAL_FOUND,
+        Source.STOPS,
+        Source.TABLE,
+        Source.LATITUDE,
+        Source.ENCODER_RATE,
+        Source.ENCODER_NOISE,
+    }
+)
+"""Sources whose errors are the same for all units on a table."""
+
+
+@dataclass(frozen=True, eq=False)
+class CommonErrors:
+    """The errors that the outputs of all units hold.
+
+    Attributes:
+        sources: Of each of k errors, whose prior deviation is one.
+        names: Of each, for a person; empty for one that is not told by itself.
+        sizes: (k,) what a deviation of one is of those with a name, rad.
+        columns: For each unit (m, k) what one deviation does to its outputs.
+
+    """
+
+    sources: tuple[Source, ...]
+    names: tuple[str, ...]
+    sizes: Floats
+    columns: tuple[Floats, ...]
+
+
+@dataclass(frozen=True)
+class CommonSizes:
+    """How large the errors of a table are thought to be.
+
+    Attributes:
+        errors: Of its axes, zeros and encoders.
+        positioning: What joints and stops err by beyond what its description states.
+
+    """
+
+    errors: TableErrors
+    positioning: PositioningErrors
+
+    @classmethod
+    def found_by(cls, unit: Equations) -> CommonSizes:
+        """Return what a unit by itself found of them."""
+        table = unit.evidence.table
+        return cls(TableErrors() if table is None else table.errors, unit.positioning)
+
+
+class CommonTable:
+    """The table of several units: which stops, turns and errors are the same.
+
+    Args:
+        units: Their equations, each on the table with its own mount.
+        sizes: Of the table's errors.
+
+    """
+
+    def __init__(self, units: Sequence[Equations], sizes: CommonSizes) -> None:
+        self._units = units
+        evidences = [unit.evidence for unit in units]
+        self._rests = _alike([_times(e, e.segments) for e in evidences])
+        self._turns = _alike([_times(e, e.turns) for e in evidences])
+        self.stated = max(e.positioning for e in evidences)
+        self.positioning = sizes.positioning
+        self._joints = _of_joints(evidences)
+        self._leaning = [
+            e.with_table_errors(sizes.errors).leaning if e.table else (np.zeros(0), np.zeros(0))
+            for e in evidences
+        ]
+
+    @property
+    def stated_share(self) -> float:
+        """Share of the variance of positioning errors that the table's description states."""
+        whole = self.stated**2 + self.positioning.joints**2
+        return self.stated**2 / whole if whole else 1.0
+
+    def of(self, states: Sequence[Floats]) -> CommonErrors:
+        """Return the errors about the states (n,) of all units."""
+        joints = float(np.hypot(self.stated, self.positioning.joints))
+        found = [
+            self._unit_columns(k, unit, state, joints)
+            for k, (unit, state) in enumerate(zip(self._units, states, strict=True))
+        ]
+        kinds = [
+            (Source.ARRIVAL_STATED, self._joints.names, joints),
+            (Source.TABLE, (), 0.0),
+            (Source.LATITUDE, (), 0.0),
+            (Source.ENCODER_RATE, (), 0.0),
+            (Source.STOPS, (), 0.0),
+            (Source.ENCODER_NOISE, (), 0.0),
+        ]
+        sources: list[Source] = []
+        names: list[str] = []
+        sizes: list[float] = []
+        for number, (source, its, size) in enumerate(kinds):
+            count = found[0][number].shape[1]
+            sources += [source] * count
+            names += its or ('',) * count
+            sizes += [size] * count
+        columns = [np.hstack(parts) for parts in found]
+        # What none of the units sees is no unknown.
+        seen = np.any([part.any(axis=0) for part in columns], axis=0)
+        kept = np.flatnonzero(seen)
+        return CommonErrors(
+            tuple(sources[k] for k in kept),
+            tuple(names[k] for k in kept),
+            np.array(sizes)[kept],
+            tuple(part[:, kept] for part in columns),
+        )
+
+    def _unit_columns(self, k: int, unit: Equations, state: Floats, joints: float) -> list[Floats]:
+        """Return what each kind of error does to the outputs of a unit, (m, e) each."""
+        evidence = unit.evidence
+        assert evidence.table is not None
+        stopping = unit.by_attitude_errors(state, *self._joints.leaning[k])
+        table = unit.by_attitude_errors(state, *self._leaning[k])
+        latitude = unit.latitude_slope(state)[:, None] * evidence.site.latitude_std
+        rates = _summed(unit.by_encoder_rates(state), self._turns[k], _count(self._turns))
+        # About the axes that the table mounts, which all units have in common.
+        inward = evidence.table.mount.T
+        stops = self._leans(k, np.full(len(evidence.segments), self.positioning.stops), inward)
+        reading = np.array([s.attitude_error for s in evidence.segments])
+        noise = self._leans(k, reading, inward)
+        turning = self._turning_leans(k, np.array([t.up_error for t in evidence.turns]), inward)
+        rest_only = np.zeros((len(evidence.turns), 3, stops.shape[2]))
+        of_rests = unit.by_attitude_errors(state, noise, rest_only)
+        of_turns = unit.by_attitude_errors(
+            state, np.zeros((len(evidence.segments), 3, turning.shape[2])), turning
+        )
+        return [
+            stopping * joints,
+            table,
+            latitude,
+            rates,
+            unit.by_attitude_errors(state, stops, rest_only),
+            np.hstack([of_rests, of_turns]),
+        ]
+
+    def _leans(self, k: int, sizes: Floats, inward: Floats) -> Floats:
+        """Return three rotations for each rest that the units have in common, (s, 3, 3 r)."""
+        return _blocks(self._rests[k], _count(self._rests), sizes, inward)
+
+    def _turning_leans(self, k: int, sizes: Floats, inward: Floats) -> Floats:
+        return _blocks(self._turns[k], _count(self._turns), sizes, inward)
+
+
+def shares_a_table(equations: Equations) -> bool:
+    """Say whether a session is of a table whose joint angles are known at all of its parts."""
+    evidence = equations.evidence
+    if evidence.table is None or evidence.plan.by_hand or evidence.free:
+        return False
+    parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
+    return all(part.angles is not None for part in parts)
+
+
+def rests_seen(units: Sequence[Equations]) -> tuple[list[int], int]:
+    """Return how many of the table's rests each unit saw, and how many there are in all of them."""
+    evidences = [unit.evidence for unit in units]
+    rests = _alike([_times(e, e.segments) for e in evidences])
+    return [len(np.unique(mine)) for mine in rests], _count(rests)
+
+
+@dataclass(frozen=True, eq=False)
+class _Joints:
+    """Stops of joints: (s, 3, e) and (t, 3, e) rotations of each unit, and their names."""
+
+    leaning: list[tuple[Floats, Floats]]
+    names: tuple[str, ...]
+
+
+def _of_joints(evidences: Sequence[Evidence]) -> _Joints:
+    """Return what joints that stop beside their mark do, one error for all units at each stop."""
+    parts: list[Segment | Turn] = []
+    owners: list[tuple[int, int]] = []
+    times: list[Floats] = []
+    for unit, evidence in enumerate(evidences):
+        mine: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
+        parts += mine
+        owners += [(unit, k) for k in range(len(mine))]
+        times.append(_times(evidence, mine)[:, 0])
+    order = np.argsort(np.concatenate(times), kind='stable').tolist()
+    table = evidences[0].table
+    assert table is not None
+    angles = np.array([part.angles for part in parts])
+    counts = [len(e.segments) + len(e.turns) for e in evidences]
+    columns: list[list[Floats]] = [[] for _ in evidences]
+    names = []
+    for joint in range(angles.shape[1]):
+        about = [
+            axes_of(e.table, joint, _angles(e), e.turns) for e in evidences if e.table is not None
+        ]
+        for stop in stops_of(joint, angles[:, joint], parts, order):
+            rows = [np.zeros((count, 3)) for count in counts]
+            for k in stop:
+                unit, own = owners[k]
+                rows[unit][own] = about[unit][own]
+            for unit, column in enumerate(rows):
+                columns[unit].append(column)
+            names.append(f'{table.joints[joint].name} at {parts[stop[0]].position}')
+    leaning = []
+    for unit, evidence in enumerate(evidences):
+        whole = np.stack(columns[unit], axis=2)
+        leaning.append((whole[: len(evidence.segments)], whole[len(evidence.segments) :]))
+    return _Joints(leaning, tuple(names))
+
+
+def _angles(evidence: Evidence) -> Floats:
+    parts: list[Segment | Turn] = [*evidence.segments, *evidence.turns]
+    return np.array([part.angles for part in parts]).reshape(len(parts), -1)
+
+
+def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
+    """Return begin and end by the table's clock, (k, 2) s."""
+    clock = evidence.clock
+    stamps = np.array([[part.start, part.end] for part in parts], dtype=np.float64).reshape(-1, 2)
+    since = (stamps - clock.epoch) * 1e-9
+    return np.asarray(stamps * 1e-9 - clock.offset - clock.rate * since)
+
+
+def _alike(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
+    """Number what units saw at the same time, across units; what overlaps is the same.
+
+    Between two rests, and between two turns, the table moves: what is not the same lies apart.
+    """
+    found = [np.zeros(len(of), dtype=np.intp) for of in times]
+    owners = [(unit, k) for unit, of in enumerate(times) for k in range(len(of))]
+    owners.sort(key=lambda owner: times[owner[0]][owner[1], 0])
+    number, end, shortest = -1, -np.inf, 0.0
+    for unit, k in owners:
+        begin, own_end = times[unit][k]
+        # Half of the shorter one: clocks are some samples off, rests tens of seconds long.
+        if begin > end - min(own_end - begin, shortest) / 2:
+            number, end, shortest = number + 1, own_end, own_end - begin
+        end, shortest = max(end, own_end), min(shortest, own_end - begin)
+        found[unit][k] = number
+    return found
+
+
+def _count(numbers: Sequence[NDArray[np.intp]]) -> int:
+    return 1 + max((int(of.max(initial=-1)) for of in numbers), default=-1)
+
+
+def _blocks(numbers: NDArray[np.intp], count: int, sizes: Floats, axes: Floats) -> Floats:
+    result = np.zeros((len(numbers), 3, 3 * count))
+    for k, number in enumerate(numbers.tolist()):
+        result[k, :, 3 * number : 3 * number + 3] = sizes[k] * axes
+    return result
+
+
+def _summed(columns: Floats, numbers: NDArray[np.intp], count: int) -> Floats:
+    """Return columns (m, t) added up by their numbers, (m, count)."""
+    result = np.zeros((len(columns), count))
+    for k, number in enumerate(numbers.tolist()):
+        result[:, number] += columns[:, k]
+    return result

@@ -1,0 +1,77 @@
+"""Calibrations of several units beside each other: a column for each unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from rich.table import Table
+
+from ..calibration import Calibration
+from ..estimation.several import TableSeen
+from ..model import Parameter
+from ..units import ARCSEC, DEG
+from .parameter_table import decimals, engineering
+
+_COARSE = 60 * ARCSEC
+"""Standard deviation from which on an angle is told in degrees."""
+_ANY = 90 * DEG
+"""Prior deviation of a heading that may be any."""
+_AT_ONCE = 8
+"""Units of one table: their columns and the parameters' names are 110 letters, half a screen."""
+
+
+def comparison_tables(units: Sequence[tuple[str, Calibration]]) -> Iterator[Table]:
+    """Yield tables of all parameters that any unit has, eight units in each.
+
+    Args:
+        units: Serial numbers with calibrations.
+
+    """
+    parameters: list[Parameter] = []
+    for _, calibration in units:
+        parameters += [p for p in calibration.parameters if p not in parameters]
+    for first in range(0, len(units), _AT_ONCE):
+        yield _table(units[first : first + _AT_ONCE], parameters)
+
+
+def seen_table(seen: TableSeen) -> Table:
+    """Return what several units found of their table, beside what was known beforehand."""
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    for heading in ('unknown', 'value', 'std', 'beforehand', 'unit'):
+        table.add_column(heading, justify='left' if heading in {'unknown', 'unit'} else 'right')
+    for name, value, std, prior in zip(seen.names, seen.values, seen.std, seen.prior, strict=True):
+        unit, size = ('deg', DEG) if std > _COARSE else ('arcsec', ARCSEC)
+        places = decimals(std / size)
+        before = 'any' if prior > _ANY else f'{prior / size:.3g}'
+        table.add_row(name, f'{value / size:.{places}f}', f'{std / size:.{places}f}', before, unit)
+    return table
+
+
+def _table(units: Sequence[tuple[str, Calibration]], parameters: Sequence[Parameter]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style='bold')
+    table.add_column('parameter')
+    for serial, _ in units:
+        table.add_column(serial, justify='right')
+    table.add_column('unit')
+    known = [
+        {
+            p: (float(value), float(std))
+            for p, value, std in zip(c.parameters, c.values, c.std, strict=True)
+        }
+        for _, c in units
+    ]
+    for parameter in parameters:
+        cells = [_cell(parameter, of.get(parameter)) for of in known]
+        if any(cells):
+            table.add_row(parameter.name, *cells, engineering(parameter).unit)
+    return table
+
+
+def _cell(parameter: Parameter, found: tuple[float, float] | None) -> str:
+    """Return value and standard deviation in engineers' units; nothing where it has none."""
+    if found is None or not np.isfinite(found[1]):
+        return ''
+    value, std = (x / engineering(parameter).scale for x in found)
+    places = decimals(std)
+    return f'{value:.{places}f}\u00b1{std:.{places}f}'

@@ -1,0 +1,108 @@
+"""A simulated stand that turns several units: one table, one motion, and an IMU for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..earth import Site
+from ..imu import ImuSpec
+from ..model import SensorModel
+from ..plan import Plan
+from ..stream import Block, Floats
+from ..turntable import Table
+from .imu import SimulatedImu
+from .motion import Motion
+from .options import StandOptions
+from .stand import SKEW_TOPIC, SimulatedStand
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedUnit:
+    """A unit on the table.
+
+    Attributes:
+        topic: Of its samples.
+        spec: Units, scale factors and noise.
+        model: The truth that a calibration is to find.
+        mount: (3, 3) columns are its body axes in those that the table mounts.
+        lever: From the centre of rotation to its accelerometers, its body axes, m.
+        seed: Of its noise: the same seed gives the same bits, whatever else is on the table. None:
+            of a unit that is alone, whose noise follows from the stand's.
+
+    """
+
+    topic: str
+    spec: ImuSpec
+    model: SensorModel
+    mount: Floats
+    lever: tuple[float, float, float]
+    seed: int | None
+
+    def moved(self, motion: Motion) -> Motion:
+        """Return the motion of the table as this unit's axes have it."""
+        if np.array_equal(self.mount, np.eye(3)):
+            return motion
+        inward, shaking = self.mount.T, motion.shaking
+        if shaking is not None:
+            own = (shaking.angle @ self.mount, shaking.velocity @ self.mount)
+            shaking = replace(shaking, angle=own[0], velocity=own[1])
+        ringing = tuple(
+            replace(ring, angle=inward @ ring.angle, velocity=inward @ ring.velocity)
+            for ring in motion.ringing
+        )
+        return replace(motion, mount=motion.mount @ self.mount, ringing=ringing, shaking=shaking)
+
+
+class SeveralOnTable(SimulatedStand):
+    """A `SimulatedStand` with several units: what is the table's own all of them have in common.
+
+    What the options say of an IMU (clock, delivery, thermal drift) holds for each, but its lever.
+
+    Args:
+        plan: That is run.
+        table: By its description.
+        units: At least one.
+        site: Where the stand is.
+        options: Of the stand; the defaults if not given.
+        seed: Of the table's randomness.
+
+    Raises:
+        InputError: The table cannot run the plan, or an option is out of range.
+
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        table: Table,
+        units: Sequence[SimulatedUnit],
+        site: Site,
+        options: StandOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(plan, table, units[0].spec, units[0].model, site, options, seed)
+        self._units = []
+        for unit in units:
+            own = replace(self.options, lever=unit.lever)
+            rng = np.random.default_rng([unit.seed or 0, 1])
+            imu = SimulatedImu(unit.spec, unit.model, site, own, rng, epoch=self.options.start_time)
+            self._units.append((unit.topic, imu, unit.moved(self.motion)))
+
+    def _sampled(self, end: float) -> Iterator[tuple[str, Block]]:
+        for topic, imu, motion in self._units:
+            yield topic, imu.advance(motion, end)
+            if imu.skewed is not None:
+                yield beside(topic, SKEW_TOPIC), imu.skewed
+
+
+def beside(topic: str, other: str) -> str:
+    """Return the topic of the same unit that is called as the last part of another.
+
+    >>> beside('/left/imu/pulses', 'imu/skew')
+    '/left/imu/skew'
+
+    """
+    return f'{topic.rpartition("/")[0]}/{other.rpartition("/")[2]}'

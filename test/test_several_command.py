@@ -1,0 +1,125 @@
+"""`imu-calib stand --imus`: what is refused before anything moves, and what a folder keeps."""
+
+import argparse
+
+import numpy as np
+import pytest
+import yaml
+
+from imu_calib.cli import main, processes, several
+from imu_calib.cli.words import Words
+from imu_calib.errors import InputError, NotObservable
+from imu_calib.imu import load_imu
+from imu_calib.mounted import load_units
+from imu_calib.share import named_file
+
+PORT = 'socket://127.0.0.1:9'
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Write the units that are given as a file, and return its path."""
+
+    def write(*units):
+        path = tmp_path / 'units.yaml'
+        listed = [{'imu': 'fog_medium', 'serial_number': f'U{k}', **u} for k, u in enumerate(units)]
+        path.write_text(yaml.safe_dump({'units': listed}))
+        return str(path)
+
+    return write
+
+
+def refused(capsys, *words):
+    assert main.main(['stand', *words]) == InputError.exit_code
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('units', 'words', 'expected'),
+    [
+        ([{}, {}], ['--imu', 'fog_medium'], '--imu: found fog_medium, but'),
+        ([{}, {}], ['--serial', 'A1'], '--serial: found A1, but'),
+        ([{}, {}], ['--port', PORT, '--device', 'stim300'], f'--port: found {PORT}, but'),
+        ([{}, {}], ['--without', 'U7'], "found 'U7', expected some of U0, U1"),
+        ([{}, {}], ['--without', 'U0,U1'], 'All units are left out'),
+        ([{'port': PORT}, {}], ['--latitude', '48'], 'unit U1 has no port, and U0 has'),
+        ([{'port': PORT}], ['--latitude', '48'], 'unit U0 has no device'),
+        ([{'port': PORT, 'device': 'stim300'}], [], 'give --latitude, of a real stand'),
+        ([{}, {}], ['--device', 'stim300'], '--device: of real hardware'),
+        ([{'imu': 'nope'}], [], "No imu is called 'nope'"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_in_words(
+    capsys, file, tmp_path, units, words, expected
+):
+    output = str(tmp_path / 'stand')
+    said = refused(capsys, 'twelve_position', '--imus', file(*units), '-o', output, *words)
+    assert expected in ' '.join(said.split())
+    assert not (tmp_path / 'stand').exists()
+
+
+def test_several_units_are_not_held_by_hand(capsys, file, tmp_path):
+    words = 'free_positions', '--imus', file({}, {}), '-o', str(tmp_path / 'stand')
+    assert 'is for one unit in the hand' in refused(capsys, *words)
+
+
+def test_without_says_that_it_is_of_several_units(capsys, tmp_path):
+    words = 'twelve_position', '--without', 'U1', '-o', str(tmp_path / 'stand')
+    assert '--without: of several units' in refused(capsys, *words)
+
+
+def test_a_stand_keeps_the_units_and_all_files_that_they_name(file, tmp_path):
+    """The session is gone on with as it began, whatever becomes of the originals."""
+    own = tmp_path / 'my_imu.yaml'
+    own.write_text(named_file('imus', 'fog_medium').read_text())
+    mount = ['y', '-x', 'z']
+    given = file({'imu': 'my_imu.yaml', 'mount': mount, 'place': 'left'}, {'seed': 7})
+    settings = tmp_path / 'settings'
+    settings.mkdir()
+    before = load_units(given)
+    several.keep(argparse.Namespace(imus=given), settings)
+    own.unlink()
+    after = load_units(settings / 'imus.yaml')
+    assert [unit.name for unit in after] == [unit.name for unit in before]
+    assert np.array_equal(after[0].mount, before[0].mount)
+    assert (after[0].place, after[1].seed) == ('left', 7)
+    assert load_imu(after[0].imu).id == load_imu(after[1].imu).id == 'fog_medium'
+
+
+def test_a_device_of_their_own_counts_before_that_of_all(file):
+    units = load_units(file({'device': 'stim300', 'port': PORT}, {'port': f'{PORT}1'}))
+    arguments = argparse.Namespace(device='kvh_1750')
+    assert [several.device_of(unit, arguments) for unit in units] == ['stim300', 'kvh_1750']
+
+
+def test_each_unit_is_read_by_a_node_of_its_own(file):
+    arguments = argparse.Namespace(
+        imus=file({}, {'topic': 'second/imu'}), without='', device='', sample_rate=0.0
+    )
+    nodes = several.node_parameters(arguments, {'use_sim_time': True}, 5760)
+    assert list(nodes) == ['unit_U0/imu_node', 'unit_U1/imu_node']
+    assert [n['port'][-4:] for n in nodes.values()] == ['5760', '5761']
+    assert several.remappings(arguments) == {'unit_U1/imu_node': {'imu/pulses': '/second/imu'}}
+
+
+def test_ports_in_a_row_are_free():
+    assert 0 < processes.free_ports(8) <= 65535 - 7
+
+
+def test_units_without_a_result_are_named(file, tmp_path, capsys):
+    arguments = argparse.Namespace(imus=file({}, {}, {}), without='U2')
+    assert several.print_results(arguments, tmp_path, {}) == ['U0', 'U1']
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize('several_units', [False, True])
+def test_a_stand_that_ends_without_a_result_says_why(file, tmp_path, monkeypatch, several_units):
+    stand_session = pytest.importorskip('imu_calib.cli.stand_session')
+    words = ['stand', 'twelve_position', '-o', str(tmp_path / 'stand')]
+    words += ['--imus', file({}, {})] if several_units else []
+    arguments = main.build_parser().parse_args(words)
+    (tmp_path / 'stand').mkdir()
+    ended = processes.Outcome(False, 'The table has stopped.', 0.0)
+    monkeypatch.setattr(stand_session, '_session', lambda *_: ended)
+    with pytest.raises(NotObservable, match='The table has stopped'):
+        stand_session.run(arguments, tmp_path / 'stand', {}, 0, Words(real=False))
