@@ -6,6 +6,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from .imu import load_imu
 from .lifetime import ENDS_WITH
 from .methods import METHODS
 from .model import named_terms
+from .mounted import PULSES, load_units, remaining
 from .network import LOOPBACK, REACH, check_domain, kept_to
 from .plan import load_plan
 from .security import in_enclave
@@ -81,6 +83,63 @@ def checks(*, view: bool = False, port: bool = True, table: bool = False) -> Any
         return _on_its_own() if real else []
 
     return OpaqueFunction(function=check)
+
+
+@dataclass(frozen=True)
+class Device:
+    """A unit of several that a node reads.
+
+    Attributes:
+        namespace: Of its node, below the stand's.
+        parameters: Of its node.
+        remappings: Of its topics.
+
+    """
+
+    namespace: str
+    parameters: dict[str, Any]
+    remappings: list[tuple[str, str]]
+
+
+def devices(given: Mapping[str, str]) -> list[Device]:
+    """Return the units of a stand that are read by nodes of its own; none without their file.
+
+    Args:
+        given: Arguments by name: units and without; device, of those that have none of their own;
+            port.
+
+    Raises:
+        InputError: Neither units nor a port are given, or both, or a unit lacks its device.
+
+    """
+    if not given.get('units'):
+        missing = [name for name in ('port', 'device') if not given.get(name)]
+        if missing:
+            raise InputError(
+                f'Give {" and ".join(f"{name}:=" for name in missing)} of the IMU, or units:= with '
+                'the file of several.'
+            )
+        return []
+    if given.get('port'):
+        raise InputError(f'port:={given["port"]}: the file units states it for each unit.')
+    found = []
+    for unit in remaining(load_units(given['units']), given.get('without', '')):
+        device = unit.device or given.get('device', '')
+        if not unit.port or not device:
+            what = 'device' if unit.port else 'port'
+            raise InputError(f'units:={given["units"]}: unit {unit.serial_number} has no {what}.')
+        check_port(unit.port)
+        load_format(device)
+        parameters = {
+            'imu': unit.imu,
+            'port': unit.port,
+            'device': device,
+            'baud': unit.baud,
+            'frame_id': f'{unit.name}_imu_link',
+        }
+        renamed = [(PULSES, unit.named_topic)] if unit.named_topic else []
+        found.append(Device(unit.name, parameters, renamed))
+    return found
 
 
 _SIMULATED = 'simulated'
@@ -264,4 +323,5 @@ _CHECKS: dict[str, Callable[[str], Any]] = {
     'table_output': _one_of('setpoint', 'trajectory'),
     'params_file': _file,
     'urdf': _unless_empty(_file),
+    'units': _unless_empty(load_units),
 }

@@ -75,7 +75,9 @@ def make_keystore(keystore: Path, namespace: str = '', policy: Path | None = Non
     try:
         tree = policies.load_policy(file)
         for profile in tree.iter('profile'):
-            profile.set('ns', f'/{namespace.strip("/")}')
+            # Of several units each has a namespace below the stand's.
+            below = str(profile.get('ns')).strip('/')
+            profile.set('ns', '/' + '/'.join(filter(None, [namespace.strip('/'), below])))
         with tempfile.TemporaryDirectory(prefix='imu_calib_policy_') as folder:
             placed = Path(folder) / file.name
             with placed.open('w', encoding='utf-8') as out:

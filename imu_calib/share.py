@@ -75,6 +75,11 @@ def named_file(kind: str, name: str | Path) -> Path:
     )
 
 
+def is_shipped(kind: str, name: str) -> bool:
+    """Say whether a file of a kind ships under a name."""
+    return name in shipped(kind).split(', ')
+
+
 def shipped(kind: str) -> str:
     """List the names that ship of a kind of file, as for `named_file`."""
     return ', '.join(sorted(p.stem for p in (share_folder() / 'config' / kind).glob('*.yaml')))

@@ -19,6 +19,16 @@ ARGUMENTS = [
         'imu', default_value='fog_medium', description='Name or file: what its numbers mean.'
     ),
     DeclareLaunchArgument(
+        'units',
+        default_value='',
+        description='File of several units on the table, in place of imu; empty: one unit.',
+    ),
+    DeclareLaunchArgument(
+        'without',
+        default_value='',
+        description='Serial numbers of units of that file that are left out, commas between.',
+    ),
+    DeclareLaunchArgument(
         'table', default_value='three_axis', description='Name or file of the turntable.'
     ),
     DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
@@ -52,7 +62,9 @@ ARGUMENTS = [
         'journal', default_value='journal', description='Folder of the recording.'
     ),
     DeclareLaunchArgument(
-        'output', default_value='calibration.yaml', description='File that takes the result.'
+        'output',
+        default_value='calibration.yaml',
+        description='File that takes the result; of several units the folder.',
     ),
     DeclareLaunchArgument('namespace', default_value='', description='Of nodes and topics.'),
     DeclareLaunchArgument(
@@ -92,7 +104,10 @@ def generate_launch_description() -> LaunchDescription:
             'gravity_std',
             'azimuth',
         ),
-        str: ('plan', 'imu', 'table', 'method', 'terms', 'journal', 'output'),
+        str: (
+            *('plan', 'imu', 'units', 'without', 'table', 'method', 'terms'),
+            *('journal', 'output'),
+        ),
     }
     parameters = {
         name: ParameterValue(LaunchConfiguration(name), value_type=kind)

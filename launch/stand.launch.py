@@ -11,23 +11,40 @@ from launch.actions import (
     DeclareLaunchArgument,
     GroupAction,
     IncludeLaunchDescription,
+    OpaqueFunction,
     Shutdown,
 )
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.parameter_descriptions import ParameterValue
 
-from imu_calib.launching import checks, node
-from launch import Action, LaunchDescription
+from imu_calib.launching import checks, devices, node
+from launch import Action, LaunchContext, LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
 ARGUMENTS = [
     DeclareLaunchArgument(
         'port',
-        description='Of the IMU: a serial port, socket://host:port, udp://host:port, or a file.',
+        default_value='',
+        description='Of the IMU: a serial port, socket://host:port, udp://host:port, or a file; '
+        'needed without units.',
     ),
     DeclareLaunchArgument('latitude', description='Of the stand, deg, negative in the south.'),
-    DeclareLaunchArgument('device', description="Name or file of the frames' format."),
+    DeclareLaunchArgument(
+        'device',
+        default_value='',
+        description="Name or file of the frames' format; needed without units.",
+    ),
+    DeclareLaunchArgument(
+        'units',
+        default_value='',
+        description='File of several units on the table, with the port of each; empty: one unit.',
+    ),
+    DeclareLaunchArgument(
+        'without',
+        default_value='',
+        description='Serial numbers of units of that file that are left out, commas between.',
+    ),
     DeclareLaunchArgument(
         'baud',
         default_value='0',
@@ -63,7 +80,7 @@ def generate_launch_description() -> LaunchDescription:
             *ARGUMENTS,
             checks(view=True, table=True),
             _include('calibrator.launch.py', latitude=LaunchConfiguration('latitude')),
-            _node('imu_node', imu=str, port=str, device=str, baud=int),
+            OpaqueFunction(function=_devices),
             _node(
                 'turntable_node',
                 ('output', 'table_output'),
@@ -79,6 +96,26 @@ def generate_launch_description() -> LaunchDescription:
             ),
         ]
     )
+
+
+def _devices(context: LaunchContext) -> list[Action]:
+    """Return an imu_node for each unit; of several, one that ends takes no other with it."""
+    given = dict(context.launch_configurations)
+    units = devices(given)
+    if not units:
+        return [_node('imu_node', imu=str, port=str, device=str, baud=int)]
+    clock = {'use_sim_time': given['use_sim_time'].lower() == 'true'}
+    return [
+        node(
+            package='imu_calib',
+            executable='imu_node',
+            namespace='/'.join(filter(None, [given['namespace'], unit.namespace])),
+            parameters=[given['params_file'], {**clock, **unit.parameters}],
+            remappings=unit.remappings,
+            output='screen',
+        )
+        for unit in units
+    ]
 
 
 def _include(name: str, **required: LaunchConfiguration) -> IncludeLaunchDescription:

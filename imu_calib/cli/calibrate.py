@@ -9,6 +9,7 @@ from typing import Any
 from ..api.calibrating import calibrated
 from ..api.conforming import conformity
 from ..api.outputs import output_path
+from ..bags import located
 from ..calibration import Calibration
 from ..calibrator import Result
 from ..earth import MEASURED
@@ -19,16 +20,30 @@ from ..reports.noise import noise_lines
 from ..reports.parameter_table import change_note, change_table, parameter_tables
 from ..units import DEG, DEG_H, MICRO_G, PPM
 from . import options
+from .calibrate_units import FOLDER, of_several, run_several
 from .outcome import EXIT_CODES, Outcome, add_json_option, judged_outcome
 from .terminal import OUTPUT, progress_bar, sentence_list
+
+_FILE = 'calibration.yaml'
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
-    parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
+    options.add_bag(parser)
     options.add_session_options(parser)
+    options.add_imus_option(parser)
     parser.add_argument(
-        '-o', '--output', default='calibration.yaml', metavar='FILE', help='default: %(default)s'
+        '--separate',
+        action='store_true',
+        help='calibrate each of several units by itself: by default the azimuth, the tilts and the '
+        'errors of the table that they share are estimated once from all of them',
+    )
+    parser.add_argument(
+        '-o',
+        '--output',
+        metavar='FILE|DIR',
+        help=f'default: {_FILE}; of several units a folder (default: {FOLDER}), in which each '
+        'calibration is called by its serial number',
     )
     parser.add_argument(
         '--budget', action='store_true', help='show where the uncertainty of each parameter is from'
@@ -46,7 +61,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Calibrate and print."""
-    path = output_path(arguments.output)
+    # It is looked into before it is read: what lies elsewhere is fetched once for both.
+    arguments.bag = located(arguments.bag)
+    if of_several(arguments):
+        return run_several(arguments)
+    path = output_path(arguments.output or _FILE)
     judged = arguments.specification
     result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)

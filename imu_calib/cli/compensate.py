@@ -11,7 +11,7 @@ from .terminal import OUTPUT, progress_bar, sentence_list
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
-    parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
+    options.add_bag(parser)
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration, single or combined'
     )

@@ -14,7 +14,8 @@ _COLUMNS = 'NAME,NAME,NAME:UNIT'
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     parser.add_argument(
-        'file', help='text file (CSV, tabs, blanks), bag of ROS 1, or recording of rosbag2'
+        'file',
+        help='text file (CSV, tabs, blanks), bag of ROS 1, recording of rosbag2, or a URL of one',
     )
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
     text = parser.add_argument_group(

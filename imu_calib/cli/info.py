@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from rich.table import Table as Rows
 
-from ..api.looking import Inside, Look, look_inside, topics
+from ..api.looking import Look, look_inside, topics
 from ..units import DEG, DEG_H, STANDARD_GRAVITY
 from . import options
 from .outcome import Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
+
+if TYPE_CHECKING:
+    # Loaded where somebody says how the streams are to be read.
+    from ..api.inside import Inside
 
 _WORDS = {'topic', 'type', 'up', 'position'}
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
-    parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
+    options.add_bag(parser)
+    parser.add_argument(
+        '--topics',
+        action='store_true',
+        help='list topics alone; of an .mcap behind a URL the summary is read, and no more',
+    )
     options.add_session_options(parser)
     add_json_option(parser)
     parser.set_defaults(run=run)
@@ -27,6 +37,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Print topics, then segments where plan, IMU and site are known."""
     outside = topics(arguments.bag, progress_bar)
     _show_topics(outside)
+    if arguments.topics:
+        return Outcome(outside.to_dict())
     found = look_inside(outside, options.stated(arguments), progress_bar)
     if found.inside is None:
         OUTPUT.print(f'\nNot looked into: {found.not_said}', markup=False)

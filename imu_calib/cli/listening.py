@@ -19,7 +19,14 @@ _LONGEST = 3.0
 nodes, which go on waiting."""
 
 
-def listen(port: str, frames: FrameFormat, imu: ImuSpec, baud: Baud, words: Words) -> None:
+def listen(
+    port: str,
+    frames: FrameFormat,
+    imu: ImuSpec,
+    baud: Baud,
+    words: Words,
+    node: str = 'imu_node',
+) -> None:
     """Listen until the device is known to be the one described, or silent, which is said.
 
     Args:
@@ -27,7 +34,8 @@ def listen(port: str, frames: FrameFormat, imu: ImuSpec, baud: Baud, words: Word
         frames: The format of the device's frames.
         imu: What its numbers mean.
         baud: Of a serial port.
-        words: Shows what there is to say, in the name of imu_node.
+        words: Shows what there is to say.
+        node: In whose name.
 
     Raises:
         InputError: The port is none.
@@ -40,13 +48,13 @@ def listen(port: str, frames: FrameFormat, imu: ImuSpec, baud: Baud, words: Word
     source.start()
     deadline = time.monotonic() + _LONGEST
     try:
-        while time.monotonic() < deadline and not _decided(source, reception, words):
+        while time.monotonic() < deadline and not _decided(source, reception, words, node):
             time.sleep(_ROUND)
     finally:
         source.stop()
 
 
-def _decided(source: Source, reception: Reception, words: Words) -> bool:
+def _decided(source: Source, reception: Reception, words: Words, node: str) -> bool:
     """Take in what has come, and show what there is to say; say whether that is all."""
     state, now, steady = source.state, time.time_ns(), steady_time() * 1e-9
     chunks = source.take()
@@ -56,7 +64,7 @@ def _decided(source: Source, reception: Reception, words: Words) -> bool:
     for word in reception.statuses(state, now, steady):
         came |= word.figures.get('bytes', '0') != '0'
         silent |= word.part == 'stream' and word.severity is Severity.ERROR
-        words.note(f'imu_node: {word.part}', word.severity, word.text, came=came)
+        words.note(f'{node}: {word.part}', word.severity, word.text, came=came)
     words.show()
     if state.ended:
         # A short recording: no more than this will come of it.

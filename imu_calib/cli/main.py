@@ -23,6 +23,8 @@ COMMANDS = {
     'calibrate': 'a recording to 24 parameters',
     'batch': 'many recordings to a catalogue of calibrations',
     'catalogue': 'what a catalogue holds: list, filter, SQL, CSV, JSON',
+    'history': 'what a catalogue says of units, types and stands: due, drifts, steps, charts',
+    'fleet': 'one page on all units of a catalogue: due, failed, drifting, odd, and each unit',
     'report': 'a calibration to an HTML report',
     'certificate': 'a calibration to a certificate by ISO/IEC 17025, also as DCC',
     'verify': 'a calibration against another recording',

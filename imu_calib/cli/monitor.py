@@ -11,8 +11,10 @@ from typing import Any
 from .. import middleware as ros
 from ..middleware import messages
 from ..nodes import qos
+from ..nodes.unit_topics import listen_to_each
 from ..security import in_enclave
 from ..web.board import Board
+from ..web.units import UnitsBoard
 from .processes import Processes
 from .words import Words
 
@@ -25,7 +27,8 @@ class Monitor:
 
     Args:
         words: Shows what the nodes say of themselves.
-        board: Takes what is heard, to be shown; None where nothing is.
+        board: Takes what is heard, to be shown; None where nothing is. That of several units says
+            which they are.
 
     Attributes:
         outcome: Whether there is a calibration, and what was said of it; None while it runs.
@@ -33,10 +36,11 @@ class Monitor:
 
     """
 
-    def __init__(self, words: Words, board: Board | None = None) -> None:
+    def __init__(self, words: Words, board: Board | UnitsBoard | None = None) -> None:
         self._node = ros.Node('imu_calib_stand')
         self._words = words
         self._board = board
+        self._several = isinstance(board, UnitsBoard)
         self._state: Any = None
         self._progress: Any = None
         self._service: Any = None
@@ -51,8 +55,17 @@ class Monitor:
         subscribe(
             messages.CalibrationProgress, 'calibration/progress', self._on_progress, qos.latched()
         )
-        subscribe(messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched())
-        subscribe(messages.DiagnosticArray, '/diagnostics', words.take, _DEEP)
+        if isinstance(board, UnitsBoard):
+            listen_to_each(self._node, board)
+            subscribe(messages.DiagnosticArray, '/diagnostics', self._on_diagnostics, _DEEP)
+        else:
+            subscribe(messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched())
+            subscribe(messages.DiagnosticArray, '/diagnostics', words.take, _DEEP)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        self._words.take(message)
+        if isinstance(self._board, UnitsBoard):
+            self._board.take_diagnostics(message, time.monotonic())
 
     def spin(self, seconds: float) -> None:
         """Listen for a while, and show what the nodes say of themselves.
@@ -142,9 +155,11 @@ class Monitor:
         now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         if now > 0:
             self._span = (self._span[0] or now, now)
+        if self._several and message.state in {message.FINISHED, message.FAILED}:
+            self.outcome = message.state == message.FINISHED, message.text
 
     def _on_calibration(self, message: Any) -> None:
-        if self._board is not None:
+        if isinstance(self._board, Board):
             self._board.take_calibration(message)
         if message.status in {message.VALID, message.INCOMPLETE}:
             self.outcome = True, message.status_text
@@ -153,7 +168,9 @@ class Monitor:
 
 
 @contextmanager
-def watching(processes: Processes, words: Words, board: Board | None = None) -> Iterator[Monitor]:
+def watching(
+    processes: Processes, words: Words, board: Board | UnitsBoard | None = None
+) -> Iterator[Monitor]:
     """Join the network of a stand's nodes with a monitor; leave it at the end of the block."""
     os.environ.update({**in_enclave('operator'), **processes.environment})
     ros.init(args=[])

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..api.stated import NO_PLAN, TRUE_TABLE, Stated
 from ..earth import HEIGHT_STD, LATITUDE_STD, NORMAL_GRAVITY_STD
+from ..errors import InputError
 from ..model import AUTO_TERMS, NO_TERMS, TERMS
 from ..model.session_terms import SESSION_TERMS
 from ..share import shipped
@@ -80,6 +81,48 @@ def add_site_options(parser: argparse.ArgumentParser) -> None:
         metavar='M/S2',
         help='standard deviation of gravity (default: 0 for a measured one, '
         f'{NORMAL_GRAVITY_STD:g} for normal gravity at a known height)',
+    )
+
+
+def add_imus_option(parser: argparse._ActionsContainer) -> None:
+    """Add --imus."""
+    parser.add_argument(
+        '--imus',
+        metavar='FILE',
+        help='several units on one table: their serial numbers, types and topics '
+        '(docs/files/units.md)',
+    )
+
+
+def refuse_beside_imus(arguments: argparse.Namespace, *names: str) -> None:
+    """Refuse what says of one unit what the file of --imus says of each.
+
+    Raises:
+        InputError: Names the option.
+
+    """
+    for name in names:
+        if (found := getattr(arguments, name)) is not None:
+            option = name.replace('_', '-')
+            raise InputError(
+                f'--{option}: found {found}, but {arguments.imus} (--imus) states it for each '
+                'unit: leave it out.'
+            )
+
+
+def add_scheduler_option(parser: argparse._ActionsContainer) -> None:
+    """Add --scheduler, of work that otherwise runs on this machine."""
+    parser.add_argument(
+        '--scheduler',
+        metavar='ADDRESS',
+        help='of a Dask cluster whose workers do the work, tcp://host:8786 (default: this machine)',
+    )
+
+
+def add_bag(parser: argparse.ArgumentParser) -> None:
+    """Add the recording that a command reads."""
+    parser.add_argument(
+        'bag', help='folder of rosbag2, one .mcap or .db3 file, or a URL of one (s3://...)'
     )
 
 

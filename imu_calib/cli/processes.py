@@ -95,33 +95,46 @@ class Processes:
         *,
         needed: bool = True,
         environment: Mapping[str, str] = MappingProxyType({}),
+        remapped: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         """Start a node of the suite with its parameters.
 
         Args:
-            node: Its name.
+            node: Its name, with its namespace before it where it has one: unit_1/imu_node.
             parameters: By name.
             needed: Whether the others cannot do without it.
             environment: Further variables, for this node alone.
+            remapped: Topics by the names that the node has for them.
 
         """
         if not needed:
             self._needless.add(node)
-        file = self._folder / f'{node}.yaml'
-        file.write_text(yaml.safe_dump({node: {'ros__parameters': parameters}}), encoding='utf-8')
-        log = (self._folder / f'{node}.log').open('ab')
-        module = f'{__package__.rpartition(".")[0]}.nodes.{node}'
+        namespace, _, name = node.rpartition('/')
+        file = self._file(node, 'yaml')
+        known = f'/{node}' if namespace else node
+        file.write_text(yaml.safe_dump({known: {'ros__parameters': parameters}}), encoding='utf-8')
+        log = self._file(node, 'log').open('ab')
+        module = f'{__package__.rpartition(".")[0]}.nodes.{name}'
+        rules = [f'__ns:=/{namespace}'] if namespace else []
+        rules += [f'{own}:={other}' for own, other in remapped.items()]
         process = subprocess.Popen(
-            [sys.executable, '-m', module, '--ros-args', '--params-file', str(file)],
+            [
+                *(sys.executable, '-m', module, '--ros-args', '--params-file', str(file)),
+                *(word for rule in rules for word in ('-r', rule)),
+            ],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env={**self._environment, **in_enclave(node), **environment},
+            env={**self._environment, **in_enclave(name), **environment},
             # Ctrl-C is for this process alone, which ends them in order.
             start_new_session=True,
             pass_fds=self._inherited,
         )
         self._running[node] = process, log
+
+    def _file(self, node: str, kind: str) -> Path:
+        """Return the file of a node's parameters or of what it says."""
+        return self._folder / f'{node.replace("/", ".")}.{kind}'
 
     def kill(self, node: str, number: int = signal.SIGKILL) -> None:
         """Send a node a signal, and wait until it has ended; it may be started anew."""
@@ -162,7 +175,7 @@ class Processes:
 
     def last_words(self, node: str) -> str:
         """Return the last line that a node wrote."""
-        text = (self._folder / f'{node}.log').read_text(encoding='utf-8', errors='replace')
+        text = self._file(node, 'log').read_text(encoding='utf-8', errors='replace')
         lines = [line for line in text.splitlines() if line.strip()]
         return lines[-1] if lines else 'it said nothing'
 
@@ -201,6 +214,16 @@ def free_port() -> int:
     """Return a TCP port of the loopback interface that nobody listens on."""
     with socket.create_server(('127.0.0.1', 0)) as server:
         return int(server.getsockname()[1])
+
+
+def free_ports(count: int) -> int:
+    """Return the first of so many TCP ports in a row that nobody listens on."""
+    while True:
+        first = free_port()
+        with contextlib.suppress(OSError, OverflowError), contextlib.ExitStack() as held:
+            for port in range(first, first + count):
+                held.enter_context(socket.create_server(('127.0.0.1', port)))
+            return first
 
 
 def _free_domain() -> int:

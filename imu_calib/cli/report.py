@@ -20,7 +20,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'bag',
         nargs='?',
         metavar='BAG',
-        help='the recording it was made from: adds the course of the session',
+        help='the recording it was made from, or its URL: adds the course of the session',
     )
     options.add_session_options(parser)
     parser.add_argument(

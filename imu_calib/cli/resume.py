@@ -18,6 +18,7 @@ from ..bags import FINISHED, Recording, RecordingError, open_recording
 from ..errors import InputError
 from ..share import named_file
 from ..simulation import StandOptions
+from . import several
 from .terminal import ERRORS
 
 JOURNAL = 'journal'
@@ -41,9 +42,9 @@ _OF_THE_RUN = frozenset(
 )
 """What belongs to one run rather than to the session."""
 
-_MAY_CHANGE = frozenset({'port', 'baud', 'speed', 'network'})
+_MAY_CHANGE = frozenset({'port', 'baud', 'speed', 'network', 'without'})
 """A device, or a network, comes back by another name after a power cut; how fast to simulate is no
-matter."""
+matter; a unit may have failed for good."""
 
 _OUTAGE = 10
 """How long simulated hardware is off, s of its time: longer than anybody waits for joint states."""
@@ -69,7 +70,9 @@ def keep(arguments: argparse.Namespace, folder: Path) -> None:
         if name:
             text = named_file(kind, name).read_text(encoding='utf-8')
             (settings / f'{option}.yaml').write_text(text, encoding='utf-8')
-    kept = {k: v for k, v in vars(arguments).items() if k not in _OF_THE_RUN and k not in _FILES}
+    if arguments.imus:
+        several.keep(arguments, settings)
+    kept = {k: v for k, v in vars(arguments).items() if k not in {*_OF_THE_RUN, *_FILES, 'imus'}}
     # Last, and whole: without it the folder is no stand's.
     draft = settings / f'{_OPTIONS}.new'
     with draft.open('w', encoding='utf-8') as file:
@@ -201,7 +204,7 @@ def _runs(number: str) -> bool:
 
 
 def _point_at_copies(arguments: argparse.Namespace, settings: Path) -> None:
-    for option in _FILES:
+    for option in (*_FILES, 'imus'):
         copy = settings / f'{option}.yaml'
         if copy.is_file():
             setattr(arguments, option, str(copy))
@@ -220,8 +223,8 @@ def _refuse_other_settings(arguments: argparse.Namespace, folder: Path) -> None:
     if given:
         named = ', '.join('PLAN' if n == 'plan' else f'--{n.replace("_", "-")}' for n in given)
         raise InputError(
-            f'--resume {folder}: found {named} too, expected at most --port, --baud and --speed: '
-            'the session goes on with the settings it began with.'
+            f'--resume {folder}: found {named} too, expected at most --port, --baud, --speed and '
+            '--without: the session goes on with the settings it began with.'
         )
 
 
@@ -234,8 +237,9 @@ def _recorded(folder: Path) -> Recording | None:
 
 
 def _complete(folder: Path) -> str:
-    if (folder / RESULT).is_file():
-        return f'--resume {folder}: its session is complete; the result is {folder / RESULT}.'
+    for result in (folder / RESULT, folder / several.CALIBRATIONS):
+        if result.is_file() or (result.is_dir() and any(result.iterdir())):
+            return f'--resume {folder}: its session is complete; the result is {result}.'
     return (
         f'--resume {folder}: its session has ended without a result, there is nothing to be gone '
         f'on with. imu-calib calibrate {shlex.quote(str(folder / JOURNAL))} says why.'

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.simulating import TRUTH, simulate
+from ..api.simulating import TRUTH, Simulated, simulate
+from ..api.simulating_units import SimulatedUnits, simulate_units
+from ..mounted import TRUTHS
 from . import options
 from .terminal import OUTPUT, progress_bar
+
+_IMU = 'fog_medium'
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the subcommand."""
     parser.add_argument('plan', metavar='PLAN', help='name of a plan, or a file')
     parser.add_argument('-o', '--output', required=True, metavar='DIR', help='folder to create')
-    parser.add_argument(
-        '--imu', default='fog_medium', metavar='NAME|FILE', help='default: %(default)s'
-    )
+    parser.add_argument('--imu', metavar='NAME|FILE', help=f'default: {_IMU}')
+    options.add_imus_option(parser)
     parser.add_argument(
         '--table',
         metavar='NAME|FILE',
@@ -60,13 +63,33 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Simulate, write, and say what was written."""
+    if arguments.imus is not None:
+        _run_several(arguments)
+        return
+    arguments.imu = arguments.imu or _IMU
     done = simulate(
         arguments.plan,
         arguments.output,
         **options.keywords(simulate, arguments),
         progress=progress_bar,
     )
-    written = f'the true parameters to {done.path / TRUTH}'
+    _say(done, f'the true parameters to {done.path / TRUTH}')
+
+
+def _run_several(arguments: argparse.Namespace) -> None:
+    options.refuse_beside_imus(arguments, 'imu', 'serial')
+    done = simulate_units(
+        arguments.plan,
+        arguments.output,
+        arguments.imus,
+        **options.keywords(simulate_units, arguments),
+        progress=progress_bar,
+    )
+    units = len(done.truths)
+    _say(done, f'the true parameters of {units} units to {done.path / TRUTHS}')
+
+
+def _say(done: Simulated | SimulatedUnits, written: str) -> None:
     if done.true_table is not None:
         written += f', the true table to {done.true_table}'
     OUTPUT.print(

@@ -14,7 +14,7 @@ from ..imu import ImuSpec, load_imu
 from ..plan import load_plan
 from ..share import shipped
 from ..turntable import load_table
-from . import options, web_page
+from . import options, several, web_page
 from .listening import listen
 from .processes import network_of_hardware
 from .terminal import OUTPUT
@@ -41,6 +41,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar='NAME|FILE',
         help=f'default: {_IMU}; {_HELD} where the unit is held by hand',
     )
+    options.add_imus_option(parser)
+    several.add_options(parser)
     parser.add_argument(
         '--table', default='three_axis', metavar='NAME|FILE', help='default: %(default)s'
     )
@@ -123,7 +125,8 @@ def _begin(arguments: argparse.Namespace) -> None:
     """Run a session from its beginning."""
     complete(arguments)
     folder = _new_folder(arguments)
-    words = Words(real=bool(arguments.port))
+    several.check(arguments)
+    words = Words(real=several.is_real(arguments))
     truth = _check(arguments, words)
     from . import resume, stand_session
 
@@ -142,17 +145,20 @@ def _go_on(arguments: argparse.Namespace) -> None:
     # Nodes of the interrupted stand that are still ending hold the port.
     with resume.claimed(folder) as claim, stand_session.signals():
         resume.check_unfinished(folder)
-        words = Words(real=bool(arguments.port))
+        several.check(arguments)
+        real = several.is_real(arguments)
+        words = Words(real=real)
         truth = _check(arguments, words)
-        arguments.start = 0.0 if arguments.port else resume.switched_on_at(folder)
+        arguments.start = 0.0 if real else resume.switched_on_at(folder)
         stand_session.run(arguments, folder, truth, claim, words)
 
 
 def complete(arguments: argparse.Namespace) -> None:
     """Put in what goes without saying: the IMU, and what it truly is where it is simulated."""
     held = load_plan(arguments.plan).by_hand
-    arguments.imu = arguments.imu or (_HELD if held else _IMU)
-    if not arguments.port:
+    if not arguments.imus:
+        arguments.imu = arguments.imu or (_HELD if held else _IMU)
+    if not several.is_real(arguments):
         arguments.truth = arguments.truth or (_HELD if held else _TRUTH)
 
 
@@ -173,10 +179,15 @@ def _new_folder(arguments: argparse.Namespace) -> Path:
     )
 
 
-def _check(arguments: argparse.Namespace, words: Words) -> Calibration | None:
-    """Refuse what cannot work before anything moves; return the truth of a simulation."""
-    _check_baud(arguments)
+def _check(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration]:
+    """Refuse what cannot work before anything moves; return the truths of a simulation.
+
+    They are by the units' serial numbers; of a unit that is alone, by an empty name.
+    """
     web_page.check(arguments)
+    if arguments.imus:
+        return _check_several(arguments, words)
+    _check_baud(arguments)
     if arguments.port:
         if arguments.imperfections:
             raise InputError('--imperfections: of simulated hardware; leave it out with --port.')
@@ -198,7 +209,33 @@ def _check(arguments: argparse.Namespace, words: Words) -> Calibration | None:
     from . import stand_session
 
     stand_session.check(arguments, imu, plan, table, site)
-    return None if arguments.port else load_truth(arguments.truth, imu)
+    return {} if arguments.port else {'': load_truth(arguments.truth, imu)}
+
+
+def _check_several(arguments: argparse.Namespace, words: Words) -> dict[str, Calibration]:
+    """Refuse several units that could give nothing; return their truths by serial number."""
+    real = several.is_real(arguments)
+    if real and arguments.imperfections:
+        raise InputError('--imperfections: of simulated hardware; leave it out with ports.')
+    if real and arguments.latitude is None:
+        raise InputError('--imus: give --latitude, of a real stand, in degrees.')
+    if not real and (arguments.network or arguments.device):
+        name = '--network' if arguments.network else '--device'
+        raise InputError(f'{name}: of real hardware; {arguments.imus} names no port.')
+    site = options.stated(arguments).site(LUOYANG)
+    plan, table = load_plan(arguments.plan), load_table(arguments.table)
+    if real:
+        network_of_hardware(arguments.network, alone=False)
+        words.nodes = [f'{unit.name}/imu_node' for unit in several.units_of(arguments)]
+        for unit in several.units_of(arguments):
+            imu, frames = load_imu(unit.imu), load_format(several.device_of(unit, arguments))
+            baud = choose_baud(unit.baud or None, frames)
+            listen(unit.port, frames, imu, baud, words, f'{unit.name}/imu_node')
+    from . import stand_session
+
+    for name in dict.fromkeys(unit.imu for unit in several.units_of(arguments)):
+        stand_session.check(arguments, load_imu(name), plan, table, site)
+    return {} if real else several.truths(arguments)
 
 
 def _check_baud(arguments: argparse.Namespace) -> None:

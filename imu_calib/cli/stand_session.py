@@ -6,7 +6,7 @@ import argparse
 import shutil
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -29,9 +29,10 @@ from ..reports.parameter_table import parameter_tables
 from ..simulation import StandOptions, load_imperfections
 from ..turntable import Table, load_table
 from ..web.board import Board
-from ..web.expectation import expectation
-from . import by_hand, options, resume, web_page
-from .processes import Outcome, Processes, free_port, network_of_hardware, private_network
+from ..web.expectation import expectation, units_board
+from ..web.units import UnitsBoard
+from . import by_hand, options, resume, several, web_page
+from .processes import Outcome, Processes, free_ports, network_of_hardware, private_network
 from .stand import complete
 from .table_view import view
 from .terminal import ERRORS, OUTPUT, sentence_list
@@ -40,6 +41,8 @@ from .words import NothingComes, Words
 _ORDER = ('stand_node', 'hand_node', 'imu_node', 'calibrator_node', 'turntable_node')
 _START = 30.0
 """Longest wait for the nodes to find each other, s."""
+_START_OF_EACH = 5.0
+"""s more for each of several units: a node takes some 2 s of a core to load."""
 
 
 def check(
@@ -108,7 +111,7 @@ def signals() -> Iterator[None]:
 def run(
     arguments: argparse.Namespace,
     folder: Path,
-    truth: Calibration | None,
+    truth: Mapping[str, Calibration],
     claim: int,
     words: Words,
 ) -> None:
@@ -117,7 +120,7 @@ def run(
     Args:
         arguments: The command line.
         folder: Of the stand; it exists.
-        truth: Of a simulated unit.
+        truth: Of simulated units by serial number; of one that is alone by an empty name.
         claim: File descriptor that the nodes inherit.
         words: Shows what the nodes say.
 
@@ -129,6 +132,7 @@ def run(
     environment = _network(arguments)
     given = parameters(arguments, folder)
     began = time.monotonic()
+    missing: list[str] = []
     if environment and arguments.verbose:
         joined = ' '.join(f"{key}='{value}'" for key, value in environment.items())
         OUTPUT.print(f'to look on: export {joined}', markup=False)
@@ -138,7 +142,7 @@ def run(
             # Who looks on from a browser is to see the result, too.
             processes.end_all_but({web_page.NODE})
             if outcome.finished:
-                _print_result(arguments, folder, truth, outcome, time.monotonic() - began)
+                missing = _print_result(arguments, folder, truth, outcome, time.monotonic() - began)
             elif processes.runs(web_page.NODE):
                 ERRORS.print(outcome.text, style='red', markup=False)
             web_page.stay(arguments, processes)
@@ -151,33 +155,43 @@ def run(
         if resume.unfinished(folder):
             name = arguments.resume or arguments.output
             arguments.last_word = f'To go on with it: {resume.command(name)}'
-    if not outcome.finished:
+    if missing or not outcome.finished:
         raise NotObservable(outcome.text)
 
 
 def _print_result(
     arguments: argparse.Namespace,
     folder: Path,
-    truth: Calibration | None,
+    truth: Mapping[str, Calibration],
     outcome: Outcome,
     seconds: float,
-) -> None:
-    """Print what came out, beside the truth where it is known."""
-    calibration = Calibration.load(folder / resume.RESULT)
-    if truth is not None:
-        truth.save(folder / 'truth.yaml')
+) -> list[str]:
+    """Print what came out, beside the truth where it is known; return the units without result."""
+    if truth:
         _save_true_table(arguments, folder)
-    for part in parameter_tables(calibration, truth):
+    if arguments.imus:
+        missing = several.print_results(arguments, folder, truth)
+        OUTPUT.print(
+            f'\n{outcome.duration:.0f} s of the stand in {seconds:.0f} s; recording: '
+            f'{folder / resume.JOURNAL}, results: {folder / several.CALIBRATIONS}'
+        )
+        return missing
+    calibration = Calibration.load(folder / resume.RESULT)
+    true = truth.get('')
+    if true is not None:
+        true.save(folder / 'truth.yaml')
+    for part in parameter_tables(calibration, true):
         OUTPUT.print(part)
     OUTPUT.print(
         f'\n{calibration.provenance["samples"]} samples, {outcome.duration:.0f} s of the stand in '
         f'{seconds:.0f} s; recording: {folder / resume.JOURNAL}, result: {folder / resume.RESULT}'
     )
     sentence_list('Worth knowing', calibration.findings)
+    return []
 
 
 def _network(arguments: argparse.Namespace) -> dict[str, str]:
-    if not arguments.port:
+    if not several.is_real(arguments):
         return private_network()
     return network_of_hardware(arguments.network, alone=load_plan(arguments.plan).by_hand)
 
@@ -199,43 +213,65 @@ def _session(
     words: Words,
 ) -> Outcome:
     """Start the nodes, and watch them until the session ends."""
-    for node in _ORDER:
-        if node in given:
-            processes.start(node, given[node])
+    remapped = several.remappings(arguments)
+    for node in _in_order(given):
+        # One of several units may fail: the others go on.
+        needed = '/' not in node
+        processes.start(node, given[node], needed=needed, remapped=remapped.get(node, {}))
     if web_page.NODE in given:
         web_page.start(arguments, processes, given[web_page.NODE])
     if load_plan(arguments.plan).by_hand:
         return by_hand.follow(processes, words)
     site = options.stated(arguments).site(LUOYANG)
-    imu, plan, table = (
-        load_imu(arguments.imu),
-        load_plan(arguments.plan),
-        load_table(arguments.table),
-    )
-    board = Board(expectation(_setup(arguments, imu, plan, table, site)))
+    plan, table = load_plan(arguments.plan), load_table(arguments.table)
+    imu = load_imu(arguments.imu or several.units_of(arguments)[0].imu)
+    setup = _setup(arguments, imu, plan, table, site)
+    board: Board | UnitsBoard
+    if arguments.imus:
+        board = units_board(setup, several.units_of(arguments))
+    else:
+        board = Board(expectation(setup))
     return _follow(processes, words, board, control=arguments.control)
+
+
+def _in_order(given: Mapping[str, Any]) -> list[str]:
+    """Return the nodes in the order in which they are started, the page's not among them."""
+    names = {node: node.rpartition('/')[2] for node in given}
+    known = [node for node, name in names.items() if name in _ORDER]
+    return sorted(known, key=lambda node: _ORDER.index(names[node]))
 
 
 def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[str, Any]]:
     """Return the parameters of every node that is to run."""
     complete(arguments)
-    simulated = not arguments.port
+    simulated = not several.is_real(arguments)
+    mounted = several.units_of(arguments)
     stated = ('height', 'gravity', 'height_std', 'gravity_std', 'latitude_std')
     doubts = {name: v for name in stated if (v := getattr(arguments, name)) is not None}
     doubts['latitude'] = LUOYANG if arguments.latitude is None else arguments.latitude
     site = {name: value for name, value in doubts.items() if not name.endswith('_std')}
     clock = {'use_sim_time': simulated}
-    port = free_port() if simulated else 0
-    described = {'imu': arguments.imu, 'table': arguments.table}
+    port = free_ports(max(len(mounted), 1)) if simulated else 0
+    if mounted:
+        of_units = several.node_parameters(arguments, clock, port)
+        units = {'units': arguments.imus, 'without': arguments.without}
+        described = {'table': arguments.table, **units}
+        result = several.CALIBRATIONS
+    else:
+        of_units = {
+            'imu_node': {
+                **clock,
+                'imu': arguments.imu,
+                'device': arguments.device or _frames(arguments),
+                'sample_rate': arguments.sample_rate,
+                'port': arguments.port or f'socket://127.0.0.1:{port}',
+                'baud': arguments.baud or 0,
+            }
+        }
+        described = {'imu': arguments.imu, 'table': arguments.table}
+        result = resume.RESULT
     nodes: dict[str, dict[str, Any]] = {
-        'imu_node': {
-            **clock,
-            'imu': arguments.imu,
-            'device': arguments.device or _frames(arguments),
-            'sample_rate': arguments.sample_rate,
-            'port': arguments.port or f'socket://127.0.0.1:{port}',
-            'baud': arguments.baud or 0,
-        },
+        **of_units,
         'calibrator_node': {
             **clock,
             **described,
@@ -245,7 +281,7 @@ def parameters(arguments: argparse.Namespace, folder: Path) -> dict[str, dict[st
             'terms': arguments.terms or AUTO_TERMS,
             'serial_number': arguments.serial or '',
             'journal': str(folder / resume.JOURNAL),
-            'output': str(folder / resume.RESULT),
+            'output': str(folder / result),
         },
         'turntable_node': {
             **clock,
@@ -295,7 +331,9 @@ def _frames(arguments: argparse.Namespace) -> str:
     return 'simulated_skewed' if skewed and not arguments.port else 'simulated'
 
 
-def _follow(processes: Processes, words: Words, board: Board, *, control: bool) -> Outcome:
+def _follow(
+    processes: Processes, words: Words, board: Board | UnitsBoard, *, control: bool
+) -> Outcome:
     """Watch the session until it ends, and show how far it is.
 
     Args:
@@ -314,12 +352,15 @@ def _follow(processes: Processes, words: Words, board: Board, *, control: bool) 
         watching(processes, words, board) as monitor,
         Live(console=ERRORS, refresh_per_second=4, transient=True) as display,
     ):
-        deadline = time.monotonic() + _START
+        several_units = len(board.names) if isinstance(board, UnitsBoard) else 0
+        deadline = time.monotonic() + _START + _START_OF_EACH * several_units
         said = ''
         while True:
             monitor.spin(0.1)
             processes.check()
-            display.update(view(board.snapshot(time.monotonic()), datetime.now(), ERRORS.width))
+            now = time.monotonic()
+            units = board.rows(now) if isinstance(board, UnitsBoard) else ()
+            display.update(view(board.snapshot(now), datetime.now(), ERRORS.width, units))
             if monitor.outcome is not None:
                 return Outcome(*monitor.outcome, monitor.duration)
             if monitor.stopped and not control:

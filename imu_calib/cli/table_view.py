@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from itertools import zip_longest
 
-from rich.console import Group, RenderableType
+from rich.console import Group, JustifyMethod, RenderableType
 from rich.progress_bar import ProgressBar
 from rich.table import Table as Rows
 from rich.text import Text
@@ -14,23 +14,33 @@ from rich.text import Text
 from ..devices.health import Severity
 from ..reports.convergence import Converging
 from ..web.board import Snapshot
+from ..web.units import UnitRow
 from ..web.words import headline, time_left
 
 _STYLES = {Severity.OK: 'bold', Severity.WARN: 'bold yellow', Severity.ERROR: 'bold red'}
 _BAR = 30
 """Letters."""
 _COLUMNS = ('', 'std now', 'plan', 'limit', 'unit')
+_UNIT_COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
+    ('unit', 'left'),
+    ('state', 'left'),
+    ('rate', 'right'),
+    ('lost', 'right'),
+    ('known', 'right'),
+    ('furthest from the plan', 'left'),
+)
 _WIDE = 78
 """Letters for two triads side by side; 12 rows then fit a small terminal."""
 
 
-def view(shown: Snapshot, now: datetime, width: int) -> Group:
+def view(shown: Snapshot, now: datetime, width: int, units: Sequence[UnitRow] = ()) -> Group:
     """Lay out a session that runs.
 
     Args:
         shown: Its state.
         now: Of the clock on the wall.
         width: Of the terminal, letters.
+        units: Where there are several: a line for each stands in place of the parameters.
 
     """
     first = headline(shown)
@@ -38,6 +48,9 @@ def view(shown: Snapshot, now: datetime, width: int) -> Group:
     if first.detail:
         parts.append(Text(first.detail))
     parts.append(_course(shown, now))
+    if units:
+        parts.append(unit_lines(units))
+        return Group(*parts)
     known = sum(row.determined for row in shown.rows)
     parts.append(Text(f'{known} of {len(shown.rows)} parameters are determined'))
     if known:
@@ -86,3 +99,29 @@ def _cells(row: Converging | None) -> list[RenderableType]:
     style = 'dim' if not row.determined else 'green' if row.there else ''
     now = row.shown(row.std) if row.determined else '\u2013'
     return [row.parameter.name, Text(now, style=style), row.shown(row.predicted), limit, row.unit]
+
+
+def unit_lines(units: Sequence[UnitRow]) -> Rows:
+    """Return a line for each unit: how its samples come, and what of it is known least."""
+    table = Rows(box=None, pad_edge=False, header_style='bold', padding=(0, 1, 0, 0))
+    for heading, justify in _UNIT_COLUMNS:
+        table.add_column(heading, justify=justify, no_wrap=heading != 'state')
+    for unit in units:
+        table.add_row(
+            unit.serial_number,
+            Text(unit.words, style=_STYLES[unit.level].replace('bold', '').strip()),
+            unit.rate or '\u2013',
+            unit.lost or '\u2013',
+            f'{unit.determined}/{unit.parameters}',
+            least_known(unit),
+        )
+    return table
+
+
+def least_known(unit: UnitRow) -> str:
+    """Name the parameter that is furthest from what the plan will reach, with both deviations."""
+    worst = unit.worst
+    if worst is None:
+        return '\u2013'
+    now, plan = worst.shown(worst.std), worst.shown(worst.predicted)
+    return f'{worst.parameter.name} \u00b1{now} (plan {plan}) {worst.unit}'.rstrip()

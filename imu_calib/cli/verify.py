@@ -25,7 +25,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         'Exit codes: 0 accepted, 1 rejected or not to be judged, 2 wrong usage or unreadable '
         'input, 130 interrupted.'
     )
-    parser.add_argument('bag', help='folder of rosbag2, or one .mcap or .db3 file')
+    options.add_bag(parser)
     parser.add_argument(
         '--calibration', required=True, metavar='FILE', help='calibration.yaml to be verified'
     )

@@ -32,6 +32,8 @@ _OF_THE_SESSION = (
     'method',
     'terms',
     'serial_number',
+    'units',
+    'without',
     'journal',
     'output',
 )

@@ -111,9 +111,11 @@ class Words:
                 continue
             if part.level is _Level.OK and (not part.shown or stands < _STANDS):
                 continue
-            lost = self._real and part.level is _Level.ERROR and name in _NEEDED
-            if lost and not (self._came and name == 'imu_node: port'):
-                if stands >= _NEEDED[name]:
+            # Of several units each is as needed as the only one.
+            own = name.rpartition('/')[2]
+            lost = self._real and part.level is _Level.ERROR and own in _NEEDED
+            if lost and not (self._came and own == 'imu_node: port'):
+                if stands >= _NEEDED[own]:
                     raise NothingComes(part.text)
                 continue
             if part.text != part.shown:

@@ -4,47 +4,67 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from .. import middleware as ros
 from ..bags import Journal
-from ..calibration import Calibration
 from ..cdr import Kind
 from ..errors import InputError
+from ..metadata import mount_description, unit_description
 from ..middleware import messages
 from . import qos
-from .convert import calibration_message, final_status, refusal_message
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .done import DoneWord
 from .entry import entry_point
-from .hearing import Hearing
-from .live import LiveSession, SessionPhase
+from .hearing import Hearing, topics_of_table, topics_of_unit
+from .live import SessionPhase
 from .publishers import OnePublisher
-from .session_parameters import declared_setup
-from .session_words import journal_words, progress_message, report, session_sentence
+from .session_parameters import StatedUnit, declared_units
+from .session_words import journal_words, session_sentence
+from .sessions import LiveUnit, Sessions
+from .several_words import progress_of_all
+from .unit_results import UnitResults
 
 _TICK = 0.005
 """s: five samples at 1 kHz; a queue of the middleware holds many times that."""
+_TICK_OF_SEVERAL = 0.02
+"""s: what a round costs whatever has come is paid for every unit; eight at 1 kHz then cost the
+sessions 14 % of a core instead of 43 %."""
 _SECOND = 1.0
 """s between two looks at what changes slowly: publishers, the disk, the words said."""
+_LAST_TAKE = 1.0
+"""s for what waits when the node is stopped. A judgement: who pressed Ctrl-C waits no longer, and a
+launcher kills five seconds after it, when the journal has to be closed."""
 _GLANCE = 0.25
 """s between two reviews of a session in the hand: a person who holds still waits for the answer."""
 _STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
 
 class CalibratorNode(ros.Node):
-    """Feeds the `Calibrator` that `imu-calib calibrate` feeds, and says what it finds."""
+    """Feeds the `Calibrator` that `imu-calib calibrate` feeds, and says what it finds.
+
+    Several units on one table have a session each, and a namespace for what is theirs; what is
+    said without one is then of all of them.
+    """
 
     def __init__(self) -> None:
         super().__init__('calibrator_node')
-        self._setup, self._description = declared_setup(self)
+        self._units, self._description = declared_units(self)
+        # Plan, table and site are the same for all.
+        self._setup = self._units[0].setup
+        self._several = bool(self._units[0].name)
         table, plan = self._setup.table, self._setup.plan
         self._steps = len(plan.positions if table is None else plan.steps(table))
-        self._output = Path(
-            declare(self, 'output', 'calibration.yaml', 'file that takes the result')
-        ).expanduser()
+        output = declare(
+            self,
+            'output',
+            'calibration.yaml',
+            'file that takes the result; of several units the folder, which gets SERIAL.yaml',
+        )
+        self._output = Path(output).expanduser()
         self._journal_path = Path(
             declare(self, 'journal', 'journal', 'folder of the recording; resumed if unfinished')
         ).expanduser()
@@ -52,14 +72,17 @@ class CalibratorNode(ros.Node):
             self, 'imu_timeout', 0.5, 'longest silence of the IMU against the table, s', lower=0.01
         )
         steady = ros.Clock(clock_type=ros.ClockType.STEADY_TIME)
-        self._diagnostics = Diagnostics(self, self._setup.imu.id)
-        self._result_publisher = self.create_publisher(
-            messages.ImuCalibration, 'calibration', qos.latched()
-        )
-        self._progress_publisher = self.create_publisher(
-            messages.CalibrationProgress, 'calibration/progress', qos.latched()
-        )
-        self._hearing = Hearing(self, self._setup)
+        stand = f'{len(self._units)} units' if self._several else self._setup.imu.id
+        self._diagnostics = Diagnostics(self, stand)
+        self._results = [
+            UnitResults(self, unit.setup, unit.name, self._file_of(unit), self._diagnostics)
+            for unit in self._units
+        ]
+        self._of_all = self._open_what_is_said_of_all() if self._several else None
+        self._hearing = Hearing(self, topics_of_table(self._setup))
+        self._heard = [
+            Hearing(self, topics_of_unit(unit.setup, unit.name, unit.topic)) for unit in self._units
+        ]
         self._state_topic = self.resolve_topic_name('turntable/state')
         self._early_states: list[bytes] = []
         self._latest = 0
@@ -73,9 +96,10 @@ class CalibratorNode(ros.Node):
         self.create_service(ros.Trigger, '~/solve', self._on_solve)
         self.create_service(ros.Trigger, '~/reset', self._on_reset)
         self.create_service(ros.Trigger, '~/save', self._on_save)
-        self._sessions = 0
-        self._session = self._new_session()
-        self.create_timer(_TICK, self._on_tick, clock=steady)
+        self._count = 0
+        self._sessions = self._new_sessions()
+        tick = _TICK_OF_SEVERAL if self._several else _TICK
+        self.create_timer(tick, self._on_tick, clock=steady)
         self.create_timer(_SECOND, self._on_second, clock=steady)
         if self._setup.table is None:
             # A person looks at what it says while holding still.
@@ -83,36 +107,79 @@ class CalibratorNode(ros.Node):
 
     def stop(self) -> list[Any]:
         """Leave the journal such that the next start goes on with it."""
-        self._take_all()
-        self._session.close()
+        end = time.monotonic() + _LAST_TAKE
+        while self._take_all() and time.monotonic() < end:
+            # A round takes so many of a topic, and no more.
+            pass
+        self._sessions.close()
         self._publish_progress()
-        return [self._progress_publisher, self._result_publisher]
+        heard = [p for results in self._results for p in (results.progress, results.result)]
+        return heard if self._of_all is None else [*heard, *self._of_all]
 
-    def _new_session(self) -> LiveSession:
+    def _file_of(self, unit: StatedUnit) -> Path:
+        """Return the file that takes a unit's result."""
+        if not self._several:
+            return self._output
+        # As bringup.launch.py asks for it.
+        return self._output / f'{unit.setup.serial_number}.yaml'
+
+    def _open_what_is_said_of_all(self) -> tuple[Any, Any]:
+        """Open the topics without a namespace, and the services that leave a unit out."""
+        try:
+            self._output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f'Parameter output: {self._output}: {error.strerror}.') from None
+        for place, unit in enumerate(self._units):
+            self.create_service(
+                ros.Trigger, f'~/leave_out/{unit.name}', partial(self._on_leave_out, place)
+            )
+        last_words = qos.latched(len(self._units))
+        return (
+            self.create_publisher(
+                messages.CalibrationProgress, 'calibration/progress', qos.latched()
+            ),
+            self.create_publisher(messages.ImuCalibration, 'calibration', last_words),
+        )
+
+    def _new_sessions(self) -> Sessions:
         """Begin a session, or go on with the one that the journal holds."""
         path = self._journal_path
-        if self._sessions:
-            path = path.with_name(f'{path.name}_{self._sessions + 1}')
-        self._sessions += 1
-        topics = self._hearing.topics
-        journal = Journal(path, self._description, {t: kind for kind, t in topics.items()})
+        if self._count:
+            path = path.with_name(f'{path.name}_{self._count + 1}')
+        self._count += 1
+        common = self._hearing.topics
+        units = [
+            LiveUnit(unit.name, unit.setup, hearing.topics, unit.mount is not None)
+            for unit, hearing in zip(self._units, self._heard, strict=True)
+        ]
+        topics = {t: kind for kind, t in common.items()}
+        description = dict(self._description)
+        for unit, stated in zip(units, self._units, strict=True):
+            topics |= {t: kind for kind, t in unit.topics.items()}
+            if self._several:
+                serial, topic = stated.setup.serial_number, unit.topics[Kind.IMU]
+                description |= unit_description(topic, stated.imu, serial)
+                if stated.mount is not None:
+                    description |= mount_description(topic, stated.mount)
+        journal = Journal(path, description, topics)
         if self._setup.table is not None:
             journal.add_latched_topic(self._state_topic, _STATE_TYPE)
-        session = LiveSession(self._setup, journal, topics)
-        self._hearing.begin()
-        self._shown: Calibration | None = None
-        held = sum(intake.count for intake in session.intakes.values())
+        sessions = Sessions(units, journal, common)
+        for hearing, results in zip(self._heard, self._results, strict=True):
+            hearing.begin()
+            results.begin()
+        held = sessions.held
         resumed = f'The session goes on from {path}, which holds {held} messages.'
         if held:
             self._diagnostics.report('journal', Level.WARN, resumed)
         else:
             self._diagnostics.report('journal', Level.OK, journal_words(path))
-        return session
+        return sessions
 
     def _on_tick(self) -> None:
         self._take_all()
-        if self._session.poll():
-            self._publish()
+        for place in self._sessions.poll():
+            self._publish(place)
 
     def _read_clock(self) -> int:
         """Return the time of the recording, ns; 0 before the first /clock of a simulated time."""
@@ -133,72 +200,91 @@ class CalibratorNode(ros.Node):
         self._latest = max(now, self._latest)
         return self._latest
 
-    def _take_all(self) -> None:
+    def _take_all(self) -> bool:
+        """Take in what has come, so many of a topic; return whether there was anything."""
         now = self._read_clock()
         if now == 0:
             # A log time before the clock began would make a recording of decades.
-            return
+            return False
         for payload in self._early_states:
-            self._session.record(self._state_topic, _STATE_TYPE, payload, now)
+            self._sessions.record(self._state_topic, _STATE_TYPE, payload, now)
         self._early_states.clear()
+        came = False
         for kind, payloads in self._hearing.take():
-            session = self._session
+            self._sessions.take_common(kind, payloads, now)
+            came = True
+        for place, hearing in enumerate(self._heard):
+            came = self._take_of(place, hearing, now) or came
+        return came
+
+    def _take_of(self, place: int, hearing: Hearing, now: int) -> bool:
+        """Take in what a unit has said; return whether it has said anything."""
+        session, came = self._sessions.all[place], False
+        for kind, payloads in hearing.take():
+            came = True
             # Samples of a second device cannot be told from those of the first.
-            two = kind is Kind.IMU and not session.over and self._hearing.two_devices
+            two = kind is Kind.IMU and not session.over and hearing.two_devices
             if two and session.backwards(kind, payloads):
-                self._two_publishers()
+                self._two_publishers(place)
             elif not session.over:
                 session.take(kind, payloads, now)
+        return came
 
     def _on_glance(self) -> None:
-        self._session.solve()
+        for session in self._sessions.all:
+            session.solve()
 
     def _on_second(self) -> None:
-        for topic in self._hearing.subscribe_anew():
-            self._diagnostics.report(
-                'quality of service',
-                Level.WARN,
-                f'{topic} is published best effort: messages can be lost on the way.',
-            )
-        if self._hearing.two_devices_stay() and not self._session.over:
-            self._two_publishers()
+        for hearing in (self._hearing, *self._heard):
+            for topic in hearing.subscribe_anew():
+                self._diagnostics.report(
+                    'quality of service',
+                    Level.WARN,
+                    f'{topic} is published best effort: messages can be lost on the way.',
+                )
+        for place, hearing in enumerate(self._heard):
+            if hearing.two_devices_stay() and not self._sessions.all[place].over:
+                self._two_publishers(place)
         self._states.look(time.monotonic())
-        self._session.flush()
-        if self._session.rested:
-            self._session.solve()
+        self._sessions.flush()
+        self._sessions.solve()
         self._report()
         self._publish_progress()
 
-    def _two_publishers(self) -> None:
-        topic = self._session.intakes[Kind.IMU].topic
-        self._session.fail(f'Two publishers on {topic}: stop one of them, then call ~/reset.')
-        self._publish()
+    def _two_publishers(self, place: int) -> None:
+        session = self._sessions.all[place]
+        topic = session.intakes[Kind.IMU].topic
+        session.fail(f'Two publishers on {topic}: stop one of them, then call ~/reset.')
+        self._publish(place)
 
     def _on_state(self, payload: bytes) -> None:
         state = ros.deserialize_message(payload, messages.TurntableState)
         self._early_states.append(payload)
         self._take_all()
         if state.plan and state.plan != self._setup.plan.name:
-            self._session.fail(
-                f'The table runs plan {state.plan}, this calibrator expects '
-                f'{self._setup.plan.name}.'
-            )
-            self._publish()
+            for place, session in enumerate(self._sessions.all):
+                session.fail(
+                    f'The table runs plan {state.plan}, this calibrator expects '
+                    f'{self._setup.plan.name}.'
+                )
+                self._publish(place)
             return
         self._seconds_left = float(state.seconds_left)
         if state.phase != messages.TurntableState.DONE:
             self._done.deny()
-            self._session.table_running()
+            for session in self._sessions.all:
+                session.table_running()
             return
         doubt = self._done.doubt(
             state.plan,
             state.steps,
-            self._session.steps_seen,
+            max(session.steps_seen for session in self._sessions.all),
             alone=self._states.is_alone(time.monotonic()),
         )
         if not doubt and self._done.is_repeated:
             stamp = state.header.stamp
-            self._session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
+            for session in self._sessions.all:
+                session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
         self._report_done(doubt)
 
     def _report_done(self, doubt: str) -> None:
@@ -210,91 +296,98 @@ class CalibratorNode(ros.Node):
             text if doubt else f'{self._state_topic} says DONE.',
         )
 
-    def _publish(self) -> None:
-        """Publish the calibration where there is news of it, and the progress."""
-        session = self._session
-        now = self.get_clock().now().to_msg()
-        if session.phase is SessionPhase.FAILED:
-            self._result_publisher.publish(
-                refusal_message(
-                    self._setup.imu, self._setup.plan.name, session.failure, session.frame_id, now
-                )
-            )
-        elif session.calibration is not None and self._is_news(session.calibration):
-            self._shown = session.calibration
-            final = session.phase is SessionPhase.FINISHED
-            status = messages.ImuCalibration.PROVISIONAL
-            if final:
-                status = final_status(session.calibration)
-            self._result_publisher.publish(
-                calibration_message(session.calibration, status, session.frame_id, now)
-            )
-            if final:
-                self._save()
+    def _publish(self, place: int) -> None:
+        """Publish a unit's calibration where there is news of it, and the progress."""
+        last = self._results[place].publish(self._sessions.all[place])
+        if last is not None and self._of_all is not None:
+            _, results = self._of_all
+            results.publish(last)
         self._report()
         self._publish_progress()
 
-    def _is_news(self, calibration: Calibration) -> bool:
-        return (
-            self._shown is None
-            or self._session.phase is SessionPhase.FINISHED
-            or calibration.provenance['samples'] != self._shown.provenance['samples']
-        )
-
     def _publish_progress(self) -> None:
-        message = progress_message(self._session, self._steps, self._seconds_left, self._output)
-        self._progress_publisher.publish(message)
+        sessions = self._sessions
+        each = [
+            results.publish_progress(session, self._steps, self._seconds_left)
+            for results, session in zip(self._results, sessions.all, strict=True)
+        ]
+        if self._of_all is not None:
+            progress, _ = self._of_all
+            progress.publish(progress_of_all(sessions, each, self._imu_timeout, self._output))
 
     def _report(self) -> None:
-        report(self._session, self._diagnostics, self._imu_timeout)
-
-    def _save(self) -> str:
-        """Write the result; return why not, or nothing."""
-        calibration = self._session.calibration
-        if calibration is None:
-            return session_sentence(self._session)
-        try:
-            calibration.save(self._output)
-        except InputError as error:
-            self._diagnostics.report('file', Level.ERROR, str(error))
-            return str(error)
-        self._diagnostics.report('file', Level.OK, f'{self._output} is written.')
-        return ''
+        for place, results in enumerate(self._results):
+            if place in self._sessions.left_out:
+                results.tell('calibration', Level.WARN, 'The unit is left out of this session.')
+            else:
+                results.report(self._sessions.all[place], self._imu_timeout)
 
     def _on_solve(self, _: Any, response: Any) -> Any:
         """End the session with what is here."""
-        session = self._session
-        response.success = not session.over
-        response.message = session_sentence(self._session)
-        review = session.review
+        sessions = self._sessions
+        first = sessions.all[0]
+        response.success = not sessions.over
+        response.message = self._sentence()
+        review = first.review
         if self._setup.table is None and review is not None and review.result is None:
             # In the hand there is always another hold to be made.
             response.success, response.message = False, review.refusal
         if response.success:
-            self._session.end()
+            sessions.end()
             topic = self.resolve_topic_name('calibration')
             response.message = f'The session is being solved; the result comes on {topic}.'
         return response
 
+    def _sentence(self) -> str:
+        """Say how far the session has come, or what is wrong with it."""
+        said = [session_sentence(session) for session in self._sessions.all]
+        if not self._several:
+            return said[0]
+        names = [unit.setup.serial_number for unit in self._units]
+        return ' '.join(f'{name}: {words}' for name, words in zip(names, said, strict=True))
+
+    def _on_leave_out(self, place: int, _: Any, response: Any) -> Any:
+        """Go on without a unit: it is silent, say, and the others are not to wait for it."""
+        sessions, serial = self._sessions, self._units[place].setup.serial_number
+        alone = sessions.open == [sessions.all[place]]
+        if place in sessions.left_out:
+            response.success, response.message = False, f'{serial} is left out already.'
+        elif alone or sessions.all[place].phase is SessionPhase.FINISHED:
+            what = 'is the last unit' if alone else 'has its result'
+            response.success, response.message = False, f'{serial} {what}: it is not left out.'
+        else:
+            sessions.leave_out(place)
+            response.success = True
+            response.message = f'{serial} is left out; the session goes on with the others.'
+            self._publish(place)
+        return response
+
     def _on_reset(self, _: Any, response: Any) -> Any:
         """Begin a new session, with a journal of its own."""
-        before = self._session
+        before = self._sessions
         try:
-            self._session = self._new_session()
+            self._sessions = self._new_sessions()
         except InputError as error:
             # The one that runs goes on.
             response.success, response.message = False, str(error)
         else:
             before.close()
             response.success = True
-            response.message = f'A new session is written to {self._session.journal.path}.'
+            response.message = f'A new session is written to {self._sessions.journal.path}.'
         self._publish_progress()
         return response
 
     def _on_save(self, _: Any, response: Any) -> Any:
         """Write what is determined so far."""
-        problem = self._save()
-        response.success, response.message = not problem, problem or f'{self._output} is written.'
+        problems = [
+            f'{unit.setup.serial_number}: {problem}' if self._several else problem
+            for unit, results, session in zip(
+                self._units, self._results, self._sessions.all, strict=True
+            )
+            if (problem := results.save(session))
+        ]
+        response.success = not problems
+        response.message = ' '.join(problems) or f'{self._output} is written.'
         return response
 
 

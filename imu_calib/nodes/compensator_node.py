@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .. import middleware as ros
-from ..cdr import ImuDecoder, Malformed, Messages, decode_skew, decode_temperatures, encode_rates
+from ..cdr import ImuDecoder, Malformed, Messages, decode_skew, decode_temperatures, rates_payloads
 from ..compensation.apply import Mark
 from ..compensation.compensator import Compensator, Reading
 from ..compensation.thermal import (
@@ -202,14 +202,16 @@ class CompensatorNode(ros.ManagedNode):
             block = ImuBlock(
                 reading.stamp, values.rate, values.force, self._frame_id or reading.frame_id
             )
-            encoded = encode_rates(block, values.rate_covariance, values.force_covariance)
+            payloads = rates_payloads(block, values.rate_covariance, values.force_covariance)
             stamp = reading.stamp
             if values.marks.any():
-                encoded, stamp = encoded.select(reading.numbers), stamp[reading.numbers]
-            if not len(stamp):
+                sound = reading.numbers
+                payloads = [p for p, keep in zip(payloads, sound, strict=True) if keep]
+                stamp = stamp[sound]
+            if not payloads:
                 continue
-            ros.publish_all(self._publisher, encoded.payloads())
-            self._second.given += len(stamp)
+            ros.publish_all(self._publisher, payloads)
+            self._second.given += len(payloads)
             self._second.newest = int(stamp[-1])
 
     def _on_calibration(self, message: Any) -> None:

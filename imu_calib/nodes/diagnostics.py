@@ -25,6 +25,7 @@ class _Report:
     level: Level
     text: str
     figures: dict[str, str] = field(default_factory=dict)
+    hardware_id: str = ''
 
 
 class Diagnostics:
@@ -55,9 +56,15 @@ class Diagnostics:
             **figures: Values with their units, by name.
 
         """
+        self.report_of('', part, level, text, figures)
+
+    def report_of(
+        self, hardware_id: str, part: str, level: Level, text: str, figures: dict[str, str]
+    ) -> None:
+        """Replace what is said of a part that deals with hardware of its own; see `report`."""
         text = text if text.endswith('.') else f'{text}.'
         before = self._reports.get(part)
-        self._reports[part] = _Report(level, text, figures)
+        self._reports[part] = _Report(level, text, figures, hardware_id)
         if before is not None and (before.level, before.text) == (level, text):
             return
         logger = self._node.get_logger()
@@ -81,7 +88,7 @@ class Diagnostics:
                 level=bytes([report.level]),
                 name=f'{name}: {part}',
                 message=report.text,
-                hardware_id=self.hardware_id,
+                hardware_id=report.hardware_id or self.hardware_id,
                 values=[messages.KeyValue(key=k, value=v) for k, v in report.figures.items()],
             )
             for part, report in self._reports.items()
@@ -92,3 +99,24 @@ class Diagnostics:
     def publisher(self) -> object:
         """The publisher, for those who wait until the last word was heard."""
         return self._publisher
+
+
+class PartOfDiagnostics:
+    """What a node says of one of several units: its parts have the unit's name before them.
+
+    Args:
+        diagnostics: Of the node.
+        name: Of the unit.
+        hardware_id: Of the unit: its type and serial number.
+
+    """
+
+    def __init__(self, diagnostics: Diagnostics, name: str, hardware_id: str) -> None:
+        self._diagnostics = diagnostics
+        self._name = name
+        self.hardware_id = hardware_id
+
+    def report(self, part: str, level: Level, text: str, **figures: str) -> None:
+        """Replace what is said of a part of the unit; see `Diagnostics.report`."""
+        named = f'{self._name}: {part}'
+        self._diagnostics.report_of(self.hardware_id, named, level, text, figures)

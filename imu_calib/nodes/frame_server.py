@@ -1,10 +1,11 @@
-"""The line of a simulated device: a socket that serves its frames."""
+"""The lines of simulated devices: sockets that serve their frames."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
 import time
+from collections.abc import Sequence
 
 from ..errors import InputError
 
@@ -84,3 +85,45 @@ class FrameServer:
             self._reader.close()
         self._reader = None
         self._moved = time.monotonic()
+
+
+class Lines:
+    """The lines of all units, which go on together."""
+
+    def __init__(self, servers: Sequence[FrameServer]) -> None:
+        self._servers = servers
+
+    @property
+    def connected(self) -> bool:
+        """Whether somebody reads at all: a unit whose reader is gone does not hold up the rest."""
+        return any(server.connected for server in self._servers)
+
+    @property
+    def unread(self) -> int | None:
+        """The first port that nobody reads; None where all are read."""
+        return next((s.port for s in self._servers if not s.connected), None)
+
+    @property
+    def idle(self) -> bool:
+        """Whether the readers have taken all that was sent."""
+        return all(server.idle for server in self._servers)
+
+    @property
+    def dropped(self) -> int:
+        """Bytes that met no reader."""
+        return sum(server.dropped for server in self._servers)
+
+    def tend(self) -> None:
+        """Accept readers, and send on what they have not taken."""
+        for server in self._servers:
+            server.tend()
+
+    def send(self, lines: Sequence[bytes]) -> None:
+        """Send bytes on each, or lose them where nobody reads."""
+        for server, line in zip(self._servers, lines, strict=True):
+            server.send(line)
+
+    def close(self) -> None:
+        """Hang up."""
+        for server in self._servers:
+            server.close()

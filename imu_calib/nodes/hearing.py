@@ -1,9 +1,12 @@
-"""What a calibrator listens to: one topic of each kind, by the quality of service it comes with."""
+"""What a calibrator listens to: one topic of each kind, by the quality of service it comes with.
+
+The table has its topics; each unit has its own, in its namespace where several are mounted.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from .. import middleware as ros
@@ -26,23 +29,46 @@ _TOPICS = {
 _OF_THE_TABLE = (Kind.SETPOINTS, Kind.JOINTS)
 
 
+def topics_of_table(setup: Setup) -> dict[Kind, str]:
+    """Return the names of the table's topics by what they carry: no table, no topics."""
+    kinds = _OF_THE_TABLE if setup.table is not None else ()
+    return {kind: _TOPICS[kind][0] for kind in kinds}
+
+
+def topics_of_unit(setup: Setup, namespace: str = '', imu_topic: str = '') -> dict[Kind, str]:
+    """Return the names of a unit's topics by what they carry.
+
+    Args:
+        setup: Says whether it has a skewed gyro.
+        namespace: Of the unit; empty where it is alone.
+        imu_topic: Of its samples where that is another one; empty: imu/pulses.
+
+    """
+    kinds = [kind for kind in _TOPICS if kind not in _OF_THE_TABLE]
+    if setup.imu.skewed is None:
+        kinds.remove(Kind.SKEW)
+    names = {kind: '/'.join(filter(None, [namespace, _TOPICS[kind][0]])) for kind in kinds}
+    return {**names, Kind.IMU: imu_topic or names[Kind.IMU]}
+
+
 class Hearing:
-    """Subscriptions that are drained, of all that a set-up has: no table, no joint states.
+    """Subscriptions that are drained.
+
+    Args:
+        node: Whose.
+        topics: Names by what they carry.
 
     Attributes:
         topics: Their full names.
 
     """
 
-    def __init__(self, node: ros.Node, setup: Setup) -> None:
+    def __init__(self, node: ros.Node, topics: Mapping[Kind, str]) -> None:
         self._node = node
-        left_out = set() if setup.table is not None else set(_OF_THE_TABLE)
-        if setup.imu.skewed is None:
-            left_out.add(Kind.SKEW)
-        kinds = [kind for kind in _TOPICS if kind not in left_out]
-        self.topics = {kind: node.resolve_topic_name(_TOPICS[kind][0]) for kind in kinds}
+        self._names = dict(topics)
+        self.topics = {kind: node.resolve_topic_name(name) for kind, name in topics.items()}
         self._unreliable: set[Kind] = set()
-        self._drains = {kind: self._open(kind, reliable=True) for kind in kinds}
+        self._drains = {kind: self._open(kind, reliable=True) for kind in topics}
         self._two_since: float | None = None
 
     def take(self) -> Iterator[tuple[Kind, list[bytes]]]:
@@ -81,7 +107,7 @@ class Hearing:
         return [self.topics[kind] for kind in found]
 
     def _open(self, kind: Kind, *, reliable: bool) -> Any:
-        topic, message = _TOPICS[kind]
+        topic, message = self._names[kind], _TOPICS[kind][1]
 
         def incompatible(_: Any) -> None:
             self._unreliable.add(kind)

@@ -18,16 +18,20 @@ from ..calibrator.by_hand import HandReview
 from ..calibrator.guidance import Guidance, Stage
 from ..cdr import Kind, Malformed, Messages
 from ..errors import ImuCalibError, InputError
+from ..instants import at
 from ..model import Parameter, skewed_parameters
 from ..segmentation.segmenter import INTERRUPTION, interruption
 from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
 from .intake import TopicIntake
+from .shared import JournalPart, SolverPart
 from .solving import Solver
 
 _LATE = 500_000_000
 """ns by which the last samples may be older than the table's last word: half a second of delay."""
 _PATIENCE = 2.0
 """s that are waited for data older than the table's last word; what comes later is lost."""
+_SET_BACK = 10_000_000_000
+"""ns that stamps may begin before a journal's last: less than the shortest step of the plans."""
 _SKEW_AWAITED = 10.0
 """How much the IMU may say while a skewed gyro says nothing: s by its stamps and by the clock."""
 
@@ -69,14 +73,25 @@ class LiveSession:
         journal: Open; what it holds from before a crash is taken in first.
         topics: Full topic names by what they carry; a skewed gyro is awaited where its topic is
             among them.
+        solver: What solves; None for one of its own.
+        solved: As what the session is solved where that is not how the table runs: without the
+            plan, of a unit whose axes are not as the plan has them.
 
     Raises:
         InputError: The journal holds what does not go with the set-up.
 
     """
 
-    def __init__(self, setup: Setup, journal: Journal, topics: dict[Kind, str]) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        journal: Journal | JournalPart,
+        topics: dict[Kind, str],
+        solver: Solver | SolverPart | None = None,
+        solved: Setup | None = None,
+    ) -> None:
         self.setup = setup
+        self._solved = solved or setup
         self.journal = journal
         now = time.monotonic()
         self.intakes = {k: TopicIntake(k, topic, Malformed(), now) for k, topic in topics.items()}
@@ -94,18 +109,20 @@ class LiveSession:
         self._held: list[Block] = []
         self._calibrator: Calibrator | HandCalibrator | None = None
         # A plan that its method cannot solve is refused now, whenever it is begun with.
-        calibrator_of(setup)
+        calibrator_of(self._solved)
         if setup.imu.skewed is None or Kind.SKEW not in topics:
             self._begin(with_skew=False)
-        self._solver = Solver()
+        self._solver = solver or Solver()
         self._ending = False
         self._done_at: int | None = None
         self._done_heard = 0.0
+        self._left_at: int | None = None
+        self._left: dict[Kind, int] = {}
         kinds = {topic: kind for kind, topic in topics.items()}
         for topic, block in journal.replay():
-            self._feed(kinds[topic], block)
-        self.notes += journal.losses
-        self._left_at = self.intakes[Kind.IMU].newest if journal.resumed else None
+            self.feed_former(kinds[topic], block)
+        if journal.resumed:
+            self.go_on(journal.losses)
 
     @property
     def over(self) -> bool:
@@ -115,7 +132,7 @@ class LiveSession:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """What the session's method estimates."""
-        return self.setup.parameters
+        return self._solved.parameters
 
     @property
     def guidance(self) -> Guidance | None:
@@ -155,6 +172,8 @@ class LiveSession:
             payloads = sound
         messages = Messages.join(payloads)
         blocks = list(kind.decode(messages, intake.malformed))
+        if self._was_set_back(intake, blocks):
+            return
         self._write(intake, messages, now)
         intake.heard = time.monotonic()
         for block in blocks:
@@ -162,6 +181,17 @@ class LiveSession:
                 self._name_the_gap(int(block.stamp[0]))
                 self.frame_id = block.frame_id
             self._feed(kind, block)
+
+    def feed_former(self, kind: Kind, block: Block) -> None:
+        """Take in a block of what a session before a crash left."""
+        self._feed(kind, block)
+
+    def go_on(self, losses: Sequence[str]) -> None:
+        """Note that all of what was left has been taken in, and what of it could not be read."""
+        self.notes += losses
+        self._left_at = self.intakes[Kind.IMU].newest
+        timed = {k: self.intakes[k] for k in (Kind.IMU, Kind.JOINTS) if k in self.intakes}
+        self._left = {k: intake.newest for k, intake in timed.items() if intake.newest is not None}
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
         """Keep a message that is not calibrated from."""
@@ -237,13 +267,19 @@ class LiveSession:
         self._conclude(self.review, final=solved.final)
         return True
 
-    def fail(self, reason: str) -> None:
-        """End the session without a result."""
+    def fail(self, reason: str, *, finished: bool = True) -> None:
+        """End the session without a result.
+
+        Args:
+            reason: Why.
+            finished: Whether the journal is kept to be looked into alone; else it can be gone on
+                with.
+
+        """
         self.phase = SessionPhase.FAILED
         self.failure = reason
         self.calibration = None
-        # What came in is kept, to be looked into; more would not make it better.
-        self._close_journal(finished=True)
+        self._close_journal(finished=finished)
 
     def close(self) -> None:
         """Leave the journal such that it can be gone on with."""
@@ -345,7 +381,7 @@ class LiveSession:
         """Begin to calibrate, first of all with what has come in before."""
         self.without_skew = not with_skew
         imu = self.setup.imu if with_skew else replace(self.setup.imu, skewed=None)
-        self._calibrator = calibrator_of(replace(self.setup, imu=imu))
+        self._calibrator = calibrator_of(replace(self._solved, imu=imu))
         held, self._held = self._held, []
         for block in held:
             self._calibrator.feed(block)
@@ -356,6 +392,25 @@ class LiveSession:
                 f'{self.intakes[Kind.IMU].topic} does: {lost} cannot be determined. Let the '
                 'driver publish it (imu_node: a device file with the field skew), and call ~/reset.'
             )
+
+    def _was_set_back(self, intake: TopicIntake, blocks: Sequence[Block]) -> bool:
+        """Fail where stamps begin so far before the journal's last that steps would be lost.
+
+        Samples older than those before them are left out, one by one and until the old time is
+        reached: of a simulation that began anew that may be the whole session.
+        """
+        timed = [b for b in blocks if isinstance(b, ImuBlock | JointBlock) and len(b)]
+        last = self._left.pop(intake.kind, None) if timed else None
+        if last is None or (first := int(timed[0].stamp[0])) > last - _SET_BACK:
+            return False
+        self.fail(
+            f'Stamps on {intake.topic} begin at {at(first)}, {(last - first) * 1e-9:.0f} s before '
+            f'the end of the journal {self.journal.path}: the clock was set back, or a simulation '
+            'began anew. Up to then nothing could be used. Set the clock right, or give another '
+            'journal, and start again.',
+            finished=False,
+        )
+        return True
 
     def _name_the_gap(self, first: int) -> None:
         """Say how long the session was interrupted, where the stream alone does not tell."""

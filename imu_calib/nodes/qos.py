@@ -36,9 +36,9 @@ def command() -> QoSProfile:
     return QoSProfile(depth=1)
 
 
-def latched() -> QoSProfile:
-    """Return the profile of states and results: late subscribers get the last one."""
-    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+def latched(depth: int = 1) -> QoSProfile:
+    """Return the profile of states and results: late subscribers get the last ones."""
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def as_offered(offered: QoSProfile) -> QoSProfile:

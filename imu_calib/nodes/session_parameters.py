@@ -3,20 +3,73 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ..calibrator import Setup
 from ..earth import Site
 from ..errors import InputError
 from ..imu import load_imu
-from ..metadata import describe
+from ..metadata import describe, shared_description
 from ..middleware import Node
 from ..model import AUTO_TERMS, asks_for_search, named_terms
 from ..model.session_terms import split_terms
+from ..mounted import load_units, remaining
 from ..plan import load_plan
+from ..stream import Floats
 from ..turntable import load_table
 from ..units import DEG
 from .declared import declare
+
+
+@dataclass(frozen=True, eq=False)
+class StatedUnit:
+    """A unit that a node is to listen to.
+
+    Attributes:
+        setup: What is calibrated, and how.
+        name: Of its namespace; empty for a unit that is alone on the table.
+        imu: Name or file of its type.
+        topic: Of its samples; empty: imu/pulses in its namespace.
+        mount: (3, 3) its axes in those that the plan has, where they are others; else None.
+
+    """
+
+    setup: Setup
+    name: str
+    imu: str
+    topic: str = ''
+    mount: Floats | None = None
+
+
+def declared_units(node: Node) -> tuple[tuple[StatedUnit, ...], dict[str, str]]:
+    """Declare what a session is made of, with one unit or several, and read it.
+
+    Returns:
+        The units, those left out by a person not among them, and a recording's own entries that
+        describe what they share; of a unit that is alone, it too.
+
+    Raises:
+        InputError: As `declared_setup`; the units' file is broken, or leaves no unit.
+
+    """
+    setup, description = declared_setup(node)
+    file = declare(node, 'units', '', 'file of the units where several are mounted; empty: one')
+    without = declare(node, 'without', '', 'serial numbers of units to be left out, commas between')
+    if not file:
+        return (StatedUnit(setup, '', str(node.get_parameter('imu').value)),), description
+    if setup.table is None:
+        raise InputError(f'Parameter units: plan {setup.plan.name} is for one unit in the hand.')
+    units = tuple(
+        StatedUnit(
+            setup.of_unit(unit, load_imu(unit.imu)),
+            unit.name,
+            unit.imu,
+            unit.named_topic,
+            unit.mount if unit.turned else None,
+        )
+        for unit in remaining(load_units(file), without)
+    )
+    return units, shared_description(description)
 
 
 def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:

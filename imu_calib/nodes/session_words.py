@@ -11,7 +11,7 @@ from ..cdr import Kind
 from ..middleware import messages
 from ..model import Parameter
 from ..reports.parameter_table import engineering
-from .diagnostics import Diagnostics, Level
+from .diagnostics import Diagnostics, Level, PartOfDiagnostics
 from .live import LiveSession, SessionPhase
 
 _SILENCE_BY_HAND = 2.0
@@ -74,16 +74,25 @@ def progress_message(
     return message
 
 
-def report(session: LiveSession, diagnostics: Diagnostics, imu_timeout: float) -> None:
+def report(
+    session: LiveSession,
+    diagnostics: Diagnostics | PartOfDiagnostics,
+    imu_timeout: float,
+    stand: Diagnostics | None = None,
+) -> None:
     """Say on /diagnostics how the streams and the calibration are.
 
     Args:
         session: Of which one.
         diagnostics: Where.
         imu_timeout: Longest silence of the IMU against the table, s.
+        stand: Where it is said of what a unit shares with others; None where it is alone.
 
     """
+    shared = stand or diagnostics
     _report_imu(session, diagnostics, imu_timeout)
+    _report_joint_states(session, shared)
+    _report_skew(session, diagnostics)
     level = Level.OK
     if session.phase is SessionPhase.FAILED:
         level = Level.ERROR
@@ -97,12 +106,29 @@ def report(session: LiveSession, diagnostics: Diagnostics, imu_timeout: float) -
         text = f'{session.guidance.holds} holds, {known} of {total} parameters are determined.'
     diagnostics.report('calibration', level, text, **figures)
     if session.trouble:
-        diagnostics.report('journal', Level.ERROR, session.trouble)
+        shared.report('journal', Level.ERROR, session.trouble)
     elif not session.over:
-        diagnostics.report('journal', Level.OK, journal_words(session.journal.path))
+        shared.report('journal', Level.OK, journal_words(session.journal.path))
 
 
-def _report_imu(session: LiveSession, diagnostics: Diagnostics, imu_timeout: float) -> None:
+def is_fed(session: LiveSession, imu_timeout: float) -> bool:
+    """Say whether samples come in: some have, and they keep up with the table.
+
+    Args:
+        session: Of which one; a table turns the unit.
+        imu_timeout: Longest silence of the IMU against the table, s.
+
+    """
+    imu, joints = session.intakes[Kind.IMU], session.intakes[Kind.JOINTS]
+    if imu.newest is None or joints.newest is None:
+        return imu.newest is not None
+    behind = (joints.newest - imu.newest) * 1e-9
+    return not (behind > imu_timeout and time.monotonic() - imu.heard > imu_timeout)
+
+
+def _report_imu(
+    session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics, imu_timeout: float
+) -> None:
     imu, joints = session.intakes[Kind.IMU], session.intakes.get(Kind.JOINTS)
     figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
     level, text = Level.OK, f'{imu.topic} comes in.'
@@ -112,19 +138,17 @@ def _report_imu(session: LiveSession, diagnostics: Diagnostics, imu_timeout: flo
         if time.monotonic() - imu.heard > max(_SILENCE_BY_HAND, imu_timeout):
             level, text = Level.ERROR, f'{imu.topic} is silent.'
     elif joints is not None and joints.newest is not None and not session.over:
-        behind = (joints.newest - imu.newest) * 1e-9
-        figures['behind the table'] = f'{behind:.3f} s'
-        silent = time.monotonic() - imu.heard
-        if behind > imu_timeout and silent > imu_timeout:
+        figures['behind the table'] = f'{(joints.newest - imu.newest) * 1e-9:.3f} s'
+        if not is_fed(session, imu_timeout):
             level, text = Level.ERROR, f'{imu.topic} is silent while the table is not.'
     if imu.malformed.count:
         level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
     diagnostics.report('stream', level, text, **figures)
-    _report_joint_states(session, diagnostics)
-    _report_skew(session, diagnostics)
 
 
-def _report_joint_states(session: LiveSession, diagnostics: Diagnostics) -> None:
+def _report_joint_states(
+    session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics
+) -> None:
     """Say whether the table, where there is one, is heard."""
     joints = session.intakes.get(Kind.JOINTS)
     if joints is None:
@@ -145,7 +169,7 @@ def _report_joint_states(session: LiveSession, diagnostics: Diagnostics) -> None
     diagnostics.report('joint states', level, text, **figures)
 
 
-def _report_skew(session: LiveSession, diagnostics: Diagnostics) -> None:
+def _report_skew(session: LiveSession, diagnostics: Diagnostics | PartOfDiagnostics) -> None:
     """Say whether a skewed gyro, where the IMU's file names one, is heard."""
     skew = session.intakes.get(Kind.SKEW)
     if skew is None:

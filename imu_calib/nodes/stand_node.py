@@ -11,7 +11,10 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from .. import middleware as ros
 from ..calibration import Calibration
@@ -20,8 +23,10 @@ from ..earth import LUOYANG, Site
 from ..errors import ImuCalibError, InputError
 from ..imu import load_imu
 from ..middleware import messages
+from ..model import SensorModel
+from ..mounted import MountedUnit, load_units, remaining, spread_seeds
 from ..share import named_file
-from ..simulation import StandOptions, load_imperfections, switched_on
+from ..simulation import SimulatedUnit, StandOptions, load_imperfections, switched_on
 from ..simulation.hardware import SimulatedHardware
 from ..stream import Mode, Setpoint
 from ..turntable import load_table
@@ -31,7 +36,7 @@ from .commands import Commands
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .frame_server import FrameServer
+from .frame_server import FrameServer, Lines
 
 _STEP = 0.1
 """s of simulated time at once."""
@@ -57,8 +62,16 @@ class StandNode(ros.Node):
             self, 'speed', 0.0, 'times the wall clock at most; 0: as fast as is followed', lower=0.0
         )
         self._pace = _Pace(speed)
-        port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
-        self._line = FrameServer(port)
+        port = declare(
+            self,
+            'port',
+            5760,
+            'TCP port that serves frames; of several units the first one, the next ones follow',
+            lower=1,
+            upper=65535,
+        )
+        count = len(self._hardware.frames)
+        self._lines = Lines([FrameServer(port + k) for k in range(count)])
         self._diagnostics = Diagnostics(self, 'simulated stand')
         self._clock_publisher = self.create_publisher(messages.Clock, '/clock', 10)
         self._joint_publisher = self.create_publisher(
@@ -82,7 +95,7 @@ class StandNode(ros.Node):
         """Switch off, but not before the table stands: it brakes without setpoints."""
         self._ending.set()
         self._life.join(timeout=_PATIENCE)
-        self._line.close()
+        self._lines.close()
         state = self._hardware.state
         angles = ', '.join(
             f'{name} {angle / DEG:.3f} deg'
@@ -90,8 +103,8 @@ class StandNode(ros.Node):
         )
         self.get_logger().info(
             f'the table {"stands" if state.at_rest else "moves"}: {angles}; '
-            f'the IMU made {self._hardware.frames} frames, {self._line.dropped} bytes of them '
-            'met no reader'
+            f'the IMU made {_joined(self._hardware.frames)} frames, {self._lines.dropped} bytes of '
+            'them met no reader'
         )
         return []
 
@@ -123,19 +136,34 @@ class StandNode(ros.Node):
             start_time=round(start * 1e9) + StandOptions.start_time,
         )
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
-        model = Calibration.load(named_file('truths', truth)).model
         seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
         wrong = declare(self, 'imperfections', '', 'name or file of what is wrong; empty: nothing')
         if wrong:
             options = load_imperfections(wrong, options, table, seed)
         self._epoch = options.start_time
-        return SimulatedHardware(table, imu, model, site, options, switched_on(seed, start))
+        file = declare(self, 'units', '', 'file of the units where several are mounted; empty: one')
+        without = declare(self, 'without', '', 'serial numbers of units left out, commas between')
+        if file:
+            units = [
+                SimulatedUnit(
+                    unit.topic,
+                    load_imu(unit.imu),
+                    _truth(unit.truth or truth),
+                    unit.mount,
+                    unit.lever,
+                    own,
+                )
+                for unit, own in _seeded(file, seed, without)
+            ]
+        else:
+            units = [SimulatedUnit('', imu, _truth(truth), np.eye(3), options.lever, None)]
+        return SimulatedHardware(table, units, site, options, switched_on(seed, start))
 
     def _live(self) -> None:
         """Let simulated time pass until the node ends."""
         while not (self._ending.is_set() and self._hardware.state.at_rest):
             self._take_commands()
-            self._line.tend()
+            self._lines.tend()
             if self._ending.is_set():
                 self._advance()
             elif self._may_go_on():
@@ -148,14 +176,15 @@ class StandNode(ros.Node):
                 time.sleep(_REST)
 
     def _may_go_on(self) -> bool:
-        return self._line.idle and self._pace.may_go_on(self._hardware.time, self._line.connected)
+        lines = self._lines
+        return lines.idle and self._pace.may_go_on(self._hardware.time, lines.connected)
 
     def _take_commands(self) -> None:
         self._commands.give(self._follow)
         while self._faults:
             text = self._faults.popleft()
             try:
-                self._hardware.faults.command(text)
+                self._hardware.fault(text)
                 self.get_logger().warning(f'fault: {text}')
             except InputError as error:
                 self.get_logger().error(str(error))
@@ -170,7 +199,7 @@ class StandNode(ros.Node):
     def _advance(self) -> None:
         output = self._hardware.advance(_STEP)
         # The line before the clock: what a frame is stamped with is then never early.
-        self._line.send(output.line)
+        self._lines.send(output.lines)
         now = self._epoch + round(self._hardware.time * 1e9)
         clock = messages.Clock()
         clock.clock.sec, clock.clock.nanosec = divmod(now, 1_000_000_000)
@@ -186,16 +215,32 @@ class StandNode(ros.Node):
             self._diagnostics.report('table', Level.OK, 'The table follows its setpoints.')
         text = (
             'The frames are read.'
-            if self._line.connected
-            else f'The frames wait for a reader on port {self._line.port}.'
+            if self._lines.unread is None
+            else f'The frames wait for a reader on port {self._lines.unread}.'
         )
         self._diagnostics.report(
             'IMU',
-            Level.OK if self._line.connected else Level.WARN,
+            Level.OK if self._lines.unread is None else Level.WARN,
             text,
-            frames=str(self._hardware.frames),
-            dropped=f'{self._line.dropped} bytes',
+            frames=_joined(self._hardware.frames),
+            dropped=f'{self._lines.dropped} bytes',
         )
+
+
+def _joined(frames: Sequence[int]) -> str:
+    return ', '.join(map(str, frames))
+
+
+def _truth(name: str) -> SensorModel:
+    return Calibration.load(named_file('truths', name)).model
+
+
+def _seeded(file: str, seed: int, without: str) -> list[tuple[MountedUnit, int]]:
+    """Return the units that are there with their seeds, which depend on none that is left out."""
+    units = load_units(file)
+    left = remaining(units, without)
+    pairs = zip(units, spread_seeds(units, seed), strict=True)
+    return [(unit, own) for unit, own in pairs if unit in left]
 
 
 class _Pace:

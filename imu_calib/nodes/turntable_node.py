@@ -392,9 +392,10 @@ class TurntableNode(Node):
             )
             return
         self._sequencer.set_calibrator_fault(fault)
+        level = Level.WARN if _lacks_units(message) else Level.OK
         self._diagnostics.report(
             'calibrator',
-            Level.ERROR if failed else Level.OK,
+            Level.ERROR if failed else level,
             fault or 'The calibrator expects this plan.',
         )
 
@@ -404,6 +405,9 @@ class TurntableNode(Node):
             return f'The calibrator cannot go on: {message.text}'
         if message.state == message.FINISHED:
             return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
+        if _lacks_units(message):
+            # One that is not heard would have every step to be run again.
+            return f'Not every unit is heard: {message.text}'
         return ''
 
     def _take_progress(self, message: Any) -> None:
@@ -479,6 +483,11 @@ class TurntableNode(Node):
         """Send and tell what has changed, before anything else comes."""
         self._send_what_is_due(self._steady.now().nanoseconds * 1e-9)
         self._tell()
+
+
+def _lacks_units(progress: Any) -> bool:
+    """Say whether the calibrator of several units does not hear them all."""
+    return bool(progress.state == progress.WAITING and progress.serial_numbers)
 
 
 def _content(payload: bytes) -> bytes:

@@ -11,6 +11,7 @@ import secrets
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +19,22 @@ from .. import middleware as ros
 from ..cdr import Kind, Malformed, Messages
 from ..extras import require
 from ..middleware import messages
+from ..mounted import load_units, remaining
 from ..sequencing import Phase
 from ..stream import ImuBlock, JointBlock, TemperatureBlock
-from ..web.board import Board
-from ..web.expectation import expectation
+from ..web.board import Board, Outcome, Snapshot
+from ..web.expectation import expectation, units_board
 from ..web.guard import Token, address, exposure
 from ..web.samples import Dwells
 from ..web.shape import table_shape
+from ..web.units import UnitRow, UnitsBoard
 from . import qos
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
-from .session_parameters import declared_setup
+from .hearing import topics_of_unit
+from .session_parameters import StatedUnit, declared_units
+from .unit_topics import listen_to_each
 
 TOKEN = 'IMU_CALIB_WEB_TOKEN'
 """Environment variable with the token; without it the node makes one, and prints it."""
@@ -47,6 +52,8 @@ _ANSWER = 10.0
 """s for an answer of turntable_node."""
 _WRITTEN = {0, 3}
 """Exit codes of a report that is there: 3 where the unit is outside its specification."""
+_RESULTS = {Outcome.DONE, Outcome.INCOMPLETE}
+_REPORTS = 'Each unit has a file of results; imu-calib report makes a page of it.'
 _COMMANDS = ('start', 'pause', 'abort')
 
 
@@ -59,7 +66,8 @@ class WebNode(ros.Node):
         # NiceGUI takes longer to load than what the session may have wrong to be said.
         from ..web import page, server
 
-        self._setup, _ = declared_setup(self)
+        units, _ = declared_units(self)
+        self._setup = units[0].setup
         host = declare(
             self, 'host', '127.0.0.1', 'interface that serves the page; this machine alone'
         )
@@ -77,15 +85,22 @@ class WebNode(ros.Node):
         self._report_file = self._output.with_name('report.html')
         table = self._setup.table
         shape = None if table is None else table_shape(table, urdf)
-        self._board = Board(expectation(self._setup))
-        self._dwells = Dwells(self._setup.imu)
+        self._board: Board | UnitsBoard = Board(expectation(self._setup))
+        if units[0].name:
+            file, without = (str(self.get_parameter(name).value) for name in ('units', 'without'))
+            mounted = remaining(load_units(file), without)
+            self._board = units_board(self._setup, mounted)
+        imus = {unit.name: unit.setup.imu for unit in units}
+        self._dwells = {name: Dwells(imu) for name, imu in imus.items()}
         self._malformed = Malformed()
         self._angles: dict[str, float] = {}
-        self._shown = self._board.snapshot(time.monotonic())
+        self._shown: dict[str, Snapshot] = {}
+        self._rows: tuple[UnitRow, ...] = ()
+        self._show()
         self._commands: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._pending: list[tuple[str, Any, float]] = []
         self._reporter: subprocess.Popen[bytes] | None = None
-        self._listen()
+        self._listen(units)
 
         given = os.environ.pop(TOKEN, '')
         secret = (given or secrets.token_urlsafe(16)) if control else ''
@@ -94,9 +109,10 @@ class WebNode(ros.Node):
         self._server = server.Server(
             page.Source(
                 f'Stand: {self._setup.plan.name}',
-                self._setup.imu,
+                imus,
                 shape,
-                lambda: self._shown,
+                lambda name: self._shown[name],
+                lambda: self._rows,
                 lambda: self._angles,
                 self._commands.put,
                 Token(secret),
@@ -121,7 +137,7 @@ class WebNode(ros.Node):
             self._reporter.wait()
         return []
 
-    def _listen(self) -> None:
+    def _listen(self, units: Sequence[StatedUnit]) -> None:
         subscribe = self.create_subscription
         board, clock = self._board, time.monotonic
         if self._setup.table is not None:
@@ -132,17 +148,25 @@ class WebNode(ros.Node):
             lambda message: board.take_progress(message, clock()),
             qos.latched(),
         )
-        subscribe(messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched())
+        if isinstance(board, UnitsBoard):
+            listen_to_each(self, board)
+        else:
+            subscribe(messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched())
         subscribe(
             messages.DiagnosticArray,
             '/diagnostics',
             lambda message: board.take_diagnostics(message, clock()),
             _DEEP_WORDS,
         )
-        self._samples = ros.open_drain(self, messages.Imu, 'imu/pulses', qos.glimpse(_DEEP))
-        self._temperatures = ros.open_drain(
-            self, messages.Temperature, 'imu/temperature', qos.glimpse(1)
-        )
+        self._samples, self._temperatures = {}, {}
+        for unit in units:
+            topics = topics_of_unit(unit.setup, unit.name, unit.topic)
+            self._samples[unit.name] = ros.open_drain(
+                self, messages.Imu, topics[Kind.IMU], qos.glimpse(_DEEP)
+            )
+            self._temperatures[unit.name] = ros.open_drain(
+                self, messages.Temperature, topics[Kind.TEMPERATURES], qos.glimpse(1)
+            )
         self._joints = ros.open_drain(
             self, messages.JointState, 'turntable/joint_states', qos.glimpse(1)
         )
@@ -156,39 +180,64 @@ class WebNode(ros.Node):
     def _on_state(self, message: Any) -> None:
         self._board.take_state(message, time.monotonic())
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        if message.phase == Phase.DWELLING:
-            self._dwells.stands(stamp)
-        else:
-            self._dwells.moves(stamp)
+        for dwells in self._dwells.values():
+            if message.phase == Phase.DWELLING:
+                dwells.stands(stamp)
+            else:
+                dwells.moves(stamp)
 
     def _on_calibration(self, message: Any) -> None:
+        assert isinstance(self._board, Board), 'several units have topics of their own'
         over = self._board.take_calibration(message)
         if over and message.status != message.REFUSED and self._reporter is None:
             self._write_report()
 
+    @property
+    def _whole(self) -> Board:
+        """What is shown of all units."""
+        return self._board.whole if isinstance(self._board, UnitsBoard) else self._board
+
     def _look(self) -> None:
         """Take what has come, carry out what viewers ask for, and show it."""
-        for block in self._decoded(Kind.IMU, self._samples):
-            if isinstance(block, ImuBlock):
-                self._dwells.take(block)
-        for block in self._decoded(Kind.TEMPERATURES, self._temperatures):
-            if isinstance(block, TemperatureBlock) and len(block.celsius):
-                self._board.take_temperature(float(block.celsius[-1]))
+        for name, dwells in self._dwells.items():
+            self._look_at_unit(name, dwells)
         for block in self._decoded(Kind.JOINTS, self._joints):
             if isinstance(block, JointBlock) and len(block):
                 pairs = zip(block.names, block.position[-1].tolist(), strict=True)
                 self._angles = {**self._angles, **dict(pairs)}
         self._command()
         self._look_at_report()
-        self._board.take_streams(self._dwells.streams)
-        self._shown = self._board.snapshot(time.monotonic())
+        self._show()
+
+    def _look_at_unit(self, name: str, dwells: Dwells) -> None:
+        """Take what has come of a unit."""
+        board = self._board.each[name] if isinstance(self._board, UnitsBoard) else self._board
+        for block in self._decoded(Kind.IMU, self._samples[name]):
+            if isinstance(block, ImuBlock):
+                dwells.take(block)
+        for block in self._decoded(Kind.TEMPERATURES, self._temperatures[name]):
+            if isinstance(block, TemperatureBlock) and len(block.celsius):
+                board.take_temperature(float(block.celsius[-1]))
+        board.take_streams(dwells.streams)
+
+    def _show(self) -> None:
+        """Let viewers see what is known now."""
+        board, now = self._board, time.monotonic()
+        if isinstance(board, UnitsBoard):
+            if board.whole.snapshot(now).outcome in _RESULTS:
+                board.whole.take_report('', _REPORTS)
+            self._rows = board.rows(now)
+            self._shown = {name: board.snapshot(now, name) for name in ('', *board.names)}
+        else:
+            self._shown = {'': board.snapshot(now)}
 
     def _decoded(self, kind: Kind, subscription: Any) -> Any:
         payloads = ros.drain(subscription, _MOST)
         return kind.decode(Messages.join(payloads), self._malformed) if payloads else ()
 
     def _grow(self) -> None:
-        self._dwells.grow()
+        for dwells in self._dwells.values():
+            dwells.grow()
 
     def _command(self) -> None:
         """Pass commands on to turntable_node, and what it answers to the board."""
@@ -199,26 +248,26 @@ class WebNode(ros.Node):
             client = self._asked[name]
             if client.service_is_ready():
                 self._pending.append((name, client.call_async(ros.Trigger.Request()), now))
-                self._board.take_answer(f'{name.capitalize()}: sent to turntable_node.')
+                self._whole.take_answer(f'{name.capitalize()}: sent to turntable_node.')
             else:
-                self._board.take_answer(
+                self._whole.take_answer(
                     f'{name.capitalize()}: turntable_node is not there; nothing was sent.'
                 )
         for entry in list(self._pending):
             name, future, since = entry
             if future.done():
                 self._pending.remove(entry)
-                self._board.take_answer(_answered(name, future.result()))
+                self._whole.take_answer(_answered(name, future.result()))
             elif now - since > _ANSWER:
                 self._pending.remove(entry)
-                self._board.take_answer(
+                self._whole.take_answer(
                     f'{name.capitalize()}: turntable_node does not answer. Go to the table.'
                 )
 
     def _write_report(self) -> None:
         """Have the report written, by a process of its own: it solves the session once more."""
         words = ['report', str(self._output), str(self._journal), '-o', str(self._report_file)]
-        self._board.take_report('', 'The report is being written.')
+        self._whole.take_report('', 'The report is being written.')
         self._reporter = subprocess.Popen(
             [sys.executable, '-m', 'imu_calib.cli.main', *words],
             stdin=subprocess.DEVNULL,
@@ -231,11 +280,11 @@ class WebNode(ros.Node):
             return
         _, said = self._reporter.communicate()
         if self._reporter.returncode in _WRITTEN:
-            self._board.take_report('/report', '')
+            self._whole.take_report('/report', '')
         else:
             why = said.decode(errors='replace').strip().splitlines()
             last = why[-1] if why else 'it gave no reason.'
-            self._board.take_report('', f'The report could not be written: {last}')
+            self._whole.take_report('', f'The report could not be written: {last}')
         self._reporter = None
 
 

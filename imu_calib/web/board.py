@@ -298,17 +298,19 @@ class Board:
         self._state = replace(self._state, outcome=outcome, outcome_text=message.status_text)
         return True
 
+    def take_end(self, outcome: Outcome, text: str) -> None:
+        """Take how the session has ended, and what is said of it."""
+        self._state = replace(self._state, outcome=outcome, outcome_text=text)
+
     def take_diagnostics(self, message: Any, now: float) -> None:
         """Take diagnostic_msgs/DiagnosticArray."""
-        for status in message.status:
-            sentence = Sentence(
-                status.name,
-                Severity(min(status.level[0], Severity.ERROR)),
-                status.message,
-                tuple((v.key, v.value) for v in status.values),
-            )
-            self._parts[status.name] = sentence
-            self._nodes[_node(status.name)] = now
+        for sentence in sentences_of(message):
+            self.take_sentence(sentence, now)
+
+    def take_sentence(self, sentence: Sentence, now: float) -> None:
+        """Take what a node says of one part of itself."""
+        self._parts[sentence.source] = sentence
+        self._nodes[_node(sentence.source)] = now
 
     def take_temperature(self, celsius: float) -> None:
         """Take a temperature, degrees Celsius."""
@@ -355,6 +357,17 @@ class Board:
                 for node, passed in silent.items()
             ]
         return sorted(found, key=lambda sentence: (-sentence.level, sentence.source))
+
+
+def sentences_of(message: Any) -> Iterator[Sentence]:
+    """Yield what diagnostic_msgs/DiagnosticArray says."""
+    for status in message.status:
+        yield Sentence(
+            status.name,
+            Severity(min(status.level[0], Severity.ERROR)),
+            status.message,
+            tuple((v.key, v.value) for v in status.values),
+        )
 
 
 def _values(message: Any) -> Sequence[tuple[str, float]]:

@@ -22,6 +22,7 @@ from ..specification import COVERAGE
 from ..stream import Units
 from .board import Outcome, Sentence, Snapshot
 from .samples import Streams
+from .units import UnitRow
 from .words import headline, joint_words, time_left
 
 _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
@@ -93,6 +94,58 @@ def _sentence(said: Sentence, *, with_figures: bool = False) -> str:
         figures = ', '.join(f'{name} {value}' for name, value in said.figures)
         text += tag('span', escape(figures), class_='small')
     return tag('li', sign(said.level) + tag('div', text), class_=_LEVELS[said.level])
+
+
+_UNIT_HEADINGS = (
+    ('unit', 'serial number'),
+    ('state', 'how its samples come, or how it has ended'),
+    ('rate', 'samples per second'),
+    ('lost', 'frames that were lost'),
+    ('known', 'parameters that are determined'),
+    ('furthest from the plan', 'the parameter whose deviation is furthest from what is predicted'),
+)
+_UNIT_COLUMNS = ('name', 'state', 'r', 'r', 'r', 'least')
+
+
+def units(rows: Sequence[UnitRow], chosen: str) -> str:
+    """Return a line for each unit.
+
+    Args:
+        rows: How each is.
+        chosen: The one that is looked at; empty for all.
+
+    """
+    head = ''.join(
+        tag('th', escape(heading), title=words, scope='col', class_=kind)
+        for (heading, words), kind in zip(_UNIT_HEADINGS, _UNIT_COLUMNS, strict=True)
+    )
+    body = ''.join(_unit(row, looked_at=row.name == chosen) for row in rows)
+    inside = tag('thead', tag('tr', head)) + tag('tbody', body)
+    return tag('table', inside, class_='parameters units')
+
+
+def _unit(row: UnitRow, *, looked_at: bool) -> str:
+    worst = row.worst
+    least = '\u2013'
+    if worst is not None:
+        now, predicted = worst.shown(worst.std), worst.shown(worst.predicted)
+        least = f'{worst.parameter.name} \u00b1{now} {worst.unit}, plan {predicted}'
+    where = tag('span', escape(row.place), class_='small') if row.place else ''
+    cells = (
+        escape(row.serial_number) + where,
+        sign(row.level) + escape(row.words),
+        escape(row.rate) or '\u2013',
+        escape(row.lost) or '\u2013',
+        f'{row.determined}/{row.parameters}',
+        escape(least),
+    )
+    headings = (heading for heading, _ in _UNIT_HEADINGS)
+    inside = ''.join(
+        # On a phone the head of the table is gone.
+        tag('td', cell, class_=kind, data_label=heading)
+        for cell, kind, heading in zip(cells, _UNIT_COLUMNS, headings, strict=True)
+    )
+    return tag('tr', inside, class_='looked-at' if looked_at else 'other', data_unit=row.name)
 
 
 def plan(shown: Snapshot) -> str:
@@ -249,8 +302,13 @@ def course(row: Converging, begin: float, end: float) -> str:
     return tag('svg', inside, viewBox=f'0 0 {_WIDTH:g} {_HEIGHT:g}', class_='course', role='img')
 
 
-def streams(shown: Snapshot, imu: ImuSpec) -> str:
-    """Return rates, gaps and temperature."""
+_CHOOSE = tag('p', 'Choose a unit above.', class_='muted')
+
+
+def streams(shown: Snapshot, imu: ImuSpec | None) -> str:
+    """Return rates, gaps and temperature; where no unit is chosen, that one is to be."""
+    if imu is None:
+        return _CHOOSE
     said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
     device = said.get('imu_node: stream')
     seen = shown.streams or Streams()
@@ -292,8 +350,10 @@ def _mean(value: float) -> str:
     return text.replace('-', '\u2212')
 
 
-def noise(shown: Snapshot, imu: ImuSpec) -> str:
-    """Return the Allan deviation of the dwells so far."""
+def noise(shown: Snapshot, imu: ImuSpec | None) -> str:
+    """Return the Allan deviation of the dwells so far; see `streams`."""
+    if imu is None:
+        return _CHOOSE
     seen = shown.streams
     if seen is None or not seen.noise:
         return tag('p', 'It is drawn from the first dwell on.', class_='muted')

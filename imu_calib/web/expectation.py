@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 from ..calibrator import Setup
 from ..errors import ImuCalibError
+from ..imu import load_imu
 from ..model import SensorModel
+from ..mounted import MountedUnit
 from ..prediction import forecast
 from ..stream import Mode
 from ..units import DEG
 from .board import Expected, PlannedStep
+from .units import ShownUnit, UnitsBoard
 
 
 def expectation(setup: Setup) -> Expected:
@@ -38,6 +43,24 @@ def expectation(setup: Setup) -> Expected:
         tuple(predicted.get(p.name, float('nan')) for p in setup.parameters),
         setup.imu.specification,
         () if table is None else table.names,
+    )
+
+
+def units_board(setup: Setup, units: Sequence[MountedUnit]) -> UnitsBoard:
+    """Return a board for several units, with what is known of each before the session begins.
+
+    Args:
+        setup: Of the session: its plan, its table and its site.
+        units: That are mounted.
+
+    """
+    # A forecast takes its time, and units of one type have one.
+    types: dict[str, Expected] = {}
+    for unit in units:
+        if unit.imu not in types:
+            types[unit.imu] = expectation(replace(setup, imu=load_imu(unit.imu)))
+    return UnitsBoard(
+        {unit.name: ShownUnit(unit.serial_number, unit.place, types[unit.imu]) for unit in units}
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from .board import Outcome, Snapshot
 from .guard import Token
 from .shape import Link, Solid
 from .style import STYLE
+from .units import UnitRow
 
 _GLANCE = 0.5
 """s between two looks at the state: what is said changes once or twice a second."""
@@ -42,9 +43,11 @@ class Source:
 
     Attributes:
         title: Of the page.
-        imu: What the numbers of the samples mean.
+        imus: What the numbers of the samples mean, by the names of the units; of one that is alone
+            by an empty name.
         shape: The table; None where a hand holds the unit.
-        look: Returns the state now.
+        look: Returns the state now, of the unit with that name; of an empty name that of all.
+        units: Returns a line for each of several units; nothing where one is alone.
         angles: Returns the joints' angles now by name, rad.
         command: Takes 'start', 'pause' or 'abort' of a viewer who may.
         token: Who may.
@@ -53,9 +56,10 @@ class Source:
     """
 
     title: str
-    imu: ImuSpec
+    imus: Mapping[str, ImuSpec]
     shape: Link | None
-    look: Callable[[], Snapshot]
+    look: Callable[[str], Snapshot]
+    units: Callable[[], Sequence[UnitRow]]
     angles: Callable[[], dict[str, float]]
     command: Callable[[str], None]
     token: Token
@@ -81,14 +85,10 @@ class _Part:
 def build(source: Source) -> None:
     """Lay the page out for one viewer, and keep it up to date while it is looked at."""
     ui.add_css(STYLE)
-    parts: list[_Part] = []
-    noise = _Noise(source.imu)
-
-    def part(draw: Callable[[Snapshot], str], kind: str = '') -> None:
-        # What is drawn is escaped there (drawing): no text of a node is taken for markup.
-        element = ui.html('', sanitize=False).classes(kind)
-        parts.append(_Part(element, draw))
-
+    # White letters stand on the first and the last: 4.5 to 1 and more (WCAG 2.1, 1.4.3).
+    ui.colors(primary='#0b5394', negative='#b3261e')
+    page = _Page(source)
+    part = page.part
     with ui.element('main').classes('stand'):
         _head(source)
         part(lambda s: drawing.banner(s, datetime.now()), 'wide')
@@ -97,29 +97,32 @@ def build(source: Source) -> None:
             part(drawing.troubles)
         with _card('The report', 'wide report') as finished:
             part(drawing.report)
+        if several := source.units():
+            with _card('The units', 'wide'):
+                _chooser(several, page.choose)
+                part(page.draw_units)
         with ui.element('div').classes('column'):
             with _card('The plan'):
                 part(drawing.plan)
             with _card('The samples'):
-                part(lambda s: drawing.streams(s, source.imu))
+                part(page.draw_streams, of_unit=True)
         with _card('The table' if source.shape else 'Noise: Allan deviation'):
             scene = _Scene(source.shape) if source.shape else None
-            part(drawing.joints if source.shape else noise.draw)
+            part(drawing.joints if source.shape else page.draw_noise)
         with _card('How well the parameters are known', 'wide'):
-            part(drawing.parameters)
+            part(drawing.parameters, of_unit=True)
             ui.html(_KEY, sanitize=False)
         if source.shape:
             with _card('Noise: Allan deviation', 'wide'):
-                part(noise.draw)
+                part(page.draw_noise, of_unit=True)
         with ui.element('details').classes('card wide'):
             with ui.element('summary').classes('title'):
                 ui.html('All that the nodes say', sanitize=False, tag='span')
             part(drawing.diagnostics)
 
     def refresh() -> None:
-        shown = source.look()
-        for one in parts:
-            one.update(shown)
+        page.refresh()
+        shown = source.look('')
         finished.set_visibility(shown.outcome in {Outcome.DONE, Outcome.INCOMPLETE})
         if control is not None:
             control.update(shown)
@@ -130,8 +133,51 @@ def build(source: Source) -> None:
         ui.timer(_MOTION, lambda: scene.update(source.angles()))
 
 
+class _Page:
+    """The parts of a viewer's page that change: of all units, and of the one that is chosen."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._parts: list[_Part] = []
+        self._of_unit: list[_Part] = []
+        self._noise = _Noise()
+        self._chosen = ''
+
+    def part(
+        self, draw: Callable[[Snapshot], str], kind: str = '', *, of_unit: bool = False
+    ) -> None:
+        """Add a part, which may be of the unit that is chosen."""
+        # What is drawn is escaped there (drawing): no text of a node is taken for markup.
+        element = ui.html('', sanitize=False).classes(kind)
+        (self._of_unit if of_unit else self._parts).append(_Part(element, draw))
+
+    def choose(self, name: str) -> None:
+        """Show another unit; all where the name is empty."""
+        self._chosen = name
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Send what has changed."""
+        for parts, name in ((self._parts, ''), (self._of_unit, self._chosen)):
+            shown = self._source.look(name)
+            for one in parts:
+                one.update(shown)
+
+    def draw_units(self, _: Snapshot) -> str:
+        """Return a line for each unit."""
+        return drawing.units(self._source.units(), self._chosen)
+
+    def draw_streams(self, shown: Snapshot) -> str:
+        """Return what the samples show."""
+        return drawing.streams(shown, self._source.imus.get(self._chosen))
+
+    def draw_noise(self, shown: Snapshot) -> str:
+        """Return the noise of the dwells."""
+        return self._noise.draw(shown, self._chosen, self._source.imus.get(self._chosen))
+
+
 def _head(source: Source) -> None:
-    shown = source.look().expected
+    shown = source.look('').expected
     where = f' on table {shown.table}' if shown.table else ' in the hand'
     with ui.element('header').classes('wide top'):
         ui.html(source.title, sanitize=False, tag='h1')
@@ -145,19 +191,27 @@ def _card(title: str, kind: str = '') -> Any:
     return card
 
 
+def _chooser(rows: Sequence[UnitRow], choose: Callable[[str], None]) -> None:
+    """Let a viewer choose the unit whose samples, parameters and noise are shown."""
+    names = {'': 'All units: the least known'}
+    names |= {row.name: row.serial_number for row in rows}
+    select = ui.select(names, value='', label='Unit', on_change=lambda e: choose(e.value))
+    select.props('dense outlined options-dense').classes('chooser')
+
+
 class _Noise:
-    """Draws the Allan deviation anew only when it has grown."""
+    """Draws the Allan deviation anew only when it has grown, or is that of another unit."""
 
-    def __init__(self, imu: ImuSpec) -> None:
-        self._imu = imu
-        self._drawn = (-1, '')
+    def __init__(self) -> None:
+        self._of: tuple[int, str] | None = None
+        self._drawn = ''
 
-    def draw(self, shown: Snapshot) -> str:
+    def draw(self, shown: Snapshot, unit: str, imu: ImuSpec | None) -> str:
         """Return the drawing."""
         revision = 0 if shown.streams is None else shown.streams.revision
-        if self._drawn[0] != revision:
-            self._drawn = revision, drawing.noise(shown, self._imu)
-        return self._drawn[1]
+        if self._of != (revision, unit):
+            self._of, self._drawn = (revision, unit), drawing.noise(shown, imu)
+        return self._drawn
 
 
 class _Control:
@@ -187,7 +241,9 @@ class _Control:
                 ui.button('No', on_click=self._dialog.close).props('no-caps flat')
 
     def _button(self, text: str, action: Callable[[], None], colour: str = 'primary') -> ui.button:
-        return ui.button(text, on_click=action, color=colour).props('no-caps unelevated')
+        button = ui.button(text, on_click=action, color=colour).props('no-caps unelevated')
+        # White letters cannot be read on yellow.
+        return button.props('text-color=black') if colour == 'warning' else button
 
     def _unlock(self) -> None:
         self._may = self._source.token.fits((self._input.value or '').strip())

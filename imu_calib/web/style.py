@@ -84,6 +84,11 @@ svg.course { display: block; width: 120px; height: 30px; }
 .course .now { fill: var(--mark); }
 .course .predicted { stroke: var(--ok); stroke-dasharray: 4 3; }
 .course .allowed { stroke: var(--error); stroke-width: 1.2; }
+.units td { padding: 4px 5px; vertical-align: top; }
+.units .state, .units .least { white-space: normal; overflow-wrap: anywhere; }
+.units .name span { display: block; font-weight: 400; }
+.units .looked-at { background: color-mix(in srgb, var(--mark) 14%, transparent); }
+.chooser { max-width: 260px; margin-bottom: 8px; }
 .key { display: flex; flex-wrap: wrap; gap: 2px 18px; font-size: 12.5px; color: var(--soft);
   margin-top: 8px; }
 .key i { display: inline-block; width: 22px; height: 0; border-top: 2px solid var(--mark);
@@ -96,10 +101,11 @@ svg.course { display: block; width: 120px; height: 30px; }
 .badge.pass { background: var(--ok); }
 .badge.marginal { background: var(--warn); }
 .badge.fail { background: var(--error); }
-.plot { overflow-x: auto; max-width: 900px; }
+.plot .panels { display: grid; gap: 10px 24px; max-width: 1100px;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 320px), 1fr)); }
 summary.title { cursor: pointer; }
 details[open] > .title { margin-bottom: 8px; }
-.plot svg { width: 100%; min-width: 560px; height: auto; display: block; }
+.plot svg { width: 100%; height: auto; display: block; }
 .plot text { font: 12px system-ui, "Segoe UI", "DejaVu Sans", Arial, sans-serif;
   fill: var(--ink); }
 .plot text.tick { font-size: 11px; fill: var(--soft); }
@@ -119,6 +125,14 @@ details[open] > .title { margin-bottom: 8px; }
   .stand h2 { font-size: 20px; }
   .parameters { font-size: 13px; }
   .parameters .limit, .parameters .value { display: none; }
+  .units thead { display: none; }
+  .units tr { display: grid; grid-template-columns: repeat(3, auto); justify-content: start;
+    column-gap: 14px; border-bottom: 1px solid var(--line); padding: 4px 0; }
+  .units .name { grid-column: 1 / -1; }
+  .units td.r { text-align: left; }
+  .units td.r::before { content: attr(data-label) " "; color: var(--soft); }
+  .units td { border-bottom: 0; }
+  .units .state, .units .least { grid-column: 1 / -1; }
   .parameters td, .parameters th { padding-left: 3px; padding-right: 3px; }
   .parameters .course { width: 84px; }
   svg.course { width: 78px; height: 26px; }

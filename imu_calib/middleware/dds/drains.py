@@ -97,8 +97,7 @@ def publish_all(publisher: Publisher, payloads: Iterable[bytes]) -> None:
         ImuCalibError: The middleware refuses one for good (rclpy: RCLError, after 30 s).
 
     """
-    for payload in payloads:
-        publisher.publish(payload)
+    publisher.writer.write_all(payloads)
 
 
 def acknowledged(publisher: Publisher, timeout_sec: float) -> bool:

@@ -1,0 +1,219 @@
+"""`imu-calib stand --imus`: several units on one table, from their file to their results."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.table import Table as Rows
+
+from ..api.named import load_truth
+from ..calibration import Calibration
+from ..devices import check_port, load_format
+from ..errors import InputError
+from ..imu import load_imu
+from ..mounted import PULSES, TRUTHS, MountedUnit, load_units, remaining
+from ..plan import load_plan
+from ..reports.parameter_table import engineering
+from ..share import named_file
+from .options import refuse_beside_imus
+from .terminal import OUTPUT, sentence_list
+
+CALIBRATIONS = 'calibrations'
+"""Folder of the results, SERIAL.yaml each."""
+_FILES = {'imu': 'imus', 'device': 'devices', 'truth': 'truths'}
+"""Keys of a unit that name a file, and of which kind."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add --without, which goes with --imus."""
+    parser.add_argument(
+        '--without',
+        metavar='SERIAL,SERIAL',
+        default='',
+        help='with --imus: units of the file that are left out; also of a session that is resumed',
+    )
+
+
+def units_of(arguments: argparse.Namespace) -> tuple[MountedUnit, ...]:
+    """Return the units of --imus that are there; none where the option is not given.
+
+    Raises:
+        InputError: The file is broken, or --without names no unit of it, or all.
+
+    """
+    if not arguments.imus:
+        return ()
+    return remaining(load_units(arguments.imus), arguments.without)
+
+
+def is_real(arguments: argparse.Namespace) -> bool:
+    """Say whether the hardware is real: an IMU has a port."""
+    return bool(arguments.port) or any(unit.port for unit in units_of(arguments))
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Refuse options that do not go with several units, or units that do not go together.
+
+    Raises:
+        InputError: Says which.
+
+    """
+    if not arguments.imus:
+        if arguments.without:
+            raise InputError('--without: of several units; give --imus, too.')
+        return
+    refuse_beside_imus(arguments, 'imu', 'serial', 'port', 'baud')
+    if load_plan(arguments.plan).by_hand:
+        raise InputError(f'--imus: plan {arguments.plan} is for one unit in the hand.')
+    units = units_of(arguments)
+    ported = [unit for unit in units if unit.port]
+    if ported and len(ported) < len(units):
+        simulated = next(unit.serial_number for unit in units if not unit.port)
+        raise InputError(
+            f'{arguments.imus}: unit {simulated} has no port, and {ported[0].serial_number} has: '
+            'expected a port for each unit, or none of a simulated stand.'
+        )
+    for unit in ported:
+        if not device_of(unit, arguments):
+            raise InputError(
+                f'{arguments.imus}: unit {unit.serial_number} has no device: expected the format '
+                'of its frames (key device), or --device for all.'
+            )
+        load_format(device_of(unit, arguments))
+        check_port(unit.port)
+
+
+def device_of(unit: MountedUnit, arguments: argparse.Namespace) -> str:
+    """Return the format of a unit's frames: its own, or that of all."""
+    return unit.device or arguments.device or ''
+
+
+def truths(arguments: argparse.Namespace) -> dict[str, Calibration]:
+    """Return what simulated units truly are, by serial number.
+
+    Raises:
+        InputError: A file is missing, or of another kind of unit.
+
+    """
+    return {
+        unit.serial_number: load_truth(unit.truth or arguments.truth, load_imu(unit.imu))
+        for unit in units_of(arguments)
+    }
+
+
+def node_parameters(
+    arguments: argparse.Namespace, clock: Mapping[str, Any], port: int
+) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each unit's imu_node by its name with namespace.
+
+    Args:
+        arguments: The command line.
+        clock: Parameters that all nodes share.
+        port: TCP port of the first simulated unit; the next ones follow.
+
+    """
+    nodes: dict[str, dict[str, Any]] = {}
+    for place, unit in enumerate(units_of(arguments)):
+        skewed = load_imu(unit.imu).skewed is not None
+        simulated = 'simulated_skewed' if skewed else 'simulated'
+        nodes[f'{unit.name}/imu_node'] = {
+            **clock,
+            'imu': unit.imu,
+            'device': device_of(unit, arguments) if unit.port else simulated,
+            'sample_rate': arguments.sample_rate,
+            'port': unit.port or f'socket://127.0.0.1:{port + place}',
+            'baud': unit.baud,
+            'frame_id': f'{unit.name}_imu_link',
+        }
+    return nodes
+
+
+def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
+    """Return what each unit's imu_node calls its topic, where that is no default."""
+    return {
+        f'{unit.name}/imu_node': {PULSES: unit.named_topic}
+        for unit in units_of(arguments)
+        if unit.named_topic
+    }
+
+
+def keep(arguments: argparse.Namespace, settings: Path) -> None:
+    """Copy the units' file and all that it names into the settings of a session."""
+    file = Path(arguments.imus).expanduser()
+    units = {unit.name: unit for unit in load_units(file)}
+    kept = yaml.safe_load(file.read_text(encoding='utf-8'))
+    folder = settings / 'units'
+    folder.mkdir()
+    for entry, (name, unit) in zip(kept['units'], units.items(), strict=True):
+        for key, kind in _FILES.items():
+            given = getattr(unit, key)
+            if given:
+                copy = folder / f'{name}_{key}.yaml'
+                text = named_file(kind, given).read_text(encoding='utf-8')
+                copy.write_text(text, encoding='utf-8')
+                entry[key] = os.path.relpath(copy, settings)
+    (settings / 'imus.yaml').write_text(yaml.safe_dump(kept, sort_keys=False), encoding='utf-8')
+
+
+def print_results(
+    arguments: argparse.Namespace, folder: Path, true: Mapping[str, Calibration]
+) -> list[str]:
+    """Print a line for each unit; return the serial numbers of those without a result.
+
+    Args:
+        arguments: The command line.
+        folder: Of the stand.
+        true: What simulated units truly are; none of real ones.
+
+    """
+    rows = Rows(box=None, pad_edge=False, header_style='bold')
+    for heading in ('unit', 'type', 'samples', 'least known', 'file'):
+        rows.add_column(heading, no_wrap=True)
+    if true:
+        rows.add_column('largest error/std', justify='right', no_wrap=True)
+        (folder / TRUTHS).mkdir(exist_ok=True)
+    missing: list[str] = []
+    findings: dict[str, list[str]] = {}
+    for unit in units_of(arguments):
+        serial = unit.serial_number
+        if serial in true:
+            replace(true[serial], serial_number=serial).save(folder / TRUTHS / f'{serial}.yaml')
+        file = folder / CALIBRATIONS / f'{serial}.yaml'
+        if not file.is_file():
+            missing.append(serial)
+            continue
+        found = Calibration.load(file)
+        for finding in found.findings:
+            findings.setdefault(finding, []).append(serial)
+        cells = [serial, found.imu.id, str(found.provenance['samples']), _least(found), str(file)]
+        if serial in true:
+            cells.append(f'{_largest_error(found, true[serial]):.2f}')
+        rows.add_row(*cells)
+    OUTPUT.print(rows)
+    # What the site or the table lacks is said of every unit alike.
+    said = [f'{", ".join(of)}: {finding}' for finding, of in findings.items()]
+    sentence_list('Worth knowing', said)
+    return missing
+
+
+def _least(found: Calibration) -> str:
+    """Name the gyro bias that is known least: what a session of a table is for."""
+    pairs = [(std, p) for p, std in zip(found.parameters, found.std, strict=True)]
+    biases = [(std, p) for std, p in pairs if p.name.startswith('D_g') and std > 0]
+    if not biases:
+        return ''
+    std, parameter = max(biases, key=lambda pair: pair[0])
+    shown = engineering(parameter)
+    return f'{parameter.name} \u00b1{std / shown.scale:.3g} {shown.unit}'
+
+
+def _largest_error(found: Calibration, true: Calibration) -> float:
+    error = found.values - true.model.values(found.parameters)
+    known = found.std > 0
+    return float(max(abs(error[known] / found.std[known]), default=0.0))

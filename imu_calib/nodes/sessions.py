@@ -1,0 +1,219 @@
+"""The sessions of all units on one table: they begin, are fed, and end together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..bags import Journal
+from ..calibrator import Result, Review, Setup
+from ..calibrator.together import together
+from ..cdr import Kind
+from ..errors import ImuCalibError
+from ..metadata import LEFT_OUT
+from ..mounted import namespace
+from ..plan import UNPLANNED
+from .live import LiveSession, SessionPhase
+from .shared import AnyCalibrator, SharedJournal, SharedSolver, SolverPart
+
+_LEFT_OUT = 'The unit was left out of the session.'
+
+
+@dataclass(frozen=True, eq=False)
+class LiveUnit:
+    """A unit that is listened to.
+
+    Attributes:
+        name: Of its namespace; empty for a unit that is alone on the table.
+        setup: What is calibrated, and how.
+        topics: Its own topics, full names, by what they carry.
+        turned: Whether its axes are not as the plan has them: it is then calibrated by the
+            attitudes that joint states give, without the plan.
+
+    """
+
+    name: str
+    setup: Setup
+    topics: dict[Kind, str]
+    turned: bool = False
+
+    @property
+    def solved(self) -> Setup:
+        """As what its session is solved."""
+        return replace(self.setup, plan=UNPLANNED) if self.turned else self.setup
+
+
+class Sessions:
+    """A `LiveSession` for each unit, with one journal between them.
+
+    Attributes:
+        all: One for each unit, in their order.
+        left_out: Places of the units that a person has left out.
+
+    Args:
+        units: At least one.
+        journal: Open; what it holds from before a crash is taken in first, in one pass.
+        common: Topics of the table, full names, by what they carry.
+
+    Raises:
+        InputError: The journal holds what does not go with the set-up.
+
+    """
+
+    def __init__(
+        self, units: Sequence[LiveUnit], journal: Journal, common: dict[Kind, str]
+    ) -> None:
+        self.left_out: set[int] = set()
+        self.journal = journal
+        self._names = [unit.name for unit in units]
+        self._solver = SharedSolver(concluded)
+        self._parts = [SolverPart(self._solver, unit.setup.serial_number) for unit in units]
+        shared = SharedJournal(journal, frozenset(common.values()))
+        self.all = tuple(
+            LiveSession(unit.setup, shared.part(), {**common, **unit.topics}, part, unit.solved)
+            for unit, part in zip(units, self._parts, strict=True)
+        )
+        if journal.resumed:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Feed what the journal holds from before a crash to the sessions that it is of."""
+        fed: dict[str, list[tuple[LiveSession, Kind]]] = {}
+        for session in self.all:
+            for kind, intake in session.intakes.items():
+                fed.setdefault(intake.topic, []).append((session, kind))
+        for topic, block in self.journal.replay():
+            for session, kind in fed[topic]:
+                session.feed_former(kind, block)
+        for session in self.all:
+            session.go_on(self.journal.losses)
+        for name in filter(None, self.journal.former.get(LEFT_OUT, '').split(',')):
+            self.leave_out(self._names.index(name))
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is taken in any more."""
+        return all(session.over for session in self.all)
+
+    @property
+    def open(self) -> list[LiveSession]:
+        """Those of the units that nobody has left out."""
+        return [s for k, s in enumerate(self.all) if k not in self.left_out]
+
+    def take_common(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:
+        """Take messages of the table in; see `LiveSession.take`."""
+        for session in self.all:
+            if not session.over:
+                session.take(kind, payloads, now)
+
+    def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
+        """Keep a message that nothing is calibrated from."""
+        for session in self.all:
+            if not session.over:
+                session.record(topic, type_name, payload, now)
+                return
+
+    def leave_out(self, place: int) -> None:
+        """Go on without a unit: its session ends without a result, and its topic is not recorded.
+
+        The recording says so, in order that reprocessing leaves it out, too.
+        """
+        self.left_out.add(place)
+        names = ','.join(self._names[k] for k in sorted(self.left_out))
+        self.journal.note({LEFT_OUT: names})
+        self.all[place].fail(_LEFT_OUT)
+
+    def poll(self) -> list[int]:
+        """Look for what the solver found, and for the end; return the units with news."""
+        news = [place for place, session in enumerate(self.all) if session.poll()]
+        parts = [p for p, s in zip(self._parts, self.all, strict=True) if not s.over]
+        if parts and all(part.ready for part in parts):
+            self._solver.conclude(parts)
+        return news
+
+    def solve(self) -> None:
+        """Begin a round of reviews, one of each session, where the last one is long enough ago."""
+        if self._solver.rested:
+            for session in self.all:
+                session.solve()
+
+    def end(self) -> None:
+        """Solve for good with what is here."""
+        for session in self.all:
+            session.end()
+
+    def flush(self) -> None:
+        """Secure what came in, and try again what a full disk refused."""
+        for session in self.all:
+            session.flush()
+
+    def close(self) -> None:
+        """Leave the journal such that it can be gone on with."""
+        self._solver.threads.shutdown(wait=False, cancel_futures=True)
+        for session in self.all:
+            session.close()
+
+    @property
+    def held(self) -> int:
+        """How many messages have been taken in, those of the journal included."""
+        counts = {i.topic: i.count for session in self.all for i in session.intakes.values()}
+        return sum(counts.values())
+
+    @property
+    def phase(self) -> SessionPhase:
+        """How far they have come: the least of those that are open; the worst once one failed.
+
+        With several units it ends in FINISHED as soon as one of them has a result.
+        """
+        phases = [session.phase for session in self.open]
+        if phases and all(session.over for session in self.open):
+            return SessionPhase.FINISHED if SessionPhase.FINISHED in phases else phases[0]
+        if SessionPhase.FAILED in phases or not phases:
+            return SessionPhase.FAILED
+        return min(phases)
+
+
+def concluded(
+    calibrators: Sequence[AnyCalibrator], serials: Sequence[str]
+) -> list[Review | ImuCalibError]:
+    """Conclude sessions: each by itself, and then what they share of the table from all of them.
+
+    Args:
+        calibrators: With all that came in.
+        serials: Serial numbers of the units.
+
+    Returns:
+        A review of each, or why there is none.
+
+    """
+    each = [_concluded(calibrator) for calibrator in calibrators]
+    if len(each) == 1:
+        return each
+    # By their names: sums of floating-point numbers depend on the order, and so would the bits.
+    order = sorted(range(len(each)), key=lambda k: namespace(serials[k]))
+    results = [one.result if isinstance(one, Review) else None for one in each]
+    shared = together([results[k] for k in order], [serials[k] for k in order]).results
+    for k, result in zip(order, shared, strict=True):
+        one = each[k]
+        if isinstance(one, Review):
+            each[k] = _with(one, result)
+    return each
+
+
+def _with(review: Review, result: Result | None) -> Review:
+    """Return a review with another result of its session."""
+    if result is None or result is review.result:
+        return review
+    std = dict(zip(result.calibration.parameters, result.calibration.std, strict=True))
+    return replace(
+        review, result=result, std=np.array([std.get(p, np.nan) for p in review.parameters])
+    )
+
+
+def _concluded(calibrator: AnyCalibrator) -> Review | ImuCalibError:
+    try:
+        return calibrator.conclude()
+    except ImuCalibError as error:
+        return error

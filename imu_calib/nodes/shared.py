@@ -1,0 +1,259 @@
+"""What the sessions of several units share: one journal, and one thread that solves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from ..bags import Journal
+from ..calibrator import Calibrator, HandCalibrator, Review
+from ..cdr import Messages
+from ..errors import ImuCalibError, InputError
+from ..stream import Block
+from .solving import Solved
+
+AnyCalibrator = Calibrator | HandCalibrator
+Concluding = Callable[[Sequence[AnyCalibrator], Sequence[str]], Sequence[Review | ImuCalibError]]
+
+
+class SharedJournal:
+    """One recording of several sessions: what they have in common is written once.
+
+    Args:
+        journal: Open.
+        common: Topics that every session is fed with: those of the table.
+
+    """
+
+    def __init__(self, journal: Journal, common: frozenset[str]) -> None:
+        self.journal = journal
+        self._common = common
+        self._parts: list[JournalPart] = []
+        self._flushed: set[JournalPart] = set()
+        self._refused: InputError | None = None
+
+    def part(self) -> JournalPart:
+        """Return the journal as one further session sees it."""
+        self._parts.append(JournalPart(self))
+        return self._parts[-1]
+
+    def writes(self, part: JournalPart, topic: str) -> bool:
+        """Say whether a session is the one that writes a topic: the first that is still open."""
+        if topic not in self._common:
+            return True
+        return next((one for one in self._parts if one.open), part) is part
+
+    def flush(self, part: JournalPart) -> None:
+        """Flush once for all sessions that ask in turn.
+
+        Raises:
+            InputError: The disk takes no more.
+
+        """
+        if not self._flushed or part in self._flushed:
+            self._flushed.clear()
+            self._refused = None
+            try:
+                self.journal.flush()
+            except InputError as error:
+                self._refused = error
+        self._flushed.add(part)
+        if self._refused is not None:
+            raise self._refused
+
+    def settle(self) -> None:
+        """Close the recording with its last session; secure what the others have until then.
+
+        Raises:
+            InputError: The disk takes no more.
+
+        """
+        if any(part.open for part in self._parts):
+            self.journal.flush()
+        else:
+            self.journal.close(finished=all(part.finished for part in self._parts))
+
+
+class JournalPart:
+    """The journal as one of several sessions sees it; see `Journal`.
+
+    Attributes:
+        open: Whether the session still writes.
+        finished: Whether it came to its end.
+
+    """
+
+    resumed = False
+    """What was left is fed to all sessions in one pass (`Sessions`), not read by each."""
+
+    def __init__(self, shared: SharedJournal) -> None:
+        self._shared = shared
+        self.open = True
+        self.finished = False
+
+    @property
+    def path(self) -> Path:
+        """Folder of the recording."""
+        return self._shared.journal.path
+
+    @property
+    def losses(self) -> list[str]:
+        """What could not be read of what was left."""
+        return []
+
+    @property
+    def overfull(self) -> bool:
+        """Whether more is held in memory than a machine should be asked to hold."""
+        return self._shared.journal.overfull
+
+    def replay(self) -> Iterator[tuple[str, Block]]:
+        """Yield nothing: see `resumed`."""
+        yield from ()
+
+    def write(self, topic: str, type_name: str, messages: Messages, now: int) -> None:
+        """Append messages of a topic, unless another session does."""
+        if self._shared.writes(self, topic):
+            self._shared.journal.write(topic, type_name, messages, now)
+
+    def flush(self) -> None:
+        """Bring everything to where a killed program does not lose it."""
+        self._shared.flush(self)
+
+    def close(self, *, finished: bool) -> None:
+        """End this session's part; the recording ends with the last one."""
+        self.open, self.finished = False, finished
+        self._shared.settle()
+
+
+class SharedSolver:
+    """One thread for all sessions: reviews one after the other, the last one of all together.
+
+    What the units have in common, the table, is estimated from all of them at the end; so nothing
+    is concluded before every session that is still open wants it, and all are concluded from the
+    same moment on.
+
+    Args:
+        concluded: Concludes the sessions of units with these serial numbers: a review or an error
+            for each.
+
+    """
+
+    def __init__(self, concluded: Concluding) -> None:
+        self._concluded = concluded
+        self._reviews = 0
+        self._since = self._rested_at = 0.0
+        self.threads = ThreadPoolExecutor(1, 'solver')
+
+    @property
+    def rested(self) -> bool:
+        """Whether as much time has gone by since the last round of reviews as that took.
+
+        A round has one review of each session; what comes in must be journaled meanwhile.
+        """
+        return not self._reviews and time.monotonic() >= self._rested_at
+
+    def review(self, calibrator: AnyCalibrator) -> Future[Review]:
+        """Begin to review what a calibrator has taken in."""
+        if not self._reviews:
+            self._since = time.monotonic()
+        self._reviews += 1
+        return self.threads.submit(calibrator.snapshot().review)
+
+    def reviewed(self) -> None:
+        """Note that a review has come to its end."""
+        self._reviews -= 1
+        now = time.monotonic()
+        self._rested_at = now + (now - self._since)
+
+    def conclude(self, parts: Sequence[SolverPart]) -> None:
+        """Conclude sessions that are all ready for it."""
+        serials = [part.serial_number for part in parts]
+        asked = [part.take_up() for part in parts]
+        snapshots = [snapshot for snapshot, _ in asked]
+        self.threads.submit(self._work, snapshots, serials, [future for _, future in asked])
+
+    def _work(
+        self,
+        snapshots: Sequence[AnyCalibrator],
+        serials: Sequence[str],
+        futures: Sequence[Future[Review]],
+    ) -> None:
+        try:
+            found = self._concluded(snapshots, serials)
+        except BaseException as error:
+            for future in futures:
+                future.set_exception(error)
+            raise
+        for future, one in zip(futures, found, strict=True):
+            if isinstance(one, ImuCalibError):
+                future.set_exception(one)
+            else:
+                future.set_result(one)
+
+
+class SolverPart:
+    """The solver as one of several sessions sees it; see `Solver`.
+
+    Args:
+        shared: Of all.
+        serial_number: Of the session's unit.
+
+    """
+
+    def __init__(self, shared: SharedSolver, serial_number: str) -> None:
+        self._shared = shared
+        self.serial_number = serial_number
+        self._work: Solved | None = None
+        self._last: tuple[AnyCalibrator, int] | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether it waits for the others to conclude with them."""
+        return self._last is not None
+
+    @property
+    def busy(self) -> bool:
+        """Whether it solves, or waits to conclude."""
+        return self._work is not None or self.ready
+
+    @property
+    def concludes(self) -> bool:
+        """Whether it solves for the last time."""
+        return self._work is not None and self._work.final
+
+    @property
+    def rested(self) -> bool:
+        """Whether as much time has gone by since the last round as that took."""
+        return self._shared.rested
+
+    def begin(self, calibrator: AnyCalibrator, until: int, *, final: bool) -> None:
+        """Begin to solve what a calibrator has taken in, up to a stamp in ns; not while busy."""
+        assert not self.busy, 'one at a time'
+        if final:
+            self._last = calibrator, until
+        else:
+            self._work = Solved(self._shared.review(calibrator), final, until)
+
+    def take_up(self) -> tuple[AnyCalibrator, Future[Review]]:
+        """Return what is to be concluded, as it is now, and the future that takes the review."""
+        assert self._last is not None, 'it is not ready'
+        (calibrator, until), self._last = self._last, None
+        future: Future[Review] = Future()
+        self._work = Solved(future, True, until)
+        return calibrator.snapshot(), future
+
+    def poll(self) -> Solved | None:
+        """Return what came to its end since; None where nothing did."""
+        work = self._work
+        if work is None or not work.future.done():
+            return None
+        self._work = None
+        if not work.final:
+            self._shared.reviewed()
+        return work
+
+    def close(self) -> None:
+        """Begin nothing more for this session."""
+        self._last = None

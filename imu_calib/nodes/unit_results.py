@@ -1,0 +1,120 @@
+"""What a calibrator publishes and writes of one unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from .. import middleware as ros
+from ..calibration import Calibration
+from ..calibrator import Setup
+from ..errors import InputError
+from ..middleware import messages
+from . import qos
+from .convert import calibration_message, final_status, refusal_message
+from .diagnostics import Diagnostics, Level, PartOfDiagnostics
+from .live import LiveSession, SessionPhase
+from .session_words import progress_message, report, session_sentence
+
+
+class UnitResults:
+    """The topics calibration and calibration/progress of a unit, its file, and its diagnostics.
+
+    Args:
+        node: Whose.
+        setup: Of the unit.
+        namespace: Of its topics; empty where it is alone.
+        output: File that takes the result.
+        diagnostics: Of the node.
+
+    """
+
+    def __init__(
+        self,
+        node: ros.Node,
+        setup: Setup,
+        namespace: str,
+        output: Path,
+        diagnostics: Diagnostics,
+    ) -> None:
+        self._node = node
+        self._setup = setup
+        self.output = output
+        self._shown: Calibration | None = None
+        self._stand: Diagnostics | None = None
+        self._diagnostics: Diagnostics | PartOfDiagnostics = diagnostics
+        within = ''
+        if namespace:
+            within = f'{namespace}/'
+            hardware = f'{setup.imu.id} {setup.serial_number}'
+            self._stand = diagnostics
+            self._diagnostics = PartOfDiagnostics(diagnostics, namespace, hardware)
+        self.result = node.create_publisher(
+            messages.ImuCalibration, f'{within}calibration', qos.latched()
+        )
+        self.progress = node.create_publisher(
+            messages.CalibrationProgress, f'{within}calibration/progress', qos.latched()
+        )
+
+    def begin(self) -> None:
+        """Begin a session."""
+        self._shown = None
+
+    def publish(self, session: LiveSession) -> Any:
+        """Publish the calibration where there is news of it; return a last word, else None."""
+        now = self._node.get_clock().now().to_msg()
+        if session.phase is SessionPhase.FAILED:
+            message = refusal_message(
+                self._setup.imu, self._setup.plan.name, session.failure, session.frame_id, now
+            )
+            if self._stand is not None:
+                # Several units are told apart by it.
+                message.serial_number = self._setup.serial_number
+            self.result.publish(message)
+            return message
+        if session.calibration is None or not self._is_news(session, session.calibration):
+            return None
+        self._shown = session.calibration
+        final = session.phase is SessionPhase.FINISHED
+        status = messages.ImuCalibration.PROVISIONAL
+        if final:
+            status = final_status(session.calibration)
+        message = calibration_message(session.calibration, status, session.frame_id, now)
+        self.result.publish(message)
+        if not final:
+            return None
+        self.save(session)
+        return message
+
+    def _is_news(self, session: LiveSession, calibration: Calibration) -> bool:
+        return (
+            self._shown is None
+            or session.phase is SessionPhase.FINISHED
+            or calibration.provenance['samples'] != self._shown.provenance['samples']
+        )
+
+    def publish_progress(self, session: LiveSession, steps: int, seconds_left: float) -> Any:
+        """Publish how far the session has come; return the message."""
+        message = progress_message(session, steps, seconds_left, self.output)
+        self.progress.publish(message)
+        return message
+
+    def report(self, session: LiveSession, imu_timeout: float) -> None:
+        """Say on /diagnostics how its streams and its calibration are."""
+        report(session, self._diagnostics, imu_timeout, self._stand)
+
+    def tell(self, part: str, level: Level, text: str) -> None:
+        """Say something of the unit on /diagnostics."""
+        self._diagnostics.report(part, level, text)
+
+    def save(self, session: LiveSession) -> str:
+        """Write the result; return why not, or nothing."""
+        if session.calibration is None:
+            return session_sentence(session)
+        try:
+            session.calibration.save(self.output)
+        except InputError as error:
+            self._diagnostics.report('file', Level.ERROR, str(error))
+            return str(error)
+        self._diagnostics.report('file', Level.OK, f'{self.output} is written.')
+        return ''

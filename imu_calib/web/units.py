@@ -1,0 +1,202 @@
+"""The state of a stand with several units: of all of them, and of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ..devices.health import Severity
+from ..model import Parameter
+from ..reports.convergence import Converging
+from .board import Board, Expected, Outcome, Sentence, Snapshot, sentences_of
+
+_CALIBRATOR = 'calibrator_node: '
+_DEVICE = 'imu_node: stream'
+_STREAM = 'calibrator_node: stream'
+
+
+@dataclass(frozen=True)
+class ShownUnit:
+    """What is known of a unit before a session begins.
+
+    Attributes:
+        serial_number: Which it is.
+        place: Where it sits, for people; may be empty.
+        expected: Of its calibration.
+
+    """
+
+    serial_number: str
+    place: str
+    expected: Expected
+
+
+@dataclass(frozen=True)
+class UnitRow:
+    """How a unit is, in a line.
+
+    Attributes:
+        name: Its namespace.
+        serial_number: Which it is.
+        place: Where it sits; may be empty.
+        level: How bad it is.
+        words: How it is, a few words.
+        rate: Samples per second with their unit, as its node says; may be empty.
+        lost: Frames that were lost, as its node says; may be empty.
+        determined: How many of its parameters are determined.
+        parameters: How many there are.
+        worst: The parameter furthest from what the plan will reach; None before any is known.
+
+    """
+
+    name: str
+    serial_number: str
+    place: str
+    level: Severity
+    words: str
+    rate: str
+    lost: str
+    determined: int
+    parameters: int
+    worst: Converging | None
+
+    @property
+    def ratio(self) -> float:
+        """Standard deviation of the worst over what the plan will reach; NaN where unknown."""
+        return math.nan if self.worst is None else self.worst.std / self.worst.predicted
+
+
+class UnitsBoard:
+    """Takes what the nodes say, and keeps a `Board` for each unit and one for all.
+
+    Args:
+        units: By their namespaces.
+
+    """
+
+    def __init__(self, units: Mapping[str, ShownUnit]) -> None:
+        self._units = dict(units)
+        self.each = {name: Board(unit.expected) for name, unit in units.items()}
+        self.whole = Board(_of_all([unit.expected for unit in units.values()]))
+        self._present: frozenset[str] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Namespaces of the units."""
+        return tuple(self._units)
+
+    def take_state(self, message: Any, now: float) -> None:
+        """Take imu_calib_msgs/TurntableState."""
+        for board in (self.whole, *self.each.values()):
+            board.take_state(message, now)
+
+    def take_progress(self, message: Any, now: float) -> None:
+        """Take imu_calib_msgs/CalibrationProgress of all units."""
+        self.whole.take_progress(message, now)
+        self._present = frozenset(message.serial_numbers)
+        if message.state == message.FINISHED:
+            missed = any(
+                board.snapshot(now).outcome in {Outcome.FAILED, Outcome.INCOMPLETE}
+                for name, board in self.each.items()
+                if not self._is_left_out(name)
+            )
+            outcome = Outcome.INCOMPLETE if missed else Outcome.DONE
+            self.whole.take_end(outcome, message.text)
+
+    def take_diagnostics(self, message: Any, now: float) -> None:
+        """Take diagnostic_msgs/DiagnosticArray: what is said of one unit goes to its board too."""
+        self.whole.take_diagnostics(message, now)
+        for sentence in sentences_of(message):
+            for name, board in self.each.items():
+                own = self._as_its_own(sentence, name)
+                if own is not None:
+                    board.take_sentence(own, now)
+
+    def _as_its_own(self, sentence: Sentence, name: str) -> Sentence | None:
+        """Return a sentence as a unit alone would have it; None where it is of another unit."""
+        source = sentence.source
+        for other in self._units:
+            mark = f'{_CALIBRATOR}{other}: '
+            if source.startswith(mark):
+                if other != name:
+                    return None
+                return replace(sentence, source=_CALIBRATOR + source.removeprefix(mark))
+            if source.startswith(f'{other}/') and other != name:
+                return None
+        return sentence
+
+    def _is_left_out(self, name: str) -> bool:
+        return self._present is not None and (
+            self._units[name].serial_number not in self._present and bool(self._present)
+        )
+
+    def snapshot(self, now: float, name: str = '') -> Snapshot:
+        """Return the state of a unit at a moment; without a name of all."""
+        return (self.each[name] if name else self.whole).snapshot(now)
+
+    def rows(self, now: float) -> tuple[UnitRow, ...]:
+        """Return how each unit is at a moment."""
+        return tuple(self._row(name, self.each[name].snapshot(now)) for name in self._units)
+
+    def _row(self, name: str, shown: Snapshot) -> UnitRow:
+        unit = self._units[name]
+        said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
+        device = said.get(_DEVICE)
+        level, words = self._words(name, shown, device, said.get(_STREAM))
+        return UnitRow(
+            name,
+            unit.serial_number,
+            unit.place,
+            level,
+            words,
+            device.figure('rate') if device else '',
+            device.figure('lost frames') if device else '',
+            sum(row.determined for row in shown.rows),
+            len(shown.rows),
+            furthest(shown.rows),
+        )
+
+    def _words(
+        self, name: str, shown: Snapshot, device: Sentence | None, stream: Sentence | None
+    ) -> tuple[Severity, str]:
+        if self._is_left_out(name):
+            return Severity.WARN, 'Left out'
+        ends = {
+            Outcome.DONE: (Severity.OK, 'Calibrated'),
+            Outcome.INCOMPLETE: (Severity.WARN, 'Calibrated, positions are missing'),
+            Outcome.FAILED: (Severity.ERROR, f'No calibration: {shown.outcome_text}'),
+        }
+        if shown.outcome in ends:
+            return ends[shown.outcome]
+        heard = [one for one in (stream, device) if one is not None]
+        if not heard:
+            return Severity.WARN, 'Not heard yet'
+        worst = max(heard, key=lambda one: one.level)
+        return worst.level, 'Samples come in' if worst.level is Severity.OK else worst.text
+
+
+def furthest(rows: tuple[Converging, ...]) -> Converging | None:
+    """Return the determined parameter that is furthest from what the plan will reach."""
+    known = [row for row in rows if row.determined and row.predicted > 0]
+    return max(known, key=lambda row: row.std / row.predicted, default=None)
+
+
+def _of_all(expected: list[Expected]) -> Expected:
+    """Return what is expected of all units: each parameter as the unit has it that is worst."""
+    predicted: dict[str, float] = {}
+    parameters: dict[str, Parameter] = {}
+    for one in expected:
+        for parameter, value in zip(one.parameters, one.predicted, strict=True):
+            parameters.setdefault(parameter.name, parameter)
+            least = predicted.get(parameter.name, 0.0)
+            unknown = math.isnan(value + least)
+            predicted[parameter.name] = math.nan if unknown else max(least, value)
+    return replace(
+        expected[0],
+        imu=f'{len(expected)} units',
+        parameters=tuple(parameters.values()),
+        predicted=tuple(predicted.values()),
+        specification=None,
+    )
