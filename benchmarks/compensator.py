@@ -7,7 +7,9 @@ machine does meets both.
 
     python benchmarks/compensator.py [--rate 1000 --seconds 10 --rounds 3]
 
-Exit code 1: the median latency is more than 0.2 ms above that of handing on, or a message is lost.
+Exit code 1: the median latency is more than 0.1 ms above that of handing on, the 99 % quantile more
+than 1 ms, or a message is lost. Both ask for a machine with nothing else to do; the processor time
+that a sample takes does not.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ from imu_calib.nodes import qos
 from imu_calib.share import named_file
 from imu_calib.stream import ImuBlock
 
-PROMISED = 0.2e-3
+AIM = 0.1e-3
+AIM_99 = 1e-3
 _TICKS = os.sysconf('SC_CLK_TCK')
 
 
@@ -72,7 +75,11 @@ class Measured:
     @property
     def median(self) -> float:
         """Of the rounds' medians, s."""
-        return float(np.median([np.median(one) for one in self.latency]))
+        return self.quantile(0.5)
+
+    def quantile(self, share: float) -> float:
+        """Return the median of the rounds' quantiles, s."""
+        return float(np.median([np.quantile(one, share) for one in self.latency]))
 
 
 def source(rate: float, seconds: float) -> None:
@@ -165,15 +172,17 @@ def main() -> int:
             for kind in kinds:
                 measure(kind, options.rate, options.seconds)
     for kind in kinds:
-        all_ = np.concatenate(kind.latency) * 1e3
         print(
             f'{ros.RUNTIME:6} {kind.name:11} median {kind.median * 1e3:6.3f} ms, '
-            f'99 % {np.quantile(all_, 0.99):6.3f} ms, CPU {np.median(kind.share):5.1%}, '
-            f'lost {kind.lost}'
+            f'99 % {kind.quantile(0.99) * 1e3:6.3f} ms, CPU {np.median(kind.share):5.1%}, '
+            f'{np.median(kind.share) / options.rate * 1e6:4.0f} us a sample, lost {kind.lost}'
         )
     above = kinds[1].median - kinds[0].median
-    print(f'above handing on: {above * 1e3:.3f} ms   promised {PROMISED * 1e3:.1f} ms')
-    return 0 if above <= PROMISED and kinds[0].lost == kinds[1].lost == 0 else 1
+    above_99 = kinds[1].quantile(0.99) - kinds[0].quantile(0.99)
+    print(f'above handing on: {above * 1e3:.3f} ms   aim {AIM * 1e3:.1f} ms')
+    print(f'           99 %:  {above_99 * 1e3:.3f} ms   aim {AIM_99 * 1e3:.1f} ms')
+    kept = above <= AIM and above_99 <= AIM_99
+    return 0 if kept and kinds[0].lost == kinds[1].lost == 0 else 1
 
 
 if __name__ == '__main__':

@@ -191,6 +191,27 @@ def test_after_a_crash_it_goes_on_from_the_journal_and_names_the_gap(tmp_path, w
     assert same(live, offline(cut / 'journal'))
 
 
+@pytest.mark.parametrize('first', [Kind.IMU, Kind.JOINTS])
+def test_a_journal_is_not_gone_on_with_by_a_clock_that_was_set_back(tmp_path, wire, first):
+    """As by a simulation that begins anew: what is stamped before the journal's end is no use."""
+    crashed = begin(tmp_path / 'journal')
+    send(crashed, wire, np.random.default_rng(1), 0, 0.5)
+    held = crashed.intakes[Kind.IMU].count
+    crashed.close()
+
+    session = begin(tmp_path / 'journal')
+    session.take(first, wire[first][:100], 1_700_000_000_000_000_000)
+    assert session.phase is SessionPhase.FAILED
+    assert 'the clock was set back, or a simulation began anew' in session.failure
+    assert str(tmp_path / 'journal') in session.failure
+
+    # With the clock put right it goes on, and nothing of the wrong time is in it.
+    right = begin(tmp_path / 'journal')
+    assert right.intakes[Kind.IMU].count == held
+    send(right, wire, np.random.default_rng(2), 0.502, 1)
+    assert same(finish(right), offline(tmp_path / 'journal'))
+
+
 def test_steps_that_left_too_little_are_named(tmp_path, wire):
     session = begin(tmp_path / 'journal')
     rng = np.random.default_rng(1)

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from ..calibration import Calibration
 from ..errors import NotObservable
 from ..imu import TriadSpec
-from ..model import PRODUCTS, Parameter, Product, SensorModel
+from ..model import PRODUCTS, Parameter, Product, SensorModel, terms_of
 from ..model.inversion import inverted
+from ..model.motion import has_motion_terms
 from ..stream import Floats, Units
 
 Marks = NDArray[np.uint8]
@@ -111,6 +112,10 @@ class Compensation:
         skewed: Whether samples come with the skewed gyros' values.
         mark: Put on every sample.
 
+    Attributes:
+        calibration: What is applied.
+        moving: Whether motion adds anything by it (`in_motion`).
+
     Raises:
         NotObservable: I + M is singular.
 
@@ -143,7 +148,8 @@ class Compensation:
         nothing = np.zeros((_AXES, len(specs)))
         self._to_both = np.block([[rate, through], [nothing, force]]).T.copy()
         self._known_force = calibration.has_accelerometers
-        self._model = model
+        self._model, self._linear = model, model.linear
+        self.moving = has_motion_terms(terms_of(model.parameters))
         mine = [*range(_AXES), *range(len(specs), len(specs) + _AXES)]
         self._of_six, self._gain = mine, self._to_both[mine].T.copy()
         self._levers = _levers(calibration.parameters)
@@ -201,16 +207,16 @@ class Compensation:
             outputs = outputs / tau
         free = outputs - self._bias
         both = _mix(free, self._to_both)
-        if not self._model.linear:
+        if not self._linear:
             both = inverted(self._model, both, self._gain)[0]
             free[:, self._of_six] -= self._model.extra(both)
         rate, force = both[:, :_AXES], both[:, _AXES:]
         covariance = _mix(self._terms(both, tau), self._covariance)
         rate_covariance, force_covariance = covariance[:, :9], covariance[:, 9:18]
-        if not self._model.linear:
+        if not self._linear:
             rate_covariance, force_covariance = self._bent(both, covariance[:, :18])
         marks, parity = self._judge(raw, outputs, rate), None
-        if not self._model.linear:
+        if not self._linear:
             marks |= ~np.isfinite(both).all(axis=1) * _BITS[Mark.NO_NUMBER]
         if self._parity_vector is not None:
             parity = _mix(free, self._parity_vector)[:, 0]
@@ -299,11 +305,10 @@ class Compensation:
 
     def _terms(self, both: Floats, tau: Floats) -> Floats:
         """Return the products of levers and the variances of the channels, (n, t)."""
-        levers = np.ones((len(both), len(self._levers)))
-        levers[:, :_AXES], levers[:, _AXES + 1 : len(_LINEAR)] = both[:, :_AXES], both[:, _AXES:]
-        for k, product in enumerate(self._levers[len(_LINEAR) :], len(_LINEAR)):
-            levers[:, k] = product.value(both)
-        products = levers[:, self._first] * levers[:, self._second]
+        one = np.ones((len(both), 1))
+        further = [product.value(both)[:, None] for product in self._levers[len(_LINEAR) :]]
+        levers = np.concatenate([both[:, :_AXES], one, both[:, _AXES:], *further], axis=1)
+        products = levers.take(self._first, axis=1) * levers.take(self._second, axis=1)
         quantisation = (
             self._quantisation_variance / (tau * tau)
             if self._units is Units.PULSES

@@ -155,8 +155,11 @@ class Compensator:
                 del self._skewed[:-_MOST_WAITING]
         elif isinstance(block, ImuBlock) and len(block):
             lost = self._clock.lost
+            intervals = self._clock.take(block.stamp)
+            if len(intervals) == len(block) and self._nothing_waits:
+                return self._readings([self._compensated(_Timed(block, intervals))])
             self._untimed.append(block)
-            self._time(self._clock.take(block.stamp), self._clock.lost - lost)
+            self._time(intervals, self._clock.lost - lost)
         return self._release(last=False)
 
     def finish(self) -> list[Reading]:
@@ -165,6 +168,22 @@ class Compensator:
         intervals = self._clock.finish()
         self._time(intervals, self._clock.lost - lost)
         return self._release(last=True)
+
+    @property
+    def _nothing_waits(self) -> bool:
+        """Whether a sample that is timed goes out at once: the usual way of a live stream."""
+        return not (
+            self._untimed
+            or self._timed
+            or self._temperatures
+            or self._takes_skewed
+            or self.waits_for_temperature
+        )
+
+    def _readings(self, samples: list[Applied]) -> list[Reading]:
+        """Return what can go out once samples were compensated."""
+        applied = [one for some in samples for one in self._in_motion.take(some)]
+        return [Reading(one.stamp, one.values, one.frame_id) for one in applied]
 
     def _set(self, calibration: AnyCalibration) -> None:
         single = first_of(calibration)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model import AXES, terms_of
-from ..model.motion import MOTION, delay, has_motion_terms, motion_parameters, places, slopes
+from ..model import AXES
+from ..model.motion import MOTION, delay, motion_parameters, places, slopes
 from ..stream import Floats, Stamps
 from .apply import CompensatedSamples, Compensation
 
@@ -48,7 +48,7 @@ class Applied:
     @property
     def moving(self) -> bool:
         """Whether motion adds anything by the calibration."""
-        return has_motion_terms(terms_of(self.ready.calibration.model.parameters))
+        return self.ready.moving
 
     def cut(self, start: int, stop: int) -> Applied:
         """Return some of the samples."""
@@ -83,7 +83,7 @@ class InMotion:
         """Take samples in; return those that have all that they need."""
         if not len(samples):
             return []
-        ended = self._end(samples.cut(0, 1))
+        ended = [] if self._held is None else self._end(samples.cut(0, 1))
         if not samples.moving:
             self._before = None
             return [*ended, samples]

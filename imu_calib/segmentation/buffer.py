@@ -13,6 +13,10 @@ _FIRST_CAPACITY = 1024
 class RowBuffer:
     """Rows (stamp, values) in order of their stamps; appending is amortised constant.
 
+    It holds at most three times the bytes of the most rows that were in it since they last took
+    another memory: twice that for the rows to come, and the former memory while they move.
+    A row that is in it is never written again, so that views of rows stay what they are.
+
     Args:
         columns: Length of a row of values.
 
@@ -26,6 +30,12 @@ class RowBuffer:
 
     def __len__(self) -> int:
         return self._last - self._first
+
+    def __deepcopy__(self, _: object) -> RowBuffer:
+        """Return a buffer of its own with the rows, and without the room for more of them."""
+        other = RowBuffer(self._values.shape[1])
+        other._allot(len(self) + _FIRST_CAPACITY, self)
+        return other
 
     @property
     def stamp(self) -> Stamps:
@@ -41,20 +51,28 @@ class RowBuffer:
         """Add (n,) stamps and (n, columns) values behind the last."""
         needed = len(self) + len(stamp)
         if self._last + len(stamp) > len(self._stamp):
-            capacity = max(len(self._stamp), 2 * needed)
-            grown_stamp = np.empty(capacity, dtype=np.int64)
-            grown_values = np.empty((capacity, self._values.shape[1]))
-            grown_stamp[: len(self)], grown_values[: len(self)] = self.stamp, self.values
-            self._first, self._last = 0, len(self)
-            self._stamp, self._values = grown_stamp, grown_values
+            self._allot(max(_FIRST_CAPACITY, 2 * needed), self)
         end = self._last + len(stamp)
         self._stamp[self._last : end], self._values[self._last : end] = stamp, values
         self._last = end
 
+    def _allot(self, capacity: int, rows: RowBuffer) -> None:
+        """Take the rows of a buffer, which may be this one, into a memory for so many."""
+        stamp = np.empty(capacity, dtype=np.int64)
+        values = np.empty((capacity, rows._values.shape[1]))
+        stamp[: len(rows)], values[: len(rows)] = rows.stamp, rows.values
+        self._first, self._last = 0, len(rows)
+        self._stamp, self._values = stamp, values
+
     def between(self, start: int, end: int) -> tuple[Stamps, Floats]:
-        """Return copies of the rows with start < stamp <= end: stamps (n,), values (n, columns)."""
+        """Return the rows with start < stamp <= end: stamps (n,), values (n, columns).
+
+        They are views that cannot be written to: a rest of a million samples is not copied.
+        """
         a, b = np.searchsorted(self.stamp, [start, end], side='right')
-        return self.stamp[a:b].copy(), self.values[a:b].copy()
+        stamp, values = self.stamp[a:b], self.values[a:b]
+        stamp.flags.writeable = values.flags.writeable = False
+        return stamp, values
 
     def drop_until(self, stamp: int) -> None:
         """Forget the rows with stamps up to `stamp`."""

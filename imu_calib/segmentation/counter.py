@@ -34,6 +34,9 @@ _DRIFT_SIGNIFICANCE = 6.0
 """Standard deviations: slower drifts turn back, and have no passages."""
 _HARMONICS = 64
 """Of the saw of a counter: those left out hold one percent of its variance."""
+_ORDERS = np.arange(1, _HARMONICS + 1)
+_POWERS = 1 / (2 * np.pi**2 * _ORDERS**2)
+"""Of the harmonics, pulses squared."""
 _FADED_OUT = 37.0
 """Exponent: e^-37 is the resolution of a double."""
 _FADED_AWAY = 12.0
@@ -243,9 +246,9 @@ def _faded_error(step: float, fade: float, growth: float) -> float:
 
 def _harmonics(step: float, growth: float) -> tuple[Floats, NDArray[np.complex128]]:
     """Return power and log z of the first harmonics of a reading error (see `_faded_error`)."""
-    m = np.arange(1, _HARMONICS + 1)
+    m = _ORDERS
     turns = 2j * np.pi * m * step - 2 * np.pi**2 * m**2 * growth
-    return 1 / (2 * np.pi**2 * m**2), turns.astype(np.complex128)
+    return _POWERS, turns.astype(np.complex128)
 
 
 def rate_between(pulses: Floats, period: float, first: float, last: float, walk: float) -> MeanRate:

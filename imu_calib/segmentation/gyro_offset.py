@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -62,10 +62,14 @@ class _Level:
     """
 
     ups: list[_Attitude]
+    rate: Floats = field(init=False)
 
-    @property
-    def rate(self) -> Floats:
-        return np.asarray(np.median([one.rate for one in self.ups[-_ATTITUDES:]], axis=0))
+    def __post_init__(self) -> None:
+        self._settle()
+
+    def _settle(self) -> None:
+        """Take the rate from the ways up: it is asked for ten times as often as one is added."""
+        self.rate = np.median([one.rate for one in self.ups[-_ATTITUDES:]], axis=0)
 
     def holds(self, rate: Floats) -> bool:
         return bool((np.abs(rate - self.rate) < _STEADY_RATE).all())
@@ -74,10 +78,12 @@ class _Level:
         found = next((one for one in self.ups if up @ one.up >= _OTHER_WAY_UP), None)
         if found is None:
             self.ups.append(_Attitude(up, rate))
+            self._settle()
             return
         found.count = min(found.count + 1, _MEMORY)
         found.rate = found.rate + (rate - found.rate) / found.count
         self.ups = [*(one for one in self.ups if one is not found), found]
+        self._settle()
 
     @property
     def spread(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,10 @@ _WALK_GUESS = 0.05
 NEARLY = 0.999
 """Share of its range from which on a reading counts as at its end: a range is stated to three
 digits. A judgement."""
+_FEW_PULSES = 10.0
+"""Pulses at the end of a range: with fewer one reading does not resolve it to a tenth."""
+_ENOUGH_PULSES = 100.0
+"""Pulses by which it is resolved to a hundredth. A judgement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +97,36 @@ class Sensor:
 
         """
         limits = np.repeat([self.spec.gyro.range, self.spec.accel.range], 3) * samples.period
-        clipped = np.abs(samples.increments) >= NEARLY * limits
-        if self.spec.units is not Units.SI:
-            clipped |= np.isin(np.abs(values), _FULL_SCALES)
-        return np.asarray(clipped.any(axis=1))
+        clipped = np.zeros(len(values), dtype=bool)
+        # Channel by channel: of a million samples the sizes of all six are 48 MB.
+        for c, limit in enumerate((NEARLY * limits).tolist()):
+            clipped |= _at_its_end(samples.increments[:, c], limit, float(samples.pulse[c]))
+            if self.spec.units is not Units.SI:
+                clipped |= np.isin(np.abs(values[:, c]), _FULL_SCALES)
+        return clipped
+
+
+def _at_its_end(increments: Floats, limit: float, pulse: float) -> NDArray[np.bool_]:
+    """Say of every increment, (n,), whether its channel stands at the end of its range.
+
+    Of a counter that passes a few pulses in an interval at the end of its range one reading tells
+    too little: it is a whole number, up to a pulse more than what was gained. Then as many are
+    added up as make a hundred pulses.
+
+    Args:
+        increments: rad or m/s.
+        limit: What an interval gains at the end of the range, infinite where none is stated.
+        pulse: Size of a pulse; 0 where there are none.
+
+    """
+    if not limit < _FEW_PULSES * pulse:
+        return np.asarray(np.abs(increments) >= limit)
+    found = np.zeros(len(increments), dtype=bool)
+    many = math.ceil(_ENOUGH_PULSES * pulse / limit)
+    if len(increments) < many:
+        return found
+    total = np.concatenate([[0.0], np.cumsum(increments)])
+    # The counter's remainder: so many intervals show up to a pulse less than they gain.
+    for first in np.flatnonzero(np.abs(total[many:] - total[:-many]) >= many * limit - pulse):
+        found[first : first + many] = True
+    return found

@@ -68,7 +68,9 @@ class Samples:
         return self.at(slice(start, stop))
 
     def at(self, rows: slice | NDArray[np.bool_]) -> Samples:
-        """Return some of the samples."""
+        """Return some of the samples; the memory is shared where it can be."""
+        if isinstance(rows, np.ndarray) and rows.all():
+            return self
         filled = None if self.filled is None else self.filled[rows]
         return replace(
             self, stamp=self.stamp[rows], increments=self.increments[rows], filled=filled

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..stream import Floats, Stamps
 from .gyro_offset import GyroOffset
@@ -85,7 +86,7 @@ class StillnessTracker:
         self._recent: list[_Window] = []
         self._reference: Floats | None = None
         self._start: int | None = None
-        self._span: deque[Floats] = deque(maxlen=_WINDOWS_OF_SPAN)
+        self._span: Floats = np.empty((0, 6))
         self._least: tuple[float, float] | None = None
 
     @property
@@ -111,18 +112,18 @@ class StillnessTracker:
             rates: (n, 6) rad/s and m/s^2.
 
         """
-        self._stamp = np.concatenate([self._stamp, stamp])
-        self._rates = np.vstack([self._rates, rates])
+        stamp = np.concatenate([self._stamp, stamp])
+        rates = np.vstack([self._rates, rates])
+        whole = len(stamp) - len(stamp) % self._length
+        self._stamp, self._rates = stamp[whole:], rates[whole:]
+        windows = stamp[:whole].reshape(-1, self._length)
+        means = rates[:whole].reshape(-1, self._length, 6).mean(axis=1)
+        self._note_quiet(means)
         done: list[Rest | Motion] = []
-        while len(self._stamp) >= self._length:
-            head, self._stamp = self._stamp[: self._length], self._stamp[self._length :]
-            mean, self._rates = (
-                self._rates[: self._length].mean(axis=0),
-                self._rates[self._length :],
-            )
+        ends = zip(windows[:, 0].tolist(), windows[:, -1].tolist(), means, strict=True)
+        for first, last, mean in ends:
             self._offset.feed(mean)
-            self._around.append((int(head[0]), int(head[-1]), mean))
-            self._note_quiet(mean)
+            self._around.append((first, last, mean))
             self._ahead += 1
             self._count += 1
             if self._ahead > _WINDOWS_AHEAD:
@@ -150,14 +151,16 @@ class StillnessTracker:
         self._start = end
         return rest
 
-    def _note_quiet(self, mean: Floats) -> None:
-        """Remember the two seconds that stray least."""
-        self._span.append(mean)
-        if len(self._span) < _WINDOWS_OF_SPAN:
+    def _note_quiet(self, means: Floats) -> None:
+        """Remember the two seconds that stray least, of windows of means (n, 6)."""
+        means = np.vstack([self._span, means])
+        self._span = means[max(0, len(means) - _WINDOWS_OF_SPAN + 1) :]
+        if len(means) < _WINDOWS_OF_SPAN:
             return
-        span = np.array(self._span)
-        strayed = np.abs(span - span.mean(axis=0)).max(axis=0)
-        found = float(strayed[:3].max()), float(strayed[3:].max())
+        spans = sliding_window_view(means, _WINDOWS_OF_SPAN, axis=0)
+        strayed = np.abs(spans - spans.mean(axis=2, keepdims=True)).max(axis=2)
+        rates, forces = strayed[:, :3].max(axis=1).tolist(), strayed[:, 3:].max(axis=1).tolist()
+        found = min(zip(rates, forces, strict=True))
         self._least = min(found, self._least or found)
 
     def _judge_next(self) -> list[Rest | Motion]:
