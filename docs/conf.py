@@ -72,9 +72,13 @@ nitpick_ignore_regex = [
     (
         'py:class',
         r'imu_calib\.(api\.progress\.Show|channel_noise\.ChannelNoise|repetition\.Outcome'
+        r'|bags\.remote\..*|calibrator\.basis\..*|estimation\.(search|several)\..*|fleet\.task\..*'
         r'|agreement\..*|reports\..*|specification\..*|api\.looking\..*|api\.stated\..*)',
     ),
-    ('py:class', 'Named|AnyCalibration|Progress|Fields|Assessed|Inside|Topic|Stated'),
+    (
+        'py:class',
+        'Named|AnyCalibration|Progress|Fields|Assessed|Inside|Topic|Stated|Basis|Search|Path|pa.Table',
+    ),
 ]
 
 BORROWED = {

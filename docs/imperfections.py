@@ -17,10 +17,8 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +27,12 @@ import numpy as np
 import imu_calib
 from imu_calib.alignment import free_of_frame
 from imu_calib.calibrator import Calibrator
+from imu_calib.engine import run_all
 from imu_calib.errors import ImuCalibError
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS
 from imu_calib.model.terms import term
 from imu_calib.plan import Plan, load_plan
-from imu_calib.repetition import single_threaded
 from imu_calib.stream import Floats
 from imu_calib.turntable import Table
 
@@ -123,16 +121,19 @@ def rows_of(path: Path) -> dict[tuple[str, str, str, int], dict[str, Any]]:
     return {(r['condition'], r['file'], r['grade'], r['seed']): r for r in rows}
 
 
-def run(wanted: Iterable[tuple[str, str, int]], path: Path, jobs: int) -> None:
+def run(
+    wanted: Iterable[tuple[str, str, int]], path: Path, jobs: int, scheduler: str | None = None
+) -> None:
     """Run the sessions that are missing and keep each as it ends."""
     done = rows_of(path)
     missing = [w for w in wanted if (w[0], CONDITIONS[w[0]].file, w[1], w[2]) not in done]
-    with single_threaded(), ProcessPoolExecutor(jobs, get_context('spawn')) as pool:
-        sessions = pool.map(_session, missing)
-        for row in sessions:
-            with path.open('a', encoding='utf-8') as file:
-                file.write(json.dumps(row) + '\n')
-            print(_line(row), flush=True)
+
+    def keep(row: dict[str, Any]) -> None:
+        with path.open('a', encoding='utf-8') as file:
+            file.write(json.dumps(row) + '\n')
+        print(_line(row), flush=True)
+
+    run_all(_session, missing, jobs=jobs, scheduler=scheduler, ended=keep)
 
 
 def _session(which: tuple[str, str, int]) -> dict[str, Any]:
@@ -348,6 +349,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--seeds', type=int, default=2)
     parser.add_argument('--jobs', type=int, default=1)
+    parser.add_argument('--scheduler', metavar='ADDRESS', help='of a Dask cluster')
     parser.add_argument('--rows', type=Path, default=Path('imperfections.jsonl'))
     parser.add_argument('--grades', nargs='+', choices=GRADES, default=list(GRADES))
     parser.add_argument('--only', default='', help='conditions whose names hold this')
@@ -359,7 +361,7 @@ def main() -> None:
         for grade in a.grades
         if a.only in condition
     ]
-    run(wanted, a.rows, a.jobs)
+    run(wanted, a.rows, a.jobs, a.scheduler)
     rows = [
         r
         for r in rows_of(a.rows).values()
@@ -371,4 +373,7 @@ def main() -> None:
 
 
 if __name__ == '__main__':
-    main()
+    # Workers know what they run by the name of this module.
+    import imperfections
+
+    imperfections.main()
