@@ -47,7 +47,9 @@ DATA_FRAME = 'pandas>=2'
 WEB = 'nicegui>=3'
 # The first that refuses bytes which end within a string or a sequence.
 ROSBAGS = 'rosbags>=0.11.6'
-FLEET = ['distributed>=2024.8', 'bokeh>=3.1', 'pyarrow>=15', 'duckdb>=1', 'fsspec>=2024.2']
+# Recordings behind URLs: S3, HTTP; other protocols by their own packages of fsspec.
+REMOTE = ['fsspec>=2024.2', 's3fs>=2024.2', 'aiohttp>=3.9']
+FLEET = ['distributed>=2024.8', 'bokeh>=3.1', 'pyarrow>=15', 'duckdb>=1', *REMOTE]
 DOCS = ['sphinx>=7', 'myst-nb>=1.1', 'furo>=2024.1.29']
 
 setup(
@@ -60,7 +62,7 @@ setup(
     author='The imu_calib developers',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed', 'reports/fleet/page.js']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -87,6 +89,7 @@ setup(
         'ros1': [ROSBAGS],
         'pdf': ['weasyprint>=62'],
         'fleet': FLEET,
+        'remote': REMOTE,
         'web': [WEB],
         'docs': DOCS,
         'test': [
@@ -98,6 +101,7 @@ setup(
             'allantools>=2024.6',
             'dsiunits>=3.1',
             'fastcrc>=0.5',
+            'imucal>=2.6',
             'jsonschema>=4',
             'lxml>=5',
             'nbclient>=0.9',
@@ -112,8 +116,9 @@ setup(
             DATA_FRAME,
             *FLEET,
             # Recordings in buckets, from a server on this machine.
-            'moto[server]>=5',
-            's3fs',
+            # moto's extra for a server brings what all services need, sympy too.
+            'moto[s3]>=5',
+            'flask-cors',
             WEB,
         ],
         'dev': [

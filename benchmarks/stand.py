@@ -68,7 +68,8 @@ def run(
     )
     print(f'{len(stamps) / rate:.0f} s of the stand in {wall:.0f} s')
     for name, used in Watched.used.items():
-        print(f'{name:16} {100 * used / wall:5.0f} % of a core')
+        each = used / len(stamps) * 1e6
+        print(f'{name:16} {100 * used / wall:5.0f} % of a core, {each:5.1f} us a sample')
     return 0 if made == len(stamps) else 1
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .api.calibrating import calibrate
+    from .api.calibrating_units import UnitResult, UnitResults, calibrate_units
     from .api.certifying import certificate
     from .api.columns import Columns, read
     from .api.combining import combine
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from .api.repeating import Repeated, montecarlo
     from .api.reporting import report
     from .api.simulating import Simulated, simulate
+    from .api.simulating_units import SimulatedUnits, simulate_units
     from .api.standing import Stood, stand
     from .api.verifying import verify
     from .calibration import Calibration
@@ -37,8 +39,12 @@ if TYPE_CHECKING:
     from .errors import ImuCalibError, InputError, NotObservable
     from .exports import Exported
     from .fleet.catalogue import Catalogue
+    from .fleet.history import history
+    from .fleet.report import fleet_report
     from .fleet.running import Batch, batch
+    from .histories.results import History
     from .imu import ImuSpec, load_imu
+    from .mounted import MountedUnit, load_units
     from .plan import Plan, load_plan
     from .prediction import Reached
     from .prediction.optimise import Optimum
@@ -56,10 +62,12 @@ _WHERE = {
     'Conformity': 'api.conforming',
     'Converted': 'api.converting',
     'Exported': 'exports',
+    'History': 'histories.results',
     'ImuCalibError': 'errors',
     'ImuSpec': 'imu',
     'InputError': 'errors',
     'Look': 'api.looking',
+    'MountedUnit': 'mounted',
     'NotObservable': 'errors',
     'Optimum': 'prediction.optimise',
     'Plan': 'plan',
@@ -68,13 +76,17 @@ _WHERE = {
     'Repeated': 'api.repeating',
     'Result': 'calibrator',
     'Simulated': 'api.simulating',
+    'SimulatedUnits': 'api.simulating_units',
     'Stood': 'api.standing',
     'Table': 'turntable',
     'ThermalCalibration': 'compensation.thermal',
+    'UnitResult': 'api.calibrating_units',
+    'UnitResults': 'api.calibrating_units',
     'Verdict': 'verification',
     'Verification': 'verification',
     'batch': 'fleet.running',
     'calibrate': 'api.calibrating',
+    'calibrate_units': 'api.calibrating_units',
     'certificate': 'api.certifying',
     'combine': 'api.combining',
     'compare': 'api.comparing',
@@ -82,9 +94,12 @@ _WHERE = {
     'conformity': 'api.conforming',
     'convert': 'api.converting',
     'export': 'api.exporting',
+    'history': 'fleet.history',
+    'fleet_report': 'fleet.report',
     'load_imu': 'imu',
     'load_plan': 'plan',
     'load_table': 'turntable',
+    'load_units': 'mounted',
     'look': 'api.looking',
     'montecarlo': 'api.repeating',
     'optimise': 'api.predicting',
@@ -93,6 +108,7 @@ _WHERE = {
     'read': 'api.columns',
     'report': 'api.reporting',
     'simulate': 'api.simulating',
+    'simulate_units': 'api.simulating_units',
     'stand': 'api.standing',
     'verify': 'api.verifying',
 }
@@ -109,10 +125,12 @@ __all__ = [
     'Conformity',
     'Converted',
     'Exported',
+    'History',
     'ImuCalibError',
     'ImuSpec',
     'InputError',
     'Look',
+    'MountedUnit',
     'NotObservable',
     'Optimum',
     'Plan',
@@ -121,13 +139,17 @@ __all__ = [
     'Repeated',
     'Result',
     'Simulated',
+    'SimulatedUnits',
     'Stood',
     'Table',
     'ThermalCalibration',
+    'UnitResult',
+    'UnitResults',
     'Verdict',
     'Verification',
     'batch',
     'calibrate',
+    'calibrate_units',
     'certificate',
     'combine',
     'compare',
@@ -135,9 +157,12 @@ __all__ = [
     'conformity',
     'convert',
     'export',
+    'fleet_report',
+    'history',
     'load_imu',
     'load_plan',
     'load_table',
+    'load_units',
     'look',
     'montecarlo',
     'optimise',
@@ -146,6 +171,7 @@ __all__ = [
     'read',
     'report',
     'simulate',
+    'simulate_units',
     'stand',
     'verify',
 ]

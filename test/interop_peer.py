@@ -21,6 +21,7 @@ KINDS = {
 }  # fmt: skip
 INNER = {
     'status': M.DiagnosticStatus, 'values': M.KeyValue, 'points': M.JointTrajectoryPoint,
+    'calibrations': M.ImuCalibration,
 }  # fmt: skip
 QOS = ros.QoSProfile(depth=1, durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
 

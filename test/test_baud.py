@@ -44,7 +44,7 @@ def started(monkeypatch):
         def __exit__(self, *error):
             pass
 
-        def start(self, node, parameters):
+        def start(self, node, parameters, **_):
             given[node] = parameters
             print(f'start {node}')
 

@@ -11,7 +11,7 @@ from imu_calib.stream import ImuBlock
 
 try:
     from imu_calib import middleware as ros
-    from imu_calib.nodes import qos
+    from imu_calib.nodes import hearing, qos
     from imu_calib.nodes.calibrator_node import CalibratorNode
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
@@ -106,7 +106,18 @@ class Bench:
 
     @property
     def count(self):
-        return self.node._session.intakes[Kind.IMU].count
+        return self.node._sessions.all[0].intakes[Kind.IMU].count
+
+
+def test_what_waits_at_the_end_is_recorded_however_much_it_is(monkeypatch, tmp_path):
+    # More than two rounds take, as after a long solve of another session.
+    count = 3 * hearing._MOST
+    with Bench(monkeypatch, tmp_path) as bench:
+        bench.tell(EPOCH)
+        ros.publish_all(bench.pulses, samples(EPOCH, count).payloads())
+        assert ros.acknowledged(bench.pulses, 15.0)
+        assert bench.count == 0
+    assert len(log_times(tmp_path / 'journal')[TOPIC]) == count
 
 
 def test_nothing_is_recorded_before_the_clock_begins_and_nothing_is_lost(monkeypatch, tmp_path):
@@ -193,7 +204,7 @@ def test_no_node_ends_whatever_the_clock_says(monkeypatch, tmp_path, name):
 def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_path):
     with Bench(monkeypatch, tmp_path) as bench:
         bench.tell(1)
-        before = bench.node._session
+        before = bench.node._sessions
         # What an earlier start of the node ended with.
         finished = Journal(tmp_path / 'journal_2', bench.node._description, {TOPIC: Kind.IMU})
         finished.write(TOPIC, Kind.IMU.type_name, samples(EPOCH), EPOCH * NS)
@@ -201,11 +212,11 @@ def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_pat
         answer = bench.node._on_reset(None, ros.Trigger.Response())
         assert not answer.success
         assert 'finished' in answer.message
-        assert bench.node._session is before
+        assert bench.node._sessions is before
         # It takes samples in, is secured, and solves.
         assert bench.until(bench.send(1))
         bench.node._on_second()
-        assert bench.until(lambda: before.review is not None or before.poll())
+        assert bench.until(lambda: before.all[0].review is not None or before.poll())
         # The next folder is free.
         assert bench.node._on_reset(None, ros.Trigger.Response()).success
-        assert bench.node._session.journal.path.name == 'journal_3'
+        assert bench.node._sessions.journal.path.name == 'journal_3'

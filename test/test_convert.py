@@ -202,11 +202,12 @@ def test_two_topics_say_at_which_rates_they_come(tmp_path: Path) -> None:
         imu_calib.convert(bag, tmp_path / 'out', gyro_topic='/g', accel_topic='/a')
 
 
-def test_a_bag_of_ros_1_becomes_a_recording(tmp_path: Path) -> None:
+def bag_of_ros_1(path: Path) -> None:
+    """Write five samples of an IMU, and a topic beside it that no calibration uses."""
     store = get_typestore(Stores.ROS1_NOETIC)
     kinds = store.types
     imu = 'sensor_msgs/msg/Imu'
-    with Writer(tmp_path / 'old.bag') as writer:
+    with Writer(path) as writer:
         at = writer.add_connection('/imu/data', imu, typestore=store)
         other = writer.add_connection('/chatter', 'std_msgs/msg/String', typestore=store)
         for k in range(5):
@@ -222,6 +223,10 @@ def test_a_bag_of_ros_1_becomes_a_recording(tmp_path: Path) -> None:
             writer.write(at, stamp, store.serialize_ros1(message, imu))
             text = kinds['std_msgs/msg/String']('x')
             writer.write(other, stamp, store.serialize_ros1(text, 'std_msgs/msg/String'))
+
+
+def test_a_bag_of_ros_1_becomes_a_recording(tmp_path: Path) -> None:
+    bag_of_ros_1(tmp_path / 'old.bag')
     assert main(['convert', str(tmp_path / 'old.bag'), '-o', str(tmp_path / 'new')]) == 0
     topics = imu_calib.read(tmp_path / 'new')
     assert list(topics) == ['/imu/data']

@@ -35,7 +35,11 @@ def first_texts(path, name, at=0):
 def spoken():
     """Return node and part of everything that the sources report."""
     words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_words.py'
-    parts = {('calibrator_node', part) for part in first_texts(words, 'report')}
+    parts = {
+        ('calibrator_node', part)
+        for file in (words, words.with_name('unit_results.py'))
+        for part in first_texts(file, 'report')
+    }
     controller = words.with_name('controller.py')
     parts |= {('turntable_node', part) for part in first_texts(controller, 'report')}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):

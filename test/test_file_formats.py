@@ -26,6 +26,7 @@ from imu_calib.devices.format import read_format
 from imu_calib.errors import InputError
 from imu_calib.imu import read_imu
 from imu_calib.methods import METHODS
+from imu_calib.mounted import read_units
 from imu_calib.plan import METHOD_NAMES, read_plan
 from imu_calib.simulation import StandOptions
 from imu_calib.simulation.imperfections import read_imperfections
@@ -45,6 +46,7 @@ READERS = {
     'device': read_format,
     'calibration': read_calibration,
     'certificate': read_fields,
+    'units': read_units,
     'imperfections': lambda section: read_imperfections(section, StandOptions(), TABLE, 1),
 }
 FOLDERS = {
@@ -132,6 +134,7 @@ ORIGIN = {
     'highest_rate': 1.0,
     'temperature': {'mean': 25.0, 'lowest': 24.0, 'highest': 26.0},
     'missing_positions': ['7'],
+    'shared_with': ['A1002'],
     'closed_form': {'method': 'twelve_position'},
     'clock': {'offset_s': 0.001, 'rate_ppm': 3.0, 'rate_std_ppm': 0.1, 'motions': 20},
     'versions': {'numpy': '2'},
@@ -399,6 +402,14 @@ BEYOND_A_SCHEMA = {
         ({'received': '2026-02-30'}, 'received: found .* expected a date'),
         ({'issued': '2020-01-01'}, 'issued: found 2020-01-01, before'),
         ({'calibrated__to': '2020-01-01'}, 'to: found 2020-01-01, before'),
+    ],
+    'units': [
+        ({'units__1__serial_number': 'A1001'}, 'found serial_number unit_A1001 twice'),
+        ({'units__1__topic': 'left/imu/pulses'}, 'found topic /left/imu/pulses twice'),
+        ({'units__0__port': '/dev/ttyUSB1'}, 'found port /dev/ttyUSB1 twice'),
+        ({'units__1__mount': ['x', 'x', 'z']}, 'mount: expected three perpendicular axes'),
+        ({'units__1__mount': ['x', 'y', '-z']}, 'mount: the three axes are left-handed'),
+        ({'units__1__lever': [float('inf'), 0, 0]}, 'lever: found 3 numbers that are not all fin'),
     ],
     'imperfections': [
         ({'mounting__floor__lowest': '50 Hz'}, 'floor: found lowest .* above highest'),

@@ -20,7 +20,13 @@ from imu_calib.cli.main import main
 from imu_calib.earth import Site
 from imu_calib.errors import NotObservable
 from imu_calib.imu import load_imu
-from imu_calib.methods.free_positions import ESTIMATES, FREE, in_frame_of_accelerometers, solve
+from imu_calib.methods.free_positions import (
+    ESTIMATES,
+    FREE,
+    in_frame_of_accelerometers,
+    is_clear,
+    solve,
+)
 from imu_calib.model import PARAMETERS, ParameterKind, SensorModel, Triad
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.free import FreeEquations, led_on
@@ -106,6 +112,43 @@ def test_the_covariance_is_that_of_the_errors_to_a_sixth() -> None:
     # One in a thousand on either side: 17 %.
     low, high = chi2.ppf([1e-3, 1 - 1e-3], runs * FREE.sum())
     assert low < square < high
+
+
+def refused(evidence: Evidence) -> bool:
+    try:
+        solve(evidence)
+    except NotObservable:
+        return True
+    return False
+
+
+def test_what_one_step_calls_clear_is_not_refused() -> None:
+    model, rng = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5)
+    ups = np.array([p.up for p in load_plan('free_positions').positions])[::2]
+    good = held(model, ups, rng)
+    assert is_clear(good)
+    # Noise of a thousandth to a million times what is stated: residuals that scatter by as much,
+    # and standard deviations beyond use.
+    noisy = [replace(good, walk=good.walk * 10.0**k) for k in range(-3, 7)]
+    clear = [is_clear(one) for one in noisy]
+    lost = [refused(one) for one in noisy]
+    assert not any(one and other for one, other in zip(clear, lost, strict=True))
+    assert any(clear[4:])
+    assert lost[-1]
+
+
+def test_what_is_refused_or_stands_out_is_not_clear() -> None:
+    model, rng = in_frame_of_accelerometers(unit(3)), np.random.default_rng(5)
+    ups = np.array([p.up for p in load_plan('free_positions').positions])[::2]
+    good = held(model, ups, rng)
+    angles = np.arange(12) * 1.3
+    level = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(12)])
+    for evidence in (held(model, ups[:5], rng), held(model, level, rng), replace(good, moves=())):
+        assert refused(evidence)
+        assert not is_clear(evidence)
+    # A turn that fits nothing is left out: what is left then decides.
+    wild = replace(good.moves[3], turned=good.moves[3].turned * 1.05)
+    assert not is_clear(replace(good, moves=(*good.moves[:3], wild, *good.moves[4:])))
 
 
 class Still(Site):

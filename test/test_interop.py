@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,7 @@ def without_ros():
     return kept
 
 
+@cache
 def has_wheel():
     """Tell whether this Python has Cyclone DDS where no ROS is sourced."""
     probe = [sys.executable, '-c', 'import cyclonedds._clayer']

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from loopback import CHECKOUT, until
 
 from imu_calib import launching
+from imu_calib.errors import InputError
 from imu_calib.launching import wrong
 
 SOUND = {
@@ -80,7 +82,7 @@ def test_every_argument_of_every_launch_file_is_known():
     # What is any text: topics, names, files that are written.
     free = {'namespace', 'journal', 'output', 'imu_topic', 'joint_topic', 'setpoint_topic'}
     free |= {'skew_topic', 'temperature_topic', 'output_topic', 'frame_id', 'serial'}
-    free |= {'calibration', 'calibrations', 'table_port'}
+    free |= {'calibration', 'calibrations', 'table_port', 'without'}
     declared = {name for path in FILES for name in _declared(path.read_text())}
     assert 'plan' in declared
     assert declared - free <= set(launching._CHECKS)
@@ -169,3 +171,47 @@ def left(mark):
             if mark.encode() in environment and (process / 'cmdline').read_bytes():
                 found.append(int(process.name))
     return found
+
+
+UNITS = """
+units:
+  - {serial_number: A1, imu: fog_medium, port: 'socket://10.0.0.3:5000', device: stim300}
+  - {serial_number: B-2, imu: fog_medium, port: 'socket://10.0.0.4:5000', topic: second/imu}
+"""
+
+
+def test_a_file_of_units_becomes_a_node_for_each(tmp_path):
+    file = tmp_path / 'units.yaml'
+    file.write_text(UNITS)
+    first, second = launching.devices({'units': str(file), 'device': 'kvh_1750'})
+    assert (first.namespace, second.namespace) == ('unit_A1', 'unit_B_2')
+    assert first.parameters['device'] == 'stim300'
+    assert second.parameters['device'] == 'kvh_1750'
+    assert second.parameters['frame_id'] == 'unit_B_2_imu_link'
+    assert first.remappings == []
+    assert second.remappings == [('imu/pulses', '/second/imu')]
+    (left,) = launching.devices({'units': str(file), 'without': 'B-2'})
+    assert left.namespace == 'unit_A1'
+
+
+@pytest.mark.parametrize(
+    ('given', 'expected'),
+    [
+        ({}, 'Give port:= and device:= of the IMU, or units:='),
+        ({'port': '/dev/ttyUSB0'}, 'Give device:= of the IMU'),
+        ({'units': '{file}', 'port': '/dev/ttyUSB0'}, 'states it for each unit'),
+        ({'units': '{file}'}, 'unit B-2 has no device'),
+        ({'units': '{file}', 'without': 'C3'}, "found 'C3', expected some of A1, B-2"),
+        ({'units': '{file}', 'without': 'A1, B-2'}, 'All units are left out'),
+    ],
+)
+def test_units_that_cannot_be_read_are_refused_in_words(tmp_path, given, expected):
+    file = tmp_path / 'units.yaml'
+    file.write_text(UNITS)
+    given = {key: value.replace('{file}', str(file)) for key, value in given.items()}
+    with pytest.raises(InputError, match=re.escape(expected)):
+        launching.devices(given)
+
+
+def test_one_unit_needs_no_file():
+    assert launching.devices({'port': '/dev/ttyUSB0', 'device': 'stim300'}) == []

@@ -456,6 +456,18 @@ def test_a_stream_is_handed_over_in_order_as_it_comes(node):
     assert len(batches) < 1000
 
 
+@pytest.mark.skipif(ros.RUNTIME != 'dds', reason='rclpy sends each message by itself')
+def test_messages_that_are_published_together_are_sent_together(node, monkeypatch):
+    publisher = node.create_publisher(ros.messages.String, 'text', KEEP_ALL)
+    send, sent = publisher.writer._flush, []
+    monkeypatch.setattr(publisher.writer, '_flush', lambda writer: sent.append(send(writer)))
+    payload = bytes(ros.serialize_message(ros.messages.String(data='a')))
+    ros.publish_all(publisher, [payload] * 5)
+    assert sent == [0]
+    publisher.publish(payload)
+    assert sent == [0, 0]
+
+
 def test_a_drain_may_be_bounded(node):
     subscription = ros.open_drain(node, ros.messages.String, 'text', KEEP_ALL)
     publisher = node.create_publisher(ros.messages.String, 'text', KEEP_ALL)

@@ -6,6 +6,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -27,7 +28,7 @@ UNDECLARED = {
     'nbclient': 'rosdep has no key; runs the notebooks of the documentation',
     'ipykernel': 'rosdep has no key; runs the notebooks of the documentation',
     **dict.fromkeys(
-        ('dask', 'distributed', 'duckdb', 'fsspec', 'pyarrow', 's3fs'),
+        ('bokeh', 'dask', 'distributed', 'duckdb', 'fsspec', 'pyarrow', 's3fs'),
         'batches run where pip installs the extra fleet; no node needs them',
     ),
     **dict.fromkeys(
@@ -43,8 +44,13 @@ OWN = {
 }
 
 
-def imported(folder: str) -> Iterator[str]:
-    """Yield the modules from elsewhere that the files of a folder import, by their first names."""
+@cache
+def imported(folder: str) -> frozenset[str]:
+    """Return the modules from elsewhere that the files of a folder import, by their first names."""
+    return frozenset(_imported(folder))
+
+
+def _imported(folder: str) -> Iterator[str]:
     for path in (CHECKOUT / folder).rglob('*.py'):
         for node in ast.walk(ast.parse(path.read_text('utf-8'))):
             if isinstance(node, ast.Import):

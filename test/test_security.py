@@ -2,6 +2,7 @@
 
 import json
 import xml.etree.ElementTree as ET
+from fnmatch import fnmatchcase
 from importlib import import_module
 from importlib.util import find_spec
 
@@ -26,13 +27,32 @@ VARIANTS = {
     'hand_node': ('HandNode', [{'port': '{port}'}]),
     'imu_node': (
         'ImuNode',
-        [{'port': 'socket://127.0.0.1:{port}', 'device': 'simulated_skewed', 'imu': 'fog_skewed'}],
+        [
+            {
+                'port': 'socket://127.0.0.1:{port}',
+                'device': 'simulated_skewed',
+                'imu': 'fog_skewed',
+            },
+            {
+                '__ns': '/unit_A1',
+                'port': 'socket://127.0.0.1:{port}',
+                'device': 'simulated_skewed',
+                'imu': 'fog_skewed',
+            },
+        ],
     ),
-    'calibrator_node': ('CalibratorNode', [{'latitude': 30.0, 'imu': 'fog_skewed'}]),
+    'calibrator_node': (
+        'CalibratorNode',
+        [
+            {'latitude': 30.0, 'imu': 'fog_skewed'},
+            {'latitude': 30.0, 'units': 'two.yaml', 'journal': 'of_two', 'output': 'results'},
+        ],
+    ),
     'compensator_node': ('CompensatorNode', [{}]),
 }
 if find_spec('nicegui') is not None:
     VARIANTS['web_node'] = ('WebNode', [{'port': '0', 'control': True, 'latitude': 30.0}])
+UNITS = 'units: [{serial_number: A1, imu: fog_medium}, {serial_number: B2, imu: fog_medium}]'
 ACTION = {
     'execute': {
         'publish': ('feedback', 'status'),
@@ -51,13 +71,15 @@ def profiles():
         for include in profile.findall(INCLUDE):
             rules += list(ET.parse(folder / include.get('href')).getroot())
         node = profile.get('node')
-        kinds = allowed[node] = {'publish': set(), 'reply': set(), 'request': set()}
+        # A node may have a profile for each namespace that it may be in.
+        kinds = allowed.setdefault(node, {'publish': set(), 'reply': set(), 'request': set()})
+        within = profile.get('ns').rstrip('/')
         for rule in rules:
             for kind in kinds.keys() & rule.keys():
-                kinds[kind] |= {_full(name.text, node) for name in rule}
+                kinds[kind] |= {_full(name.text, node, within) for name in rule}
             for how in ACTION.keys() & rule.keys():
                 for kind, parts in ACTION[how].items():
-                    names = [_full(name.text, node) for name in rule]
+                    names = [_full(name.text, node, within) for name in rule]
                     kinds[kind] |= {f'{name}/_action/{part}' for name in names for part in parts}
     return allowed
 
@@ -67,8 +89,14 @@ def _rules(file):
     return {name.text for rule in ET.parse(policy_file().parent / file).getroot() for name in rule}
 
 
-def _full(name, node):
-    return name if name.startswith('/') else f'/{name.replace("~", node, 1)}'
+def _full(name, node, within=''):
+    return name if name.startswith('/') else f'{within}/{name.replace("~", node, 1)}'
+
+
+def matched(names, patterns):
+    """Return the patterns that are of one of the names, and the names that are of no pattern."""
+    used = {one for one in patterns if any(fnmatchcase(name, one) for name in names)}
+    return used, {name for name in names if not any(fnmatchcase(name, one) for one in used)}
 
 
 @pytest.fixture
@@ -102,7 +130,10 @@ def created(monkeypatch, tmp_path):
                 continue
             port = str(free_port())
             given = {k: str(v).replace('{port}', port) for k, v in variant.items()}
-            words = [w for k, v in given.items() for w in ('-p', f'{k}:={v.lower()}')]
+            (tmp_path / 'two.yaml').write_text(UNITS)
+            own = {k: v if k in {'units', '__ns'} else v.lower() for k, v in given.items()}
+            flags = {k: '-r' if k.startswith('__') else '-p' for k in own}
+            words = [w for k, v in own.items() for w in (flags[k], f'{k}:={v}')]
             ros.init(args=['--ros-args', *words])
             node = getattr(import_module(f'imu_calib.nodes.{name}'), kind)()
             node.stop()
@@ -121,16 +152,19 @@ def test_the_policy_allows_what_each_node_creates_and_no_more(created):
     states = _rules('common/managed.xml')
     parameters = {name for name in allowed['observer']['reply'] if name.startswith('/observer/')}
     for name in created:
-        own = {p.replace('/observer/', f'/{name}/', 1) for p in parameters}
+        places = {name, f'unit_*/{name}'}
+        own = {p.replace('/observer/', f'/{at}/', 1) for p in parameters for at in places}
+        managed = {_full(state, at) for state in states for at in places}
         of_ros = {'publish': OF_ROS, 'reply': own, 'request': set()}
         for kind, names in created[name].items():
             # A name that lacks in config/security/policy.xml would be refused where it is enforced.
-            made = names - OF_ROS - own
-            named = allowed[name][kind] - of_ros[kind] - {_full(state, name) for state in states}
+            named = allowed[name][kind] - of_ros[kind] - managed
+            _, others = matched(names - OF_ROS, own)
+            used, refused = matched(others, named)
             # rclpy makes those of actions and of managed nodes below what a test can see.
-            left = {one for one in named - made if '/_action/' in one}
-            assert made <= named, (name, kind)
-            assert named - made == (left if RUNTIME == 'rclpy' else set()), (name, kind)
+            left = {one for one in named - used if '/_action/' in one}
+            assert not refused, (name, kind)
+            assert named - used == (left if RUNTIME == 'rclpy' else set()), (name, kind)
 
 
 def test_one_node_says_what_is_one_nodes_alone():

@@ -79,6 +79,36 @@ def test_every_command_of_the_help_has_its_options():
         assert ended.value.code == 0
 
 
+LOOKED = """import contextlib, io
+from imu_calib.cli.main import main
+with contextlib.redirect_stdout(io.StringIO()) as shown:
+    assert main(['info', sys.argv[1], *sys.argv[2:]]) == 0
+assert 'free_positions: the attitudes and turns determine all 21' in shown.getvalue()"""
+
+
+@pytest.fixture(scope='module')
+def in_the_hand(tmp_path_factory):
+    """A recording of a session in the hand."""
+    folder = tmp_path_factory.mktemp('hand') / 'session'
+    assert main.main(['simulate', 'free_positions', '-o', str(folder)]) == 0
+    return folder
+
+
+def test_info_of_a_session_in_the_hand_loads_nothing_that_solves_others(in_the_hand):
+    modules = loaded(LOOKED, in_the_hand)
+    assert 'imu_calib.calibrator.by_hand' in modules
+    assert not among(modules, (*SLOW, *RUNTIME, 'imu_calib.calibrator.on_table'))
+
+
+def test_info_of_topics_alone_loads_no_estimator(in_the_hand):
+    # The plain stream of a recording that nobody describes ends there, too.
+    code = LOOKED.splitlines()[:-1]
+    modules = loaded('\n'.join(code), in_the_hand, '--topics')
+    packages = 'methods', 'estimation', 'observation', 'reports', 'segmentation'
+    assert 'imu_calib.api.looking' in modules
+    assert not among(modules, [*SLOW, *(f'imu_calib.{name}' for name in packages)])
+
+
 def test_the_estimators_load_what_they_use():
     code = 'import imu_calib.calibrator, imu_calib.prediction, imu_calib.verification'
     assert not among(loaded(code), SLOW)

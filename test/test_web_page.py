@@ -10,7 +10,7 @@ import urllib.request
 
 import processes
 import pytest
-from browser import chromium
+from browser import chromium, contrasts
 from loopback import CHECKOUT, environment, patience, until
 
 from imu_calib.errors import ImuCalibError
@@ -26,6 +26,7 @@ from imu_calib.cli.processes import free_port
 
 MOVES = (State.MOVING, State.TURNING, State.DWELLING, State.SETTLING)
 PHASES = {'moving', 'turning', 'dwelling', 'settling'}
+BUTTONS = {'Unlock', 'Resume', 'Pause', 'Abort'}
 TOKEN = 'a-token-of-this-test'
 SPEED = 3.0
 """Times real time: slow enough for a person, or a test, to press a button in a step."""
@@ -145,6 +146,10 @@ def test_a_session_is_watched_stopped_and_gone_on_with_from_the_page(shown):
         assert viewer.page.locator('.table-picture canvas').count() == 1
         wide = viewer.page.evaluate('document.documentElement.scrollWidth - window.innerWidth')
         assert wide <= 0, 'the page is wider than its window'
+        # WCAG 2.1, 1.4.3.
+        buttons = [c for c in contrasts(viewer.page) if c['text'] in BUTTONS]
+        assert {c['text'] for c in buttons} == BUTTONS
+        assert min(c['ratio'] for c in buttons) >= 4.5, buttons
     assert stand.table_stands()
     stand.fault('clear')
 
