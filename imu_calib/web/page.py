@@ -181,7 +181,8 @@ def _head(source: Source) -> None:
     where = f' on table {shown.table}' if shown.table else ' in the hand'
     with ui.element('header').classes('wide top'):
         ui.html(source.title, sanitize=False, tag='h1')
-        ui.label(f'plan {shown.plan}{where}, IMU {shown.imu}').classes('small')
+        what = shown.imu if source.units() else f'IMU {shown.imu}'
+        ui.label(f'plan {shown.plan}{where}, {what}').classes('small')
 
 
 def _card(title: str, kind: str = '') -> Any:

@@ -86,6 +86,7 @@ svg.course { display: block; width: 120px; height: 30px; }
 .course .allowed { stroke: var(--error); stroke-width: 1.2; }
 .units td { padding: 4px 5px; vertical-align: top; }
 .units .state, .units .least { white-space: normal; overflow-wrap: anywhere; }
+.units .least { padding-left: 22px; }
 .units .name span { display: block; font-weight: 400; }
 .units .looked-at { background: color-mix(in srgb, var(--mark) 14%, transparent); }
 .chooser { max-width: 260px; margin-bottom: 8px; }
@@ -132,6 +133,7 @@ details[open] > .title { margin-bottom: 8px; }
   .units td.r { text-align: left; }
   .units td.r::before { content: attr(data-label) " "; color: var(--soft); }
   .units td { border-bottom: 0; }
+  .units .least { padding-left: 3px; }
   .units .state, .units .least { grid-column: 1 / -1; }
   .parameters td, .parameters th { padding-left: 3px; padding-right: 3px; }
   .parameters .course { width: 84px; }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,8 @@ from .board import Board, Expected, Outcome, Sentence, Snapshot, sentences_of
 
 _CALIBRATOR = 'calibrator_node: '
 _DEVICE = 'imu_node: stream'
-_STREAM = 'calibrator_node: stream'
+_HEARD_BY = ('calibrator_node: stream', _DEVICE, 'imu_node')
+"""Who says how a unit's samples come; the last where its node is silent itself."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ class UnitsBoard:
         unit = self._units[name]
         said = {s.source.rpartition('/')[2]: s for s in shown.sentences}
         device = said.get(_DEVICE)
-        level, words = self._words(name, shown, device, said.get(_STREAM))
+        level, words = self._words(name, shown, [said.get(part) for part in _HEARD_BY])
         return UnitRow(
             name,
             unit.serial_number,
@@ -159,7 +160,7 @@ class UnitsBoard:
         )
 
     def _words(
-        self, name: str, shown: Snapshot, device: Sentence | None, stream: Sentence | None
+        self, name: str, shown: Snapshot, said: Sequence[Sentence | None]
     ) -> tuple[Severity, str]:
         if self._is_left_out(name):
             return Severity.WARN, 'Left out'
@@ -170,7 +171,7 @@ class UnitsBoard:
         }
         if shown.outcome in ends:
             return ends[shown.outcome]
-        heard = [one for one in (stream, device) if one is not None]
+        heard = [one for one in said if one is not None]
         if not heard:
             return Severity.WARN, 'Not heard yet'
         worst = max(heard, key=lambda one: one.level)

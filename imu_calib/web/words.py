@@ -84,7 +84,7 @@ def _of_the_table(shown: Snapshot, table: TableState) -> Headline:
         Phase.MOVING: f'The table moves to {where}',
         Phase.SETTLING: f'The table comes to rest at {where}',
         Phase.TURNING: f'The table turns at {where}',
-        Phase.DWELLING: f'The unit stands still at {where}',
+        Phase.DWELLING: f'The table stands still at {where}',
     }
     return Headline(Severity.OK, words[table.phase], _doing(shown, table))
 
