@@ -275,13 +275,13 @@ def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
     kept.add([a_row(1)])
     part = tmp_path / 'c' / 'rows' / 'part-000000.parquet'
     table = pa.parquet.read_table(part)
-    pa.parquet.write_table(table.drop_columns(['operator', 'lot', 'K_gx']), part)
+    pa.parquet.write_table(table.drop_columns(['operator', 'lot', 'topic', 'K_gx']), part)
     assert kept.add([a_row(2, operator='me')]) == 1
     assert [row['operator'] for row in rows(tmp_path / 'c')] == [None, 'me']
     assert Catalogue(tmp_path / 'c').table().schema == schema()
-    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'3'})
+    newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'4'})
     pa.parquet.write_table(newer, part)
-    with pytest.raises(InputError, match=r'found version 3 .* expected 2 or older'):
+    with pytest.raises(InputError, match=r'found version 4 .* expected 3 or older'):
         Catalogue(tmp_path / 'c').table()
     part.write_bytes(b'PAR1 no more')
     with pytest.raises(InputError, match='is no part of a catalogue'):
@@ -292,7 +292,7 @@ def test_what_nobody_foresaw_is_a_row(monkeypatch: pytest.MonkeyPatch, recording
     def broken(*_: object) -> None:
         raise ZeroDivisionError('by zero')
 
-    monkeypatch.setattr('imu_calib.fleet.task.open_session', broken)
+    monkeypatch.setattr('imu_calib.fleet.task.recording_at', broken)
     ended = run(Job(str(recordings / 'a')))
     assert ended.row is not None and ended.row['exit_code'] == DEFECT
     assert 'ZeroDivisionError: by zero' in ended.row['error'] and ended.row['sha256']

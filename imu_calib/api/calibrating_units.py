@@ -35,6 +35,7 @@ class UnitResult:
         place: Where it sits on the fixture; empty where nobody says.
         result: Its calibration with all that led to it; None where it failed.
         error: Why it failed; None where it did not.
+        imu: Its type; as it is stated where that cannot be read, empty where nobody says.
 
     """
 
@@ -43,6 +44,7 @@ class UnitResult:
     place: str
     result: Result | None
     error: ImuCalibError | None = None
+    imu: str = ''
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,15 +183,32 @@ def calibrated_units(
 
     """
     with recording_at(bag) as recording:
-        parts = [_part(recording, stated, unit) for unit in _listed(recording, imus)]
-        _read(recording, parts, progress)
-        alone = [part.finished() for part in parts]
-        found = (
-            Together(tuple(alone), None, (), {})
-            if separate
-            else together(alone, [part.unit.serial_number for part in parts])
-        )
-        return _documented(parts, found)
+        return units_of_recording(recording, imus, stated, progress, separate=separate)
+
+
+def units_of_recording(
+    recording: Recording,
+    imus: Named | Sequence[MountedUnit] | None,
+    stated: Stated,
+    progress: Progress = silent,
+    *,
+    separate: bool = False,
+) -> UnitResults:
+    """Calibrate several units from a recording that is open; the caller closes it.
+
+    Raises:
+        InputError: As `calibrate_units`.
+
+    """
+    parts = [_part(recording, stated, unit) for unit in _listed(recording, imus)]
+    _read(recording, parts, progress)
+    alone = [part.finished() for part in parts]
+    found = (
+        Together(tuple(alone), None, (), {})
+        if separate
+        else together(alone, [part.unit.serial_number for part in parts])
+    )
+    return _documented(parts, found)
 
 
 def _documented(parts: Sequence[_Part], found: Together) -> UnitResults:
@@ -199,7 +218,10 @@ def _documented(parts: Sequence[_Part], found: Together) -> UnitResults:
         unit, whole = part.unit, None
         if result is not None and part.opened is not None:
             whole = documented(part.opened, result)
-        units.append(UnitResult(unit.serial_number, unit.topic, unit.place, whole, part.error))
+        kind = (unit.imu or '') if part.opened is None else part.opened.setup.imu.id
+        units.append(
+            UnitResult(unit.serial_number, unit.topic, unit.place, whole, part.error, kind)
+        )
     numbers = [part.unit.serial_number for part in parts]
     return UnitResults(
         tuple(units),
@@ -218,6 +240,16 @@ def holds_several(bag: str | AnyPath) -> bool:
     """
     with recording_at(bag) as recording:
         return bool(units_of(recording))
+
+
+def serials_in(recording: Recording, imus: Named | None) -> tuple[str, ...]:
+    """Return the serial numbers of the units that `units_of_recording` calibrates, in its order.
+
+    Raises:
+        InputError: The file of the units is unreadable, or nobody says which units there are.
+
+    """
+    return tuple(unit.serial_number for unit in _listed(recording, imus))
 
 
 @dataclass(frozen=True, eq=False)

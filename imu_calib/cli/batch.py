@@ -38,8 +38,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--retry', action='store_true', help='do again what failed')
     options.add_session_options(parser)
+    options.add_imus_option(parser)
     parser.epilog = (
-        'Exit code 1: a recording gave no calibration; its row says why '
+        'Exit code 1: a recording, or a unit of one, gave no calibration; its row says why '
         '(imu-calib catalogue CATALOGUE --where "status = \'failed\'").'
     )
     parser.set_defaults(run=run)
@@ -60,13 +61,17 @@ def run(arguments: argparse.Namespace) -> Outcome:
         with progress_bar(text) as show:
             yield show
 
+    if arguments.imus is not None:
+        options.refuse_beside_imus(arguments, 'imu', 'serial', 'imu_topic')
     keywords = options.keywords(batch, arguments)
     done = batch(
         arguments.sources, arguments.catalogue, **keywords, progress=begun, connected=_say_where
     )
     plural = '' if done.recordings == 1 else 's'
+    units = done.calibrated + done.failed + done.known
+    several = '' if units == done.recordings else f' of {units} units'
     OUTPUT.print(
-        f'{done.recordings} recording{plural} in {done.seconds:.1f} s: '
+        f'{done.recordings} recording{plural}{several} in {done.seconds:.1f} s: '
         f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before'
     )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)

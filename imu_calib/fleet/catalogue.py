@@ -29,7 +29,7 @@ from .task import CALIBRATED, Done
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION = 2
+VERSION = 3
 """Of the columns; a reader refuses a newer one and fills in what an older one has not."""
 
 _VERSION_KEY = b'imu_calib.catalogue'
@@ -49,11 +49,11 @@ def schema() -> pa.Schema:
     def column(name: str, kind: pa.DataType, unit: str = '') -> pa.Field:
         return pa.field(name, kind, metadata={_UNIT_KEY: unit.encode()} if unit else None)
 
-    texts = ('key', 'recording', 'sha256', 'status', 'error', 'serial', 'imu', 'table', 'plan')
+    texts = ('key', 'recording', 'sha256', 'status', 'error', 'serial', 'imu', 'topic', 'table')
+    labels = ('plan', 'method', 'site', 'stand', 'operator', 'lot', 'version')
     units = [parameter.unit.si for parameter in PARAMETERS]
     columns = [
-        *(column(name, text) for name in texts),
-        *(column(name, text) for name in ('method', 'site', 'stand', 'operator', 'lot', 'version')),
+        *(column(name, text) for name in (*texts, *labels)),
         column('exit_code', pa.int32()),
         column('date', when),
         column('at', when),

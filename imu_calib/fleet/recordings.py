@@ -21,6 +21,9 @@ _STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.mcap.zst', '.db3.zst')
 _METADATA = 'metadata.yaml'
 _MANIFESTS = ('.csv', '.yaml', '.yml')
 _RECORDING = 'recording'
+_IMUS = 'imus'
+OF_ONE = ('imu', 'serial', 'imu_topic')
+"""What is stated of one unit, and of each of several by their file."""
 _FLAGS = {'yes': True, 'true': True, '1': True, 'no': False, 'false': False, '0': False}
 
 NUMBERS = frozenset(
@@ -57,29 +60,33 @@ class Job:
         recording: Path of a rosbag2 folder or storage file, or a URL of one.
         stated: As `calibrate` takes it.
         labels: For the catalogue.
+        imus: File of several units on one table; empty where one is stated, or the recording says.
 
     """
 
     recording: str
     stated: Stated = field(default_factory=Stated)
     labels: Labels = field(default_factory=Labels)
+    imus: str = ''
 
 
 COLUMNS = (
     _RECORDING,
+    _IMUS,
     *(one.name for one in fields(Stated)),
     *(one.name for one in fields(Labels)),
 )
 """Of a manifest."""
 
 
-def find_jobs(sources: Iterable[str | Path], stated: Stated) -> list[Job]:
+def find_jobs(sources: Iterable[str | Path], stated: Stated, imus: str = '') -> list[Job]:
     """Return the recordings that sources name, each once, in the order of the sources.
 
     Args:
         sources: Recordings, folders that hold some (however deep), patterns (*, ?, **), manifests
             (.csv, .yaml), here or as URLs (s3://...).
         stated: Holds for each, where its manifest does not say otherwise.
+        imus: File of the units of each, as well.
 
     Raises:
         InputError: A source is not there, cannot be reached or holds none, or a manifest is broken.
@@ -87,26 +94,26 @@ def find_jobs(sources: Iterable[str | Path], stated: Stated) -> list[Job]:
     """
     jobs: dict[Job, None] = {}
     for source in sources:
-        found = list(_jobs(str(source), stated))
+        found = list(_jobs(str(source), Job('', stated, imus=imus)))
         if not found:
             raise InputError(f'{source}: holds no recording (folders of rosbag2, .mcap, .db3).')
         jobs.update(dict.fromkeys(found))
     return list(jobs)
 
 
-def _jobs(source: str, stated: Stated) -> Iterator[Job]:
+def _jobs(source: str, usual: Job) -> Iterator[Job]:
     path = located(source)
     if path.is_dir():
         for recording in recordings_below(path):
-            yield Job(str(recording), stated)
+            yield replace(usual, recording=str(recording))
     elif path.suffix.lower() in _MANIFESTS and path.name != _METADATA:
-        yield from read_manifest(path, stated)
+        yield from read_manifest(path, usual.stated, usual.imus)
     elif path.exists():
-        yield Job(str(path), stated)
+        yield replace(usual, recording=str(path))
     elif glob.has_magic(source):
         for one in _matching(path):
             if one.is_dir() or one.name.endswith(_STORAGE):
-                yield from _jobs(str(one), stated)
+                yield from _jobs(str(one), usual)
     else:
         raise InputError(
             f'{source}: no such file; expected a recording, a folder of some, a pattern, a '
@@ -155,12 +162,13 @@ def _among(files: Iterable[RemotePath]) -> Iterator[str]:
             yield from (f'{folder}/{name}' for name in held if name != _METADATA)
 
 
-def read_manifest(path: AnyPath, stated: Stated) -> Iterator[Job]:
+def read_manifest(path: AnyPath, stated: Stated, imus: str = '') -> Iterator[Job]:
     """Yield what a manifest lists: a table with the columns `COLUMNS`, of which one is needed.
 
     Args:
         path: CSV with a line of names, or YAML with a list of mappings.
         stated: Holds where a row says nothing.
+        imus: File of several units: holds where a row states neither one nor several.
 
     Raises:
         InputError: No table, an unknown column, or a value that is none; names row and column.
@@ -173,7 +181,7 @@ def read_manifest(path: AnyPath, stated: Stated) -> Iterator[Job]:
         if not is_url(recording):
             recording = _beside(path, recording)
         given = {name: value for name, value in row.items() if value not in ('', None)}
-        yield _job(recording, given, stated, path, where)
+        yield _job(recording, given, Job('', stated, imus=imus), path, where)
 
 
 def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
@@ -205,11 +213,26 @@ def _rows(path: AnyPath) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _job(
-    recording: str, given: Mapping[str, Any], stated: Stated, manifest: AnyPath, where: str
+    recording: str, given: Mapping[str, Any], usual: Job, manifest: AnyPath, where: str
 ) -> Job:
+    stated, imus = usual.stated, usual.imus
+    one = [name for name in OF_ONE if name in given]
+    if _IMUS in given:
+        if one:
+            raise InputError(
+                f'{where}: found {one[0]} and {_IMUS}, which states it for each unit: expected one '
+                'of them.'
+            )
+        # The row counts before the options, which are of one unit.
+        imus = _named(str(given[_IMUS]), manifest, _IMUS)
+        stated = replace(stated, imu=None, serial=None, imu_topic=None)
+    elif one:
+        imus = ''
     values: dict[str, Any] = {}
     labels: dict[str, Any] = {}
     for name, value in given.items():
+        if name == _IMUS:
+            continue
         if name == 'date':
             labels[name] = _date(value, where)
         elif name in Labels.__dataclass_fields__:
@@ -220,7 +243,7 @@ def _job(
             values[name] = _flag(value, f'{where}: {name}')
         else:
             values[name] = _named(str(value), manifest, name)
-    return Job(recording, replace(stated, **values), Labels(**labels))
+    return Job(recording, replace(stated, **values), Labels(**labels), imus)
 
 
 def _beside(manifest: AnyPath, name: str) -> str:
@@ -233,7 +256,7 @@ def _beside(manifest: AnyPath, name: str) -> str:
 
 def _named(text: str, manifest: AnyPath, column: str) -> str:
     """Return the name of a shipped file, or the path of one beside the manifest."""
-    if column not in {'imu', 'table', 'plan'} or isinstance(manifest, RemotePath):
+    if column not in {'imu', 'table', 'plan', _IMUS} or isinstance(manifest, RemotePath):
         return text
     beside = manifest.parent / text
     return str(beside) if beside.is_file() else text

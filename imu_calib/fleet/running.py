@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, TypeAlias
 from ..api.progress import Progress, silent
 from ..api.stated import Stated
 from ..engine import MEMORY, Engine, WorkerDied, outcomes
+from ..errors import InputError
+from ..mounted import load_units
 from .catalogue import Catalogue
-from .recordings import Job, find_jobs
+from .recordings import OF_ONE, Job, find_jobs
 from .task import CALIBRATED, Done, lost, run
 
 if TYPE_CHECKING:
@@ -34,9 +36,9 @@ class Batch:
     Attributes:
         catalogue: Its folder.
         recordings: That the sources name.
-        calibrated: Recordings that gave a calibration.
-        failed: Recordings that gave none, with the reason in their row.
-        known: Recordings that the catalogue had already.
+        calibrated: Units that were calibrated: one of a recording, or each of several.
+        failed: Units without a calibration, with the reason in their row.
+        known: Units that the catalogue had already.
         seconds: That it took.
 
     """
@@ -55,6 +57,7 @@ def batch(
     *,
     plan: str | Path | None = None,
     imu: str | Path | None = None,
+    imus: str | Path | None = None,
     table: str | Path | None = None,
     azimuth: float | None = None,
     latitude: float | None = None,
@@ -90,6 +93,8 @@ def batch(
         plan: As of `calibrate`, and so on to `imu_only`: what holds for every recording whose
             manifest does not say otherwise; files by name or path.
         imu: See plan.
+        imus: File of several units on one table (docs/files/units.md), of every recording whose
+            manifest states neither one nor several.
         table: See plan.
         azimuth: See plan, deg.
         latitude: See plan, deg.
@@ -140,10 +145,28 @@ def batch(
         serial=serial,
     )
     listed = [sources] if isinstance(sources, str | Path) else list(sources)
-    jobs = find_jobs(listed, stated)
+    jobs = find_jobs(listed, stated, _units_file(imus, stated))
     kept = Catalogue(catalogue, create=True)
     engine = Engine(scheduler, workers, memory)
     return run_batch(jobs, kept, engine, retry=retry, progress=progress, connected=connected)
+
+
+def _units_file(imus: str | Path | None, stated: Stated) -> str:
+    """Return the file of several units; empty without one.
+
+    Raises:
+        InputError: It is broken, or the same is stated for one unit.
+
+    """
+    if imus is None:
+        return ''
+    for name in OF_ONE:
+        if (found := getattr(stated, name)) is not None:
+            raise InputError(
+                f'{name}: found {found}, but {imus} (imus) states it for each unit: leave it out.'
+            )
+    load_units(imus)
+    return str(imus)
 
 
 def run_batch(
@@ -182,12 +205,13 @@ def run_batch(
         saved = time.monotonic()
         known = catalogue.keys(failed=not retry)
         try:
-            for k, done in enumerate(_each(client, jobs, known, task), 1):
-                if done.row is None:
-                    count['known'] += 1
-                else:
-                    count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
-                    unsaved.append(done)
+            for k, ended in enumerate(_each(client, jobs, known, task), 1):
+                for done in ended:
+                    if done.row is None:
+                        count['known'] += 1
+                    else:
+                        count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
+                        unsaved.append(done)
                 now = time.monotonic()
                 if now - saved > max(_FLUSH, min(_FLUSH_SHARE * (now - begun), _LATEST_FLUSH)):
                     catalogue.add(unsaved, replace=retry)
@@ -201,11 +225,13 @@ def run_batch(
     return Batch(catalogue.folder, len(jobs), **count, seconds=time.monotonic() - begun)
 
 
-def _each(client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task) -> Iterator[Done]:
-    """Yield what each job ends with, in the order in which they end."""
+def _each(
+    client: Client, jobs: Sequence[Job], known: frozenset[str], task: Task
+) -> Iterator[list[Done]]:
+    """Yield what each job ends with, unit by unit, in the order in which they end."""
     seen: set[str] = set()
     for number, outcome in outcomes(client, task, jobs, known):
         done = lost(jobs[number]) if isinstance(outcome, WorkerDied) else outcome
         # The same recording under two names is one row.
-        yield Done(done.key) if done.key in seen else done
-        seen.add(done.key)
+        yield [Done(one.key) if one.key in seen else one for one in done.every]
+        seen.update(one.key for one in done.every)

@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timezone
+from pathlib import Path
 from typing import Any
 
 from ..api.calibrating import solve
-from ..api.opening import open_session
-from ..api.stated import NO_PLAN
-from ..bags import AnyPath, located
+from ..api.calibrating_units import serials_in, units_of_recording
+from ..api.opening import recording_at, session_of
+from ..api.stated import NO_PLAN, units_of
+from ..bags import AnyPath, Recording, located
 from ..bags.files import find_files
 from ..bags.recording import content_hash
 from ..bags.storage import Losses
 from ..calibrator import Result
 from ..errors import ImuCalibError, InputError
+from ..imu import load_imu
 from ..model import PARAMETER_NAMES, PARAMETERS, indices_of
+from ..mounted import MountedUnit, load_units
 from ..reports.assessment import assess
 from ..share import named_file
 from ..specification import Specification, Verdict
 from ..version import version
-from .recordings import Job
+from .recordings import OF_ONE, Job
 
 CALIBRATED = 'calibrated'
 FAILED = 'failed'
@@ -43,12 +49,19 @@ class Done:
         key: What the task is known by.
         row: For the catalogue; None where the catalogue has it.
         calibration: Text of calibration.yaml; empty without one.
+        others: What it ends with for the other units of the recording.
 
     """
 
     key: str
     row: dict[str, Any] | None = None
     calibration: str = ''
+    others: tuple[Done, ...] = ()
+
+    @property
+    def every(self) -> tuple[Done, ...]:
+        """Return what it ends with for each unit."""
+        return (self, *self.others)
 
 
 def key_of(job: Job, path: AnyPath) -> tuple[str, str]:
@@ -68,8 +81,35 @@ def key_of(job: Job, path: AnyPath) -> tuple[str, str]:
         if stated[name] not in (None, NO_PLAN):
             stated[name] = named_file(folder, stated[name]).read_text(encoding='utf-8')
     whole = [recording, stated, asdict(job.labels), version()]
+    if job.imus:
+        whole.append(_texts_of(job.imus))
     text = json.dumps(whole, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:32], recording
+
+
+def key_of_unit(key: str, serial_number: str) -> str:
+    """Return what one of several units is known by: what they share is from all of them."""
+    return hashlib.sha256(f'{key} {serial_number}'.encode()).hexdigest()[:32]
+
+
+def _texts_of(imus: str) -> list[str]:
+    """Return the file of several units, and those of their types.
+
+    Raises:
+        InputError: The first is broken. A type that cannot be read is a matter of its units.
+
+    """
+    units = load_units(imus)
+    own = Path(imus).expanduser().read_text(encoding='utf-8')
+    return [own, *(_text_of_type(unit) for unit in units)]
+
+
+def _text_of_type(unit: MountedUnit) -> str:
+    """Return the file of a unit's type; empty where it cannot be read."""
+    try:
+        return named_file('imus', unit.imu).read_text(encoding='utf-8')
+    except (InputError, OSError):
+        return ''
 
 
 def content_of(path: AnyPath) -> str:
@@ -100,14 +140,16 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
         key, sha256 = key_of(job, path)
         if key in known:
             return Done(key)
-        opened = open_session(path, job.stated, sha256)
-        with opened.recording as recording:
+        with recording_at(path, sha256) as recording:
+            if _is_of_several(job, recording):
+                return _several(job, recording, key, known, begun)
+            opened = session_of(recording, job.stated)
             start = recording.start_ns
             result = solve(opened)
-        text = result.calibration.to_yaml()
         row = {**_common(job, key, sha256), **_calibrated(result), **_when(job, start)}
+        row['topic'] = opened.streams.imu
         row['seconds'] = time.process_time() - begun
-        return Done(key, row, text)
+        return Done(key, row, result.calibration.to_yaml())
     except ImuCalibError as error:
         sentence, code = str(error), error.exit_code
     except MemoryError:
@@ -116,9 +158,77 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
         # One recording ends nothing: what nobody foresaw is a row as well.
         sentence = f'Nobody foresaw this ({type(error).__name__}: {error}): please report it.'
         code = DEFECT
-    row = failed(job, key or unread_key(job), sha256, sentence, code)
-    row['seconds'] = time.process_time() - begun
-    return Done(str(row['key']), row)
+    return _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
+
+
+def _is_of_several(job: Job, recording: Recording) -> bool:
+    """Say whether a recording is of several units, and none of them was chosen."""
+    if job.imus:
+        return True
+    chosen = any(getattr(job.stated, name) is not None for name in OF_ONE)
+    return not chosen and bool(units_of(recording))
+
+
+def _several(job: Job, recording: Recording, key: str, known: frozenset[str], begun: float) -> Done:
+    """Calibrate all units of a recording, unless each is done; one that fails is a row too."""
+    imus = job.imus or None
+    keys = [key_of_unit(key, serial) for serial in serials_in(recording, imus)]
+    if known.issuperset(keys):
+        return _as_one(Done(one) for one in keys)
+    found = units_of_recording(recording, imus, job.stated)
+    start, sha256 = recording.start_ns, recording.sha256()
+    # What is shared is done once: each takes its part of the time.
+    seconds = (time.process_time() - begun) / len(found.units)
+    ended = []
+    for own, unit in zip(keys, found.units, strict=True):
+        if own in known:
+            ended.append(Done(own))
+            continue
+        text = ''
+        if unit.result is None:
+            code = DEFECT if unit.error is None else unit.error.exit_code
+            row = failed(job, own, sha256, str(unit.error), code)
+            row |= {'serial': unit.serial_number, 'imu': unit.imu}
+        else:
+            row = {**_common(job, own, sha256), **_calibrated(unit.result)}
+            text = unit.result.calibration.to_yaml()
+        row |= {**_when(job, start), 'topic': unit.topic, 'seconds': seconds}
+        ended.append(Done(own, row, text))
+    return _as_one(ended)
+
+
+def _as_one(ended: Iterable[Done]) -> Done:
+    first, *others = ended
+    return replace(first, others=tuple(others))
+
+
+def _none_of(
+    job: Job, key: str, sha256: str, sentence: str, code: int, seconds: float = math.nan
+) -> Done:
+    """Return the row of a recording that gave nothing; of each unit where a file lists them."""
+    session = key or unread_key(job)
+    try:
+        units = load_units(job.imus) if job.imus else ()
+    except ImuCalibError:
+        units = ()
+    if not units:
+        row = failed(job, session, sha256, sentence, code) | {'seconds': seconds}
+        return Done(session, row)
+    ended = []
+    for unit in units:
+        own = key_of_unit(session, unit.serial_number)
+        row = failed(job, own, sha256, sentence, code) | {'seconds': seconds / len(units)}
+        row |= {'serial': unit.serial_number, 'imu': _type_of(unit), 'topic': unit.topic}
+        ended.append(Done(own, row))
+    return _as_one(ended)
+
+
+def _type_of(unit: MountedUnit) -> str:
+    """Return a unit's type; as it is stated where its file cannot be read."""
+    try:
+        return load_imu(unit.imu).id
+    except ImuCalibError:
+        return unit.imu
 
 
 def failed(job: Job, key: str, sha256: str, sentence: str, code: int) -> dict[str, Any]:
@@ -132,12 +242,12 @@ def lost(job: Job) -> Done:
     try:
         key, sha256 = key_of(job, located(job.recording))
     except ImuCalibError:
-        key, sha256 = unread_key(job), ''
+        key, sha256 = '', ''
     sentence = (
         'The worker died of this recording, and so did another: its memory did not do, or the '
         'recording crashes the reader. Run it alone with imu-calib calibrate.'
     )
-    return Done(key, failed(job, key, sha256, sentence, LOST))
+    return _none_of(job, key, sha256, sentence, LOST)
 
 
 def unread_key(job: Job) -> str:
@@ -165,6 +275,7 @@ def _common(job: Job, key: str, sha256: str) -> dict[str, Any]:
         'exit_code': 0,
         'serial': stated.serial or '',
         'imu': '' if stated.imu is None else str(stated.imu),
+        'topic': stated.imu_topic or '',
         'table': '' if stated.table is None else str(stated.table),
         'plan': '' if stated.plan is None else str(stated.plan),
         'method': stated.method or '',
