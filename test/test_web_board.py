@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from browser import needs_chromium, opened, overlaps, width
 from rich.console import Console
 
 from imu_calib.calibrator import Setup
@@ -29,6 +30,7 @@ from imu_calib.web.board import Board, Outcome
 from imu_calib.web.expectation import expectation
 from imu_calib.web.samples import Dwells
 from imu_calib.web.shape import table_shape
+from imu_calib.web.style import STYLE
 from imu_calib.web.words import headline, time_left
 
 FOG = load_imu('fog_medium')
@@ -397,3 +399,23 @@ def test_the_terminal_shows_deviations_predictions_limits_and_the_time_left(expe
         assert row[3:5] == ['±3000', 'ppm']
         assert float(row[2]) == pytest.approx(1e6 * expected.predicted[0], rel=0.01)
         assert ('K_ax' in row) == (width == 100)
+
+
+@needs_chromium
+def test_verdicts_are_seen_on_a_phone(expected, tmp_path):
+    """390 px: every column stands within its card, and none on another."""
+    board = Board(expected)
+    board.take_progress(progress(1010.0, 4.321e-6), 0.0)
+    board.take_calibration(calibration('PROVISIONAL', K_gx=0.004))
+    table = f'<div class="stand"><div class="card">{drawing.parameters(board.snapshot(0.0))}</div>'
+    page = tmp_path / 'page.html'
+    meta = '<!doctype html><meta charset="utf-8">'
+    page.write_text(f'{meta}<style>{STYLE} body {{ margin: 0 }}</style>{table}</div>', 'utf-8')
+    with opened(page, 390) as shown:
+        badges = shown.locator('.badge')
+        assert badges.count() == 24
+        for box in (badge.bounding_box() for badge in badges.all()):
+            assert box is not None, 'a verdict is hidden'
+            assert box['x'] + box['width'] <= 390 - 8
+        assert width(shown) <= 390
+        assert overlaps(shown) == []

@@ -239,7 +239,9 @@ def _column(k: int) -> str:
 
 
 def _row(row: Converging, begin: float, end: float) -> str:
-    limit = '' if row.limit is None else f'\u00b1{row.shown(row.limit)}'
+    limit = ''
+    if row.limit is not None:
+        limit = tag('span', f'\u00b1{row.shown(row.limit)}', class_='amount')
     verdict = row.verdict
     if verdict is not None:
         limit += tag('span', verdict.value, class_=f'badge {verdict.value}')

@@ -125,7 +125,9 @@ details[open] > .title { margin-bottom: 8px; }
   .card, .banner { padding: 10px 12px; }
   .stand h2 { font-size: 20px; }
   .parameters { font-size: 13px; }
-  .parameters .limit, .parameters .value { display: none; }
+  /* The verdict stays; the limit itself is in the report. */
+  .parameters .amount { display: none; }
+  .parameters .badge { margin-left: 0; padding: 0 3px; font-size: 11px; }
   .units thead { display: none; }
   .units tr { display: grid; grid-template-columns: repeat(3, auto); justify-content: start;
     column-gap: 14px; border-bottom: 1px solid var(--line); padding: 4px 0; }
@@ -142,8 +144,12 @@ details[open] > .title { margin-bottom: 8px; }
   .report iframe { display: none; }
 }
 @media (max-width: 480px) {
-  .parameters .course { width: 62px; }
-  svg.course { width: 58px; height: 24px; }
-  .parameters td, .parameters th { padding-left: 2px; padding-right: 2px; }
+  .parameters { font-size: 12px; }
+  .parameters .course { width: 44px; }
+  svg.course { width: 42px; height: 24px; }
+  .parameters td, .parameters th { padding-left: 1px; padding-right: 1px; }
+  .parameters .unit { padding-left: 4px; }
+  .parameters td.course { padding-left: 1px; padding-right: 1px; }
+  .parameters .badge { font-size: 10px; padding: 0 2px; }
 }
 """
