@@ -216,7 +216,8 @@ def test_each_thing_that_is_asked_for_is_missed(
 ) -> None:
     document = removed(yaml.safe_load(EXAMPLE.read_text()), path)
     name = ''.join(f'[{p}]' if isinstance(p, int) else f': {p}' for p in path)[2:]
-    with pytest.raises(InputError, match=r'my\.yaml: 1 of the things .*' + re.escape(name)):
+    said = r'my\.yaml: 1 of the things that a certificate needs is missing: .*'
+    with pytest.raises(InputError, match=said + re.escape(name)):
         certificate_of(
             calibration,
             read_fields(Section(document, 'my.yaml')),

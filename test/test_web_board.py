@@ -387,9 +387,9 @@ def test_the_terminal_shows_deviations_predictions_limits_and_the_time_left(expe
     board.take_state(state(100.0), 0.0)
     board.take_progress(progress(90.0, math.nan), 0.0)
     board.take_progress(progress(100.0, 4e-6), 0.0)
-    for width in (100, 60):
-        console = Console(width=width, record=True, file=io.StringIO())
-        console.print(view(board.snapshot(0.0), NOON, width))
+    for columns in (100, 60):
+        console = Console(width=columns, record=True, file=io.StringIO())
+        console.print(view(board.snapshot(0.0), NOON, columns))
         text = console.export_text()
         assert 'step 4 of 28' in text
         assert '10 min 0 s left' in text
@@ -398,7 +398,7 @@ def test_the_terminal_shows_deviations_predictions_limits_and_the_time_left(expe
         assert row[:2] == ['K_gx', '4']
         assert row[3:5] == ['±3000', 'ppm']
         assert float(row[2]) == pytest.approx(1e6 * expected.predicted[0], rel=0.01)
-        assert ('K_ax' in row) == (width == 100)
+        assert ('K_ax' in row) == (columns == 100)
 
 
 @needs_chromium
