@@ -23,6 +23,7 @@ GENERATORS = np.array(
     ]
 )
 """Derivatives of rotations about x, y and z at none."""
+_IDENTITY = np.eye(3)
 
 
 def cross_matrix(vector: Floats) -> Floats:
@@ -45,7 +46,7 @@ def rotation(axis: Floats, angle: Floats | float) -> Floats:
     cross = cross_matrix(axis)
     sine = np.sin(angle)[..., None, None]
     versine = (1 - np.cos(angle))[..., None, None]
-    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+    return np.asarray(_IDENTITY + sine * cross + versine * (cross @ cross))
 
 
 def in_rotated_frame(rows: Floats, axis: Floats, angle: Floats) -> Floats:

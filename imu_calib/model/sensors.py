@@ -23,6 +23,8 @@ from .parameters import (
 )
 from .terms import G_SENSITIVITIES, G_SENSITIVITY, TERMS, Term, term
 
+_IDENTITY = np.eye(3)
+_OFF_DIAGONAL = ~np.eye(3, dtype=bool)
 _BASE = len(PARAMETERS)
 _G = slice(_BASE, _BASE + len(G_SENSITIVITIES))
 _UNSKEWED = (*PARAMETERS, *(p for one in TERMS for p in one.parameters))
@@ -126,18 +128,18 @@ class Triad:
     @property
     def response(self) -> Floats:
         """I + M, (3, 3)."""
-        return np.eye(3) + self.error_matrix
+        return _IDENTITY + self.error_matrix
 
     def vector(self) -> Floats:
         """Return the 12 parameters in the order of `PARAMETERS`."""
-        off = self.error_matrix[~np.eye(3, dtype=bool)]
+        off = self.error_matrix[_OFF_DIAGONAL]
         return np.concatenate([np.diag(self.error_matrix), off, self.bias])
 
     @classmethod
     def from_vector(cls, vector: Floats) -> Triad:
         """Build a triad from 12 parameters in the order of `PARAMETERS`."""
         matrix = np.zeros((3, 3))
-        matrix[~np.eye(3, dtype=bool)] = vector[3:9]
+        matrix[_OFF_DIAGONAL] = vector[3:9]
         matrix[np.diag_indices(3)] = vector[:3]
         return cls(matrix, np.array(vector[9:12], dtype=float))
 

@@ -22,6 +22,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..budget import Share, Source
+from ..directions import cross
 from ..earth import Site
 from ..model import PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..model.session_terms import Change
@@ -623,7 +624,7 @@ class Equations:
             np.vstack([force, mean_over_turn(felt)]),
         )
         about = np.swapaxes(np.concatenate([at_rest, turned]), 1, 2)
-        moved = [np.swapaxes(np.cross(v[:, None], about), 1, 2) for v in (rates, forces)]
+        moved = [np.swapaxes(cross(v[:, None], about), 1, 2) for v in (rates, forces)]
         changed = model.slopes(rates, forces) @ np.concatenate(moved, axis=1)
         led = self.evidence.links.by_attitudes(model, at_rest)
         return self.layout.joined(changed[:s], changed[s:], led)

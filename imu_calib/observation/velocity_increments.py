@@ -21,6 +21,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from ..directions import cross
 from ..model import PARAMETERS, Parameter, SensorModel, term
 from ..model.motion import delay, places
 from ..rotations import GENERATORS, rotations
@@ -86,7 +87,7 @@ class VelocityIncrement:
         outputs = velocity / seconds[:, None] - beside
         felt = np.einsum('ij,nj->ni', np.linalg.inv(model.accel.response), outputs)
         mean = np.einsum('ij,nj->ni', np.linalg.inv(model.gyro.response), means)
-        half_way = felt + np.cross(mean, felt + np.cross(mean, felt) / 2)
+        half_way = felt + cross(mean, felt + cross(mean, felt) / 2)
         steps = np.einsum('nij,nj->ni', axes, half_way) * seconds[:, None]
         ends = np.cumsum([len(path.seconds) for path in paths])[:-1]
         parts = zip(paths, *(np.split(x, ends) for x in (beside, felt, steps)), strict=True)
@@ -188,7 +189,7 @@ class VelocityIncrement:
         They give f(t - s) for f(t), which is s times the sum of C (w x f) t over a move from rest
         to rest; this is minus that.
         """
-        crossed = np.cross(self.path.rates, self.felt) * self.path.seconds[:, None]
+        crossed = cross(self.path.rates, self.felt) * self.path.seconds[:, None]
         return -np.asarray(np.einsum('nij,nj->i', self.path.axes, crossed))
 
     @cached_property

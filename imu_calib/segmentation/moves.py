@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..directions import cross
 from ..stream import Floats
 from ..units import DEG
 from .segment import Segment
@@ -192,12 +193,12 @@ def joined(samples: Samples) -> _Steps:
     total = np.cumsum(angle, axis=0) - angle
     so_far = total - np.repeat(total[first], counts, axis=0)
     before = np.vstack([np.zeros(3), angle[:-1]])
-    turned = np.add.reduceat(angle + np.cross(so_far / 2 + before / 12, angle), first)
+    turned = np.add.reduceat(angle + cross(so_far / 2 + before / 12, angle), first)
     half_way = so_far + angle / 2
     mean = np.add.reduceat(half_way, first) / counts[:, None]
     beyond = half_way - np.repeat(mean, counts, axis=0)
     gained = _half_way(angle, samples.increments[:, 3:])
-    gained = gained + np.cross(beyond, gained + np.cross(beyond, gained) / 2)
+    gained = gained + cross(beyond, gained + cross(beyond, gained) / 2)
     pulse = np.where(samples.pulse > 0, samples.pulse, samples.carried)
     return _Steps(
         turned,
@@ -224,7 +225,7 @@ def _half_way(angle: Floats, velocity: Floats) -> Floats:
         np.vstack([part[1:], part[-1:]]) - np.vstack([part[:1], part[:-1]])
         for part in (angle, velocity)
     )
-    third = np.cross(angle, steeper + np.cross(angle, velocity)) - np.cross(bent, velocity)
+    third = cross(angle, steeper + cross(angle, velocity)) - cross(bent, velocity)
     return np.asarray(velocity + third / 24)
 
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..directions import cross
 from ..earth import Site
 from ..rotations import all_in_rotated_frame, in_rotated_frame
 from ..stream import Floats
@@ -247,13 +248,13 @@ class Motion:
             earth, up, spin, spin_up = all_in_rotated_frame([earth, up, spin, spin_up], axis, angle)
             if rates is not None and accelerations is not None and moves:
                 own = rates[k][:, None] * axis
-                spin_up = spin_up + np.cross(spin, own) + accelerations[k][:, None] * axis
+                spin_up = spin_up + cross(spin, own) + accelerations[k][:, None] * axis
                 spin = spin + own
         earth, up, spin, spin_up = (v @ self.mount for v in (earth, up, spin, spin_up))
         if rates is not None and lever.any():
             # The Coriolis term of the Earth is 1.5 micro-g at 0.1 m and 60 deg/s.
-            sweep = np.cross(spin, lever)
-            up = up + np.cross(spin_up, lever) + np.cross(spin + 2 * earth, sweep)
+            sweep = cross(spin, lever)
+            up = up + cross(spin_up, lever) + cross(spin + 2 * earth, sweep)
         shape = (angles.shape[1], 3)
         return np.broadcast_to(earth + spin, shape), np.broadcast_to(up, shape)
 
