@@ -1,6 +1,7 @@
-"""Which parts of ROS 2 are here: a test asks for those that it needs; its skip names what lacks."""
+"""What is installed: a test asks for those parts that it needs; its skip names what lacks."""
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -27,3 +28,13 @@ def needs(*packages, verbs=()):
     """Return a mark that skips a test where ROS lacks something, by name."""
     why = 'ROS 2 Jazzy is not here' if not ROS.is_file() else missing(*packages, verbs=verbs)
     return pytest.mark.skipif(bool(why), reason=why)
+
+
+def needs_modules(*names):
+    """Skip a file where a module is missing, and load none.
+
+    Every worker collects every file; one alone runs it, and loads what it needs.
+    """
+    for name in names:
+        if find_spec(name) is None:
+            pytest.skip(f'{name} is not installed', allow_module_level=True)

@@ -10,7 +10,6 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from loopback import CHECKOUT
 
@@ -155,6 +154,8 @@ def test_read_gives_columns_with_stamps_and_units(folder: Path) -> None:
 
 
 def test_columns_are_data_frames_too(folder: Path) -> None:
+    import pandas as pd
+
     frame = imu_calib.read(folder / 'bag', '/imu/pulses').to_dataframe()
     assert isinstance(frame.index, pd.DatetimeIndex)
     assert frame.index[0].value == imu_calib.read(folder / 'bag', '/imu/pulses').stamp[0]

@@ -14,10 +14,10 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from buckets import put, served
 from dask_cluster import Cluster
+from installed import needs_modules
 from loopback import until
 
 import imu_calib
@@ -30,9 +30,7 @@ from imu_calib.fleet.recordings import Job, Labels, find_jobs, read_manifest
 from imu_calib.fleet.running import run_batch
 from imu_calib.fleet.task import DEFECT, LOST, Done, failed, key_of, run
 
-pa = pytest.importorskip('pyarrow')
-duckdb = pytest.importorskip('duckdb')
-pytest.importorskip('distributed')
+needs_modules('pyarrow', 'duckdb', 'distributed')
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=timezone.utc)
 
@@ -190,6 +188,8 @@ def test_what_is_done_is_not_done_again(
 def test_catalogue_lists_filters_and_exports(
     done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    import pandas as pd
+
     assert main(['catalogue', str(done)]) == 0
     out = capsys.readouterr().out
     assert '3 rows' in out and 'S2' in out
@@ -211,11 +211,15 @@ def test_catalogue_lists_filters_and_exports(
 
 
 def test_others_read_it(done: Path) -> None:
+    import duckdb
+    import pandas as pd
+    import pyarrow.parquet as pq
+
     files = done / 'rows'
     frame = pd.read_parquet(files)
     assert len(frame) == 3
     assert duckdb.sql(f"select count(*) from '{files}/*.parquet'").fetchall() == [(3,)]
-    assert pa.parquet.read_schema(next(files.iterdir())).field('K_gx').metadata
+    assert pq.read_schema(next(files.iterdir())).field('K_gx').metadata
 
 
 def test_no_row_is_there_twice(tmp_path: Path) -> None:
@@ -271,16 +275,18 @@ def test_a_full_disk_loses_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
     kept = Catalogue(tmp_path / 'c', create=True)
     kept.add([a_row(1)])
     part = tmp_path / 'c' / 'rows' / 'part-000000.parquet'
-    table = pa.parquet.read_table(part)
-    pa.parquet.write_table(table.drop_columns(['operator', 'lot', 'topic', 'K_gx']), part)
+    table = pq.read_table(part)
+    pq.write_table(table.drop_columns(['operator', 'lot', 'topic', 'K_gx']), part)
     assert kept.add([a_row(2, operator='me')]) == 1
     assert [row['operator'] for row in rows(tmp_path / 'c')] == [None, 'me']
     assert Catalogue(tmp_path / 'c').table().schema == schema()
     newer = table.replace_schema_metadata({b'imu_calib.catalogue': b'4'})
-    pa.parquet.write_table(newer, part)
+    pq.write_table(newer, part)
     with pytest.raises(InputError, match=r'found version 4 .* expected 3 or older'):
         Catalogue(tmp_path / 'c').table()
     part.write_bytes(b'PAR1 no more')

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from histories import index, of, sessions
+from installed import needs_modules
 from jsonschema import Draft202012Validator
 
 import imu_calib
@@ -24,8 +25,7 @@ from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETER_NAMES, PARAMETERS
 from imu_calib.share import named_file
 
-pytest.importorskip('pyarrow')
-pytest.importorskip('duckdb')
+needs_modules('pyarrow', 'duckdb')
 
 SPECIFICATION = load_imu('fog_navigation').specification
 SCHEMAS = Path(__file__).parents[1] / 'config' / 'schemas'

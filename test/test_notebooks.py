@@ -10,9 +10,10 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from installed import needs_modules
 from loopback import CHECKOUT
 
-pytest.importorskip('nbclient')
+needs_modules('nbclient')
 
 FOLDER = Path(CHECKOUT, 'docs', 'notebooks')
 NAMES = sorted(path.stem for path in FOLDER.glob('*.ipynb'))

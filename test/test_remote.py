@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from bag_files import KINDS, assert_same, read, session, storage_file, timeline, write_with_rosbags
 from buckets import put, served
+from installed import needs_modules
 from rosbags.rosbag2 import StoragePlugin
 
 import imu_calib
@@ -24,7 +25,7 @@ from imu_calib.bags import located, open_recording, remote
 from imu_calib.cli.main import main
 from imu_calib.fleet.recordings import Job, find_jobs
 
-s3fs = pytest.importorskip('s3fs')
+needs_modules('s3fs')
 
 BRIEF = {'dwell: 120 s': 'dwell: 2 s', '[10 deg/s, -10 deg/s, 30 deg/s, -30 deg/s, ': '['}
 """Of the twelve positions: a session of two minutes."""
@@ -52,6 +53,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
 @pytest.fixture
 def fetched(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Bytes of each answer, as they come."""
+    import s3fs
+
     whole, sizes = s3fs.S3FileSystem._cat_file, []
 
     async def counted(files: object, path: str, *arguments: object, **keywords: object) -> bytes:
@@ -186,6 +189,8 @@ def test_a_file_without_a_summary_is_walked_over(lab: tuple[Path, str], tmp_path
 
 def failing(monkeypatch: pytest.MonkeyPatch, times: int) -> list[int]:
     """Lose the connection in the middle of a recording, some times."""
+    import s3fs
+
     whole, lost = s3fs.S3FileSystem._cat_file, []
 
     async def now_and_then(
@@ -234,6 +239,8 @@ def test_a_file_of_several_that_cannot_be_reached_is_no_loss(
 def test_what_is_not_there_gets_a_sentence(
     lab: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    import s3fs
+
     _, bucket = lab
     monkeypatch.setattr(remote, 'PAUSE', 0.0)
     for url in (f'{bucket}/none.mcap', 's3://no-such-bucket/rec'):

@@ -11,25 +11,27 @@ import urllib.request
 import processes
 import pytest
 from browser import chromium, contrasts
+from installed import needs_modules
 from loopback import CHECKOUT, environment, patience, until
 
+from imu_calib.cli import web_page
+from imu_calib.cli.processes import free_port
 from imu_calib.errors import ImuCalibError
 
-pytest.importorskip('nicegui')
+needs_modules('nicegui')
 try:
     from live import NODES, Stand, State, short_plan
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
-from imu_calib.cli import web_page
-from imu_calib.cli.processes import free_port
-
 MOVES = (State.MOVING, State.TURNING, State.DWELLING, State.SETTLING)
 PHASES = {'moving', 'turning', 'dwelling', 'settling'}
 BUTTONS = {'Unlock', 'Resume', 'Pause', 'Abort'}
 TOKEN = 'a-token-of-this-test'
-SPEED = 3.0
+SPEED = 5.0
 """Times real time: slow enough for a person, or a test, to press a button in a step."""
+CALM = 'window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 250)'
+"""Four pictures a second: without a graphics card sixty take both cores from what is tested."""
 
 
 class Viewer:
@@ -37,6 +39,7 @@ class Viewer:
 
     def __init__(self, browser, url, **options):
         self.context = browser.new_context(**options)
+        self.context.add_init_script(CALM)
         self.page = self.context.new_page()
         self.hosts, self.errors = set(), []
         self.page.on('request', lambda r: self.hosts.add(re.split('[/:]+', r.url)[1]))
