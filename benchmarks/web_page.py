@@ -78,7 +78,9 @@ def main(rate: float, viewers: int, plan: str, speed: float) -> int:
     for name, used in stand.Watched.used.items():
         before = f'{without[name]:.1f} s' if name in without else '-'
         print(f'{name:16} {before:>8} of processor time without the page, {used:.1f} s with it')
-    assert web_page.NODE in stand.Watched.used
+    if web_page.NODE not in stand.Watched.used:
+        print('No page was looked at: the session with it did not run.')
+        return 1
     return alone or looked_at or int(not all(seen))
 
 
