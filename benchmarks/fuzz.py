@@ -2,26 +2,30 @@
 
     python benchmarks/fuzz.py [--inputs 2000] [--seed 1] [--only frames ...]
 
-Targets: frames of devices, CDR on the wire, mcap and sqlite3 files, files of people (YAML). Each
-input is a sound one that is changed in a few places: bits, bytes, lengths, pieces left out,
-doubled, put in from elsewhere. The same seed makes the same inputs. Allowed is a result or an error
-of the suite's own. Not allowed is any other exception, more memory than ten times the input and
-what `FLOOR` says, or more than `LONGEST` seconds of the processor.
+Targets: frames of devices, CDR on the wire in bulk and message by message, mcap and sqlite3 files,
+metadata of recordings, files of people (YAML, CSV). Each input is a sound one that is changed in a
+few places: bits, bytes, lengths, pieces left out, doubled, put in from elsewhere. The same seed
+makes the same inputs. Allowed is a result or an error of the suite's own. Not allowed is any other
+exception, more memory than ten times the input and what `FLOOR` says (as Python and numpy take it;
+what libraries in C take by themselves is not seen), or more than `LONGEST` seconds of the
+processor, after which an input is broken off.
 
 Exit code 1: something that is not allowed happened; the input's number is printed, and
-`--from NUMBER --inputs 1` runs it alone.
+`--from NUMBER --inputs 1` runs it alone. `--keep FOLDER` writes such inputs there, and goes on.
 """
 
 from __future__ import annotations
 
 import argparse
 import random
+import signal
 import sys
 import tempfile
 import time
 import traceback
 import tracemalloc
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,6 +33,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from imu_calib.api.stated import Stated
 from imu_calib.bags import open_recording
 from imu_calib.cdr import (
     Kind,
@@ -42,12 +47,17 @@ from imu_calib.cdr import (
 from imu_calib.cdr import decode as cdr
 from imu_calib.compensation.thermal import read_calibration
 from imu_calib.config import Section
+from imu_calib.certificates.fields import read_fields
 from imu_calib.devices import Decoder, FrameFormat, load_format, read_format
 from imu_calib.errors import ImuCalibError
+from imu_calib.fleet.recordings import read_manifest
 from imu_calib.imu import read_imu
+from imu_calib.mounted import read_units
 from imu_calib.plan import read_plan
+from imu_calib.simulation import StandOptions
+from imu_calib.simulation.imperfections import read_imperfections
 from imu_calib.stream import ImuBlock, JointBlock, Mode, Setpoint, SetpointBlock, TemperatureBlock
-from imu_calib.turntable import read_table
+from imu_calib.turntable import load_table, read_table
 
 FLOOR = 8 << 20
 """Bytes that a target may take beside ten times its input: tables of checksums, a page cache."""
@@ -178,6 +188,28 @@ def _decode_message(kind: Kind, data: bytes) -> None:
         cdr.ImuDecoder().decode([data], Malformed())
 
 
+def _of_messages() -> Iterator[Target]:
+    # Only the runtime without ROS reads messages one by one itself.
+    from imu_calib.middleware.dds import codec, standard
+    from imu_calib.middleware.dds.messages import message_class
+
+    filled = {
+        'ImuCalibration': {'serial_number': 'A1', 'covariance': [1.0] * 300},
+        'CalibrationProgress': {'plan': 'p', 'text': 'words', 'repeat_steps': [1, 2]},
+        'JointState': {'name': ['outer', 'inner'], 'position': [1.0, 2.0]},
+    }
+    for short, name in standard.NAMES.items():
+        kind = message_class(name)
+        known = kind.get_fields_and_field_types()
+        given = {key: value for key, value in filled.get(short, {}).items() if key in known}
+        sound = [codec.serialize_message(kind()), codec.serialize_message(kind(**given))]
+        yield Target(f'message {short}', sound, partial(_read_one, codec.deserialize_message, kind))
+
+
+def _read_one(read: Callable[[bytes, object], object], kind: object, data: bytes) -> None:
+    read(data, kind)
+
+
 def _of_bags(folder: Path) -> Iterator[Target]:
     # Only who fuzzes bags needs rosbags, which writes them.
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -201,10 +233,24 @@ def _of_bags(folder: Path) -> Iterator[Target]:
         (file,) = (p for p in path.iterdir() if p.suffix in {'.mcap', '.db3'})
         target = folder / f'damaged{file.suffix}'
         yield Target(f'bag {name}', [file.read_bytes()], partial(_read_bag, target))
+        if name == 'mcap':
+            metadata = path / 'metadata.yaml'
+            yield Target(
+                'bag metadata', [metadata.read_bytes()], partial(_read_described, metadata)
+            )
+
+
+def _read_described(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    _read_all(path.parent)
 
 
 def _read_bag(path: Path, data: bytes) -> None:
     path.write_bytes(data)
+    _read_all(path)
+
+
+def _read_all(path: Path) -> None:
     with open_recording(path) as recording:
         kinds = {kind.type_name: kind for kind in Kind}
         topics = {t.name: kinds[t.type] for t in recording.topics if t.type in kinds}
@@ -214,8 +260,34 @@ def _read_bag(path: Path, data: bytes) -> None:
             pass
 
 
+def _of_manifests(folder: Path) -> Iterator[Target]:
+    rows = (
+        'recording,serial,plan,latitude,operator,date\n'
+        'a.mcap,A1,twelve_position,48.1,me,2026-01-02\nb,B2,,,,\n'
+    )
+    columns, *content = [line.split(',') for line in rows.splitlines()]
+    listed = [dict(zip(columns, row, strict=True)) for row in content]
+    for path, sound in (
+        (folder / 'manifest.csv', rows),
+        (folder / 'manifest.yaml', yaml.safe_dump(listed)),
+    ):
+        read = partial(_read_manifest, path)
+        yield Target(f'{path.suffix[1:]} manifest', [sound.encode()], read)
+
+
+def _read_manifest(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    list(read_manifest(path, Stated()))
+
+
 def _of_yaml() -> Iterator[Target]:
+    units = 'units: [{serial_number: A1, imu: fog_medium, topic: a/imu, mount: [y, -x, z]}, '
+    units += '{serial_number: B2, imu: fog_navigation, topic: b/imu, place: left}]'
+    yield Target('yaml units', [_without_comments(units)], partial(_read_yaml, read_units))
+    table, options = load_table('three_axis'), StandOptions()
     readers = {
+        'certificates': read_fields,
+        'imperfections': lambda part: read_imperfections(part, options, table, 1),
         'devices': read_format,
         'imus': read_imu,
         'plans': read_plan,
@@ -240,13 +312,36 @@ def _read_yaml(read: Callable[[Section], object], data: bytes) -> None:
 # --- running -------------------------------------------------------------------------------------
 
 
-def trouble(target: Target, data: bytes, *, measured: bool = True) -> str:
+class TooLongError(BaseException):
+    """An input took too long; nothing that catches exceptions catches this one."""
+
+
+@contextmanager
+def _limited(seconds: float) -> Iterator[None]:
+    """Break off what takes the processor longer, as soon as Python is reached again."""
+
+    def over(*_: object) -> None:
+        raise TooLongError
+
+    before = signal.signal(signal.SIGVTALRM, over)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, before)
+
+
+def trouble(target: Target, data: bytes, *, measured: bool = True, longest: float = LONGEST) -> str:
     """Feed one input; return what is wrong with how it ended, nothing where all is well."""
     if measured:
         tracemalloc.start()
     start = time.process_time()
     try:
-        target.feed(data)
+        with _limited(longest):
+            target.feed(data)
+    except TooLongError:
+        return f'broken off after {longest:g} s: an input of {len(data)} bytes\n'
     except ImuCalibError:
         pass
     except Exception:
@@ -257,7 +352,7 @@ def trouble(target: Target, data: bytes, *, measured: bool = True) -> str:
     taken = time.process_time() - start
     if peak > 10 * len(data) + FLOOR:
         return f'{peak} bytes for an input of {len(data)}\n'
-    return f'{taken:.1f} s for an input of {len(data)} bytes\n' if taken > LONGEST else ''
+    return f'{taken:.1f} s for an input of {len(data)} bytes\n' if taken > longest else ''
 
 
 def run(
@@ -267,28 +362,36 @@ def run(
     count: int,
     longest: float = float('inf'),
     every: int = 1,
+    keep: Path | None = None,
 ) -> int:
     """Feed a target its inputs; return how many there were, below zero where one went wrong.
 
-    The memory of one in `every` inputs is measured, which takes several times as long.
+    The memory of one in `every` inputs is measured, which takes several times as long. It ends with
+    the first that goes wrong, or writes all of those into the folder `keep`.
     """
+    wrong = 0
     deadline = time.monotonic() + longest
     for number in range(first, first + count):
         if time.monotonic() > deadline:
-            return number - first
+            return -wrong or number - first
         rng = random.Random(f'{seed} {target.name} {number}')
         data = mutated(rng.choice(target.sound), rng)
         if found := trouble(target, data, measured=number % every == 0):
             print(f'{target.name}: input {number} of seed {seed}:\n{found}')
-            return -1
-    return count
+            wrong += 1
+            if keep is None:
+                break
+            (keep / f'{target.name} {seed} {number}'.replace(' ', '_')).write_bytes(data)
+    return -wrong or count
 
 
 def targets(folder: Path) -> Iterator[Target]:
     """Yield all targets; recordings are written to a folder."""
     yield from _of_frames()
     yield from _of_wire()
+    yield from _of_messages()
     yield from _of_bags(folder)
+    yield from _of_manifests(folder)
     yield from _of_yaml()
 
 
@@ -300,17 +403,30 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--seconds', type=float, default=float('inf'), help='most for each target')
     parser.add_argument('--memory', type=int, default=1, help='measured of one input in so many')
+    parser.add_argument('--keep', type=Path, help='write the inputs that go wrong, and go on')
     parser.add_argument('--only', nargs='+', default=[''], help='beginnings of names of targets')
     given = parser.parse_args()
+    if given.keep is not None:
+        given.keep.mkdir(parents=True, exist_ok=True)
     wrong = 0
     with tempfile.TemporaryDirectory() as folder:
         for target in targets(Path(folder)):
             if not target.name.startswith(tuple(given.only)):
                 continue
-            done = run(target, given.seed, given.first, given.inputs, given.seconds, given.memory)
+            begun = time.process_time()
+            done = run(
+                target,
+                given.seed,
+                given.first,
+                given.inputs,
+                given.seconds,
+                given.memory,
+                given.keep,
+            )
             wrong += done < 0
-            if done >= 0:
-                print(f'{target.name:28} {done:9,} inputs, no trouble', flush=True)
+            words = f'{done:9,} inputs, no trouble' if done >= 0 else f'{-done:9,} went wrong'
+            seconds = time.process_time() - begun
+            print(f'{target.name:28} {words}, {seconds:.0f} s of the processor', flush=True)
     return 1 if wrong else 0
 
 

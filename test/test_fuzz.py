@@ -56,3 +56,16 @@ def test_the_same_seed_makes_the_same_inputs():
         seen.append(inputs)
     assert seen[0] == seen[1]
     assert len(set(seen[0])) > 40
+
+
+def test_an_input_that_does_not_end_is_broken_off_and_kept(tmp_path, capsys):
+    def endless(_):
+        while True:
+            pass
+
+    target = fuzz.Target('endless one', [b'sound'], endless)
+    assert 'broken off after 0.05 s' in fuzz.trouble(target, b'sound', longest=0.05)
+    broken = fuzz.Target('broken one', [b'sound'], lambda data: {}[data])
+    assert fuzz.run(broken, seed=1, first=0, count=3, keep=tmp_path) == -3
+    assert len(list(tmp_path.iterdir())) == 3
+    assert 'broken one: input 2 of seed 1' in capsys.readouterr().out

@@ -94,15 +94,18 @@ def test_an_imu_whose_node_is_killed_that_falls_silent_and_sends_garbage(tmp_pat
 
 
 def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journal(tmp_path):
+    """The calibrator twice: the second time its journal is one that had been gone on with."""
     waits = {'calibrator_timeout': 2.0, 'watchdog_timeout': LEASE + 10.0}
     with Stand(tmp_path, turntable_node=waits) as stand:
-        assert stand.reaches(State.DWELLING, step=5)
-        stand.kill('calibrator_node')
-        stops(stand, 'calibrator', 'silent')
-        stand.start('calibrator_node')
-        assert stand.wait(lambda: stand.said('goes on from'))
-        resumes(stand)
-        assert stand.reaches(State.TURNING, step=8)
+        for phase, step in ((State.DWELLING, 5), (State.TURNING, 8)):
+            assert stand.reaches(phase, step=step)
+            stand.kill('calibrator_node')
+            stops(stand, 'calibrator', 'silent')
+            stand.words.clear()
+            stand.start('calibrator_node')
+            assert stand.wait(lambda: stand.said('goes on from'))
+            resumes(stand)
+        assert stand.reaches(State.TURNING, step=10)
         stand.kill('turntable_node')
         # The table stops by itself.
         assert stand.table_stands(seconds=15)

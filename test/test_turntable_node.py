@@ -289,7 +289,7 @@ def session(tmp_path, monkeypatch):
 
 
 def test_a_session_starts_by_itself_and_ends_with_the_table_at_rest_where_it_began(session):
-    session.open(autostart=True)
+    session.open(autostart=True, **PATIENT)
     session.reaches(Phase.DONE)
     assert session.table.refusals == []
     assert session.ends_stopped()
@@ -304,7 +304,7 @@ def test_a_session_starts_by_itself_and_ends_with_the_table_at_rest_where_it_beg
 
 
 def test_the_services_start_pause_resume_and_abort(session):
-    session.turn_at(90).open()
+    session.turn_at(90).open(**PATIENT)
     session.table.silent = True
     assert session.press('start') == (False, 'There are no joint states from the table.')
     session.table.silent = False
@@ -325,7 +325,7 @@ def test_the_services_start_pause_resume_and_abort(session):
 
 
 def test_no_start_while_the_calibrator_cannot_go_on(session):
-    session.turn_at(90).open(supervised=True)
+    session.turn_at(90).open(supervised=True, **PATIENT)
     assert session.until(lambda: session.node._sequencer.feedback is not None)
     kind = ros.messages.CalibrationProgress
 
@@ -343,7 +343,7 @@ def test_no_start_while_the_calibrator_cannot_go_on(session):
 
 
 def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(session):
-    session.turn_at(90).open(autostart=True)
+    session.turn_at(90).open(autostart=True, **PATIENT)
     session.reaches(Phase.TURNING)
     session.watcher.estop.publish(ros.messages.Bool(data=True))
     session.reaches(Phase.ABORTED)
@@ -366,7 +366,7 @@ def test_the_emergency_stop_holds_and_refuses_a_start_until_it_is_released(sessi
 
 
 def test_without_a_heartbeat_nothing_starts_and_its_silence_holds_the_table(session):
-    session.turn_at(90).open(stop_required=True)
+    session.turn_at(90).open(stop_required=True, **PATIENT)
     # Joint states are there: what keeps it from starting is the heartbeat alone.
     assert session.until(lambda: session.node._sequencer.feedback is not None)
     assert session.until(lambda: 'No heartbeat on /heartbeat' in session.press('start')[1])
@@ -388,7 +388,7 @@ def test_without_a_heartbeat_nothing_starts_and_its_silence_holds_the_table(sess
 
 
 def test_a_stop_that_is_taken_back_on_its_topic_alone_stays_pressed(session):
-    session.turn_at(90).open(autostart=True)
+    session.turn_at(90).open(autostart=True, **PATIENT)
     session.reaches(Phase.TURNING)
     session.watcher.estop.publish(ros.messages.Bool(data=True))
     session.reaches(Phase.ABORTED)
@@ -439,7 +439,7 @@ def test_a_pressed_stop_outlives_the_node_that_was_killed(session, said):
     ids=['best effort', 'reliable', 'latched'],
 )
 def test_a_stop_is_heard_whatever_its_publisher_offers(session, offered):
-    session.turn_at(90).open(autostart=True)
+    session.turn_at(90).open(autostart=True, **PATIENT)
     session.watcher.destroy_publisher(session.watcher.estop)
     session.reaches(Phase.TURNING)
     estop = session.watcher.create_publisher(ros.messages.Bool, 'estop', offered)
@@ -470,7 +470,7 @@ def test_a_latched_stop_that_was_pressed_before_the_node_came_is_heard(session):
 
 def test_where_a_stop_could_not_be_kept_the_table_stays_stopped(session):
     (session.folder / 'state').write_text('a file where a folder is to be')
-    session.open(autostart=True, state_folder=str(session.folder / 'state'))
+    session.open(autostart=True, state_folder=str(session.folder / 'state'), **PATIENT)
     session.reaches(Phase.ABORTED)
     started, why = session.press('start')
     assert not started
@@ -613,7 +613,7 @@ class Stranger(ros.Node):
 
 @pytest.mark.parametrize('topic', list(KINDS))
 def test_two_publishers_hold_the_table_are_named_and_nothing_starts(session, topic):
-    session.turn_at(60).open(autostart=True)
+    session.turn_at(60).open(autostart=True, **PATIENT)
     session.reaches(Phase.TURNING)
     stranger = Stranger(topic)
     owner = {'turntable/joint_states': '/table'}.get(topic, '/watcher')
@@ -653,7 +653,7 @@ def test_two_publishers_forbid_a_start_by_itself_even_when_one_has_left(session,
 
 def test_two_leaders_of_one_name_hear_each_other_and_hold(session):
     """A stand that is launched twice: the names say nothing, the states do."""
-    session.turn_at(60).open(autostart=True)
+    session.turn_at(60).open(autostart=True, **PATIENT)
     session.reaches(Phase.TURNING)
     session.start()
     session.reaches(Phase.PAUSED)

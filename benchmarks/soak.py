@@ -1,0 +1,267 @@
+"""Sessions after each other in one set of nodes: do memory, handles and threads stay as they are.
+
+    python benchmarks/soak.py [--hours 4] [--sessions 3] [--sample-rate 100] [--json FILE]
+
+Starts the nodes of a simulated stand once, and runs twelve positions with dwells so long that all
+sessions together take so many hours of the stand. After each the calibration is held against the
+truth, the calibrator is told to begin anew, and the table is started again. What each process holds
+is read from /proc once a second.
+
+Exit code 1: a session failed, a parameter is more than `WORST` deviations off, or from the end of
+the first session to the end of the last one a process took more memory than `GROWN` for each
+session between, or a handle or a thread more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imu_calib import middleware as ros
+from imu_calib.calibration import Calibration
+from imu_calib.cli.processes import Processes, free_port, private_network
+from imu_calib.middleware import messages
+from imu_calib.nodes import qos
+from imu_calib.plan import load_plan
+from imu_calib.share import named_file
+
+GROWN = 4.0
+"""MB for each session: pages that an allocator keeps; a rest that is kept would be three times that
+at 100 Hz, a session a hundred times."""
+WORST = 5.0
+"""Deviations of the worst of 24 parameters: one session in 70,000 goes beyond."""
+PLAN = 'twelve_position'
+TRUTH = 'cao2022_table1'
+PATIENCE = 120.0
+"""s of the wall clock for an answer, or for something to go on: hundreds of times the usual."""
+
+
+@dataclass
+class Held:
+    """What a process held at the end of a session: megabytes, handles, threads."""
+
+    memory: float
+    handles: int
+    threads: int
+
+    @classmethod
+    def of(cls, number: int) -> Held:
+        """Read it from /proc."""
+        lines = Path(f'/proc/{number}/status').read_text().splitlines()
+        values = dict(line.split(':', 1) for line in lines)
+        handles = len(list(Path(f'/proc/{number}/fd').iterdir()))
+        return cls(int(values['VmRSS'].split()[0]) / 1024, handles, int(values['Threads']))
+
+
+class Watcher(ros.Node):
+    """Hears how the plan goes, and presses the buttons."""
+
+    def __init__(self) -> None:
+        super().__init__('soak')
+        self.state: Any = None
+        self.calibration: Any = None
+        self.create_subscription(
+            messages.TurntableState, 'turntable/state', self._on_state, qos.latched()
+        )
+        self.create_subscription(
+            messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
+        )
+
+    def _on_state(self, message: Any) -> None:
+        self.state = message
+
+    def _on_calibration(self, message: Any) -> None:
+        self.calibration = message
+
+    def press(self, name: str) -> str:
+        """Call a service; return why it refuses, an empty text where it does not."""
+        client = self.create_client(ros.Trigger, name)
+        assert client.wait_for_service(timeout_sec=PATIENCE), name
+        answer = client.call_async(ros.Trigger.Request())
+        end = time.monotonic() + PATIENCE
+        while not answer.done() and time.monotonic() < end:
+            ros.spin_once(self, timeout_sec=0.1)
+        result = answer.result() if answer.done() else None
+        self.destroy_client(client)
+        if result is None:
+            raise SystemExit(f'{name} does not answer')
+        return '' if result.success else str(result.message)
+
+
+def wait(
+    watcher: Watcher, processes: Processes, seconds: float, until: Callable[[], bool]
+) -> dict[str, float]:
+    """Listen until something holds; return the largest memory of each process meanwhile, MB."""
+    peak: dict[str, float] = {}
+    end = time.monotonic() + seconds
+    looked = 0.0
+    while not until():
+        if time.monotonic() > end:
+            raise SystemExit(f'nothing came within {seconds:.0f} s: {watcher.state}')
+        ros.spin_once(watcher, timeout_sec=0.2)
+        if time.monotonic() - looked > 1:
+            processes.check()
+            looked = time.monotonic()
+            for name in processes.names:
+                held = Held.of(processes.number(name)).memory
+                peak[name] = max(peak.get(name, 0.0), held)
+    return peak
+
+
+def plan_of(seconds: float, folder: Path) -> Path:
+    """Write a plan of twelve positions that takes so long."""
+    shipped = load_plan(PLAN)
+    motions = 900.0
+    dwell = max(10.0, (seconds - motions) / len(shipped.positions))
+    text = named_file('plans', PLAN).read_text(encoding='utf-8')
+    path = folder / 'long.yaml'
+    path.write_text(text.replace('dwell: 120 s', f'dwell: {dwell:.0f} s'), encoding='utf-8')
+    return path
+
+
+def parameters(folder: Path, plan: Path, rate: float) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node."""
+    port = free_port()
+    clock = {'use_sim_time': True}
+    described = {'imu': 'fog_medium', 'table': 'three_axis', 'latitude': 34.65, 'height': 0.0}
+    return {
+        'stand_node': {**described, 'truth': TRUTH, 'sample_rate': rate, 'seed': 1, 'port': port},
+        'imu_node': {
+            **clock,
+            'imu': 'fog_medium',
+            'device': 'simulated',
+            'sample_rate': rate,
+            'port': f'socket://127.0.0.1:{port}',
+        },
+        'calibrator_node': {
+            **clock,
+            **described,
+            'plan': str(plan),
+            'journal': str(folder / 'journal'),
+            'output': str(folder / 'calibration.yaml'),
+        },
+        'turntable_node': {
+            **clock,
+            'plan': str(plan),
+            'table': 'three_axis',
+            'watchdog_timeout': 10.0,
+            'calibrator_timeout': 10.0,
+            'state_folder': str(folder / 'state'),
+        },
+    }
+
+
+def session(watcher: Watcher, processes: Processes, folder: Path, hours: float) -> dict[str, float]:
+    """Run a plan to its end and solve it; return the largest memory of each process, MB."""
+    watcher.calibration = None
+    end = time.monotonic() + PATIENCE
+    # The calibrator has to be heard first.
+    while words := watcher.press('turntable_node/start'):
+        if time.monotonic() > end:
+            raise SystemExit(f'The plan does not start: {words}')
+    resting = {messages.TurntableState.IDLE, messages.TurntableState.DONE}
+    wait(watcher, processes, PATIENCE, lambda: watcher.state.phase not in resting)
+
+    def ended() -> bool:
+        phase = watcher.state.phase
+        if phase in {messages.TurntableState.PAUSED, messages.TurntableState.ABORTED}:
+            raise SystemExit(f'The table stopped: {watcher.state.reason}')
+        return bool(phase == messages.TurntableState.DONE)
+
+    peak = wait(watcher, processes, 3600 * hours + PATIENCE, ended)
+    (folder / 'calibration.yaml').unlink(missing_ok=True)
+    if words := watcher.press('calibrator_node/solve'):
+        raise SystemExit(f'The session is not solved: {words}')
+    valid = messages.ImuCalibration.VALID
+    wait(
+        watcher,
+        processes,
+        PATIENCE,
+        lambda: (
+            watcher.calibration is not None
+            and watcher.calibration.status == valid
+            and (folder / 'calibration.yaml').exists()
+        ),
+    )
+    return peak
+
+
+def worst(path: Path) -> float:
+    """Return by how many deviations the worst parameter is off."""
+    found = Calibration.load(path)
+    truth = Calibration.load(named_file('truths', TRUTH)).model
+    off = found.values - truth.values(found.parameters)
+    return float(np.abs(off / np.sqrt(np.diag(found.covariance))).max())
+
+
+def main() -> int:
+    """Run the sessions; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--hours', type=float, default=4.0, help='of the stand, all sessions')
+    parser.add_argument('--sessions', type=int, default=3)
+    parser.add_argument('--sample-rate', type=float, default=100.0, help='Hz')
+    parser.add_argument('--json', type=Path, help='write what was measured')
+    given = parser.parse_args()
+    ends: list[dict[str, Held]] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        plan = plan_of(3600 * given.hours / given.sessions, folder)
+        environment = private_network()
+        os.environ.update(environment)
+        sound = True
+        with Processes(folder, environment) as processes:
+            for node, values in parameters(folder, plan, given.sample_rate).items():
+                processes.start(node, values)
+            ros.init(args=[])
+            watcher = Watcher()
+            try:
+                wait(watcher, processes, PATIENCE, lambda: watcher.state is not None)
+                for number in range(1, given.sessions + 1):
+                    begun = time.monotonic()
+                    peak = session(watcher, processes, folder, given.hours)
+                    off = worst(folder / 'calibration.yaml')
+                    sound &= off < WORST
+                    ends.append({n: Held.of(processes.number(n)) for n in processes.names})
+                    print(
+                        f'session {number} of {given.sessions} in {time.monotonic() - begun:.0f} s:'
+                        f' the worst parameter is {off:.1f} deviations off; at most '
+                        + ', '.join(f'{name} {mb:.0f} MB' for name, mb in peak.items()),
+                        flush=True,
+                    )
+                    if number < given.sessions and (why := watcher.press('calibrator_node/reset')):
+                        raise SystemExit(f'The calibrator does not begin anew: {why}')
+            finally:
+                watcher.destroy_node()
+                ros.try_shutdown()
+    print(f'\n{"at the end of each session":28} memory, MB           handles    threads')
+    for name in ends[0]:
+        held = [one[name] for one in ends]
+        memory = ' '.join(f'{one.memory:6.1f}' for one in held)
+        handles = ' '.join(str(one.handles) for one in held)
+        threads = ' '.join(str(one.threads) for one in held)
+        grown = held[-1].memory - held[0].memory
+        flat = (
+            grown <= GROWN * (len(held) - 1)
+            and held[-1].handles <= held[0].handles
+            and held[-1].threads <= held[0].threads
+        )
+        sound &= flat
+        print(f'{name:28} {memory}   {handles}   {threads}   {"flat" if flat else "GROWN"}')
+    if given.json is not None:
+        rows = [{name: asdict(held) for name, held in one.items()} for one in ends]
+        given.json.write_text(json.dumps(rows, indent=2), encoding='utf-8')
+    return 0 if sound else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
