@@ -42,6 +42,10 @@ _RECONNECT = 60.0
 _CONNECT = '10s'
 """In which a process of this machine takes a connection, however busy. One that has died holding a
 result is waited for so long, and not tried again: Dask's 30 s and retries are for networks."""
+_TICK = '500ms'
+"""Between looks of a process at its own event loop: as often as it looks at its memory."""
+_KEEPS = 4 << 20
+"""Bytes of freed memory that a worker keeps: a seventh of the faults, 10 ms less a recording."""
 _CHUNK = 4
 """Tasks handed to a process of a pool at once."""
 _THREADS = 'OMP_NUM_THREADS'
@@ -198,6 +202,10 @@ class Engine:
             'distributed.admin.low-level-log-length': 100,
             # Each of its processes would look at its own stack a hundred times a second.
             'distributed.worker.profile.enabled': False,
+            # Each would ask fifty times a second whether it is in time, and interrupt the work.
+            'distributed.admin.tick.interval': _TICK,
+            # Dask has a worker give back every 64 kB, and the next recording fetches them again.
+            'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': _KEEPS,
             'logging.distributed': 'critical',
         }
         if self.scheduler is None:
