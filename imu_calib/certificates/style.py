@@ -46,6 +46,9 @@ tr, .whole { break-inside: avoid; }
 @media screen and (max-width: 700px) {
   body { margin: 0; padding: 14px; }
   .facts th { width: 38%; }
+  .wide table { font-size: 7.6pt; }
+  .wide th { font-size: 7pt; }
+  .wide th, .wide td { padding: 1.5pt 2pt; }
 }
 """
 
