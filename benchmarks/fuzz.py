@@ -45,9 +45,9 @@ from imu_calib.cdr import (
     encode_temperatures,
 )
 from imu_calib.cdr import decode as cdr
+from imu_calib.certificates.fields import read_fields
 from imu_calib.compensation.thermal import read_calibration
 from imu_calib.config import Section
-from imu_calib.certificates.fields import read_fields
 from imu_calib.devices import Decoder, FrameFormat, load_format, read_format
 from imu_calib.errors import ImuCalibError
 from imu_calib.fleet.recordings import read_manifest
