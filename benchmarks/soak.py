@@ -20,7 +20,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,8 @@ WORST = 5.0
 """Deviations of the worst of 24 parameters: one session in 70,000 goes beyond."""
 PLAN = 'twelve_position'
 TRUTH = 'cao2022_table1'
+MOTIONS = 700.0
+"""s that the plan takes beside its dwells, about: 2160 s in all less twelve of 120 s."""
 PATIENCE = 120.0
 """s of the wall clock for an answer, or for something to go on: hundreds of times the usual."""
 
@@ -121,8 +123,7 @@ def wait(
 def plan_of(seconds: float, folder: Path) -> Path:
     """Write a plan of twelve positions that takes so long."""
     shipped = load_plan(PLAN)
-    motions = 900.0
-    dwell = max(10.0, (seconds - motions) / len(shipped.positions))
+    dwell = max(10.0, (seconds - MOTIONS) / len(shipped.positions))
     text = named_file('plans', PLAN).read_text(encoding='utf-8')
     path = folder / 'long.yaml'
     path.write_text(text.replace('dwell: 120 s', f'dwell: {dwell:.0f} s'), encoding='utf-8')
@@ -204,63 +205,82 @@ def worst(path: Path) -> float:
     return float(np.abs(off / np.sqrt(np.diag(found.covariance))).max())
 
 
+def run(
+    folder: Path, hours: float, sessions: int, rate: float
+) -> tuple[list[dict[str, Held]], bool]:
+    """Run the sessions; return what each process held at their ends, and whether all were right."""
+    ends: list[dict[str, Held]] = []
+    right = True
+    plan = plan_of(3600 * hours / sessions, folder)
+    environment = private_network()
+    os.environ.update(environment)
+    with Processes(folder, environment) as processes:
+        for node, values in parameters(folder, plan, rate).items():
+            processes.start(node, values)
+        ros.init(args=[])
+        watcher = Watcher()
+        try:
+            wait(watcher, processes, PATIENCE, lambda: watcher.state is not None)
+            for number in range(1, sessions + 1):
+                if number > 1 and (why := watcher.press('calibrator_node/reset')):
+                    raise SystemExit(f'The calibrator does not begin anew: {why}')
+                begun = time.monotonic()
+                peak = session(watcher, processes, folder, hours)
+                off = worst(folder / 'calibration.yaml')
+                right &= off < WORST
+                ends.append({name: Held.of(processes.number(name)) for name in processes.names})
+                most = ', '.join(f'{name} {held:.0f} MB' for name, held in peak.items())
+                print(
+                    f'session {number} of {sessions} in {time.monotonic() - begun:.0f} s: the '
+                    f'worst parameter is {off:.1f} deviations off; at most {most}',
+                    flush=True,
+                )
+        finally:
+            watcher.destroy_node()
+            ros.try_shutdown()
+    return ends, right
+
+
+def flat(held: Sequence[Held]) -> bool:
+    """Say whether a process ended with what it held after the first session."""
+    first, last = held[0], held[-1]
+    return (
+        last.memory - first.memory <= GROWN * (len(held) - 1)
+        and last.handles <= first.handles
+        and last.threads <= first.threads
+    )
+
+
+def say(ends: Sequence[dict[str, Held]]) -> bool:
+    """Print what each process held at the end of each session; say whether all are flat."""
+    print('\nat the end of each session: memory in MB, handles, threads')
+    sound = True
+    for name in ends[0]:
+        held = [one[name] for one in ends]
+        columns = (
+            ' '.join(f'{one.memory:6.1f}' for one in held),
+            ' '.join(f'{one.handles:3}' for one in held),
+            ' '.join(f'{one.threads:3}' for one in held),
+        )
+        print(f'{name:16} {"   ".join(columns)}   {"flat" if flat(held) else "GROWN"}')
+        sound &= flat(held)
+    return sound
+
+
 def main() -> int:
-    """Run the sessions; return the exit code."""
+    """Run the sessions and print; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--hours', type=float, default=4.0, help='of the stand, all sessions')
     parser.add_argument('--sessions', type=int, default=3)
     parser.add_argument('--sample-rate', type=float, default=100.0, help='Hz')
     parser.add_argument('--json', type=Path, help='write what was measured')
     given = parser.parse_args()
-    ends: list[dict[str, Held]] = []
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        plan = plan_of(3600 * given.hours / given.sessions, folder)
-        environment = private_network()
-        os.environ.update(environment)
-        sound = True
-        with Processes(folder, environment) as processes:
-            for node, values in parameters(folder, plan, given.sample_rate).items():
-                processes.start(node, values)
-            ros.init(args=[])
-            watcher = Watcher()
-            try:
-                wait(watcher, processes, PATIENCE, lambda: watcher.state is not None)
-                for number in range(1, given.sessions + 1):
-                    begun = time.monotonic()
-                    peak = session(watcher, processes, folder, given.hours)
-                    off = worst(folder / 'calibration.yaml')
-                    sound &= off < WORST
-                    ends.append({n: Held.of(processes.number(n)) for n in processes.names})
-                    print(
-                        f'session {number} of {given.sessions} in {time.monotonic() - begun:.0f} s:'
-                        f' the worst parameter is {off:.1f} deviations off; at most '
-                        + ', '.join(f'{name} {mb:.0f} MB' for name, mb in peak.items()),
-                        flush=True,
-                    )
-                    if number < given.sessions and (why := watcher.press('calibrator_node/reset')):
-                        raise SystemExit(f'The calibrator does not begin anew: {why}')
-            finally:
-                watcher.destroy_node()
-                ros.try_shutdown()
-    print(f'\n{"at the end of each session":28} memory, MB           handles    threads')
-    for name in ends[0]:
-        held = [one[name] for one in ends]
-        memory = ' '.join(f'{one.memory:6.1f}' for one in held)
-        handles = ' '.join(str(one.handles) for one in held)
-        threads = ' '.join(str(one.threads) for one in held)
-        grown = held[-1].memory - held[0].memory
-        flat = (
-            grown <= GROWN * (len(held) - 1)
-            and held[-1].handles <= held[0].handles
-            and held[-1].threads <= held[0].threads
-        )
-        sound &= flat
-        print(f'{name:28} {memory}   {handles}   {threads}   {"flat" if flat else "GROWN"}')
+        ends, right = run(Path(scratch), given.hours, given.sessions, given.sample_rate)
     if given.json is not None:
         rows = [{name: asdict(held) for name, held in one.items()} for one in ends]
         given.json.write_text(json.dumps(rows, indent=2), encoding='utf-8')
-    return 0 if sound else 1
+    return 0 if say(ends) and right else 1
 
 
 if __name__ == '__main__':
