@@ -25,8 +25,10 @@ Task: TypeAlias = Callable[[Job, frozenset[str]], Done]
 _FLUSH, _FLUSH_SHARE, _LATEST_FLUSH = 1.0, 0.05, 60.0
 """s between additions to the catalogue, share of what a batch has taken so far, and most, s.
 
-Each is a file: ten hours are six hundred, and a client that is killed loses a minute at most.
+Each is a file: ten hours are six hundred or more. A client that is killed loses a minute at most.
 """
+_MOST = 100
+"""Rows that wait to be added: 70 kB each with the text of the calibration, whatever the rate."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,8 @@ def run_batch(
                         count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
                         unsaved.append(done)
                 now = time.monotonic()
-                if now - saved > max(_FLUSH, min(_FLUSH_SHARE * (now - begun), _LATEST_FLUSH)):
+                between = max(_FLUSH, min(_FLUSH_SHARE * (now - begun), _LATEST_FLUSH))
+                if now - saved > between or len(unsaved) >= _MOST:
                     catalogue.add(unsaved, replace=retry)
                     unsaved.clear()
                     saved = now
