@@ -8,7 +8,8 @@ import pytest
 from sessions import paper_imu, truth
 
 from imu_calib.calibration import Calibration
-from imu_calib.compensation.apply import Compensation, Mark, concatenated
+from imu_calib.compensation.apply import Compensation
+from imu_calib.compensation.samples import Mark, concatenated
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, parameters_of
@@ -92,6 +93,36 @@ def test_a_sample_has_the_same_bits_alone_and_among_many(model):
     )
     for name in ('rate', 'force', 'rate_covariance', 'force_covariance', 'marks'):
         assert np.array_equal(getattr(parts, name), getattr(whole, name)), name
+
+
+@pytest.mark.parametrize('accelerometers', [True, False])
+@pytest.mark.parametrize('units', list(Units))
+def test_a_sample_alone_is_marked_and_doubted_as_among_many(units, accelerometers):
+    # Ranges in SI: the ends of 16 bits come before them.
+    spec = ImuSpec('any', units, None, TriadSpec(1e-3, range=40.0), TriadSpec(1e-2, range=400.0))
+    model = with_g()
+    calibration = known(spec, model, random_walk=[1e-5] * 6, highest_rate=3.0)
+    count = len(calibration.parameters)
+    root = np.random.default_rng(8).normal(size=(count, count)) * 1e-5
+    square = root.T @ root
+    if not accelerometers:
+        unknown = np.array([p.triad == 'a' for p in calibration.parameters])
+        square[unknown] = square[:, unknown] = np.nan
+    compensation = Compensation(replace(calibration, covariance=square))
+    gyro, accel = inputs(100, seed=9)
+    gyro, accel = (1000 * gyro, 100 * accel) if units is not Units.SI else (gyro, accel)
+    wild = [np.nan, np.inf, -np.inf, 32767, -32768, 41.0, 41e3, 410.0]
+    fast = [3.5 if units is Units.SI else 3500.0] * 3
+    for row, value in enumerate([*wild, *fast]):
+        gyro[row, row % 3] = accel[row + 20, row % 3] = value
+    interval = np.random.default_rng(10).uniform(0.9, 1.1, 100)
+    whole = compensation.apply(gyro, accel, interval)
+    rows = [slice(k, k + 1) for k in range(100)]
+    alone = concatenated([compensation.apply(gyro[r], accel[r], interval[r]) for r in rows])
+    for name in ('rate', 'force', 'rate_covariance', 'force_covariance', 'marks'):
+        assert np.array_equal(getattr(alone, name), getattr(whole, name), equal_nan=True), name
+    assert {0, Mark.NO_NUMBER, Mark.RATE} < set(whole.marks.tolist())
+    assert (whole.force_covariance[:, 0] < 0).all() != accelerometers
 
 
 def test_the_covariance_is_the_scatter_of_calibrations_drawn_from_theirs():

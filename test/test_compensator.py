@@ -7,8 +7,8 @@ import pytest
 from sessions import truth
 from test_compensation import known, with_skew
 
-from imu_calib.compensation.apply import Mark, concatenated
 from imu_calib.compensation.compensator import Compensator
+from imu_calib.compensation.samples import Mark, concatenated
 from imu_calib.compensation.thermal import combine
 from imu_calib.stream import ImuBlock, SkewBlock, TemperatureBlock
 

@@ -21,7 +21,8 @@ from test_exports import PROGRAM
 from test_information import CLOCK, SECOND, WALK, statistics
 
 from imu_calib.calibration import Calibration
-from imu_calib.compensation.apply import Compensation, Mark, concatenated
+from imu_calib.compensation.apply import Compensation
+from imu_calib.compensation.samples import Mark, concatenated
 from imu_calib.compensation.thermal import combine, load_calibration
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.estimation.fit import check_observable, estimate

@@ -15,8 +15,8 @@ from test_other_world import EPOCH, NAVIGATION, fed, true_vector
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.compensation.apply import concatenated
 from imu_calib.compensation.compensator import Compensator, Reading
+from imu_calib.compensation.samples import concatenated
 from imu_calib.errors import NotObservable
 from imu_calib.estimation.fit import Estimate, estimate
 from imu_calib.estimation.term_tests import TermState

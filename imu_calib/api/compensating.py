@@ -12,8 +12,9 @@ import numpy as np
 
 from ..bags import Recording, RecordingWriter, Topic, open_recording
 from ..cdr import Kind, Malformed, Messages, decode_imu, encode_rates
-from ..compensation.apply import Mark, noise_gains
+from ..compensation.apply import noise_gains
 from ..compensation.compensator import Compensator, Reading
+from ..compensation.samples import Mark
 from ..compensation.thermal import (
     AnyCalibration,
     ThermalCalibration,

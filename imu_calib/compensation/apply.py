@@ -5,12 +5,9 @@ Every sum has a fixed order, so that a sample gives the same bits alone as among
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import IntFlag
 from itertools import combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from ..errors import NotObservable
@@ -19,8 +16,7 @@ from ..model import PRODUCTS, Parameter, Product, SensorModel, terms_of
 from ..model.inversion import inverted
 from ..model.motion import has_motion_terms
 from ..stream import Floats, Units
-
-Marks = NDArray[np.uint8]
+from .samples import CompensatedSamples, Mark, Marks, concatenated
 
 _AXES = 3
 """X, Y, Z."""
@@ -40,53 +36,9 @@ _AT_ONCE = 512
 _FULL_SCALES = np.array([32767.0, 32768.0, 8388607.0, 8388608.0, 2147483647.0, 2147483648.0])
 """Largest counts of 16, 24 and 32 bits, of either sign."""
 
-
-class Mark(IntFlag):
-    """What a person should know of a sample; any number of them."""
-
-    GYRO_RANGE = 1
-    """A gyro is at the end of its range, so that the rate is unknown."""
-    ACCEL_RANGE = 2
-    """An accelerometer is at the end of its range, so that the specific force is unknown."""
-    RATE = 4
-    """Faster than the unit was turned when it was calibrated."""
-    TEMPERATURE = 8
-    """Colder or warmer than it was calibrated at; the nearest calibration is used."""
-    PARITY = 16
-    """Four gyros contradict each other."""
-    NO_NUMBER = 32
-    """A value is not finite."""
-
-
 _BITS = {mark: np.uint8(mark) for mark in Mark}
 _RATE_UNKNOWN = np.uint8(Mark.GYRO_RANGE | Mark.NO_NUMBER)
 _FORCE_UNKNOWN = np.uint8(Mark.ACCEL_RANGE | Mark.NO_NUMBER)
-
-
-@dataclass(frozen=True, eq=False)
-class CompensatedSamples:
-    """Samples in SI units along the body axes.
-
-    Attributes:
-        rate: (n, 3) angular rate, rad/s.
-        force: (n, 3) specific force, m/s^2; gravity included, +g up at rest.
-        rate_covariance: (n, 9) row by row, (rad/s)^2; element 0 is -1 where the rate is unknown.
-        force_covariance: (n, 9) likewise, (m/s^2)^2.
-        marks: (n,) of `Mark`.
-        parity: (n,) what a skewed gyro and the three contradict each other by, rad/s; None
-            without one.
-
-    """
-
-    rate: Floats
-    force: Floats
-    rate_covariance: Floats
-    force_covariance: Floats
-    marks: Marks
-    parity: Floats | None = None
-
-    def __len__(self) -> int:
-        return len(self.rate)
 
 
 class Compensation:
@@ -124,7 +76,6 @@ class Compensation:
     def __init__(self, calibration: Calibration, *, skewed: bool = False, mark: int = 0) -> None:
         self.calibration = calibration
         self._units = calibration.imu.units
-        self._mark = mark
         self._faster = 1.0 if calibration.clock is None else 1 + calibration.clock.faster
         model, imu = calibration.model, calibration.imu
         channels = model.skewed if skewed else None
@@ -161,20 +112,32 @@ class Compensation:
         # Most levers do nothing where there is no g-sensitivity.
         count = len(self._pairs)
         used = self._covariance[:count].any(axis=1)
-        self._first, self._second = np.array(self._pairs)[used].T
+        self._factors = np.ascontiguousarray(np.array(self._pairs)[used].T)
         self._covariance = np.vstack([self._covariance[:count][used], self._covariance[count:]])
+        self._unmarked = np.full(_AT_ONCE, mark, np.uint8)
+        self._unmarked.flags.writeable = False
+        self._plain = channels is None and model.linear and len(self._levers) == len(_LINEAR)
+        full = np.inf if self._units is Units.SI else float(_FULL_SCALES[0])
+        self._channels = [
+            (*map(float, one), full)
+            for one in zip(self._scale, self._bias, self._limit, strict=True)
+        ]
+        self._outputs = self._to_both.T.tolist()
+        self._products = self._factors.T.tolist()
+        self._variances = list(
+            zip(self._power.tolist(), self._quantisation_variance.tolist(), strict=True)
+        )
         highest = calibration.provenance.get('highest_rate')
-        self._highest = np.inf if highest is None else _BEYOND * float(highest)
+        self._highest = float('inf') if highest is None else _BEYOND * float(highest)
 
     def noise(self, interval: Floats) -> Floats:
         """Return the variances of single samples by noise and steps, (n, channels) SI."""
-        tau = interval[:, None] / self._faster
-        quantisation = (
-            self._quantisation_variance / (tau * tau)
-            if self._units is Units.PULSES
-            else self._quantisation_variance
-        )
-        return np.asarray(self._power / tau + quantisation)
+        return self._noise(interval[:, None] / self._faster)
+
+    def _noise(self, tau: Floats) -> Floats:
+        if self._units is Units.PULSES:
+            return np.asarray(self._power / tau + self._quantisation_variance / (tau * tau))
+        return np.asarray(self._power / tau + self._quantisation_variance)
 
     def apply(
         self, gyro: Floats, accel: Floats, interval: Floats, skewed: Floats | None = None
@@ -188,6 +151,10 @@ class Compensation:
             skewed: (n, k) skewed gyros likewise, where the model has any.
 
         """
+        if len(interval) == 1 and self._plain:
+            alone = self._apply_one([*gyro[0].tolist(), *accel[0].tolist()], interval.item())
+            if alone is not None:
+                return alone
         triads = [gyro, accel] if skewed is None else [gyro, skewed, accel]
         raw = np.concatenate(triads, axis=1)
         if len(raw) <= _AT_ONCE:
@@ -197,6 +164,46 @@ class Compensation:
             for k in range(0, len(raw), _AT_ONCE)
         ]
         return concatenated(parts)
+
+    def _apply_one(self, raw: list[float], interval: float) -> CompensatedSamples | None:
+        """Compensate one sample, in plain numbers: the way of a live stream, with the same bits.
+
+        Returns:
+            None for one that is to be looked at closely: nothing else is marked.
+
+        """
+        tau = interval / self._faster
+        if not tau > 0:
+            return None
+        divisor = tau if self._units is Units.PULSES else 1.0
+        free = []
+        for value, (scale, bias, limit, full) in zip(raw, self._channels, strict=True):
+            output = value * scale / divisor
+            if not (abs(output) < limit and abs(value) < full):
+                return None
+            free.append(output - bias)
+        a, b, c, d, e, f = free
+        # Not by sum(), which rounds otherwise from Python 3.12 on.
+        both = [a * p + b * q + c * r + d * s + e * t + f * u for p, q, r, s, t, u in self._outputs]
+        x, y, z, *force = both
+        highest = self._highest
+        if abs(x) > highest or abs(y) > highest or abs(z) > highest:
+            return None
+        levers = x, y, z, 1.0, *force
+        square = tau * tau if self._units is Units.PULSES else 1.0
+        terms = [levers[m] * levers[n] for m, n in self._products]
+        terms += [walk / tau + step / square for walk, step in self._variances]
+        covariance = np.add.reduce(np.array(terms)[:, None] * self._covariance, axis=0)[None]
+        if not self._known_force:
+            covariance[0, 9] = -1.0
+        values = np.array([both])
+        return CompensatedSamples(
+            values[:, :_AXES],
+            values[:, _AXES:],
+            covariance[:, :9],
+            covariance[:, 9:],
+            self._unmarked[:1],
+        )
 
     # Infinite values are marked, not warned of.
     @np.errstate(invalid='ignore')
@@ -217,11 +224,11 @@ class Compensation:
             rate_covariance, force_covariance = self._bent(both, covariance[:, :18])
         marks, parity = self._judge(raw, outputs, rate), None
         if not self._linear:
-            marks |= ~np.isfinite(both).all(axis=1) * _BITS[Mark.NO_NUMBER]
+            marks = marks | ~np.isfinite(both).all(axis=1) * _BITS[Mark.NO_NUMBER]
         if self._parity_vector is not None:
             parity = _mix(free, self._parity_vector)[:, 0]
-            marks |= (parity**2 > _PARITY**2 * covariance[:, 18]) * _BITS[Mark.PARITY]
-        if marks.any():
+            marks = marks | (parity**2 > _PARITY**2 * covariance[:, 18]) * _BITS[Mark.PARITY]
+        if np.count_nonzero(marks):
             rate_covariance[marks & _RATE_UNKNOWN > 0, 0] = -1.0
             force_covariance[marks & _FORCE_UNKNOWN > 0, 0] = -1.0
         if not self._known_force:
@@ -305,30 +312,34 @@ class Compensation:
 
     def _terms(self, both: Floats, tau: Floats) -> Floats:
         """Return the products of levers and the variances of the channels, (n, t)."""
-        one = np.ones((len(both), 1))
-        further = [product.value(both)[:, None] for product in self._levers[len(_LINEAR) :]]
-        levers = np.concatenate([both[:, :_AXES], one, both[:, _AXES:], *further], axis=1)
-        products = levers.take(self._first, axis=1) * levers.take(self._second, axis=1)
-        quantisation = (
-            self._quantisation_variance / (tau * tau)
-            if self._units is Units.PULSES
-            else self._quantisation_variance
-        )
-        return np.concatenate([products, self._power / tau + quantisation], axis=1)
+        count, linear = self._factors.shape[1], len(_LINEAR)
+        levers = np.empty((len(both), len(self._levers)))
+        levers[:, :_AXES] = both[:, :_AXES]
+        levers[:, _AXES] = 1.0
+        levers[:, _AXES + 1 : linear] = both[:, _AXES:]
+        for k, product in enumerate(self._levers[linear:], linear):
+            levers[:, k] = product.value(both)
+        factors = levers.take(self._factors, axis=1)
+        terms = np.empty((len(both), len(self._covariance)))
+        np.multiply(factors[:, 0], factors[:, 1], out=terms[:, :count])
+        terms[:, count:] = self._noise(tau)
+        return terms
 
     def _judge(self, raw: Floats, outputs: Floats, rate: Floats) -> Marks:
-        marks = np.full(len(raw), self._mark, np.uint8)
+        marks = self._unmarked[: len(raw)]
         size = np.abs(outputs)
         # A comparison with what is no number is false.
         sound = size < self._limit
         if self._units is not Units.SI:
             sound &= np.abs(raw) < _FULL_SCALES[0]
-        if sound.all() and (self._highest == np.inf or (np.abs(rate) <= self._highest).all()):
+        if np.count_nonzero(sound) == sound.size and (
+            self._highest == np.inf or np.count_nonzero(np.abs(rate) <= self._highest) == rate.size
+        ):
             return marks
         far = size >= self._limit
         if self._units is not Units.SI:
             far |= np.isin(np.abs(raw), _FULL_SCALES)
-        marks |= far[:, : self._gyros].any(axis=1) * _BITS[Mark.GYRO_RANGE]
+        marks = marks | far[:, : self._gyros].any(axis=1) * _BITS[Mark.GYRO_RANGE]
         marks |= far[:, self._gyros :].any(axis=1) * _BITS[Mark.ACCEL_RANGE]
         marks |= (np.abs(rate) > self._highest).any(axis=1) * _BITS[Mark.RATE]
         marks |= ~np.isfinite(outputs).all(axis=1) * _BITS[Mark.NO_NUMBER]
@@ -340,21 +351,6 @@ def _levers(parameters: tuple[Parameter, ...]) -> tuple[Product, ...]:
     products = (PRODUCTS[parameter] for parameter in parameters)
     return tuple(
         dict.fromkeys((*_LINEAR, *(product for product in products if not product.is_zero)))
-    )
-
-
-def concatenated(parts: list[CompensatedSamples]) -> CompensatedSamples:
-    """Return samples that follow each other as one; at least one part."""
-    if len(parts) == 1:
-        return parts[0]
-    parities = [p.parity for p in parts if p.parity is not None]
-    return CompensatedSamples(
-        np.concatenate([p.rate for p in parts]),
-        np.concatenate([p.force for p in parts]),
-        np.concatenate([p.rate_covariance for p in parts]),
-        np.concatenate([p.force_covariance for p in parts]),
-        np.concatenate([p.marks for p in parts]),
-        np.concatenate(parities) if len(parities) == len(parts) else None,
     )
 
 
@@ -372,7 +368,8 @@ def _mix(columns: Floats, matrix: Floats) -> Floats:
 
     A BLAS product of many rows may round otherwise than that of one.
     """
-    return np.asarray((columns.T[:, :, None] * matrix[:, None, :]).sum(axis=0))
+    products = columns.T[:, :, None] * matrix[:, None, :]
+    return np.asarray(np.add.reduce(products, axis=0))
 
 
 def _inverse(response: Floats, weights: Floats) -> Floats:

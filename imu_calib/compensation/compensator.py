@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ..calibration import Calibration
 from ..stream import Block, Floats, ImuBlock, SkewBlock, Stamps, TemperatureBlock
-from .apply import CompensatedSamples, Compensation, Mark, concatenated
+from .apply import Compensation
 from .in_motion import Applied, InMotion
 from .sample_clock import SampleClock
+from .samples import CompensatedSamples, Mark, concatenated
 from .thermal import AnyCalibration, ThermalCalibration, first_of, temperature_range
 
 _LAG = 500_000_000
@@ -157,7 +158,8 @@ class Compensator:
             lost = self._clock.lost
             intervals = self._clock.take(block.stamp)
             if len(intervals) == len(block) and self._nothing_waits:
-                return self._readings([self._compensated(_Timed(block, intervals))])
+                values = self._compensated(block, intervals)
+                return [Reading(block.stamp, values, block.frame_id)]
             self._untimed.append(block)
             self._time(intervals, self._clock.lost - lost)
         return self._release(last=False)
@@ -178,12 +180,9 @@ class Compensator:
             or self._temperatures
             or self._takes_skewed
             or self.waits_for_temperature
+            or self._in_motion.waiting
+            or self._ready[False].moving
         )
-
-    def _readings(self, samples: list[Applied]) -> list[Reading]:
-        """Return what can go out once samples were compensated."""
-        applied = [one for some in samples for one in self._in_motion.take(some)]
-        return [Reading(one.stamp, one.values, one.frame_id) for one in applied]
 
     def _set(self, calibration: AnyCalibration) -> None:
         single = first_of(calibration)
@@ -278,23 +277,27 @@ class Compensator:
             if not len(beyond):
                 break
             first = int(beyond[0])
-            applied.append(self._compensated(timed.cut(0, first)))
+            applied.append(self._applied(timed.cut(0, first)))
             timed = timed.cut(first, len(timed.interval))
             self._temperatures.pop(0)
             self._use(celsius)
-        applied.append(self._compensated(timed))
+        applied.append(self._applied(timed))
         return applied
 
-    def _compensated(self, timed: _Timed) -> Applied:
+    def _applied(self, timed: _Timed) -> Applied:
         block, interval = timed.block, timed.interval
+        values = self._compensated(block, interval)
+        return Applied(block.stamp, values, block.frame_id, interval, self._ready[False])
+
+    def _compensated(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
         if not self._takes_skewed or not len(block):
             values = self._ready[False].apply(block.gyro, block.accel, interval)
         else:
             values = self._with_skewed(block, interval)
-        if values.marks.any():
+        if np.count_nonzero(values.marks):
             for mark in Mark:
                 self.counts[mark] += int(np.count_nonzero(values.marks & mark))
-        return Applied(block.stamp, values, block.frame_id, interval, self._ready[False])
+        return values
 
     def _with_skewed(self, block: ImuBlock, interval: Floats) -> CompensatedSamples:
         """Compensate with the fourth gyro where there is a value of the same stamp."""

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ..model import AXES
 from ..model.motion import MOTION, delay, motion_parameters, places, slopes
 from ..stream import Floats, Stamps
-from .apply import CompensatedSamples, Compensation
+from .apply import Compensation
+from .samples import CompensatedSamples
 
 _NEXT = 1.5
 """Sample intervals to the next sample, at most: beyond it one is missing."""

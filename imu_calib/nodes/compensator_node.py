@@ -11,8 +11,8 @@ import numpy as np
 
 from .. import middleware as ros
 from ..cdr import ImuDecoder, Malformed, Messages, decode_skew, decode_temperatures, rates_payloads
-from ..compensation.apply import Mark
 from ..compensation.compensator import Compensator, Reading
+from ..compensation.samples import Mark
 from ..compensation.thermal import (
     AnyCalibration,
     ThermalCalibration,
@@ -204,7 +204,7 @@ class CompensatorNode(ros.ManagedNode):
             )
             payloads = rates_payloads(block, values.rate_covariance, values.force_covariance)
             stamp = reading.stamp
-            if values.marks.any():
+            if np.count_nonzero(values.marks):
                 sound = reading.numbers
                 payloads = [p for p, keep in zip(payloads, sound, strict=True) if keep]
                 stamp = stamp[sound]
