@@ -298,8 +298,8 @@ def test_two_imu_topics_are_listed_and_can_be_chosen_from(cli: CommandLine) -> N
     sentence = r'2 topics of type sensor_msgs/msg/Imu: /imu/pulses, /other/imu. Choose with --imu-t'
     cli.refuses(2, sentence, columns)
     bag = cli.folder / 'bag'
-    cli.refuses(2, f'--imu-topic {JOINTS}: found sensor_msgs/msg/Joint', bag, '--imu-topic', JOINTS)
-    cli.refuses(2, 'no such topic; .* it has: /imu/pulses, /other', bag, '--imu-topic', '/absent')
+    cli.refuses(2, f'topic {JOINTS}: found sensor_msgs/msg/Joint', bag, '--imu-topic', JOINTS)
+    cli.refuses(2, 'no such topic; .* are: /imu/pulses, /other', bag, '--imu-topic', '/absent')
     code, _ = cli.calibrate(bag, '--imu-topic', IMU)
     assert code == 0
     assert_true(Calibration.load(cli.output))

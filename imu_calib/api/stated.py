@@ -392,7 +392,7 @@ def temperature_topic(recording: Recording) -> str | None:
 def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -> str | None:
     candidates = [t for t in recording.topics if t.type == kind.type_name]
     if wanted is not None:
-        return _named(recording, candidates, wanted, kind, option)
+        return _named(recording, candidates, wanted, kind)
     filled = [t for t in candidates if t.count != 0 and not t.name.endswith(_SKEW)]
     filled = filled or candidates
     if not filled:
@@ -409,19 +409,18 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
     return filled[0].name
 
 
-def _named(
-    recording: Recording, candidates: list[Topic], wanted: str, kind: Kind, option: str
-) -> str:
+def _named(recording: Recording, candidates: list[Topic], wanted: str, kind: Kind) -> str:
     name = wanted if wanted.startswith('/') else f'/{wanted}'
     for topic in recording.topics:
         if topic.name in {wanted, name}:
             if topic.type != kind.type_name:
                 raise InputError(
-                    f'{option} {wanted}: found {topic.type}, expected {kind.type_name}.'
+                    f'{recording.path}: topic {wanted}: found {topic.type}, '
+                    f'expected {kind.type_name}.'
                 )
             return topic.name
     listed = ', '.join(t.name for t in candidates) or 'none'
     raise InputError(
-        f'{option} {wanted}: {recording.path} has no such topic; '
-        f'of type {kind.type_name} it has: {listed}.'
+        f'{recording.path}: topic {wanted}: there is no such topic; '
+        f'of type {kind.type_name} there are: {listed}.'
     )
