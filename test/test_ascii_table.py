@@ -3,11 +3,14 @@
 import contextlib
 import math
 import os
+import signal
 import socket
+import sys
 import threading
 import time
 
 import numpy as np
+import processes
 import pytest
 from loopback import environment, until
 from test_turntable_node import PLAN
@@ -18,7 +21,7 @@ from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.nodes import qos
 from imu_calib.simulation.tracks import Track, trapezoid
 from imu_calib.stream import Mode, Setpoint, SetpointBlock
-from imu_calib.tables import Follower, Move, Reading, Stop
+from imu_calib.tables import Follower, Move, Reading, Stop, control
 from imu_calib.turntable import load_table
 
 # ROS reads this when it loads its messages.
@@ -404,6 +407,77 @@ def test_without_a_heartbeat_nothing_moves_and_its_silence_is_a_stop(bench):
     bench.lead(FAR)
     bench.until(lambda: False, 0.2)
     assert bench.controller.count('MOVE') == 3
+
+
+class Slow:
+    """A line on which what is told to move takes three seconds, by a clock of its own."""
+
+    def __init__(self):
+        self.lines, self.ahead = [], 0.0
+
+    def monotonic(self):
+        return time.monotonic() + self.ahead
+
+    def ask(self, text):
+        self.lines.append(text)
+        if text.startswith('MOVE'):
+            self.ahead += 3.0
+        return 'STATE 0 0 0 0 0 0' if text == 'STATE' else 'OK'
+
+    def close(self):
+        """Nothing is to be closed."""
+
+
+def test_orders_that_are_held_up_midway_are_not_gone_on_with(monkeypatch, follower):
+    line = Slow()
+    monkeypatch.setattr(control, 'time', line)
+    at_work = control.Control(lambda: line, follower, TABLE.names, lambda: 0, 0.001)
+    at_work.start()
+    assert until(lambda: 'STATE' in line.lines)
+    at_work.command(setpoint())
+    assert until(lambda: any(text.startswith('MOVE') for text in line.lines))
+    assert until(lambda: line.lines[-1] == 'STATE')
+    assert at_work.stop(5.0)
+    first = next(k for k, text in enumerate(line.lines) if text.startswith('MOVE'))
+    assert line.lines[first + 1] == 'STOP'
+    assert sum(text.startswith('MOVE') for text in line.lines) == 1
+
+
+@pytest.mark.repeats
+@pytest.mark.parametrize('seconds', [3.0, 30.0])
+def test_a_node_that_hangs_moves_nothing_when_it_goes_on(monkeypatch, request, seconds):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    controller = Controller()
+    words = ['--ros-args', '-p', f'port:={controller.url}', '-p', 'reply_timeout:=0.4']
+    node = processes.start([sys.executable, '-m', 'imu_calib.nodes.ascii_table_node', *words])
+    ros.init(args=[])
+    request.addfinalizer(ros.try_shutdown)
+    leader, executor = Leader(), ros.SingleThreadedExecutor()
+    executor.add_node(leader)
+
+    def comes(condition, patience=None):
+        return until(condition, patience, lambda: executor.spin_once(timeout_sec=0.02))
+
+    assert comes(lambda: leader.output.get_subscription_count() == 1)
+    assert comes(lambda: controller.count('STATE') > 2)
+    leader.setpoint = FAR
+    assert comes(lambda: controller.count('MOVE') == 3)
+    os.kill(node.pid, signal.SIGSTOP)
+    # Its leader is gone meanwhile: nobody tells it to hold.
+    leader.setpoint = None
+    end = time.monotonic() + seconds
+    comes(lambda: time.monotonic() > end, seconds + 1.0)
+    before = controller.count('STOP')
+    os.kill(node.pid, signal.SIGCONT)
+    assert comes(lambda: controller.count('STOP') > before)
+    states = controller.count('STATE')
+    assert comes(lambda: controller.count('STATE') > states + 10)
+    assert controller.count('MOVE') == 3
+    node.terminate()
+    assert node.wait(30) == 0
+    assert controller.lines[-1] == 'STOP'
+    controller.close()
 
 
 @pytest.mark.parametrize('port', ["''", 'socket://nowhere', 'http://127.0.0.1:80'])

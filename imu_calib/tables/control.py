@@ -176,7 +176,12 @@ class Control:
             return
         orders = self._follower.command(setpoint, self._now(), time.monotonic(), at)
         try:
-            self._give(line, orders)
+            for order in orders:
+                # Held up midway, as by a debugger: what is left was ordered for another time.
+                late = self._follower.watch(time.monotonic())
+                self._give(line, late or (order,))
+                if late:
+                    break
         except Refusal as error:
             # One axis may move already.
             check(line.ask(order_line(Stop())))
