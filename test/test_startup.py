@@ -109,6 +109,29 @@ def test_info_of_topics_alone_loads_no_estimator(in_the_hand):
     assert not among(modules, [*SLOW, *(f'imu_calib.{name}' for name in packages)])
 
 
+ONE_POSITION = """name: rest
+title: One position at rest
+source: this test
+method: six_position
+dwell: 5 s
+rate_test: {rates: [120 deg/s]}
+positions:
+  - {id: 1, axes: [E, N, U]}
+"""
+NEEDLESS = 'rich.progress', 'sqlite3', 'hashlib', 'asyncio', 'importlib.metadata', 'jsonschema'
+"""Each takes a hundredth of a second or more, and nothing of it is used to look into an .mcap."""
+
+
+def test_info_of_a_session_that_determines_nothing_loads_nothing_that_solves(tmp_path):
+    (tmp_path / 'plan.yaml').write_text(ONE_POSITION)
+    bag = tmp_path / 'bag'
+    assert main.main(['simulate', str(tmp_path / 'plan.yaml'), '-o', str(bag)]) == 0
+    code = [*LOOKED.splitlines()[:-1], "assert 'K_gx' in shown.getvalue()"]
+    modules = loaded('\n'.join(code), bag)
+    assert 'imu_calib.calibrator.on_table' in modules
+    assert not among(modules, (*SLOW, *RUNTIME, *NEEDLESS, 'imu_calib.calibrator.by_hand'))
+
+
 def test_the_estimators_load_what_they_use():
     code = 'import imu_calib.calibrator, imu_calib.prediction, imu_calib.verification'
     assert not among(loaded(code), SLOW)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..bags import Recording
-from ..calibrator import HandCalibrator, calibrator_of
 from ..calibrator.setup import Setup
 from ..errors import InputError, NotObservable
 from ..observation.earth_seen import contradicts, latitude_seen, up_rate_seen
@@ -18,18 +18,17 @@ from ..segmentation.naming import heading, up_words
 from ..segmentation.segment import Segment
 from ..segmentation.segmented import Segmented
 from ..segmentation.without_joint_states import up_by_accelerometers
+from ..stream import Block
 from ..turntable import TURN
 from ..units import DEG, DEG_H
 from .opening import Opened
 from .progress import Progress
 
-if TYPE_CHECKING:
-    # Loaded for a session on a table.
-    from ..calibrator import Calibrator
-
 _SAME_UP = 0.999
 """Cosine of 2.6 deg: turns about axes that are closer are of the same position. A judgement: the
 positions of a rate test are 90 deg apart."""
+
+_FREE = 'free_positions'
 
 PASSING = 'on the way'
 UNUSED = 'not used'
@@ -107,11 +106,8 @@ def inside(opened: Opened, progress: Progress) -> Inside:
 
     """
     setup = opened.setup
-    calibrator = calibrator_of(setup)
-    for block in opened.blocks(progress):
-        calibrator.feed(block)
-    session, refusal = _segmented(calibrator)
-    free = isinstance(calibrator, HandCalibrator)
+    free = setup.method_name == _FREE
+    session, refusal = (_held if free else _on_table)(setup, opened.blocks(progress))
     if session.strangers:
         raise InputError(session.strangers)
     labelled = (
@@ -142,11 +138,25 @@ def inside(opened: Opened, progress: Progress) -> Inside:
     )
 
 
-def _segmented(calibrator: Calibrator | HandCalibrator) -> tuple[Segmented, str]:
+def _held(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
     """Return what the streams contain, and why no calibration comes of it; empty where one does."""
-    if isinstance(calibrator, HandCalibrator):
-        session = calibrator.segmented()
-        return session, calibrator.refusal(session)
+    # Each calibrator is loaded for the sessions that it solves.
+    from ..calibrator import HandCalibrator
+
+    calibrator = HandCalibrator(setup)
+    for block in blocks:
+        calibrator.feed(block)
+    session = calibrator.segmented()
+    return session, calibrator.refusal(session)
+
+
+def _on_table(setup: Setup, blocks: Iterable[Block]) -> tuple[Segmented, str]:
+    """Return the same of a session on a table."""
+    from ..calibrator import Calibrator
+
+    calibrator = Calibrator(setup)
+    for block in blocks:
+        calibrator.feed(block)
     review = calibrator.review()
     return review.session, review.refusal
 

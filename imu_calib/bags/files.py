@@ -12,7 +12,6 @@ from .codec import ZSTD_MAGIC, unpack_file
 from .mcap import McapStorage
 from .metadata import NAME, Metadata, read_metadata
 from .remote import AnyPath, RemotePath, local
-from .sqlite import SqliteStorage
 from .storage import Losses, RecordingError, Storage
 
 _STORAGE = ('.mcap', '.db3')
@@ -155,6 +154,9 @@ def open_storage(path: AnyPath, scratch: Scratch, losses: Losses) -> Storage:
             with path.open('rb') as file:
                 magic = file.read(16)
         if magic.startswith(b'SQLite format 3') or (not magic and path.suffix == '.db3'):
+            # Loads SQLite, which few recordings need.
+            from .sqlite import SqliteStorage
+
             return SqliteStorage(_with_its_log(path), losses)
         return McapStorage(path, losses)
     except OSError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import weakref
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -293,6 +292,9 @@ def content_hash(files: Sequence[AnyPath]) -> str:
         InputError: Its connection was lost.
 
     """
+    # Loads OpenSSL, which who only reads does not need.
+    import hashlib
+
     digest = hashlib.sha256()
     for path in sorted(files, key=lambda p: p.name):
         with path.open('rb') as file:

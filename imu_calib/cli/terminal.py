@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ..api.progress import Show
+from ..api.progress import Show, silent
 
 _WIDTH_OF_A_FILE = 160
 """Letters of a line where the output is a file: no table breaks."""
@@ -29,13 +28,26 @@ def progress_bar(text: str) -> Iterator[Show]:
         A function to call with what is done and the total, and another text where it changes.
 
     """
+    if not ERRORS.is_terminal:
+        with silent(text) as show_nothing:
+            yield show_nothing
+        return
+    # Loaded where there is a bar: it takes as long as all other words on the screen.
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
     columns = (
         TextColumn('{task.description}'),
         BarColumn(),
         TaskProgressColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=ERRORS, transient=True, disable=not ERRORS.is_terminal) as bar:
+    with Progress(*columns, console=ERRORS, transient=True) as bar:
         task = bar.add_task(text, total=None)
 
         def show(done: int, total: int, changed: str = text) -> None:

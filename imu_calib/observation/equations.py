@@ -56,6 +56,10 @@ class Nuisance(IntEnum):
 ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
 """Standard deviation of a heading that may be any."""
 
+_FEW = 32
+"""Outputs of five rests, which determine nothing: numpy solves for so few in 0.1 ms, and loading
+scipy takes longer than all else that is done with such a session."""
+
 GIVEN_AZIMUTH = 1 * ARCMIN
 """How well a table's azimuth is known where its configuration states it."""
 
@@ -661,10 +665,17 @@ class Equations:
         """Return derivatives and residuals, (m + k, n + 1), by a root (m, m) of a covariance."""
         columns = np.column_stack([self.jacobian(state), self.outputs - self.predict(state)])
         if len(columns):
-            columns = scipy.linalg.solve_triangular(factor, columns, lower=True, check_finite=False)
+            columns = _solved(factor, columns)
         columns = np.vstack([columns, self.prior_rows(state)])
         columns.flags.writeable = False
         return columns
+
+
+def _solved(root: Floats, columns: Floats) -> Floats:
+    """Solve for columns (m, n) by a lower root (m, m)."""
+    if len(root) <= _FEW:
+        return np.asarray(np.linalg.solve(root, columns))
+    return np.asarray(scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False))
 
 
 def _both(rotations: Floats) -> Floats:
