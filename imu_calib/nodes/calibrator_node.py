@@ -28,11 +28,10 @@ from .sessions import LiveUnit, Sessions
 from .several_words import progress_of_all
 from .unit_results import UnitResults
 
-_TICK = 0.005
-"""s: five samples at 1 kHz; a queue of the middleware holds many times that."""
-_TICK_OF_SEVERAL = 0.02
-"""s: what a round costs whatever has come is paid for every unit; eight at 1 kHz then cost the
-sessions 14 % of a core instead of 43 %."""
+_TICK = 0.02
+"""s: twenty samples at 1 kHz; a queue of the middleware holds many times that. What a round costs
+whatever has come is paid for every unit: eight at 1 kHz cost the sessions 14 % of a core, and 43 %
+with rounds of 5 ms."""
 _SECOND = 1.0
 """s between two looks at what changes slowly: publishers, the disk, the words said."""
 _LAST_TAKE = 1.0
@@ -98,8 +97,7 @@ class CalibratorNode(ros.Node):
         self.create_service(ros.Trigger, '~/save', self._on_save)
         self._count = 0
         self._sessions = self._new_sessions()
-        tick = _TICK_OF_SEVERAL if self._several else _TICK
-        self.create_timer(tick, self._on_tick, clock=steady)
+        self.create_timer(_TICK, self._on_tick, clock=steady)
         self.create_timer(_SECOND, self._on_second, clock=steady)
         if self._setup.table is None:
             # A person looks at what it says while holding still.
