@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -30,6 +31,8 @@ AnyBlock = TypeVar('AnyBlock', bound=Block)
 
 _AFTER_STAMP = ENCAPSULATION + 8
 """Where the frame of a header begins: after seconds and nanoseconds, four bytes each."""
+_CONTENTS = 16
+"""Setpoints that are remembered: one is repeated until the next, on a live topic one at a time."""
 _LAST: dict[Callable[[bytes], Layout], Layout] = {}
 """What the last messages looked like to each parser: those of a recording look the same, chunk
 after chunk. All that a parser decides by is in the layout's fixed bytes and its size."""
@@ -114,18 +117,16 @@ def decode_setpoints(messages: Messages, malformed: Malformed | None = None) -> 
 
     A setpoint is repeated ten times a second with a new stamp: each content is decoded once.
     """
-    known: dict[tuple[bytes, bytes], tuple[Any, ...] | str] = {}
     setpoints: list[Setpoint] = []
     for payload in messages.payloads():
-        # The stamp is the only field that a repetition changes.
-        content = payload[:2], payload[_AFTER_STAMP:]
-        first = known.get(content)
-        if first is None:
-            first = known[content] = _setpoint(payload)
-        if isinstance(first, str):
-            _leave_out(first, malformed)
+        content = _repeated(payload[:2], payload[_AFTER_STAMP:])
+        if isinstance(content, str):
+            # Said again with its own stamp and length.
+            content = _setpoint(payload)
+        if isinstance(content, str):
+            _leave_out(content, malformed)
         else:
-            setpoints.append(Setpoint(LayoutReader(payload).stamp(), *first))
+            setpoints.append(Setpoint(LayoutReader(payload).stamp(), *content))
     return [SetpointBlock(tuple(setpoints))] if setpoints else []
 
 
@@ -271,6 +272,12 @@ def _temperature_layout(payload: bytes) -> Layout:
 
 def _temperature_block(layout: Layout, rows: Bytes) -> TemperatureBlock:
     return TemperatureBlock(layout.stamps(rows), layout.column(rows, 'temperature')[:, 0])
+
+
+@lru_cache(maxsize=_CONTENTS)
+def _repeated(order: bytes, after_stamp: bytes) -> tuple[Any, ...] | str:
+    """Decode a setpoint without its stamp: the only field that a repetition changes."""
+    return _setpoint(order + bytes(_AFTER_STAMP - len(order)) + after_stamp)
 
 
 def _setpoint(payload: bytes) -> tuple[Any, ...] | str:
