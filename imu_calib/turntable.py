@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +89,7 @@ class Table:
         """A sentence on what its file leaves out; empty where it states all."""
         return assumption(self.name, self.assumed) if self.assumed else ''
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Joint names in order."""
         return tuple(joint.name for joint in self.joints)

@@ -100,9 +100,13 @@ class Encoders:
             raise FeedbackError(f'The stamps of the joint states jump back by {back * 1e-9:.3g} s.')
 
     def _follow(self, stamp: int, angles: list[float], rates: list[float]) -> Feedback:
-        for name, angle in zip(self._table.names, angles, strict=True):
-            if not math.isfinite(angle):
-                raise FeedbackError(f'The joint states give {angle} as the angle of joint {name}.')
+        if not all(map(math.isfinite, angles)):
+            name, angle = next(
+                (name, angle)
+                for name, angle in zip(self._table.names, angles, strict=True)
+                if not math.isfinite(angle)
+            )
+            raise FeedbackError(f'The joint states give {angle} as the angle of joint {name}.')
         past = self._past
         if not past:
             angles = [angle + turns for angle, turns in zip(angles, self._turns, strict=True)]
@@ -116,11 +120,13 @@ class Encoders:
         since, before = past[0]
         span = (stamp - since) * 1e-9
         changes = [now - then for now, then in zip(angles, before, strict=True)]
-        still = stamp - since >= _WINDOW and all(abs(c) <= self._quiet for c in changes)
-        told = tuple(
-            change / span if math.isnan(rate) else rate
-            for rate, change in zip(rates, changes, strict=True)
-        )
+        still = stamp - since >= _WINDOW and max(map(abs, changes)) <= self._quiet
+        told = tuple(rates)
+        if any(map(math.isnan, rates)):
+            told = tuple(
+                change / span if math.isnan(rate) else rate
+                for rate, change in zip(rates, changes, strict=True)
+            )
         past.append((stamp, tuple(angles)))
         return Feedback(stamp, gap, tuple(angles), told, still)
 

@@ -175,10 +175,10 @@ class Reader(Endpoint):
         while most is None or len(payloads) < most:
             room = _BULK if most is None else min(_BULK, most - len(payloads))
             taken = self._taken(room)
-            if not taken:
-                break
             # A writer that leaves is told by a sample without data.
             payloads += [payload for payload, info in taken if info.valid_data]
+            if len(taken) < room:
+                break
         return payloads
 
     def drain_sources(self) -> list[tuple[bytes, bytes]]:
