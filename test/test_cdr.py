@@ -29,6 +29,7 @@ from imu_calib.cdr import (
     encode_setpoints,
     encode_temperatures,
     part,
+    rates_payloads,
 )
 from imu_calib.stream import (
     ImuBlock,
@@ -141,16 +142,28 @@ def test_one_by_one_gives_what_all_at_once_gives():
     assert malformed == expected_malformed
 
 
-def test_rates_carry_their_covariances():
-    block, rng = imu_block(), np.random.default_rng(2)
+@pytest.mark.parametrize('count', [0, 1, 5])
+def test_rates_carry_their_covariances(count):
+    block, rng = imu_block(count), np.random.default_rng(2)
     rate, force = rng.normal(size=(2, len(block), 9))
-    for k, payload in enumerate(encode_rates(block, rate, force).payloads()):
+    payloads = encode_rates(block, rate, force).payloads()
+    assert len(payloads) == count
+    assert rates_payloads(block, rate, force) == payloads
+    for k, payload in enumerate(payloads):
         message = STORE.deserialize_cdr(payload, Kind.IMU.type_name)
         assert message.orientation_covariance[0] == -1
         assert message.header.frame_id == 'imu_link'
         assert message.angular_velocity.y == block.gyro[k, 1]
         assert np.array_equal(message.angular_velocity_covariance, rate[k])
         assert np.array_equal(message.linear_acceleration_covariance, force[k])
+
+
+def test_pulses_are_no_rates_to_a_filter():
+    # REP 145: -1 as the first element says that a message does not carry this quantity.
+    message = STORE.deserialize_cdr(encode_imu(imu_block(1)).payload(0), Kind.IMU.type_name)
+    assert message.orientation_covariance[0] == -1
+    assert message.angular_velocity_covariance[0] == -1
+    assert message.linear_acceleration_covariance[0] == -1
 
 
 @st.composite
@@ -310,6 +323,8 @@ def test_options_in_the_encapsulation_header_do_not_matter():
         encode_imu(imu_block(1)).payload(0)[:-1],
         encode_imu(imu_block(1)).payload(0)[:12] + b'\xff\xff\xff\xff' + bytes(400),
         encode_imu(imu_block(1, 'frame')).payload(0).replace(b'frame\0', b'frame!'),
+        # A length that ends before the zero: all else is as in the sound messages.
+        encode_imu(imu_block(1)).payload(0).replace(b'\x09\0\0\0imu', b'\x08\0\0\0imu'),
         encode_imu(imu_block(1, 'frame')).payload(0).replace(b'frame\0', b'\xff\xfeame\0'),
     ],
 )
