@@ -75,6 +75,15 @@ def test_a_recording_of_a_few_samples_is_timed_at_its_end():
     assert timed(regular(1, 1.0))[1].lost == 1
 
 
+def test_samples_wait_until_the_interval_is_known():
+    clock, stamps = SampleClock(), regular(100, 0.01 * NS)
+    waiting = []
+    for part in np.split(stamps, [20, 60]):
+        clock.take(part)
+        waiting.append(clock.waiting)
+    assert waiting == [20, 0, 0]
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_how_the_stream_is_cut_carries_no_meaning(data):

@@ -1,0 +1,160 @@
+"""Mutation testing by a random sample: how many small changes of a package its tests notice.
+
+The changes are cosmic-ray's (operators, numbers, conditions, decorators, loops); annotations are
+left alone, since nothing evaluates them. Each mutant runs in a fork of a process that has loaded
+NumPy and SciPy already, in a copy of the tree, up to the first test that fails.
+
+    pip install cosmic-ray
+    python benchmarks/mutants.py [--packages cdr compensation] [--draw 40] [--seed 1] [--minutes 5]
+
+A package that runs out of time keeps the mutants tested so far: the order of them is random.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import importlib
+import multiprocessing
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator, operator_names
+
+ROOT = Path(__file__).resolve().parent.parent
+# The tests of a package, the quickest first; sessions on a stand are left out.
+TESTS = {
+    'cdr': ['cdr'],
+    'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal'],
+    'segmentation': ['counter', 'sample_grid', 'segmentation', 'stillness'],
+    'sequencing': ['sequencer'],
+    'bags': ['codec', 'bags', 'damaged_bags', 'remote'],
+    'methods': ['methods_positions', 'methods_gyro_only', 'methods_skewed', 'joint'],
+    'observation': ['information', 'arms', 'moves', 'methods_positions', 'joint'],
+    'estimation': ['likelihood', 'converge', 'score', 'undecided', 'joint'],
+}
+# A mutant gets this much longer than the tests take unchanged, and this many seconds more.
+SLOWER, MORE_S = 2.0, 5.0
+WORKERS = 2
+
+
+def annotations(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Return where annotations start and end, each by line and column."""
+    nodes = list(ast.walk(ast.parse(source)))
+    parts = [getattr(node, name, None) for node in nodes for name in ('annotation', 'returns')]
+    found = [part for part in parts if part is not None]
+    return [((p.lineno, p.col_offset), (p.end_lineno, p.end_col_offset)) for p in found]
+
+
+def mutants(package: str) -> list[tuple[str, str, int, int]]:
+    """Return path, operator, occurrence and line of all mutants of a package."""
+    found = []
+    for path in sorted((ROOT / 'imu_calib' / package).rglob('*.py')):
+        source = path.read_text()
+        left_out, nodes = annotations(source), list(ast_nodes(get_ast(source)))
+        for name in operator_names():
+            if get_operator(name).arguments():
+                continue
+            operator = get_operator(name)()
+            places = [place for node in nodes for place in operator.mutation_positions(node)]
+            found += [(str(path.relative_to(ROOT)), name, occurrence, start[0])
+                      for occurrence, (start, _) in enumerate(places)
+                      if not any(a <= start < b for a, b in left_out)]  # fmt: skip
+    return found
+
+
+def run_tests(copy: Path, tests: list[str], limit_s: float) -> tuple[bool, float]:
+    """Return whether the tests pass in a fork, and its processor time in s."""
+    child = os.fork()
+    if not child:
+        os.setsid()
+        quiet = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(quiet, 1), os.dup2(quiet, 2)
+        resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 1))
+        os.chdir(copy)
+        sys.path[:0] = [str(copy), str(copy / 'test')]
+        files = [f'test/test_{name}.py' for name in tests]
+        # What waits uses no processor time: the session's own limit ends it.
+        options = ['-x', '-q', '-p', 'no:cacheprovider', '-o', f'timeout={10 * int(limit_s)}']
+        os._exit(int(pytest.main([*options, *files])))
+    _, status, used = os.wait4(child, 0)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child, signal.SIGKILL)  # what a mutant has started and left behind
+    return status == 0, used.ru_utime + used.ru_stime
+
+
+def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
+    """Test a share of the mutants in a copy of the tree; None ends the answers."""
+    for module in ('linalg', 'optimize', 'signal', 'stats'):
+        importlib.import_module(f'scipy.{module}')
+    sys.dont_write_bytecode = True  # compiled files are told apart by the second only
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / 'tree'
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns('.git', '__pycache__'))
+        sound, baseline_s = run_tests(copy, tests, 600.0)
+        if not sound:
+            print('The tests fail before anything is changed.')
+            share = []
+        for path, name, occurrence, line in share:
+            if time.monotonic() > ends:
+                break
+            source = (copy / path).read_text()
+            changed = mutate_code(source, get_operator(name)(), occurrence)
+            (copy / path).write_text(changed)
+            lives, _ = run_tests(copy, tests, SLOWER * baseline_s + MORE_S)
+            (copy / path).write_text(source)
+            text = changed.splitlines()[line - 1].strip()
+            answers.put((lives, f'{path}:{line} {name.split("/")[1]}: {text}'))
+    answers.put(None)
+
+
+def interval(killed: int, drawn: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share, after Wilson (1927)."""
+    z, share = 1.96, killed / drawn
+    middle = (share + z * z / (2 * drawn)) / (1 + z * z / drawn)
+    half = z / (1 + z * z / drawn) * (share * (1 - share) / drawn + (z / (2 * drawn)) ** 2) ** 0.5
+    return middle - half, middle + half
+
+
+def score(package: str, draw: int, seed: int, minutes: float) -> None:
+    """Print the survivors of a package and its row of the table."""
+    population = mutants(package)
+    drawn = random.Random(seed).sample(population, min(draw, len(population)))
+    answers: multiprocessing.Queue = multiprocessing.Queue()
+    ends = time.monotonic() + 60.0 * minutes
+    for n in range(WORKERS):
+        given = drawn[n::WORKERS], TESTS[package], ends, answers
+        multiprocessing.Process(target=work, args=given).start()
+    tested, killed, working = 0, 0, WORKERS
+    while working:
+        match answers.get():
+            case None:
+                working -= 1
+            case lives, text:
+                tested, killed = tested + 1, killed + (not lives)
+                print('survived' if lives else 'killed', text, flush=True)
+    low, high = (100 * share for share in interval(killed, max(tested, 1)))
+    row = package, ', '.join(TESTS[package]), len(population), tested, killed, tested - killed
+    print('|', *[f'{cell} |' for cell in row], f'{low:.0f} to {high:.0f} % |', flush=True)
+
+
+if __name__ == '__main__':
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--packages', nargs='+', default=list(TESTS), choices=list(TESTS))
+    parser.add_argument('--draw', type=int, default=100)
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--minutes', type=float, default=60.0, help='the most for one package')
+    given = parser.parse_args()
+    for each in given.packages:
+        score(each, given.draw, given.seed, given.minutes)
