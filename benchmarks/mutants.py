@@ -146,7 +146,8 @@ def score(package: str, draw: int, seed: int, minutes: float) -> None:
                 print('survived' if lives else 'killed', text, flush=True)
     low, high = (100 * share for share in interval(killed, max(tested, 1)))
     row = package, ', '.join(TESTS[package]), len(population), tested, killed, tested - killed
-    print('|', *[f'{cell} |' for cell in row], f'{low:.0f} to {high:.0f} % |', flush=True)
+    share = f'{100 * killed / max(tested, 1):.0f} %', f'{low:.0f} to {high:.0f} %'
+    print('|', *[f'{cell} |' for cell in (*row, *share)], flush=True)
 
 
 if __name__ == '__main__':
