@@ -236,6 +236,10 @@ class SensorModel:
             skewed = Skewed(four[:, :3], four[:, 3])
         return SensorModel(base.gyro, base.accel, flat[_G].reshape(3, 3), skewed, terms)
 
+    def fingerprint(self) -> bytes:
+        """Return what is the same of models that answer alike: a term of zeros is none."""
+        return self._flat().tobytes()
+
     def _flat(self) -> Floats:
         """Return all that there can be, in the order of `_ALL`."""
         flat = np.zeros(len(_ALL))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,8 +156,11 @@ class Evidence:
         """
         if self.table is None:
             raise ValueError('no table, and none of its errors')
-        kept = _OF_RESTS | {'positioning_leans', 'links', 'layout', 'state_cache'}
-        return self._but(kept, table=replace(self.table, errors=errors))
+        key = 'table', errors
+        if key not in self.cache:
+            kept = _OF_RESTS | {'positioning_leans', 'links', 'layout', 'state_cache'}
+            self.cache[key] = self._but(kept, table=replace(self.table, errors=errors))
+        return cast(Evidence, self.cache[key])
 
     def _but(self, kept: set[str], **changed: Any) -> Evidence:
         found = replace(self, **changed)
@@ -170,7 +173,7 @@ class Evidence:
         return deque(maxlen=_REMEMBERED)
 
     @cached_property
-    def cache(self) -> dict[str, Any]:
+    def cache(self) -> dict[Any, Any]:
         """What was worked out of it whatever the state (`Equations`)."""
         return {}
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +140,16 @@ def nominal_information(equations: Equations) -> Information:
 
 
 def with_nominal_attitudes(evidence: Evidence) -> Evidence:
-    """Return the evidence with attitudes as they are meant: without an encoder's last digits."""
+    """Return the evidence with attitudes as they are meant: without an encoder's last digits.
+
+    It is made once, and keeps what is worked out of it.
+    """
+    if 'nominal' not in evidence.cache:
+        evidence.cache['nominal'] = _with_nominal_attitudes(evidence)
+    return cast(Evidence, evidence.cache['nominal'])
+
+
+def _with_nominal_attitudes(evidence: Evidence) -> Evidence:
     segments = tuple(
         s if s.attitude is None else replace(s, attitude=_without_strays(s.attitude))
         for s in evidence.segments

@@ -51,6 +51,11 @@ _LEVEL = np.array([1.0, 1.0, 0.0])
 """What a rotation of the axes makes of gravity: nothing along it."""
 
 
+_REMEMBERED = 4
+"""Models by which the moves are led on and kept: a search looks at two solutions by turns, and at
+the step to the next from either."""
+
+
 @dataclass(frozen=True, eq=False)
 class LinkedMove:
     """A move, and the indices of the segments at rest that it leads from and to.
@@ -160,10 +165,14 @@ class Moves:
     def _led(
         self, model: SensorModel
     ) -> tuple[tuple[GyroPath, ...], tuple[VelocityIncrement | None, ...]]:
-        """Lead the moves on; those of the last model are kept."""
-        key = model.values(model.parameters).tobytes()
+        """Lead the moves on; those of the last few models are kept.
+
+        A term whose coefficients are zero leads nowhere else than none.
+        """
+        key = model.fingerprint()
         if key not in self._memo:
-            self._memo.clear()
+            if len(self._memo) == _REMEMBERED:
+                del self._memo[next(iter(self._memo))]
             motions = [
                 (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
                 for k in self.links
