@@ -118,7 +118,7 @@ def test_progress_is_shown_to_who_asks(folder: Path) -> None:
     ('stated', 'error', 'sentence'),
     [
         ({'plan': 'no_such'}, InputError, "No plan is called 'no_such'; there are: .*twelve_pos"),
-        ({'imu_topic': '/else'}, InputError, r'--imu-topic /else: .* it has: /imu/pulses'),
+        ({'imu_topic': '/else'}, InputError, 'topic /else: .* are: /imu/pulses'),
         ({'azimuth': float('nan')}, InputError, '--azimuth: found nan, expected degrees'),
         ({'serial': '7', 'latitude': 95.0}, InputError, 'latitude'),
         ({'plan': 'six_position'}, InputError, 'setpoints of the recording are of plan twelve'),

@@ -28,7 +28,8 @@ _STEP = 0.01
 _NO_NUMBER = np.uint8(Mark.NO_NUMBER)
 
 
-@dataclass(frozen=True, eq=False)
+# Not frozen, as its values: one is made of each live sample.
+@dataclass(eq=False)
 class Reading:
     """Consecutive samples with one frame, compensated.
 

@@ -131,12 +131,13 @@ class SampleClock:
             self.odd += 1
         place = self._make_room(1)
         sums = self._sums
-        elapsed, count = sums[place - 1].tolist()
+        elapsed, count = sums.item(place - 1, 0), sums.item(place - 1, 1)
         if regular:
             elapsed, count = elapsed + step, count + 1
-        sums[place] = elapsed, count
+        sums[place, 0], sums[place, 1] = elapsed, count
         self._known += 1
-        before, known = sums[max(place - _WINDOW, 0)].tolist()
+        first = max(place - _WINDOW, 0)
+        before, known = sums.item(first, 0), sums.item(first, 1)
         # All below 2^53: the same quotient as that of arrays.
         interval = (elapsed - before) / (count - known) * 1e-9
         if self._run == _LEARNT:

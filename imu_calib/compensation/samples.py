@@ -30,7 +30,8 @@ class Mark(IntFlag):
     """A value is not finite."""
 
 
-@dataclass(frozen=True, eq=False)
+# Not frozen: one is made of each live sample, and that would take a microsecond more.
+@dataclass(eq=False)
 class CompensatedSamples:
     """Samples in SI units along the body axes.
 
