@@ -18,6 +18,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.cli import main, stand_session
 from imu_calib.cli.processes import Processes, private_network
 from imu_calib.middleware import messages
+from imu_calib.model import PARAMETER_NAMES
 from imu_calib.nodes import qos
 from imu_calib.share import named_file
 
@@ -178,8 +179,11 @@ class Stand:
         truth = Calibration.load(named_file('truths', 'cao2022_table1')).model.vector()
         for message in self.calibrations:
             if message.status != messages.ImuCalibration.REFUSED:
-                values = [getattr(message, name.lower()) for name in message.parameter_names]
-                error = np.abs(np.array(values) - truth) / np.array(message.standard_deviations)
+                # One session in a thousand shows a term by chance (estimation/search.CHANCE): the
+                # numbers beside it hold all the same.
+                std = dict(zip(message.parameter_names, message.standard_deviations, strict=True))
+                values = [getattr(message, name.lower()) for name in PARAMETER_NAMES]
+                error = np.abs(np.array(values) - truth) / [std[n] for n in PARAMETER_NAMES]
                 assert error.max() < LIMIT, (message.status, error.round(1), message.status_text)
 
     def check_reprocessing(self):
