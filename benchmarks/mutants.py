@@ -95,7 +95,15 @@ def run_tests(copy: Path, tests: list[str], limit_s: float) -> tuple[bool, float
 
 
 def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
-    """Test a share of the mutants in a copy of the tree; None ends the answers."""
+    """Test a share of the mutants; None ends the answers, whatever happens."""
+    try:
+        test(share, tests, ends, answers)
+    finally:
+        answers.put(None)
+
+
+def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
+    """Test mutants in a copy of the tree, one after the other."""
     for module in ('linalg', 'optimize', 'signal', 'stats'):
         importlib.import_module(f'scipy.{module}')
     sys.dont_write_bytecode = True  # compiled files are told apart by the second only
@@ -116,7 +124,6 @@ def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
             (copy / path).write_text(source)
             text = changed.splitlines()[line - 1].strip()
             answers.put((lives, f'{path}:{line} {name.split("/")[1]}: {text}'))
-    answers.put(None)
 
 
 def interval(killed: int, drawn: int) -> tuple[float, float]:
