@@ -356,10 +356,10 @@ def test_a_session_that_is_ended_early_says_which_positions_are_missing(tmp_path
         final = stand.ended()
         assert final.status == final.INCOMPLETE, (final.status, final.status_text)
         assert final.status_text.startswith('Positions of the plan are missing: ')
-        seen = {s.position_id for s in stand.states if s.phase == State.DWELLING}
         missing = final.status_text.split(': ')[1].split('.')[0].split(', ')
-        assert not seen - {stand.state.position_id} & set(missing)
-        assert len(seen | set(missing)) == 12
+        # The twelve go by their numbers; the one that it was held in may have lasted long enough.
+        held = int(stand.state.position_id)
+        assert missing in ([str(k) for k in range(first, 13)] for first in (held, held + 1))
         stand.check_numbers()
 
 
