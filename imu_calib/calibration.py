@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +36,7 @@ from .model import (
     terms_of,
 )
 from .origin import read_origin
+from .paths import user_path, write_whole
 from .plausibility import check_plausible
 from .stamping import KEY as CLOCK
 from .stamping import StampingClock, read_clock
@@ -318,7 +318,7 @@ class Calibration:
             InputError: It cannot be written.
 
         """
-        write_whole(Path(path).expanduser(), self.to_yaml())
+        write_whole(user_path(path), self.to_yaml())
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
@@ -328,7 +328,7 @@ class Calibration:
             InputError: Unreadable, or no calibration.
 
         """
-        return cls.read(Section.load(Path(path).expanduser()))
+        return cls.read(Section.load(user_path(path)))
 
     @classmethod
     def read(cls, section: Section) -> Calibration:
@@ -387,23 +387,6 @@ class Calibration:
         section.finish()
         check_plausible(calibration, section.where)
         return calibration
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file whole or not at all.
-
-    Raises:
-        InputError: It cannot be written.
-
-    """
-    temporary = path.with_name(path.name + '.part')
-    try:
-        temporary.write_text(text, encoding='utf-8')
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise InputError(f'{path}: cannot be written ({error.strerror}).') from None
 
 
 class _Dumper(SafeDumper):

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import yaml
@@ -22,6 +21,7 @@ from .methods import METHODS
 from .model import named_terms
 from .mounted import PULSES, load_units, remaining
 from .network import LOOPBACK, REACH, check_domain, kept_to
+from .paths import user_path
 from .plan import load_plan
 from .security import in_enclave
 from .share import named_file
@@ -287,7 +287,7 @@ def _unless_empty(check: Callable[[str], Any]) -> Callable[[str], None]:
 
 
 def _file(text: str) -> None:
-    if not Path(text).expanduser().is_file():
+    if not user_path(text).is_file():
         raise InputError(f'found no such file, expected one. {text} is missing.')
 
 

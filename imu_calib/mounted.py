@@ -15,6 +15,7 @@ import numpy as np
 
 from .config import Section
 from .errors import InputError
+from .paths import user_path
 from .stream import Floats
 from .turntable import Table, read_mount
 
@@ -94,7 +95,7 @@ def load_units(path: str | Path) -> tuple[MountedUnit, ...]:
         InputError: File, key, what was found and what was expected.
 
     """
-    path = Path(path).expanduser()
+    path = user_path(path)
     return read_units(Section.load(path), path.parent)
 
 
@@ -202,7 +203,7 @@ def _matching(section: Section, key: str, pattern: str, expected: str) -> str:
 
 def _named(name: str, folder: Path | None) -> str:
     """Return the name of a file that ships, or the path of one beside this."""
-    path = Path(name).expanduser()
+    path = user_path(name)
     if folder is None or (path.suffix not in {'.yaml', '.yml'} and path.parent == Path()):
         return name
     beside = folder / path

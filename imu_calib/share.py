@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from .errors import InputError
+from .paths import user_path
 
 _PACKAGE = Path(__file__).resolve().parent
 _CHECKOUT = _PACKAGE.parent
@@ -58,7 +59,7 @@ def named_file(kind: str, name: str | Path) -> Path:
     """
     if not isinstance(name, str | Path):
         raise InputError(f'found {name!r}, expected the name or the path of a file ({kind}).')
-    path = Path(name).expanduser()
+    path = user_path(name)
     if path.suffix in {'.yaml', '.yml'} or path.parent != Path():
         if path.is_file():
             return path

@@ -273,7 +273,7 @@ def test_a_broken_record_head_is_jumped_over_with_the_chunk_index(tmp_path):
     assert 'holds no valid record at byte' in losses[0]
 
 
-@pytest.mark.parametrize('what', ['gone', 'wrong offsets', 'incomplete'])
+@pytest.mark.parametrize('what', ['gone', 'wrong offsets', 'offsets beyond all', 'incomplete'])
 def test_messages_are_found_without_a_sound_message_index(tmp_path, what):
     path = write_chunks(tmp_path / 'bag')
     for offset, length in records(path, 7):
@@ -281,6 +281,8 @@ def test_messages_are_found_without_a_sound_message_index(tmp_path, what):
             overwrite(storage_file(path), offset, b'\x80')
         if what == 'wrong offsets':
             overwrite(storage_file(path), offset + 15 + 8, struct.pack('<Q', 77))
+        if what == 'offsets beyond all':
+            overwrite(storage_file(path), offset + 15 + 8, struct.pack('<Q', 2**63 - 1))
         if what == 'incomplete':
             entry = struct.pack('<QQ', 0, 0)
             with storage_file(path).open('rb') as file:
@@ -290,6 +292,29 @@ def test_messages_are_found_without_a_sound_message_index(tmp_path, what):
     blocks, losses = read(path)
     assert_same(blocks, SESSION)
     assert losses == []
+
+
+def test_a_message_too_short_to_be_one_at_the_end_of_a_chunk_is_a_stated_loss(tmp_path):
+    path = write_chunks(tmp_path / 'bag', count=1)
+    file = storage_file(path)
+    (chunk, length), *_ = records(path, 6)
+    content = file.read_bytes()
+    # Records begin behind the chunk's fields and the name of its compression, here empty.
+    first, end = chunk + 9 + 40, chunk + 9 + length
+    starts, _ = walk(np.frombuffer(content[first:end], np.uint8))
+    last = first + int(starts[-1])
+    filler = struct.pack('<BQ', 0x80, end - last - 2 * 9 - 1)
+    overwrite(file, last, filler)
+    overwrite(file, end - 10, struct.pack('<BQ', 5, 1))
+    overwrite(file, chunk + 9 + 24, bytes(4))
+    for offset, _ in records(path, 7):
+        overwrite(file, offset, b'\x80')
+    blocks, losses = read(path)
+    assert (
+        sum(len(b) for some in blocks.values() for b in some)
+        == sum(map(len, samples_until(2).values())) - 1
+    )
+    assert any('holds 1 messages too short to be any' in loss for loss in losses)
 
 
 def write_unchunked(path, rows, footer=True):
@@ -342,6 +367,76 @@ def test_a_damaged_page_of_a_sqlite_file_costs_its_own_rows(tmp_path):
     kept = sum(map(len, blocks[IMU]))
     assert len(SESSION[IMU]) - 60 < kept < len(SESSION[IMU])
     assert any('rows' in loss and 'cannot be read' in loss for loss in losses)
+
+
+def change(path, *statements):
+    """Run statements on the sqlite3 file of a recording."""
+    database = sqlite3.connect(storage_file(path))
+    for statement in statements:
+        database.execute(statement)
+    database.commit()
+    database.close()
+
+
+def test_a_topic_without_a_number_in_a_sqlite_file_is_a_stated_loss(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    change(
+        path,
+        'CREATE TABLE copied AS SELECT * FROM topics',
+        f"UPDATE copied SET id = NULL WHERE name = '{JOINTS}'",
+        'DROP TABLE topics',
+        'ALTER TABLE copied RENAME TO topics',
+    )
+    blocks, losses = read(path, [IMU])
+    assert_same(blocks, {IMU: SESSION[IMU]})
+    assert any(f'topic {JOINTS} has no number' in loss for loss in losses)
+
+
+def test_a_message_with_the_largest_row_number_of_a_sqlite_file_is_read(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    change(path, f'UPDATE messages SET id = {2**63 - 1} WHERE id = (SELECT max(id) FROM messages)')
+    blocks, losses = read(path)
+    assert_same(blocks, SESSION)
+    assert losses == []
+
+
+def test_row_numbers_of_a_sqlite_file_that_are_words_get_a_sentence(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    change(
+        path,
+        'CREATE TABLE copied AS SELECT * FROM messages',
+        "UPDATE copied SET id = 'z' || id",
+        'DROP TABLE messages',
+        'ALTER TABLE copied RENAME TO messages',
+    )
+    with pytest.raises(InputError, match='the rows after -1 cannot be read'):
+        read(path)
+
+
+class Greedy(sqlite3.Connection):
+    """Runs out of memory at one row, as SQLite does where the row states a damaged length."""
+
+    ROW = 1500
+
+    def execute(self, query, given=()):
+        if 'data' in query and any(row[0] == self.ROW for row in self._numbers(query, given)):
+            raise MemoryError
+        return super().execute(query, given)
+
+    def _numbers(self, query, given):
+        return super().execute('SELECT id' + query[query.index(' FROM') :], given).fetchall()
+
+
+def test_a_damaged_length_in_a_sqlite_file_costs_its_own_row(tmp_path, monkeypatch):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    connect = sqlite3.connect
+    monkeypatch.setattr(
+        sqlite3, 'connect', lambda *given, **more: connect(*given, factory=Greedy, **more)
+    )
+    blocks, losses = read(path)
+    assert sum(map(len, (b for some in blocks.values() for b in some))) == len(ROWS) - 1
+    lost = f'rows {Greedy.ROW} to {Greedy.ROW} cannot be read (it states a length'
+    assert any(lost in loss for loss in losses)
 
 
 def test_a_cut_compressed_file_gives_what_unpacks(tmp_path):

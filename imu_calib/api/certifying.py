@@ -16,6 +16,7 @@ from ..compensation.thermal import AnyCalibration, ThermalCalibration, load_cali
 from ..config import Section
 from ..errors import InputError
 from ..imu import ImuSpec
+from ..paths import user_path
 from .named import Named, as_calibration, as_imu
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def certificate(
 
     """
     named = [output] if isinstance(output, str | Path) else output
-    targets = [Path(name).expanduser() for name in named]
+    targets = [user_path(name) for name in named]
     kinds = [t.suffix.lower() for t in targets]
     for target, kind in zip(targets, kinds, strict=True):
         if kind not in FORMATS:
@@ -64,7 +65,7 @@ def certificate(
         )
     found = _single(calibration)
     if not isinstance(fields, Fields):
-        fields = read_fields(Section.load(Path(fields).expanduser()))
+        fields = read_fields(Section.load(user_path(fields)))
     specification = None if imu is None else as_imu(imu).specification
     made = certificate_of(found, fields, specification, dcc='.xml' in kinds, draft=draft)
     html = certificate_page(made)

@@ -29,6 +29,7 @@ from ..cdr import (
 from ..errors import InputError
 from ..extras import require
 from ..imu import load_imu
+from ..paths import user_path
 from ..share import named_file
 from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock, Units
 from ..units import Dimension, parse
@@ -117,7 +118,7 @@ def convert(
         InputError: Unreadable, the options do not fit the file, or the output exists.
 
     """
-    target = Path(output).expanduser()
+    target = user_path(output)
     if target.exists():
         raise InputError(f'{target}: exists already; name a folder that does not.')
     path = located(source)

@@ -6,11 +6,11 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..calibration import write_whole
 from ..compensation.thermal import AnyCalibration, ThermalCalibration, first_of
 from ..errors import InputError
 from ..exports import EXPORTS, Exported, ExportSource
 from ..imu import ImuSpec
+from ..paths import user_path, write_whole
 from .named import Named, as_applied, as_imu
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ def export(
         raise InputError(f'--sample-rate: found {sample_rate}, expected Hz above 0.')
     path = None
     if isinstance(calibration, str | Path):
-        path = Path(calibration).expanduser().absolute()
-    target = None if output is None else Path(output).expanduser()
+        path = user_path(calibration).absolute()
+    target = None if output is None else user_path(output)
     if target is not None and target.absolute() == path:
         raise InputError(f'--output: {target} is the calibration itself.')
     loaded, name = as_applied(calibration if path is None else path)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import InputError
+from ..paths import user_path
 from .named import Named
 
 
@@ -38,7 +39,7 @@ def new_folder(output: Named) -> Path:
 
 
 def _below_a_folder(output: Named) -> Path:
-    path = Path(output).expanduser()
+    path = user_path(output)
     if not path.parent.is_dir():
         raise InputError(f'{path}: the folder {path.parent} does not exist.')
     return path

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..calibration import Calibration, write_whole
+from ..calibration import Calibration
 from ..calibrator import Setup
 from ..earth import LUOYANG
 from ..engine import run_all
@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..imu import ImuSpec
 from ..methods import check_plan, closed_form_beside
 from ..model import Parameter, SensorModel
+from ..paths import write_whole
 from ..plan import Plan
 from ..prediction import Forecast, Reached, TermForecast, duration, forecast, forecast_terms, listed
 from ..prediction import reach as shortest_dwells

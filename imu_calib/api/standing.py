@@ -12,6 +12,7 @@ from pathlib import Path
 from ..calibration import Calibration
 from ..errors import ImuCalibError, InputError, NotObservable
 from ..lifetime import ENDS_WITH
+from ..paths import user_path
 from .named import Named
 from .stated import TRUE_TABLE
 
@@ -113,7 +114,7 @@ def stand(
         'gravity': gravity,
         'gravity-std': gravity_std,
     }
-    folder = Path(output).expanduser()
+    folder = user_path(output)
     words = [f'--{name}={value}' for name, value in options.items() if value is not None]
     _run(['stand', f'--output={folder}', *words, '--', str(plan)])
     drawn = folder / TRUE_TABLE

@@ -221,13 +221,14 @@ class McapStorage:
                 f'{self.path.name}: {chunk} holds no valid record at its byte {end}; '
                 f'its other {len(buffer) - end} bytes are left out.'
             )
-        offsets = offsets[buffer[offsets] == Op.MESSAGE]
+        marked = offsets[buffer[offsets] == Op.MESSAGE]
+        # The head of a message reaches further than that of a record, perhaps beyond the chunk.
+        offsets = marked[marked <= len(buffer) - _HEAD]
         heads = _heads(buffer, offsets)
         sound = heads['length'] >= MESSAGE_HEAD
-        if not sound.all():
-            bad = int((~sound).sum())
+        offsets, heads = offsets[sound], heads[sound]
+        if bad := len(marked) - len(offsets):
             self._losses.add(f'{self.path.name}: {chunk} holds {bad} messages too short to be any.')
-            offsets, heads = offsets[sound], heads[sound]
         placed = {}
         for channel in np.unique(heads['channel']).tolist():
             mine = heads['channel'] == channel
@@ -326,7 +327,7 @@ def _indexed(tables: dict[int, Indices], buffer: Bytes) -> dict[int, Placed] | N
             if (table[1:, 1] == table[:-1, 1]).any():
                 return None
         offsets = np.ascontiguousarray(table[:, 1])
-        if offsets[0] < 0 or offsets[-1] + _HEAD > len(buffer):
+        if offsets[0] < 0 or offsets[-1] > len(buffer) - _HEAD:
             return None
         heads = _heads(buffer, offsets)
         if (heads['op'] != Op.MESSAGE).any() or (heads['channel'] != channel).any():

@@ -22,6 +22,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..extras import require
+from ..paths import user_path
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -54,7 +55,7 @@ def located(name: str | AnyPath) -> AnyPath:
     """
     if isinstance(name, RemotePath):
         return name
-    return RemotePath.at(str(name)) if is_url(name) else Path(name).expanduser()
+    return RemotePath.at(str(name)) if is_url(name) else user_path(name)
 
 
 def local(path: AnyPath) -> Path:

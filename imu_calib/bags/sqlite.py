@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 _MAGIC = b'SQLite format 3\x00'
 _HEADER = 100
 """Bytes of the header of a database (SQLite file format, section 1.3)."""
-# Python turns SQLite's own messages into text, which damaged names make impossible.
-_DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError)
+# Python turns SQLite's own messages into text, which damaged names make impossible; a damaged
+# length asks for more memory than there is.
+_DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError, MemoryError)
+_LAST_ROW = 2**63 - 1
+"""The largest row id (SQLite file format, section 2.1)."""
 _MIN_ROWS, _MAX_ROWS = 2048, 65536
 """Of a query; a choice between memory and calls."""
 # All versions of the schema have these; later ones add columns and tables.
@@ -61,7 +64,9 @@ class SqliteStorage:
         try:
             self._open_for_the_first_time()
         except _DAMAGE as error:
-            raise RecordingError(f'{path.name} is not a sound sqlite3 file: {error}.') from None
+            raise RecordingError(
+                f'{path.name} is not a sound sqlite3 file: {_why(error)}.'
+            ) from None
 
     def cursors(self, topics: frozenset[str], cache: Cache) -> dict[str, Iterator[MessageBatch]]:
         """Start reading: one iterator per topic, all independent of each other."""
@@ -90,7 +95,7 @@ class SqliteStorage:
             'SELECT timestamp FROM messages '
             f'WHERE id >= ? AND id < ? AND topic_id {_among(topics)} ORDER BY id'
         )
-        last = 2**63 - 1 if end is None else end
+        last = _LAST_ROW if end is None else end
         log = np.full(count, log_ns, np.int64)
         with suppress(*_DAMAGE, TypeError, ValueError, OverflowError):
             with closing(self._connect()) as database:
@@ -149,11 +154,16 @@ class SqliteStorage:
         """Read what the file says of itself."""
         with closing(self._connect()) as database:
             self._check_schema(database)
-            rows = database.execute('SELECT id, name, type, serialization_format FROM topics')
-            topics = rows.fetchall()
+            query = 'SELECT id, name, type, serialization_format FROM topics'
+            listed = database.execute(query).fetchall()
+            topics = [row for row in listed if isinstance(row[0], int)]
+            for _, name, *_ in (row for row in listed if row not in topics):
+                self._losses.add(
+                    f'{self.path.name}: topic {name} has no number; its messages are left out.'
+                )
             self._ids: dict[str, list[int]] = {}
             for key, name, _, _ in topics:
-                self._ids.setdefault(str(name), []).append(int(key))
+                self._ids.setdefault(str(name), []).append(key)
             self.topics: dict[str, Topic] = {}
             for _, name, kind, encoding in topics:
                 # Counting would take a pass over the whole file; metadata.yaml mostly knows.
@@ -193,16 +203,16 @@ class SqliteStorage:
         self, database: sqlite3.Connection, topics: tuple[int, ...], start: int, width: int
     ) -> tuple[list[tuple[Any]], int | None]:
         """Return the messages of a window of row ids, and where the next window starts."""
-        end = start + width
+        last = min(start + width - 1, _LAST_ROW)
         query = (
             'SELECT data FROM messages '
-            f'WHERE id >= ? AND id < ? AND topic_id {_among(topics)} ORDER BY id'
+            f'WHERE id >= ? AND id <= ? AND topic_id {_among(topics)} ORDER BY id'
         )
         try:
-            rows = database.execute(query, (start, end, *topics)).fetchall()
+            rows = database.execute(query, (start, last, *topics)).fetchall()
             if rows:
-                return rows, end
-            beyond = _first_row(database, end)
+                return rows, last + 1 if last < _LAST_ROW else None
+            beyond = _first_row(database, last + 1)
         except _DAMAGE as error:
             return self._load_damaged(database, topics, start, error)
         return [], beyond[0] if beyond else None
@@ -228,7 +238,7 @@ class SqliteStorage:
             return rows, None
         following = self._next_readable(database, last + 1)
         where = f'rows {last + 1} to {following - 1}' if following else f'the rows after {last}'
-        self._losses.add(f'{self.path.name}: {where} cannot be read ({error}).')
+        self._losses.add(f'{self.path.name}: {where} cannot be read ({_why(error)}).')
         return rows, following
 
     def _next_readable(self, database: sqlite3.Connection, damaged: int) -> int | None:
@@ -252,8 +262,14 @@ def _stated_size(head: bytes) -> int:
 
 def _extreme(database: sqlite3.Connection, what: str) -> int | None:
     """Ask for one extreme value: SQLite answers that from an index, and two by a scan."""
-    found: int | None = database.execute(f'SELECT {what} FROM messages').fetchone()[0]
-    return found
+    found = database.execute(f'SELECT {what} FROM messages').fetchone()[0]
+    if found is None or isinstance(found, int):
+        return found
+    raise sqlite3.DatabaseError(f'{what} of its messages is {found!r}, no whole number')
+
+
+def _why(error: Exception) -> str:
+    return 'it states a length beyond all memory' if isinstance(error, MemoryError) else str(error)
 
 
 def _among(topics: tuple[int, ...]) -> str:
@@ -262,9 +278,11 @@ def _among(topics: tuple[int, ...]) -> str:
 
 def _first_row(database: sqlite3.Connection, start: int) -> tuple[int, int, Any] | None:
     """Return id, topic and data of the first row from an id on."""
+    if start > _LAST_ROW:
+        return None
     query = 'SELECT id, topic_id, data FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
     row: tuple[int, int, Any] | None = database.execute(query, (start,)).fetchone()
-    if row is not None and row[0] < start:
+    if row is not None and not (isinstance(row[0], int) and row[0] >= start):
         raise sqlite3.DatabaseError('the row ids are out of order')
     return row
 

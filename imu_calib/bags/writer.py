@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..definitions import definition
+from ..paths import user_path
 from . import metadata
 from .codec import compressor
 from .files import Scratch, find_files, open_storage
@@ -61,7 +62,7 @@ class RecordingWriter:
         *,
         resume: bool = False,
     ) -> None:
-        self.path = Path(path).expanduser()
+        self.path = user_path(path)
         self._custom_data = dict(custom_data or {})
         self._former: list[_Former] = []
         self._topics: dict[str, tuple[int, str]] = {}

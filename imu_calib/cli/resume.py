@@ -16,6 +16,7 @@ import yaml
 
 from ..bags import FINISHED, Recording, RecordingError, open_recording
 from ..errors import InputError
+from ..paths import user_path
 from ..share import named_file
 from ..simulation import StandOptions
 from . import several
@@ -90,7 +91,7 @@ def restore(arguments: argparse.Namespace) -> Path:
         InputError: The folder is no stand's, or options are given that belong to the session.
 
     """
-    folder = Path(arguments.resume).expanduser()
+    folder = user_path(arguments.resume)
     settings = folder / _SETTINGS
     try:
         kept: Any = yaml.safe_load((settings / _OPTIONS).read_text(encoding='utf-8'))

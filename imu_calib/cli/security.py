@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
+from ..paths import user_path
 from ..security import enclave, make_keystore
 from .terminal import OUTPUT
 
@@ -30,8 +30,8 @@ def run(arguments: argparse.Namespace) -> None:
         ImuCalibError: sros2 is not here, or the keystore cannot be made.
 
     """
-    keystore = Path(arguments.keystore).expanduser().absolute()
-    policy = None if arguments.policy is None else Path(arguments.policy).expanduser()
+    keystore = user_path(arguments.keystore).absolute()
+    policy = None if arguments.policy is None else user_path(arguments.policy)
     enclaves = make_keystore(keystore, arguments.namespace, policy)
     OUTPUT.print(f'{keystore} holds the keys of:', markup=False)
     for name in enclaves:

@@ -18,6 +18,7 @@ from ..devices import check_port, load_format
 from ..errors import InputError
 from ..imu import load_imu
 from ..mounted import PULSES, TRUTHS, MountedUnit, load_units, remaining
+from ..paths import user_path
 from ..plan import load_plan
 from ..reports.parameter_table import engineering
 from ..share import named_file
@@ -145,7 +146,7 @@ def remappings(arguments: argparse.Namespace) -> dict[str, dict[str, str]]:
 
 def keep(arguments: argparse.Namespace, settings: Path) -> None:
     """Copy the units' file and all that it names into the settings of a session."""
-    file = Path(arguments.imus).expanduser()
+    file = user_path(arguments.imus)
     units = {unit.name: unit for unit in load_units(file)}
     kept = yaml.safe_load(file.read_text(encoding='utf-8'))
     folder = settings / 'units'

@@ -11,6 +11,7 @@ from ..devices import Baud, FrameFormat, check_port, choose_baud, is_serial, loa
 from ..earth import LUOYANG
 from ..errors import InputError
 from ..imu import ImuSpec, load_imu
+from ..paths import user_path
 from ..plan import load_plan
 from ..share import shipped
 from ..turntable import load_table
@@ -164,7 +165,7 @@ def complete(arguments: argparse.Namespace) -> None:
 
 def _new_folder(arguments: argparse.Namespace) -> Path:
     """Return the folder to create."""
-    folder = Path(arguments.output).expanduser()
+    folder = user_path(arguments.output)
     if not folder.exists():
         return folder
     from . import resume

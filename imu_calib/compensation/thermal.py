@@ -10,11 +10,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..calibration import Calibration, write_whole
+from ..calibration import Calibration
 from ..config import Section
 from ..errors import InputError
 from ..gravity import gravity_deviation, without_gravity
 from ..imu import ImuSpec
+from ..paths import user_path, write_whole
 from ..stamping import StampingClock
 from ..stream import Floats
 from ..yaml_text import dump, load
@@ -151,7 +152,7 @@ class ThermalCalibration:
             InputError: It cannot be written.
 
         """
-        write_whole(Path(path).expanduser(), self.to_yaml())
+        write_whole(user_path(path), self.to_yaml())
 
 
 AnyCalibration: TypeAlias = Calibration | ThermalCalibration
@@ -223,7 +224,7 @@ def load_calibration(path: str | Path) -> AnyCalibration:
         InputError: Unreadable, or no calibration; names file and key.
 
     """
-    return read_calibration(Section.load(Path(path).expanduser()))
+    return read_calibration(Section.load(user_path(path)))
 
 
 def read_calibration(section: Section) -> AnyCalibration:

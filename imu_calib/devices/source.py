@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from ..address import host_and_port
 from ..errors import InputError
+from ..paths import user_path
 from .baud import DEFAULT
 from .commands import NOTHING, Command, Commands
 from .lines import CONNECT, POLL, File, Line, Serial, Tcp, Udp
@@ -325,7 +326,7 @@ def _parse(url: str, baud: int, restarts: bool) -> tuple[Callable[..., Line], tu
                 f'{url}: pyserial is missing: python3-serial on Ubuntu, pyserial on PyPI.'
             )
         return Serial, (url, baud, restarts)
-    path = Path(url).expanduser()
+    path = user_path(url)
     if not path.is_file():
         raise InputError(f'{url}: there is no such file or device.')
     return File, (path,)

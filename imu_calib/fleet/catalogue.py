@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from ..calibration import write_whole
 from ..errors import InputError
 from ..extras import require
 from ..model import PARAMETER_NAMES, PARAMETERS
+from ..paths import user_path, write_whole
 from .task import CALIBRATED, Done
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class Catalogue:
 
     def __init__(self, folder: str | Path, *, create: bool = False) -> None:
         require('pyarrow', 'A catalogue', 'fleet')
-        self.folder = Path(folder).expanduser()
+        self.folder = user_path(folder)
         self._rows = self.folder / 'rows'
         self._seen: dict[Path, tuple[int, int, frozenset[str], frozenset[str]]] = {}
         if create:

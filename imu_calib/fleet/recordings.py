@@ -15,6 +15,7 @@ import yaml
 from ..api.stated import Stated
 from ..bags import AnyPath, RemotePath, is_url, located
 from ..errors import InputError
+from ..paths import user_path
 from ..yaml_text import load
 
 _STORAGE = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd', '.mcap.zst', '.db3.zst')
@@ -248,7 +249,7 @@ def _job(
 
 def _beside(manifest: AnyPath, name: str) -> str:
     """Return the path or the URL of what a manifest names."""
-    path = Path(name).expanduser()
+    path = user_path(name)
     if not isinstance(manifest, RemotePath):
         return str(manifest.parent / path)
     return str(path) if path.is_absolute() else f'{str(manifest).rpartition("/")[0]}/{name}'

@@ -14,12 +14,12 @@ import numpy as np
 from ..api.named import Named
 from ..api.outputs import output_path
 from ..api.progress import Progress, silent
-from ..calibration import write_whole
 from ..extras import require
 from ..histories.looking_back import look_back
 from ..histories.results import USUAL, Dates, History, Rules, Sessions
 from ..imu import ImuSpec
 from ..model import PARAMETER_NAMES
+from ..paths import write_whole
 from ..reports.fleet.contents import AHEAD, Fleet, Recordings
 from ..reports.fleet.page import page
 from ..stream import Floats

@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any
 
 from ..api.calibrating import solve
@@ -25,6 +24,7 @@ from ..errors import ImuCalibError, InputError
 from ..imu import load_imu
 from ..model import PARAMETER_NAMES, PARAMETERS, indices_of
 from ..mounted import MountedUnit, load_units
+from ..paths import user_path
 from ..reports.assessment import assess
 from ..share import named_file
 from ..specification import Specification, Verdict
@@ -100,7 +100,7 @@ def _texts_of(imus: str) -> list[str]:
 
     """
     units = load_units(imus)
-    own = Path(imus).expanduser().read_text(encoding='utf-8')
+    own = user_path(imus).read_text(encoding='utf-8')
     return [own, *(_text_of_type(unit) for unit in units)]
 
 

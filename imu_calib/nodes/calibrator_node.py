@@ -14,6 +14,7 @@ from ..cdr import Kind
 from ..errors import InputError
 from ..metadata import mount_description, unit_description
 from ..middleware import messages
+from ..paths import user_path
 from . import qos
 from .declared import declare
 from .diagnostics import Diagnostics, Level
@@ -63,10 +64,10 @@ class CalibratorNode(ros.Node):
             'calibration.yaml',
             'file that takes the result; of several units the folder, which gets SERIAL.yaml',
         )
-        self._output = Path(output).expanduser()
-        self._journal_path = Path(
+        self._output = user_path(output)
+        self._journal_path = user_path(
             declare(self, 'journal', 'journal', 'folder of the recording; resumed if unfinished')
-        ).expanduser()
+        )
         self._imu_timeout = declare(
             self, 'imu_timeout', 0.5, 'longest silence of the IMU against the table, s', lower=0.01
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from ..compensation.thermal import (
 )
 from ..errors import ImuCalibError, InputError
 from ..middleware import messages
+from ..paths import user_path
 from ..stream import ImuBlock
 from . import qos
 from .convert import calibration_of
@@ -77,7 +77,7 @@ class CompensatorNode(ros.ManagedNode):
         autostart = declare(
             self, 'autostart', True, 'Configure and activate at the start, not by a manager.'
         )
-        self._file = Path(file).expanduser() if file else None
+        self._file = user_path(file) if file else None
         # Whoever names a file has chosen: a stranger's message must not replace it.
         self._follows = follow or self._file is None
         self._version: tuple[int, int] | None = None

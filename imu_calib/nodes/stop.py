@@ -14,6 +14,7 @@ from .. import middleware as ros
 from ..errors import InputError
 from ..middleware import messages
 from ..middleware.domain import domain_id
+from ..paths import user_path
 from . import qos
 
 
@@ -128,7 +129,7 @@ def state_folder(given: str) -> Path:
     base = os.environ.get('XDG_STATE_HOME', '')
     try:
         if given:
-            return Path(given).expanduser()
+            return user_path(given)
         # The specification has relative paths ignored.
         root = Path(base) if base.startswith('/') else Path('~/.local/state').expanduser()
     except RuntimeError:

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from .. import middleware as ros
@@ -20,6 +19,7 @@ from ..cdr import Kind, Malformed, Messages
 from ..extras import require
 from ..middleware import messages
 from ..mounted import load_units, remaining
+from ..paths import user_path
 from ..sequencing import Phase
 from ..stream import ImuBlock, JointBlock, TemperatureBlock
 from ..web.board import Board, Outcome, Snapshot
@@ -76,12 +76,10 @@ class WebNode(ros.Node):
             self, 'control', False, 'whether who has the token may start and stop the table'
         )
         urdf = declare(self, 'urdf', '', "file with the table's looks; empty: by its joints")
-        self._output = Path(
+        self._output = user_path(
             declare(self, 'output', 'calibration.yaml', 'file with the result')
-        ).expanduser()
-        self._journal = Path(
-            declare(self, 'journal', 'journal', 'folder of the recording')
-        ).expanduser()
+        )
+        self._journal = user_path(declare(self, 'journal', 'journal', 'folder of the recording'))
         self._report_file = self._output.with_name('report.html')
         table = self._setup.table
         shape = None if table is None else table_shape(table, urdf)

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..errors import InputError
+from ..paths import user_path
 from ..rotations import rotation
 from ..share import share_folder
 from ..stream import Floats
@@ -97,7 +98,7 @@ def table_shape(table: Table, urdf: str = '') -> Link:
         InputError: The file cannot be read, or lacks a joint of the table.
 
     """
-    path = Path(urdf).expanduser() if urdf else share_folder() / 'urdf' / f'{table.name}.urdf'
+    path = user_path(urdf) if urdf else share_folder() / 'urdf' / f'{table.name}.urdf'
     if not urdf and not path.is_file():
         return _of_joints(table)
     base = _of_urdf(path)
