@@ -230,6 +230,23 @@ def test_what_is_out_of_range_is_marked_and_has_no_covariance():
     assert (result.force_covariance[:, 0] == -1).tolist() == [False, True, False, True]
 
 
+def test_one_pulse_of_a_fast_counter_is_no_end_of_a_range_and_no_high_rate():
+    # At 20 kHz a pulse of the paper's unit is 200 m/s^2, or 43 deg/s.
+    tau = 5e-5
+    spec = replace(
+        paper_imu(),
+        gyro=replace(paper_imu().gyro, range=0.5),
+        accel=replace(paper_imu().accel, range=98.0),
+    )
+    calibration = known(spec, SensorModel(), highest_rate=0.1)
+    gyro = np.array([[1.0, 0, 0], [0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
+    accel = np.array([[0, 0, -1.0], [0, 0, 0], [0, 0, 0], [0, 0, 2.0]])
+    result = Compensation(calibration).apply(gyro, accel, np.full(4, tau))
+    assert result.marks.tolist() == [0, 0, Mark.RATE | Mark.GYRO_RANGE, Mark.ACCEL_RANGE]
+    singly = Compensation(calibration).apply(gyro[:1], accel[:1], np.array([tau]))
+    assert singly.marks.tolist() == [0]
+
+
 def test_an_adc_at_the_end_of_its_codes_is_marked_without_any_range():
     spec = ImuSpec('any', Units.COUNTS, None, TriadSpec(1e-3), TriadSpec(1e-3))
     gyro = np.array([[-32768.0, 0, 0], [32766.0, 0, 0]])

@@ -222,7 +222,7 @@ class Compensation:
         rate_covariance, force_covariance = covariance[:, :9], covariance[:, 9:18]
         if not self._linear:
             rate_covariance, force_covariance = self._bent(both, covariance[:, :18])
-        marks, parity = self._judge(raw, outputs, rate), None
+        marks, parity = self._judge(raw, outputs, rate, tau), None
         if not self._linear:
             marks = marks | ~np.isfinite(both).all(axis=1) * _BITS[Mark.NO_NUMBER]
         if self._parity_vector is not None:
@@ -325,7 +325,7 @@ class Compensation:
         terms[:, count:] = self._noise(tau)
         return terms
 
-    def _judge(self, raw: Floats, outputs: Floats, rate: Floats) -> Marks:
+    def _judge(self, raw: Floats, outputs: Floats, rate: Floats, tau: Floats) -> Marks:
         marks = self._unmarked[: len(raw)]
         size = np.abs(outputs)
         # A comparison with what is no number is false.
@@ -337,11 +337,16 @@ class Compensation:
         ):
             return marks
         far = size >= self._limit
+        highest: float | Floats = self._highest
+        if self._units is Units.PULSES:
+            # A counter reads up to a pulse more than was gained: one pulse comes at any rate.
+            far &= np.abs(raw) > 1
+            highest = highest + self._scale[: self._gyros].max() / tau
         if self._units is not Units.SI:
             far |= np.isin(np.abs(raw), _FULL_SCALES)
         marks = marks | far[:, : self._gyros].any(axis=1) * _BITS[Mark.GYRO_RANGE]
         marks |= far[:, self._gyros :].any(axis=1) * _BITS[Mark.ACCEL_RANGE]
-        marks |= (np.abs(rate) > self._highest).any(axis=1) * _BITS[Mark.RATE]
+        marks |= (np.abs(rate) > highest).any(axis=1) * _BITS[Mark.RATE]
         marks |= ~np.isfinite(outputs).all(axis=1) * _BITS[Mark.NO_NUMBER]
         return marks
 
