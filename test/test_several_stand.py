@@ -54,6 +54,8 @@ def stood(tmp_path_factory):
             listen(messages.ImuCalibration, topic, heard.calibrations.append, qos.latched())
         seen = SimpleNamespace(stand=stand, own=own, folder=stand.folder, plan=plan)
         seen.unheard = stand.wait(lambda: waits_for(stand, 'C3'), patience(60))
+        # The leader hears it too, and says so: a start before that waits for the calibrator.
+        assert stand.wait(lambda: stand.said('turntable_node: calibrator', 'C3'), patience(60))
         seen.before, seen.refused = stand.state.phase, stand.call('turntable_node/start')
         stand.start(DEVICES[2])
         assert stand.reaches(State.DWELLING, step=2), (stand.state, stand.words[-9:])
