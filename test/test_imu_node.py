@@ -426,6 +426,25 @@ def test_in_simulated_time_stamps_are_right_to_a_step_of_the_clock(bench):
     assert not bench.listener.heard('stream', 2, 'No frame has come')
 
 
+def test_a_simulation_that_is_started_anew_is_stamped_by_its_own_clock(bench):
+    """Its frames may be here before the first word of its clock is."""
+    step = in_simulated_time(bench, 1000)
+    bench.device.line.close()
+    assert bench.until(lambda: bench.listener.heard('port', 2, 'closed by the other end'))
+    bench.connect()
+    bench.device.sent = 0
+    bench.while_spinning(lambda: bench.device.send(100))
+    assert bench.until(lambda: bench.node._waiting)
+    bench.until(lambda: False, 0.1)
+    for k in range(2):
+        step(100_000 + k)
+        bench.while_spinning(lambda: bench.device.send(100))
+    step(100_002)
+    assert bench.arrived(1300)
+    new = bench.listener.samples().stamp[1000:]
+    assert (np.abs(new - EPOCH - 10_000 * NS) < NS).all()
+
+
 def test_what_came_last_before_the_end_is_stamped_by_simulated_time_too(bench):
     in_simulated_time(bench, 1000)
     bench.device.send(100)

@@ -17,7 +17,9 @@ from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.cdr import Kind, Messages, encode_imu, encode_joints, encode_setpoints
 from imu_calib.errors import InputError
 from imu_calib.model import SensorModel
+from imu_calib.nodes.diagnostics import Level
 from imu_calib.nodes.live import LiveSession, SessionPhase
+from imu_calib.nodes.session_words import report
 from imu_calib.simulation import simulate
 from imu_calib.stream import ImuBlock, JointBlock, SetpointBlock
 from imu_calib.turntable import load_table
@@ -326,6 +328,37 @@ def test_joint_states_of_others_alone_are_named_as_they_come_and_at_the_end(tmp_
     assert '5 joint states left out: they name gripper' in session.failure
     with pytest.raises(InputError, match='joint states name gripper; table three_axis has outer'):
         offline(tmp_path / 'journal')
+
+
+class Words:
+    """Takes what is reported."""
+
+    def __init__(self):
+        self.said = {}
+
+    def report(self, part, level, text, **figures):
+        self.said[part] = level, text
+
+
+@pytest.mark.parametrize(
+    ('later', 'words'),
+    [
+        (1, 'is stamped 3600 s behind /turntable/joint_states: they are of two clocks'),
+        (-1, 'is stamped 3600 s ahead of /turntable/joint_states: they are of two clocks'),
+        (0, 'comes in.'),
+    ],
+)
+def test_an_imu_of_another_clock_than_the_tables_is_an_error_at_once(tmp_path, wire, later, words):
+    session = begin(tmp_path / 'journal')
+    send(session, wire, np.random.default_rng(1), stop=0.2)
+    session.intakes[Kind.JOINTS].newest = session.intakes[Kind.IMU].newest + later * 3600 * 10**9
+    session.intakes[Kind.IMU].heard = time.monotonic()
+    heard = Words()
+    report(session, heard, imu_timeout=0.5)
+    session.close()
+    level, text = heard.said['stream']
+    assert level is (Level.ERROR if later else Level.OK)
+    assert words in text
 
 
 def test_every_interruption_is_named_live_as_offline(tmp_path, wire):

@@ -619,6 +619,31 @@ def test_a_table_without_joint_states_is_named() -> None:
         calibrate(kept, PLAN, table=load_table('three_axis'))
 
 
+def test_an_imu_of_another_clock_than_the_tables_is_said_to_be_that() -> None:
+    blocks = list(session(PLAN, stand(), seed=2))
+    hour = 3600 * 10**9
+    begin = next(b.stamp[0] for _, b in blocks if isinstance(b, ImuBlock))
+
+    def later(block, by, since):
+        if not isinstance(block, ImuBlock):
+            return block
+        return replace(block, stamp=block.stamp + by * (block.stamp >= since))
+
+    with pytest.raises(
+        NotObservable, match='they are of two clocks, and no sample has an attitude'
+    ):
+        calibrate([(t, later(b, -hour, 0)) for t, b in blocks], PLAN)
+    # The table's clock leaps, the IMU's does not: what comes after is not used, and that is said.
+    half = begin + 10**9 * 10
+    leaping = [
+        (t, replace(b, stamp=b.stamp + hour * (b.stamp > half)) if isinstance(b, JointBlock) else b)
+        for t, b in blocks
+        if not isinstance(b, SetpointBlock)
+    ]
+    with pytest.raises(NotObservable, match=r'go on for \d+.\d s after the last IMU sample'):
+        calibrate(leaping, PLAN)
+
+
 def test_a_gap_beside_few_samples_is_one() -> None:
     # Half of two steps is the gap: it is no jitter.
     stamps = np.array([0, 14_310_000_000, 14_320_000_000])

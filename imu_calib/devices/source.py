@@ -114,6 +114,7 @@ class Source:
         url: As given.
         commands: What the device is sent.
         state: How it is at the moment.
+        opened: How often it has been opened; counted before anything is read.
 
     Raises:
         InputError: The URL is none of these, or the file does not exist.
@@ -141,6 +142,7 @@ class Source:
         self._changed = threading.Condition()
         self._stopping = threading.Event()
         self.state = SourceState(False, False, f'{url} is not open yet.', tried=False)
+        self.opened = 0
         self._thread = threading.Thread(target=self._run, name=f'read {url}', daemon=True)
 
     def start(self) -> None:
@@ -186,6 +188,7 @@ class Source:
             else:
                 with contextlib.closing(line):
                     self.state = SourceState(True, False, f'{self.url} is open.')
+                    self.opened += 1
                     self._read(line)
             if self.state.ended:
                 return

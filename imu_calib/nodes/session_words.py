@@ -17,6 +17,10 @@ from .live import LiveSession, SessionPhase
 _SILENCE_BY_HAND = 2.0
 """s: a driver that pauses so long is gone, where no table says that time goes on; a choice."""
 
+_APART = 60.0
+"""s between the newest stamps of IMU and table from which on they are of two clocks. A judgement:
+no queue holds samples back for so long, be it at twenty times real time."""
+
 
 def session_sentence(session: LiveSession) -> str:
     """Say how far a session has come, or what is wrong with it."""
@@ -138,9 +142,18 @@ def _report_imu(
         if time.monotonic() - imu.heard > max(_SILENCE_BY_HAND, imu_timeout):
             level, text = Level.ERROR, f'{imu.topic} is silent.'
     elif joints is not None and joints.newest is not None and not session.over:
-        figures['behind the table'] = f'{(joints.newest - imu.newest) * 1e-9:.3f} s'
+        behind = (joints.newest - imu.newest) * 1e-9
+        figures['behind the table'] = f'{behind:.3f} s'
         if not is_fed(session, imu_timeout):
             level, text = Level.ERROR, f'{imu.topic} is silent while the table is not.'
+        elif abs(behind) > _APART:
+            side = 'behind' if behind > 0 else 'ahead of'
+            level = Level.ERROR
+            text = (
+                f'{imu.topic} is stamped {abs(behind):.0f} s {side} {joints.topic}: they are of '
+                'two clocks, and no sample counts. Synchronise the clocks, or stamp the samples as '
+                'they arrive.'
+            )
     if imu.malformed.count:
         level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
     diagnostics.report('stream', level, text, **figures)

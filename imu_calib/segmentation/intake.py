@@ -11,6 +11,10 @@ from ..turntable import Table
 from .buffer import RowBuffer
 from .order import Ordered, StampOrder
 
+_APART = 10_000_000_000
+"""ns by which joint states may outlast the samples of a recording. A judgement: who records both
+ends both within seconds."""
+
 
 class StreamBuffer:
     """Buffers the samples, passes the joint states on, and counts what is lost.
@@ -42,6 +46,7 @@ class StreamBuffer:
         self._newest: tuple[Stamps, Floats] | None = None
         self._dropped: dict[str, tuple[int, int]] = {}
         self._of_the_table = 0
+        self._joints: tuple[int, int] | None = None
         self._strange: dict[str, int] = {}
         self._beside: set[str] = set()
 
@@ -85,6 +90,10 @@ class StreamBuffer:
         self._beside.update(set(block.names) - set(joints.names))
         what = 'joint positions that are no numbers'
         rows = self._finite(what, joints.stamp, joints.position)
+        if len(joints):
+            first, last = int(joints.stamp.min()), int(joints.stamp.max())
+            known = self._joints or (first, last)
+            self._joints = min(known[0], first), max(known[1], last)
         return self._counted(self._joint_order.take(*rows))
 
     @property
@@ -141,7 +150,26 @@ class StreamBuffer:
                 f'The joint states name further joints ({further}), which are not of table '
                 f'{self._table.name}: they are ignored'
             )
+        if self._joints is not None and self.first_stamp is not None:
+            lost += self._apart(*self._joints)
         return lost
+
+    def _apart(self, first: int, last: int) -> list[str]:
+        """Say where the table was heard from `first` to `last` (ns), and the IMU was not."""
+        begin, end = self.first_stamp or 0, self.last_stamp or 0
+        if end < first or last < begin:
+            return [
+                f'The IMU is stamped from {at(begin)} to {at(end)}, the table from {at(first)} to '
+                f'{at(last)}: they are of two clocks, and no sample has an attitude. Synchronise '
+                'the clocks, or stamp the samples as they arrive'
+            ]
+        if last - end > _APART:
+            return [
+                f'The joint states go on for {(last - end) * 1e-9:.1f} s after the last IMU '
+                f'sample, {at(end)}: the IMU fell silent, or its clock is no longer that of the '
+                'table'
+            ]
+        return []
 
     def _add_imu(self, ordered: Ordered) -> None:
         self._note('stamps that jump or stand still', ordered.lost)
