@@ -196,12 +196,12 @@ def diagnose(system: TriadSystem, values: Floats, factor: Floats) -> Diagnosis:
 
 
 def _fit(system: TriadSystem, values: Floats, factor: Floats) -> Fit | None:
-    """Fit a hypothesis; None where it comes to a model without an inverse, which is no unit's.
+    """Fit a hypothesis; None where nothing comes of it, or a model without an inverse.
 
     Six lengths hold nine parameters of a term by their prior alone: they go where they may.
     """
     try:
-        return system.fit(values, factor, _EXPLAINED)
+        return system.fit_likely(values, factor, _EXPLAINED)
     except (np.linalg.LinAlgError, NotObservable):
         return None
 

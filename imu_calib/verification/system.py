@@ -234,28 +234,43 @@ class TriadSystem:
         return replace(self, inflation=tuple(factors.tolist()))
 
     @cached_property
-    def _resting(self) -> TriadSystem:
+    def _without_moves(self) -> TriadSystem:
         """The system without moves, which are not linear in what is far off."""
+        if not len(self.evidence.links):
+            return self
         evidence = replace(self.observed.evidence, moves=())
         return replace(self, observed=replace(self.observed, evidence=evidence))
 
-    def fit(self, values: Floats, factor: Floats, hopeless: float = 0.0) -> Fit:
+    def fit(self, values: Floats, factor: Floats) -> Fit:
         """Explain the session by a model whose parameters have errors.
 
         Args:
             values: (p,) of the parameters.
             factor: (p, k) of their covariance: factor times its transpose.
-            hopeless: Chance of a chi-square below which its minimum is not sought.
 
         """
-        k = factor.shape[1]
-        resting = self._resting if len(self.evidence.links) else self
-        point, square = resting._start(resting._allowing(values, factor), k)
+        return self._fitted(self._begun(values, factor)[0], values, factor)
+
+    def fit_likely(self, values: Floats, factor: Floats, chance: float) -> Fit | None:
+        """Return `fit`; None where already the rests and turns have by far less than a chance.
+
+        Twice the chi-square that counts is left for what is not linear. Moves are not led then.
+        """
+        point, square = self._begun(values, factor)
+        if scipy.special.chdtrc(len(self._without_moves._kinds), square / 2) < chance:
+            return None
+        return self._fitted(point, values, factor)
+
+    def _begun(self, values: Floats, factor: Floats) -> tuple[Floats, float]:
+        """Return where `fit` begins and what chi-square would be there, by rests and turns."""
+        resting = self._without_moves
+        return resting._start(resting._allowing(values, factor), factor.shape[1])
+
+    def _fitted(self, point: Floats, values: Floats, factor: Floats) -> Fit:
         system = self._allowing(values, factor)
-        if scipy.special.chdtrc(len(resting._kinds), square / 2) >= hopeless:
-            # Where nothing fits nearby, chi-square where it began rejects it.
-            with suppress(NotObservable):
-                point = least_squares(point, system, np.add, _ROUNDS)
+        # Where nothing fits nearby, chi-square where it began rejects it.
+        with suppress(NotObservable):
+            point = least_squares(point, system, np.add, _ROUNDS)
         return self._concluded(*system(point), point, factor)
 
     def _allowing(
