@@ -37,6 +37,19 @@ def test_a_step_that_leads_uphill_is_damped() -> None:
     assert solved(arctangent, 3.0) == pytest.approx(0.0, abs=1e-9)
 
 
+def round_a_circle(state: Floats) -> tuple[Floats, Floats]:
+    """Outputs of (2.9, 0), a unit vector predicted: steps of -2.9 sin(x) end as far beyond zero.
+
+    So does a heading that gyros hardly see, beside outputs that the model does not explain.
+    """
+    x = state[0]
+    return np.array([[-np.sin(x)], [np.cos(x)]]), np.array([2.9 - np.cos(x), -np.sin(x)])
+
+
+def test_steps_that_go_round_the_minimum_are_shortened() -> None:
+    assert solved(round_a_circle, 1.3, rounds=60) == pytest.approx(0.0, abs=1e-6)
+
+
 def test_what_converges_slowly_is_an_answer() -> None:
     assert solved(slow, 1000.0) == pytest.approx(0.0, abs=1e-4)
 

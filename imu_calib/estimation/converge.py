@@ -36,6 +36,10 @@ judgement; by one it may grow besides, which is less than noise makes of it."""
 _ROUNDING = 4 * float(np.finfo(float).eps)
 """Of the longest column: what remains of a step when parameters of the size of one are rounded."""
 
+_NO_NEARER = 0.9
+"""Of the step before: one as long that gains nothing, a thousandth of what the derivatives promise,
+goes round the minimum. A judgement: what shrinks by a tenth arrives."""
+
 _DAMPING = 1e-3
 """The first damping, and the least: next to columns of norm one it takes a thousandth off a step
 that is well determined (Marquardt's lambda)."""
@@ -68,7 +72,9 @@ def least_squares(
 
     Each round is a full Gauss-Newton step unless it leads uphill: chi-square, weighed anew at its
     end, would grow by more than one and a thousandth, which weights that follow the state do not
-    make of it. Then it is damped until it does not. It ends where a step would move the prediction
+    make of it. Then it is damped until it does not. Where residuals are large, and their curvature
+    with them, steps go beyond the minimum, and may go round it without chi-square growing by so
+    much: from then on they are halved. It ends where a step would move the prediction
     by less than a billionth of its standard deviation, or than its rounding, or where small steps
     do not become smaller or lead uphill, or where a full step leads uphill and the least damped one
     gains nothing.
@@ -85,19 +91,19 @@ def least_squares(
 
     """
     jacobian, left = system(state)
-    damping, before = 0.0, np.inf
+    damping, share, before = 0.0, 1.0, np.inf
     for _ in range(rounds):
         step = _step(jacobian, left, damping)
         change = float(np.linalg.norm(jacobian @ step))
-        tried = moved(state, step)
+        tried = moved(state, share * step)
         rounding = _ROUNDING * float(np.linalg.norm(jacobian, axis=0).max())
-        settled = before / 2 < change < _SETTLED
+        settled = before * (1 - share / 2) < change < _SETTLED
         if not damping and change < _CONVERGED * np.sqrt(len(left)):
             # Not where the step leads, which is as good: here the derivatives are known.
             return state
         if not damping and (settled or change < rounding):
             return tried
-        before = change
+        no_nearer, before = change > before * _NO_NEARER, change
         ahead = system(tried)
         gained = _square(left) - _square(ahead[1])
         if damping == _DAMPING and abs(gained) < _NOTHING:
@@ -105,6 +111,8 @@ def least_squares(
         if _square(ahead[1]) <= _square(left) * (1 + _UPHILL) + 1:
             state, (jacobian, left) = tried, ahead
             damping = damping * _WEAKER if damping * _WEAKER >= _DAMPING else 0.0
+            if no_nearer and gained < _UPHILL * change**2:
+                damping, share = 0.0, share / 2
         elif not damping and change < _SLIGHT:
             return state
         else:
