@@ -11,13 +11,14 @@ from .errors import InputError
 def user_path(name: str | Path) -> Path:
     """Return a path with its leading `~` or `~user` filled in.
 
-    Where there is no such user it stays: then there is no such file, which its reader says.
+    Raises:
+        InputError: Nobody's home folder is called so.
+
     """
-    path = Path(name)
     try:
-        return path.expanduser()
+        return Path(name).expanduser()
     except RuntimeError:
-        return path
+        raise InputError(f'{name}: there is no such home folder.') from None
 
 
 def write_whole(path: Path, text: str) -> None:

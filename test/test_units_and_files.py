@@ -88,7 +88,7 @@ def test_an_unknown_name_lists_the_shipped_ones(tmp_path: Path) -> None:
         load_plan('twelve')
     with pytest.raises(InputError, match='no such file'):
         load_plan(tmp_path / 'mine.yaml')
-    with pytest.raises(InputError, match=r'~nobody-of-this-name/mine.yaml: no such file'):
+    with pytest.raises(InputError, match=r'~nobody-of-this-name/mine\.yaml: there is no such home'):
         load_plan('~nobody-of-this-name/mine.yaml')
 
 

@@ -131,8 +131,8 @@ def state_folder(given: str) -> Path:
         if given:
             return user_path(given)
         # The specification has relative paths ignored.
-        root = Path(base) if base.startswith('/') else Path('~/.local/state').expanduser()
-    except RuntimeError:
+        root = Path(base) if base.startswith('/') else user_path('~/.local/state')
+    except InputError:
         raise InputError(
             'Parameter state_folder: this user has no home folder to keep a pressed stop in; give '
             'a folder without ~.'
