@@ -1,6 +1,7 @@
 """Feeds damaged bytes to everything that reads what others wrote, and watches what happens.
 
     python benchmarks/fuzz.py [--inputs 2000] [--seed 1] [--only frames ...]
+    python benchmarks/fuzz.py --of-a-kind 1000000 --memory 50 --keep FOLDER
 
 Targets: frames of devices, CDR on the wire in bulk and message by message, mcap and sqlite3 files,
 metadata of recordings, files of people (YAML, CSV). Each input is a sound one that is changed in a
@@ -17,6 +18,7 @@ Exit code 1: something that is not allowed happened; the input's number is print
 from __future__ import annotations
 
 import argparse
+import math
 import random
 import signal
 import sys
@@ -24,6 +26,7 @@ import tempfile
 import time
 import traceback
 import tracemalloc
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -76,6 +79,12 @@ class Target:
     name: str
     sound: list[bytes]
     feed: Feed
+
+    @property
+    def kind(self) -> str:
+        """Of what it is one: files of people are of one kind, however they are written."""
+        first = self.name.split()[0]
+        return 'file' if first in {'csv', 'yaml'} else first
 
 
 def mutated(content: bytes, rng: random.Random) -> bytes:
@@ -399,6 +408,9 @@ def main() -> int:
     """Run all targets."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--inputs', type=int, default=2000, help='of each target')
+    parser.add_argument(
+        '--of-a-kind', type=int, help='of frames, wire, message, bag and file, among their targets'
+    )
     parser.add_argument('--from', type=int, default=0, dest='first', help='number of the first')
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--seconds', type=float, default=float('inf'), help='most for each target')
@@ -410,15 +422,20 @@ def main() -> int:
         given.keep.mkdir(parents=True, exist_ok=True)
     wrong = 0
     with tempfile.TemporaryDirectory() as folder:
-        for target in targets(Path(folder)):
+        every = list(targets(Path(folder)))
+        kinds = Counter(target.kind for target in every)
+        for target in every:
             if not target.name.startswith(tuple(given.only)):
                 continue
             begun = time.process_time()
+            inputs = given.inputs
+            if given.of_a_kind is not None:
+                inputs = math.ceil(given.of_a_kind / kinds[target.kind])
             done = run(
                 target,
                 given.seed,
                 given.first,
-                given.inputs,
+                inputs,
                 given.seconds,
                 given.memory,
                 given.keep,
