@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import cycle
 
 import numpy as np
 import pytest
-from other_world import DEG, Stop, Unit, World, record
+from other_world import World
 from sessions import SITE, gathered, quick_plan, stand, truth
 from sessions import fed as fed_blocks
-from test_other_world import EPOCH, NAVIGATION, fed, true_vector
+from test_other_world import NAVIGATION, fed, true_vector
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
-from imu_calib.compensation.compensator import Compensator, Reading
-from imu_calib.compensation.samples import concatenated
 from imu_calib.errors import NotObservable
 from imu_calib.estimation.fit import Estimate, estimate
 from imu_calib.estimation.term_tests import TermState
@@ -27,7 +23,7 @@ from imu_calib.model.terms import DELAY, SIZE_EFFECT
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.simulation import simulate
-from imu_calib.stream import Floats, ImuBlock, Units
+from imu_calib.stream import Floats, Units
 from imu_calib.turntable import load_table
 from imu_calib.verification import Observed, Verdict, verify
 
@@ -172,31 +168,7 @@ def test_derivatives_are_those_of_the_prediction(moved: Evidence) -> None:
         assert slope == pytest.approx(found[:, k], abs=within * size)
 
 
-SHORT = World(
-    dwell=1.0,
-    program=tuple(
-        Stop(tuple(np.array(angles) * DEG))
-        for angles in ((0, 0, 0), (80, 0, 0), (80, -110, 0), (80, -110, 70))
-    ),
-)
 QUIET = replace(UNIT, rate=100.0, gyro_walk=0.0, accel_walk=0.0, gyro_pulse=1e-9, accel_pulse=1e-8)
-
-
-def compensated(unit: Unit, calibration: Calibration, sizes: Sequence[int] = (10**6,)) -> Reading:
-    recording = record(SHORT, unit, 0)
-    stamps = EPOCH * 10**9 + np.rint(np.array(recording.imu_stamps) * 1e9).astype(np.int64)
-    gyro, accel = np.array(recording.gyro), np.array(recording.accel)
-    compensator, readings, first = Compensator(calibration), [], 0
-    for size in cycle(sizes):
-        if first >= len(stamps):
-            break
-        part = slice(first, first + size)
-        readings += compensator.take(ImuBlock(stamps[part], gyro[part], accel[part]))
-        first += size
-    readings += compensator.finish()
-    assert compensator.waiting == 0
-    values = concatenated([reading.values for reading in readings])
-    return Reading(np.concatenate([reading.stamp for reading in readings]), values, '')
 
 
 def known(terms: bool) -> Calibration:
@@ -208,51 +180,6 @@ def known(terms: bool) -> Calibration:
     parameters = model.parameters
     spread = np.diag((0.1 * np.abs(model.values(parameters))) ** 2)
     return Calibration(imu, model, spread, parameters=parameters)
-
-
-def test_compensation_takes_off_what_motion_adds() -> None:
-    # At the arm all three are together: where places are zero along their own axes.
-    together = replace(QUIET, places=((0.11, -0.05, 0.08),) * 3, late=0.0)
-    wanted = compensated(together, known(terms=False)).values.force
-    left = compensated(QUIET, known(terms=False)).values.force - wanted
-    freed = compensated(QUIET, known(terms=True)).values
-    off = freed.force - wanted
-    gained, drifted = (np.abs(np.cumsum(part, axis=0) * 0.01).max() for part in (off, left))
-    # Where a joint starts within a sample it is half right; what is gained on the way is.
-    assert drifted > 5e-3
-    assert gained < 0.02 * drifted
-    at_rest = np.abs(left).max(axis=1) < 1e-9
-    assert np.abs(off[at_rest]).max() < 0.1
-    # What is not known of them is in the covariance of forces, while it moves alone.
-    plain = compensated(QUIET, known(terms=False)).values
-    more = (freed.force_covariance - plain.force_covariance)[:, [0, 4, 8]]
-    moves = np.linalg.norm(freed.rate, axis=1) > 10 * DEG
-    # A tenth of T and the P each: of 0.8 ms and some centimetres at a rad per second.
-    assert np.sqrt(more[moves].max()) == pytest.approx(9e-3, rel=0.7)
-    assert more.min() > -1e-15
-    assert np.sqrt(more[20]).max() < 1e-6
-
-
-def test_a_force_is_as_unknown_as_the_rate_that_places_make_of_it() -> None:
-    whole = known(terms=True)
-    narrow = replace(whole, imu=replace(whole.imu, gyro=replace(whole.imu.gyro, range=20 * DEG)))
-    found, sound = compensated(QUIET, narrow).values, compensated(QUIET, whole).values
-    clipped = found.rate_covariance[:, 0] < 0
-    assert 0.1 < clipped.mean() < 0.9
-    assert (found.force_covariance[clipped, 0] == -1).all()
-    assert (found.force_covariance[~clipped, 0] >= 0).all()
-    # Those beside an unknown rate change by the other side, or not at all.
-    inner = ~(clipped | np.roll(clipped, 1) | np.roll(clipped, -1))
-    assert np.array_equal(found.force[inner], sound.force[inner])
-
-
-def test_samples_have_the_same_bits_however_they_come() -> None:
-    whole = compensated(QUIET, known(terms=True))
-    pieces = compensated(QUIET, known(terms=True), (1, 7, 1, 1, 300, 2))
-    assert pieces.stamp.tolist() == whole.stamp.tolist()
-    for name in ('rate', 'force', 'force_covariance'):
-        one, other = getattr(pieces.values, name), getattr(whole.values, name)
-        assert one.tobytes() == other.tobytes(), name
 
 
 def test_the_package_simulates_what_other_code_does() -> None:

@@ -1,0 +1,99 @@
+"""What counts as arrived, late, stalled and astray, and the sentence that says it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imu_calib.plan import Step
+from imu_calib.sequencing import Feedback, Rules
+from imu_calib.sequencing.watch import Standing, Watch
+from imu_calib.stream import Mode
+from imu_calib.turntable import load_table
+from imu_calib.units import DEG
+
+TABLE = load_table('three_axis')  # outer 400 deg/s and 200 deg/s^2
+GOAL = np.array([40.0, 5.0, 0.0])
+
+
+def at(seconds, outer=40.0, middle=5.0, still=False):
+    angles = tuple(DEG * np.array([outer, middle, 0.0]))
+    return Feedback(round(seconds * 1e9), 0.05, angles, (0.0, 0.0, 0.0), still)
+
+
+def watch(rules=None):
+    """Return the watch of a move of the outer joint from 0 to 40 deg: 0.894 s at the limits."""
+    step = Step(0, '1', Mode.POSITION, GOAL * DEG, np.zeros(3), 0, 0.0)
+    return Watch(TABLE, rules or Rules(), step, at(0.0, outer=0.0))
+
+
+def test_a_motion_has_arrived_when_it_stands_within_the_tolerance():
+    assert watch().look(at(1.0, 39.991, still=True)) == (True, '')
+    assert watch().look(at(1.0, 39.991, still=False)) == (False, '')
+    assert watch().look(at(1.0, 39.989, still=True)) == (False, '')
+
+
+def test_a_joint_that_comes_nearer_and_nearer_may_take_twice_its_time_and_2_s():
+    late = watch()
+    for seconds, outer in ((1.0, 30.0), (2.0, 36.0), (3.0, 38.5), (3.7, 39.0)):
+        assert late.look(at(seconds, outer)) == (False, '')
+    arrived, fault = late.look(at(3.85, 39.2))
+    assert not arrived
+    assert fault == (
+        'Joint outer is 0.8000 deg off its goal of 40.000 deg after 3.9 s; at its limits the table '
+        'needs 0.9 s, and 0.01 deg counts as there.'
+    )
+
+
+def test_a_joint_stalls_that_gets_nowhere_for_a_second_and_its_time_to_full_rate():
+    stalled = watch()
+    assert stalled.look(at(2.99, 10.0)) == (False, '')
+    assert stalled.look(at(3.01, 10.0)) == (
+        False,
+        'Joint outer stalls at 10.000 deg on its way to 40.000 deg: 10.000 deg in 3.0 s.',
+    )
+
+
+def test_a_joint_that_stands_beside_its_goal_stops_short():
+    short = watch()
+    assert short.look(at(1.0, 39.8)) == (False, '')
+    assert short.look(at(4.1, 39.8)) == (
+        False,
+        'Joint outer stops at 39.8000 deg, 0.2000 deg off its goal; 0.01 deg counts as there.',
+    )
+
+
+def test_half_a_degree_beyond_the_goal_or_back_is_let_pass():
+    there = watch()
+    assert there.look(at(0.5, 30.0)) == (False, '')
+    assert there.look(at(0.6, 29.6)) == (False, '')
+    assert there.look(at(0.7, 40.4)) == (False, '')
+    assert there.look(at(0.8, 40.6)) == (
+        False,
+        'Joint outer is at 40.600 deg, it has passed its goal of 40.000 deg.',
+    )
+    back = watch()
+    back.look(at(0.5, 30.0))
+    assert back.look(at(0.6, 29.4)) == (
+        False,
+        'Joint outer is at 29.400 deg and moves away from its goal of 40.000 deg.',
+    )
+
+
+@pytest.mark.parametrize(('arrival', 'stray'), [(0.01, 0.05), (1.0, 0.5)])
+@pytest.mark.parametrize('side', [-1.0, 1.0])
+def test_what_is_to_stand_may_stray_by_five_tolerances_and_never_by_the_overshoot(
+    arrival, stray, side
+):
+    rules = replace(Rules(), arrival=arrival * DEG)
+    standing = Standing(TABLE, rules, None)
+    standing.keep(at(0.0).angles)
+    within, beyond = 5.0 + 0.9 * side * stray, 5.0 + 1.1 * side * stray
+    said = (
+        False,
+        f'Joint middle moves while it is to stand at 5.000 deg: it is at {beyond:.3f} deg.',
+    )
+    assert standing.look(at(0.1, middle=within)) == (True, '')
+    assert standing.look(at(0.1, middle=beyond)) == said
+    assert watch(rules).look(at(0.1, outer=5.0, middle=within)) == (False, '')
+    assert watch(rules).look(at(0.1, outer=5.0, middle=beyond)) == said
