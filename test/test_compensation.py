@@ -12,7 +12,7 @@ from imu_calib.compensation.apply import Compensation
 from imu_calib.compensation.samples import Mark, concatenated
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, parameters_of
+from imu_calib.model import G_SENSITIVITY, SensorModel, Skewed, Triad, named_terms, parameters_of
 from imu_calib.stream import Units
 from imu_calib.units import DEG, MICRO_G
 
@@ -158,6 +158,33 @@ def test_the_covariance_is_the_scatter_of_calibrations_drawn_from_theirs():
     by_pulse += through @ np.diag(quantum[3:]) @ through.T
     stated = said.rate_covariance.reshape(3, 3) - by_pulse
     assert np.abs(stated - found[:3, :3]).max() < 5 * 0.022 * np.diag(found)[:3].max()
+
+
+def test_noise_passes_through_the_slopes_of_curved_outputs():
+    parameters = parameters_of(named_terms('gyro_cubic,accel_quadratic,accel_cubic'))
+    # A tenth to a third of the slope at these inputs: far more than any sensor bends.
+    size = {'gyro_cubic': 0.2, 'accel_quadratic': 8e-3, 'accel_cubic': 1e-3}
+    bent = [size[p.kind.value.key] * (1 + 0.1 * p.row) for p in parameters[24:]]
+    model = SensorModel().with_values(parameters, np.array([*truth().model.vector(), *bent]))
+    inputs = np.array([0.7, -0.3, 0.2, 3.0, -8.0, 5.0])
+
+    def outputs(x):
+        return np.hstack(model.predict(x[None, :3], x[None, 3:]))[0]
+
+    step = 1e-5 * np.eye(6)
+    slopes = np.array([(outputs(inputs + h) - outputs(inputs - h)) / 2e-5 for h in step]).T
+    gyro, accel = model.predict(inputs[None, :3], inputs[None, 3:])
+    said = Compensation(known(model=model)).apply(
+        gyro * TAU / PULSE[0], accel * TAU / PULSE[1], np.array([TAU])
+    )
+    inverse = np.linalg.inv(slopes)
+    # A pulse count's error at either end of the sample is even over one pulse.
+    wanted = inverse @ np.diag(np.repeat((PULSE / TAU) ** 2 / 6, 3)) @ inverse.T
+    for found, part in (
+        (said.rate_covariance, wanted[:3, :3]),
+        (said.force_covariance, wanted[3:, 3:]),
+    ):
+        assert found.reshape(3, 3) == pytest.approx(part, rel=1e-6, abs=1e-9 * part.max())
 
 
 def test_the_noise_of_a_sample_is_walk_and_pulse():

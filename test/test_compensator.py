@@ -92,6 +92,16 @@ def test_cuts_and_interleaving_carry_no_meaning(case):
             assert np.array_equal(getattr(same, name), getattr(values, name)), name
 
 
+def test_what_is_no_number_is_told_from_what_is_marked_otherwise():
+    whole = block(STAMP[:4])
+    accel = whole.accel.copy()
+    accel[1] = np.nan
+    compensator = Compensator(at(20.0))
+    readings = compensator.take(ImuBlock(whole.stamp, whole.gyro, accel)) + compensator.finish()
+    found = np.concatenate([reading.numbers for reading in readings])
+    assert found.tolist() == [True, False, True, True]
+
+
 def test_without_any_temperature_a_combined_calibration_gives_nothing():
     calibration = combine([at(-20.0), at(20.0)], ['cold', 'warm'])
     compensator, stamps, _ = run(calibration, [block()])

@@ -1,8 +1,10 @@
 """The sequencer leads the simulated table: whatever goes wrong, the table stands at the end."""
 
+import re
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -647,6 +649,24 @@ def test_a_start_waits_for_the_calibrator():
     assert stand.sent == []
     stand.sequencer.set_calibrator_present(True)
     stand.run(lambda state: state.phase is Phase.MOVING, 1.0)
+
+
+def test_phases_have_the_numbers_of_the_message():
+    text = (Path(__file__).parent.parent / 'msg_defs/msg/TurntableState.msg').read_text()
+    stated = dict(re.findall(r'^uint8 ([A-Z]+)=(\d+)', text, re.MULTILINE))
+    assert {phase.name: str(phase.value) for phase in Phase} == stated
+
+
+def test_a_start_that_waits_while_joint_states_stop_ends_in_a_fault():
+    stand = turning_supervised()
+    stand.sequencer.set_calibrator_present(False)
+    stand.phase(Phase.PAUSED)
+    stand.sequencer.start()
+    stand.sequencer.lose_feedback('No joint states come.')
+    stand.sequencer.set_calibrator_present(True)
+    state = stand.sequencer.state()
+    assert (state.phase, state.fault, state.waits_for) == (Phase.PAUSED, True, '')
+    assert state.reason == 'No joint states come.'
 
 
 def test_a_silent_calibrator_stops_the_table():
