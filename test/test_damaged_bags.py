@@ -392,12 +392,16 @@ def test_a_topic_without_a_number_in_a_sqlite_file_is_a_stated_loss(tmp_path):
     assert any(f'topic {JOINTS} has no number' in loss for loss in losses)
 
 
-def test_a_message_with_the_largest_row_number_of_a_sqlite_file_is_read(tmp_path):
+def test_messages_up_to_the_largest_row_number_of_a_sqlite_file_are_read(tmp_path):
     path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
-    change(path, f'UPDATE messages SET id = {2**63 - 1} WHERE id = (SELECT max(id) FROM messages)')
+    beyond = 2**63 - 1 - len(ROWS)
+    change(path, f'UPDATE messages SET id = id + {beyond} WHERE id > {len(ROWS) - 5}')
     blocks, losses = read(path)
     assert_same(blocks, SESSION)
     assert losses == []
+    with open_recording(path) as recording:
+        log = [time for _, _, times in recording.messages() for time in times.log.tolist()]
+    assert sorted(log) == [time for time, _, _ in ROWS]
 
 
 def test_row_numbers_of_a_sqlite_file_that_are_words_get_a_sentence(tmp_path):

@@ -93,9 +93,9 @@ class SqliteStorage:
         """Look up log times; where a damaged file does not give them, all are the first's."""
         query = (
             'SELECT timestamp FROM messages '
-            f'WHERE id >= ? AND id < ? AND topic_id {_among(topics)} ORDER BY id'
+            f'WHERE id >= ? AND id <= ? AND topic_id {_among(topics)} ORDER BY id'
         )
-        last = _LAST_ROW if end is None else end
+        last = _LAST_ROW if end is None else end - 1
         log = np.full(count, log_ns, np.int64)
         with suppress(*_DAMAGE, TypeError, ValueError, OverflowError):
             with closing(self._connect()) as database:
@@ -154,18 +154,16 @@ class SqliteStorage:
         """Read what the file says of itself."""
         with closing(self._connect()) as database:
             self._check_schema(database)
-            query = 'SELECT id, name, type, serialization_format FROM topics'
-            listed = database.execute(query).fetchall()
-            topics = [row for row in listed if isinstance(row[0], int)]
-            for _, name, *_ in (row for row in listed if row not in topics):
-                self._losses.add(
-                    f'{self.path.name}: topic {name} has no number; its messages are left out.'
-                )
+            rows = database.execute('SELECT id, name, type, serialization_format FROM topics')
             self._ids: dict[str, list[int]] = {}
-            for key, name, _, _ in topics:
-                self._ids.setdefault(str(name), []).append(key)
             self.topics: dict[str, Topic] = {}
-            for _, name, kind, encoding in topics:
+            for key, name, kind, encoding in rows.fetchall():
+                if not isinstance(key, int):
+                    self._losses.add(
+                        f'{self.path.name}: topic {name} has no number; its messages are left out.'
+                    )
+                    continue
+                self._ids.setdefault(str(name), []).append(key)
                 # Counting would take a pass over the whole file; metadata.yaml mostly knows.
                 described = _described(database, str(name), str(kind))
                 topic = Topic(str(name), str(kind), None, str(encoding), described)
