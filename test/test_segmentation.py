@@ -624,19 +624,20 @@ def test_an_imu_of_another_clock_than_the_tables_is_said_to_be_that() -> None:
     hour = 3600 * 10**9
     begin = next(b.stamp[0] for _, b in blocks if isinstance(b, ImuBlock))
 
-    def later(block, by, since):
-        if not isinstance(block, ImuBlock):
-            return block
-        return replace(block, stamp=block.stamp + by * (block.stamp >= since))
-
     with pytest.raises(
         NotObservable, match='they are of two clocks, and no sample has an attitude'
     ):
-        calibrate([(t, later(b, -hour, 0)) for t, b in blocks], PLAN)
+        calibrate(
+            [
+                (t, replace(b, stamp=b.stamp - hour) if isinstance(b, ImuBlock) else b)
+                for t, b in blocks
+            ],
+            PLAN,
+        )
     # The table's clock leaps, the IMU's does not: what comes after is not used, and that is said.
-    half = begin + 10**9 * 10
+    leap = begin + 10 * 10**9
     leaping = [
-        (t, replace(b, stamp=b.stamp + hour * (b.stamp > half)) if isinstance(b, JointBlock) else b)
+        (t, replace(b, stamp=b.stamp + hour * (b.stamp > leap)) if isinstance(b, JointBlock) else b)
         for t, b in blocks
         if not isinstance(b, SetpointBlock)
     ]

@@ -46,7 +46,8 @@ class StreamBuffer:
         self._newest: tuple[Stamps, Floats] | None = None
         self._dropped: dict[str, tuple[int, int]] = {}
         self._of_the_table = 0
-        self._joints: tuple[int, int] | None = None
+        self._first_joint: int | None = None
+        self._last_joint: int | None = None
         self._strange: dict[str, int] = {}
         self._beside: set[str] = set()
 
@@ -90,10 +91,6 @@ class StreamBuffer:
         self._beside.update(set(block.names) - set(joints.names))
         what = 'joint positions that are no numbers'
         rows = self._finite(what, joints.stamp, joints.position)
-        if len(joints):
-            first, last = int(joints.stamp.min()), int(joints.stamp.max())
-            known = self._joints or (first, last)
-            self._joints = min(known[0], first), max(known[1], last)
         return self._counted(self._joint_order.take(*rows))
 
     @property
@@ -150,13 +147,14 @@ class StreamBuffer:
                 f'The joint states name further joints ({further}), which are not of table '
                 f'{self._table.name}: they are ignored'
             )
-        if self._joints is not None and self.first_stamp is not None:
-            lost += self._apart(*self._joints)
-        return lost
+        return lost + self._apart()
 
-    def _apart(self, first: int, last: int) -> list[str]:
-        """Say where the table was heard from `first` to `last` (ns), and the IMU was not."""
-        begin, end = self.first_stamp or 0, self.last_stamp or 0
+    def _apart(self) -> list[str]:
+        """Say where the table was heard and the IMU was not."""
+        begin, end = self.first_stamp, self.last_stamp
+        first, last = self._first_joint, self._last_joint
+        if begin is None or end is None or first is None or last is None:
+            return []
         if end < first or last < begin:
             return [
                 f'The IMU is stamped from {at(begin)} to {at(end)}, the table from {at(first)} to '
@@ -188,6 +186,10 @@ class StreamBuffer:
 
     def _counted(self, joints: Ordered) -> Ordered:
         self._note('joint stamps that jump or stand still', joints.lost)
+        if len(joints.stamp):
+            if self._first_joint is None:
+                self._first_joint = int(joints.stamp[0])
+            self._last_joint = int(joints.stamp[-1])
         return joints
 
     def _finite(self, what: str, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
