@@ -107,7 +107,7 @@ class ImuNode(ManagedNode):
         self._line = self._reception.clock
         self._held: list[tuple[Samples, Stamps]] = []
         self._waiting: list[Chunk] = []
-        self._opened, self._unmoved = 0, -1
+        self._opened, self._opened_at = 0, 0
         self._second = 0
         self._started = self._silent = False
         self._reported_at = 0.0
@@ -184,23 +184,28 @@ class ImuNode(ManagedNode):
         """Return bytes with the host's time at which they had arrived for certain.
 
         Simulated time comes in steps: bytes read at one step came before the next. While the
-        offset is open, only that next step is a time at which none of them is still to be made;
-        and what comes by a line that has just been opened may come before the clock of the
-        simulation that was started anew with it.
+        offset is open, only that next step is a time at which none of them is still to be made.
         """
         if len(self._waiting) < _MOST_WAITING:
             self._waiting += self._source.take(_MOST_BYTES)
         ready = len(self._waiting)
         if self._simulated:
             now = self._now()
-            if self._source.opened != self._opened:
-                self._opened, self._unmoved = self._source.opened, now
-            if now == self._unmoved:
-                return []
-            self._unmoved = -1
-            if self._line.offset is None:
+            if self._stands_since_opening(now):
+                ready = 0
+            elif self._line.offset is None:
                 ready = sum(chunk.arrival < now for chunk in self._waiting)
         return self._first(ready)
+
+    def _stands_since_opening(self, now: int) -> bool:
+        """Say whether simulated time has not moved since the line was opened.
+
+        A simulation that is started anew may send before the first word of its clock is here: until
+        then `now` is the time of the one before.
+        """
+        if self._source.opened != self._opened:
+            self._opened, self._opened_at = self._source.opened, now
+        return now == self._opened_at
 
     def _first(self, count: int) -> list[Chunk]:
         """Return the first of the bytes that wait; in simulated time no other clock counts."""
