@@ -45,22 +45,24 @@ def test_a_joint_that_comes_nearer_and_nearer_may_take_twice_its_time_and_2_s():
     )
 
 
-def test_a_joint_stalls_that_gets_nowhere_for_a_second_and_its_time_to_full_rate():
+@pytest.mark.parametrize(
+    ('outer', 'since', 'until', 'said'),
+    [
+        # A second, and what the joint needs to full rate.
+        (10.0, 2.99, 3.01, 'stalls at 10.000 deg on its way to 40.000 deg: 10.000 deg in 3.0 s.'),
+        (
+            39.8,
+            1.0,
+            4.1,
+            'stops at 39.8000 deg, 0.2000 deg off its goal; 0.01 deg counts as there.',
+        ),
+    ],
+    ids=['on its way', 'beside its goal'],
+)
+def test_a_joint_that_gets_nowhere_is_a_fault_after_a_while(outer, since, until, said):
     stalled = watch()
-    assert stalled.look(at(2.99, 10.0)) == (False, '')
-    assert stalled.look(at(3.01, 10.0)) == (
-        False,
-        'Joint outer stalls at 10.000 deg on its way to 40.000 deg: 10.000 deg in 3.0 s.',
-    )
-
-
-def test_a_joint_that_stands_beside_its_goal_stops_short():
-    short = watch()
-    assert short.look(at(1.0, 39.8)) == (False, '')
-    assert short.look(at(4.1, 39.8)) == (
-        False,
-        'Joint outer stops at 39.8000 deg, 0.2000 deg off its goal; 0.01 deg counts as there.',
-    )
+    assert stalled.look(at(since, outer)) == (False, '')
+    assert stalled.look(at(until, outer)) == (False, f'Joint outer {said}')
 
 
 def test_half_a_degree_beyond_the_goal_or_back_is_let_pass():
