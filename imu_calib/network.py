@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import random
 import socket
+from collections import deque
 from pathlib import Path
 
 from .errors import InputError
@@ -15,6 +17,13 @@ REACH = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _DOMAIN = 'ROS_DOMAIN_ID'
 _URI = 'CYCLONEDDS_URI'
 _STAYS = frozenset({'LOCALHOST', 'OFF'})
+
+_DOMAINS = range(1, 102)
+"""Those whose ports lie below what Linux gives to other programs."""
+_claims: deque[socket.socket] = deque()
+_MOST_CLAIMS = 8
+"""Domains that a process keeps at once. A choice: what is left of a stand that has ended may be
+heard for a while, and a hundred domains are for all."""
 
 
 def on_interface(name: str) -> str:
@@ -85,6 +94,41 @@ def kept_to(interface: str) -> dict[str, str]:
     if not named:
         own[_URI] = ','.join(filter(None, (on_interface(interface), user)))
     return own
+
+
+def own_domain() -> int:
+    """Return a domain that nobody else on this machine is on, and keep it for this process.
+
+    A node takes the port of its domain only when it has started: until then a name that Linux gives
+    to one process at a time keeps others of the suite away. It is free when the process has ended.
+
+    Raises:
+        InputError: All are in use.
+
+    """
+    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+        claim = _claim(domain)
+        if claim is None:
+            continue
+        _claims.append(claim)
+        if len(_claims) > _MOST_CLAIMS:
+            _claims.popleft().close()
+        return domain
+    raise InputError('All ROS domains from 1 to 101 are in use on this machine.')
+
+
+def _claim(domain: int) -> socket.socket | None:
+    """Return what keeps a domain until it is closed; None where somebody has it, or is on it."""
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f'\0imu_calib_domain_{domain}')
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            # Of the first participant (RTPS, 9.6.1.1).
+            probe.bind(('127.0.0.1', 7410 + 250 * domain))
+    except OSError:
+        claim.close()
+        return None
+    return claim
 
 
 def leaving(reach: str, how: str) -> str:

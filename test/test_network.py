@@ -1,6 +1,9 @@
 """How far the nodes' words reach: the loopback interface, unless another is named."""
 
+import socket
+
 import pytest
+from loopback import start, until
 
 from imu_calib import network
 from imu_calib.cli import main
@@ -125,3 +128,38 @@ def test_launched_hardware_stays_here_in_a_domain_of_its_own_unless_told_otherwi
     assert 'ROS_AUTOMATIC_DISCOVERY_RANGE=' in told.msg[0].text
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
     assert launched('stand', device='stim300') == []
+
+
+def test_a_domain_is_kept_for_one_process_before_any_node_is_on_it(monkeypatch):
+    code = 'from imu_calib.network import own_domain; print(own_domain(), flush=True); input()'
+    with start(code) as other:
+        domain = int(other.stdout.readline())
+        monkeypatch.setattr(network, '_DOMAINS', [domain])
+        with pytest.raises(InputError, match='All ROS domains'):
+            network.own_domain()
+        other.kill()
+    assert until(lambda: _is_free(domain))
+
+
+def _is_free(domain):
+    try:
+        return network.own_domain() == domain
+    except InputError:
+        return False
+
+
+def test_a_domain_is_taken_where_a_program_of_others_is_on_it(monkeypatch):
+    domain = network.own_domain()
+    network._claims.pop().close()
+    monkeypatch.setattr(network, '_DOMAINS', [domain])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        participant.bind(('127.0.0.1', 7410 + 250 * domain))
+        with pytest.raises(InputError, match='All ROS domains'):
+            network.own_domain()
+    assert network.own_domain() == domain
+
+
+def test_a_process_lets_go_of_its_earlier_domains():
+    first, *more = (network.own_domain() for _ in range(network._MOST_CLAIMS + 1))
+    assert first not in more
+    assert len(set(more)) == len(more) == len(network._claims)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import random
 import signal
 import socket
 import subprocess
@@ -20,12 +19,17 @@ import yaml
 
 from ..errors import InputError
 from ..lifetime import ENDS_WITH
-from ..network import LOOPBACK, REACH, check_domain, check_interface, kept_to, on_interface
+from ..network import (
+    LOOPBACK,
+    REACH,
+    check_domain,
+    check_interface,
+    kept_to,
+    on_interface,
+    own_domain,
+)
 from ..security import in_enclave
 from .terminal import ERRORS
-
-_DOMAINS = range(1, 102)
-"""Those whose ports lie below what Linux gives to other programs."""
 
 _PATIENCE = 6.0
 """s for a process to end after SIGINT, before SIGTERM: a node stops its table within three."""
@@ -182,7 +186,7 @@ class Processes:
 
 def private_network() -> dict[str, str]:
     """Return the variables of a domain that nobody else uses, on the loopback interface."""
-    own = {'ROS_DOMAIN_ID': str(_free_domain()), REACH: 'LOCALHOST'}
+    own = {'ROS_DOMAIN_ID': str(own_domain()), REACH: 'LOCALHOST'}
     if 'CYCLONEDDS_URI' not in os.environ:
         own['CYCLONEDDS_URI'] = on_interface(LOOPBACK)
     return own
@@ -206,7 +210,7 @@ def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]
     if not alone:
         check_domain('a table')
     elif not os.environ.get('ROS_DOMAIN_ID', '').strip():
-        own['ROS_DOMAIN_ID'] = str(_free_domain())
+        own['ROS_DOMAIN_ID'] = str(own_domain())
     return own
 
 
@@ -224,18 +228,6 @@ def free_ports(count: int) -> int:
             for port in range(first, first + count):
                 held.enter_context(socket.create_server(('127.0.0.1', port)))
             return first
-
-
-def _free_domain() -> int:
-    """Return a domain whose first participant's port is free (RTPS: 7410 + 250 * domain)."""
-    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
-        with (
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
-            contextlib.suppress(OSError),
-        ):
-            probe.bind(('127.0.0.1', 7410 + 250 * domain))
-            return domain
-    raise InputError('All ROS domains from 1 to 101 are in use on this machine.')
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
