@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -151,6 +154,27 @@ def test_an_interruption_is_a_document(
     monkeypatch.setattr(info_command, 'topics', interrupted)
     document = program('info', folder / 'one', code=130)
     assert document['error'] == {'kind': 'interrupted', 'message': 'interrupted'}
+
+
+def test_a_ctrl_c_while_a_module_makes_its_dataclasses_is_exit_code_130(
+    folder: Path, tmp_path: Path
+) -> None:
+    (tmp_path / 'interrupted_one.py').write_text("""
+import signal, sys
+from imu_calib.cli import info, main
+
+def interrupted(*_):
+    exec('signal.raise_signal(signal.SIGINT)')
+
+# What a message needs is loaded: no module is loaded after the interruption.
+main.ERRORS.print('')
+info.topics = interrupted
+sys.exit(main.main(sys.argv[1:]))
+""")
+    words = [sys.executable, '-m', 'interrupted_one', 'info', str(folder / 'one')]
+    places = {**os.environ, 'PYTHONPATH': os.pathsep.join(map(str, (tmp_path, CHECKOUT)))}
+    ended = subprocess.run(words, env=places, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (130, '\nimu-calib info: interrupted\n')
 
 
 def test_a_unit_outside_its_specification_is_exit_code_3(

@@ -136,6 +136,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
     """Say why a command has ended without a result, on the screen and in its document."""
+    if code == _INTERRUPTED:
+        # What a Ctrl-C cuts short may have been an exec of text, as dataclasses make their methods
+        # by it when a module is loaded. Run by `python -m`, CPython then dies of the signal, not by
+        # what is returned (unhandled_keyboard_interrupt, Python/pythonrun.c), until another exec.
+        exec('')
     _say(command, text, style='' if code == _INTERRUPTED else 'red')
     if as_json:
         write_document(command, Outcome(exit_code=code), error_document(text, kind))
