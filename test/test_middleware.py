@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -269,6 +270,40 @@ def test_a_node_that_waits_spends_no_processor_time(node):
     begin = time.process_time()
     spun(node, lambda: len(ticks) == 50)
     assert time.process_time() - begin < 0.25
+
+
+def test_each_node_of_an_executor_gets_its_own_and_what_is_destroyed_meanwhile_gets_none(node):
+    other = ros.Node('other')
+    executor = ros.SingleThreadedExecutor()
+    executor.add_node(node)
+    executor.add_node(other)
+    heard, called, doomed = [], [], {}
+
+    def first(name):
+        called.append(name)
+        while doomed:
+            node.destroy_subscription(doomed.popitem()[1])
+
+    for one in (node, other):
+        hear = partial(heard.append, one.get_name())
+        one.create_subscription(ros.messages.Bool, one.get_name(), lambda _, h=hear: h(), LATCHED)
+    for name in ('left', 'right'):
+        mine = node.create_subscription(
+            ros.messages.Bool, 'both', lambda _, n=name: first(n), LATCHED
+        )
+        doomed[name] = mine
+    sender = ros.Node('sender')
+    for name in ('other', 'both', 'tested'):
+        sender.create_publisher(ros.messages.Bool, name, LATCHED).publish(ros.messages.Bool())
+
+    def turn():
+        executor.spin_once(timeout_sec=0.05)
+
+    assert until(lambda: len(heard) == 2 and called, None, turn)
+    assert not until(lambda: len(heard) + len(called) > 3, 0.2, turn)
+    assert len(called) == 1
+    assert sorted(heard) == ['other', 'tested']
+    executor.shutdown()
 
 
 def test_simulated_time_moves_clock_and_timers(init):

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .context import Context, get_default_context
-from .participant import delete
+from .wire import WaitSet
 
 if TYPE_CHECKING:
+    from .endpoints import Subscription
     from .future import Future
     from .node import Node
+    from .participant import Participant
+    from .services import Client, Service
+
+    _Awaited = Subscription | Service | Client
 
 _SLICE = 50_000_000
 """Longest wait, ns: a signal's handler runs, and a cancelled spin ends, no later than that."""
+
+_PER_ROUND = 64
+"""Messages of one subscription before the others and the timers have their turn."""
 
 
 class ExternalShutdownException(Exception):
@@ -29,9 +37,9 @@ class SingleThreadedExecutor:
     def __init__(self, *, context: Context | None = None) -> None:
         self._context = context or get_default_context()
         self._nodes: list[Node] = []
-        self._waitset: Any = None
-        self._never: Any = None
-        self._waits_for: tuple[Any, ...] = ()
+        self._waitset: WaitSet | None = None
+        self._of: Participant | None = None
+        self._awaited: list[_Awaited] = []
         self._shut = False
 
     def add_node(self, node: Node) -> bool:
@@ -82,10 +90,9 @@ class SingleThreadedExecutor:
             if not self._context.ok():
                 self._forget()
                 raise ExternalShutdownException
-            left = _SLICE if endless else end - time.monotonic_ns()
-            if self._run_ready() or (not endless and left <= 0):
+            left = _SLICE if endless else min(end - time.monotonic_ns(), _SLICE)
+            if self._run(self._wait(left)) or (not endless and left <= 0):
                 return
-            self._wait(min(left, _SLICE))
 
     def spin_until_future_complete(self, future: Future, timeout_sec: float | None = None) -> None:
         """Run callbacks until a future is done or the time is over."""
@@ -96,55 +103,55 @@ class SingleThreadedExecutor:
                 return
             self.spin_once(timeout_sec=min(left, 0.05))
 
-    def _run_ready(self) -> bool:
-        ready = False
+    def _run(self, ready: list[_Awaited]) -> bool:
+        """Call back for what is ready and for timers that are due; return whether any was."""
+        ran = False
+        for one in ready:
+            # A callback may have destroyed the next.
+            if not one.destroyed:
+                ran |= one.execute(_PER_ROUND)
         for node in list(self._nodes):
             if node in self._context.nodes:
-                ready |= node.execute()
-        return ready
+                ran |= node.run_timers()
+        return ran
 
-    def _wait(self, nanoseconds: int) -> None:
-        """Wait for a message, at most until the next timer."""
+    def _wait(self, nanoseconds: int) -> list[_Awaited]:
+        """Wait for messages, at most until the next timer; return what has some."""
         from cyclonedds.core import DDSException
 
         for node in self._nodes:
             for timer in node.timers_:
                 left = timer.time_until_next_call()
-                if left is not None and not timer.clock.ros_time_is_active:
+                # Simulated time goes on by a message; what is due is due on any clock.
+                if left is not None and (left <= 0 or not timer.clock.ros_time_is_active):
                     nanoseconds = min(nanoseconds, left)
         try:
-            self._attach()
-            if nanoseconds > 0:
-                self._waitset.wait(nanoseconds)
+            waitset = self._attached()
+            ready = waitset.wait(max(0, nanoseconds))
+            return [self._awaited[k] for k in ready]
         except DDSException:
             # Another thread has shut down, or destroyed an endpoint, in the meantime.
             self._forget()
             if self._context.ok() and not self._shut:
                 raise
+            return []
 
-    def _attach(self) -> None:
-        """Make the wait set anew where the readers have changed."""
-        from cyclonedds.core import GuardCondition, WaitSet
-
-        if self._context.participant is None:
+    def _attached(self) -> WaitSet:
+        """Return the wait set, made anew where the readers have changed."""
+        participant = self._context.participant
+        if participant is None:
             raise ExternalShutdownException
-        participant = self._context.participant.entity
-        conditions = tuple(c for node in self._nodes for c in node.conditions())
-        if self._waitset is not None and (participant, *conditions) == self._waits_for:
-            return
-        self._forget()
-        self._waitset = WaitSet(participant)
-        # An empty wait set does not wait; this one always holds a condition that is never met.
-        self._never = GuardCondition(participant)
-        for condition in (self._never, *conditions):
-            self._waitset.attach(condition)
-        self._waits_for = (participant, *conditions)
+        awaited = [one for node in self._nodes for one in node.awaited()]
+        if self._waitset is None or (participant, awaited) != (self._of, self._awaited):
+            self._forget()
+            self._waitset = WaitSet(participant, [one.reader for one in awaited])
+            self._of, self._awaited = participant, awaited
+        return self._waitset
 
     def _forget(self) -> None:
         if self._waitset is not None:
-            delete(self._waitset)
-            delete(self._never)
-        self._waitset, self._never, self._waits_for = None, None, ()
+            self._waitset.delete()
+        self._waitset, self._of, self._awaited = None, None, []
 
 
 _global: SingleThreadedExecutor | None = None

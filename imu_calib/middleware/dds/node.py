@@ -28,9 +28,6 @@ if TYPE_CHECKING:
         SubscriptionEventCallbacks,
     )
 
-_PER_ROUND = 64
-"""Messages of one subscription before the others and the timers have their turn."""
-
 _TEND_PERIOD = 0.1
 """Seconds between two looks at peers whose quality of service does not match."""
 
@@ -310,23 +307,17 @@ class Node:
         """Yield all DDS writers of the node."""
         yield from (entity.writer for entity in (*self.publishers_, *self.services_))
 
-    def conditions(self) -> Iterator[Any]:
-        """Yield what an executor waits for."""
-        yield from (s.reader.condition for s in self.subscriptions_ if s.callback is not None)
-        yield from (s.reader.condition for s in self.services_)
+    def awaited(self) -> list[Subscription | Service | Client]:
+        """Return what an executor waits for: what calls back when messages have come."""
+        return [*(s for s in self.subscriptions_ if s.callback is not None), *self.services_]
 
-    def execute(self) -> bool:
-        """Run all callbacks that are ready; return whether there were any."""
-        ready = False
+    def run_timers(self) -> bool:
+        """Run the callbacks of timers that are due; return whether there were any."""
         self._tend()
-        for subscription in list(self.subscriptions_):
-            if not subscription.destroyed:
-                ready |= subscription.execute(_PER_ROUND)
-        for service in list(self.services_):
-            ready |= service in self.services_ and service.execute()
+        ran = False
         for timer in list(self.timers_):
-            ready |= timer in self.timers_ and timer.execute()
-        return ready
+            ran |= timer in self.timers_ and timer.execute()
+        return ran
 
     def _tend(self) -> None:
         now = time.monotonic()

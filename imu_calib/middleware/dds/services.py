@@ -66,13 +66,14 @@ class Service:
         self.srv_type = srv_type
         self.srv_name = srv_name
         self.callback = callback
+        self.destroyed = False
         self.reader, self.writer = _ends(
             participant, srv_type, srv_name, True, secrets.token_bytes(16)
         )
 
-    def execute(self) -> bool:
+    def execute(self, most: int) -> bool:
         """Answer what has been asked; return whether there was anything."""
-        payloads = self.reader.drain()
+        payloads = self.reader.drain(most)
         for payload in payloads:
             request = deserialize_message(payload, self.srv_type.Request, skip=16)
             response = self.callback(request, self.srv_type.Response())
@@ -93,6 +94,7 @@ class Service:
 
     def destroy(self) -> None:
         """Leave the service's topics."""
+        self.destroyed = True
         self.reader.delete()
         self.writer.delete()
 
@@ -115,6 +117,7 @@ class Client:
         gid = secrets.token_bytes(16)
         self._guid = int.from_bytes(gid[:8], 'little')
         self._sequence = 0
+        self.destroyed = False
         self._pending: dict[int, Future] = {}
         self.reader, self.writer = _ends(participant, srv_type, srv_name, False, gid)
 
@@ -145,10 +148,10 @@ class Client:
         """Forget a request whose answer nobody waits for any more."""
         self._pending = {s: f for s, f in self._pending.items() if f is not future}
 
-    def execute(self) -> bool:
+    def execute(self, most: int) -> bool:
         """Take the answers that have come; return whether there was one."""
         found = False
-        for payload in self.reader.drain():
+        for payload in self.reader.drain(most):
             guid, sequence = _REQUEST_ID.unpack(_request_id(payload))
             # The answers to all clients come on one topic.
             future = self._pending.pop(sequence, None) if guid == self._guid else None
@@ -159,5 +162,6 @@ class Client:
 
     def destroy(self) -> None:
         """Leave the service's topics."""
+        self.destroyed = True
         self.reader.delete()
         self.writer.delete()

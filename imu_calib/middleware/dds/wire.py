@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from ctypes import c_bool
+from collections.abc import Iterable, Sequence
+from ctypes import CFUNCTYPE, c_bool, c_int32, c_int64, c_size_t, c_ssize_t, c_void_p
 from functools import cache
 from typing import Any
 
@@ -212,6 +212,61 @@ class Reader(Endpoint):
         """Leave the topic."""
         delete(self.condition)
         super().delete()
+
+
+class WaitSet:
+    """Waits until one of some readers has messages, and says which have.
+
+    The wheel's own says only that there are some: to ask each reader costs more than most messages.
+
+    Args:
+        participant: Whose readers they are.
+        readers: To wait for.
+
+    """
+
+    def __init__(self, participant: Participant, readers: Sequence[Reader]) -> None:
+        from cyclonedds.core import GuardCondition
+        from cyclonedds.core import WaitSet as Wheels
+        from cyclonedds.internal import DDS
+
+        library = DDS._dll_handle
+        attach = CFUNCTYPE(c_int32, c_int32, c_int32, c_ssize_t)(('dds_waitset_attach', library))
+        pointer, number = c_void_p, c_size_t
+        # Types of our own: those of the wheel's functions stay as they are.
+        call = CFUNCTYPE(c_int32, c_int32, pointer, number, c_int64)
+        self._call = call(('dds_waitset_wait', library))
+        self._entity = Wheels(participant.entity)
+        # An empty wait set does not wait; this one always holds a condition that is never met.
+        self._never = GuardCondition(participant.entity)
+        self._found = (c_ssize_t * (len(readers) + 1))()
+        conditions = [*(reader.condition for reader in readers), self._never]
+        for k, condition in enumerate(conditions):
+            _check(attach(self._entity._ref, condition._ref, k))
+
+    def wait(self, nanoseconds: int) -> list[int]:
+        """Return which readers have messages, by their places in the order given, ascending.
+
+        Raises:
+            DDSException: The wait set is gone, or what it waits for.
+
+        """
+        found = self._found
+        count = self._call(self._entity._ref, found, len(found), nanoseconds)
+        return sorted(found[: _check(count)])
+
+    def delete(self) -> None:
+        """Wait for nothing any more."""
+        delete(self._entity)
+        delete(self._never)
+
+
+def _check(code: int) -> int:
+    from cyclonedds.core import DDSException
+
+    if code < 0:
+        raise DDSException(code, 'while waiting for messages')
+    return code
 
 
 def _incompatible(status: Any) -> QoSIncompatibleInfo | None:
