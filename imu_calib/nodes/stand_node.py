@@ -47,7 +47,9 @@ _ALIVE = 2.0
 _SILENCE = 0.5
 """s of the wall clock without a setpoint after which another source may lead the table."""
 _REST = 0.0005
-"""s of sleep while nobody reads: short beside what a step takes to compute."""
+"""s of sleep while the next setpoint is waited for: short beside what a step takes to compute."""
+_REST_BY_THE_WALL = 0.005
+"""s of sleep while nobody leads: short beside a step of the wall clock."""
 _PATIENCE = 5.0
 """s for the thread to end: a step takes milliseconds; one that hangs is left to the process."""
 
@@ -173,7 +175,7 @@ class StandNode(ros.Node):
                     self.get_logger().fatal(f'the simulation ends: {error}')
                     return
             else:
-                time.sleep(_REST)
+                time.sleep(_REST if self._pace.led else _REST_BY_THE_WALL)
 
     def _may_go_on(self) -> bool:
         lines = self._lines
@@ -260,6 +262,11 @@ class _Pace:
         """Note that nobody is in a hurry: the table is held."""
         self._heard = -math.inf
 
+    @property
+    def led(self) -> bool:
+        """Whether setpoints lead the table."""
+        return time.monotonic() - self._heard < _ALIVE
+
     def may_go_on(self, now: float, connected: bool) -> bool:
         """Say whether the next step may be made at a simulated time.
 
@@ -267,7 +274,7 @@ class _Pace:
         that happened before. Else it keeps to the wall clock.
         """
         wall = time.monotonic()
-        led = connected and wall - self._heard < _ALIVE
+        led = connected and self.led
         if led and now > self._newest + _AHEAD:
             return False
         speed = self._speed if led else (self._speed or 1.0)
