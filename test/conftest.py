@@ -41,6 +41,7 @@ _FAILED = pytest.StashKey[bool]()
 
 _LONG = (
     'test_stand.py',
+    'test_stand_strangers.py',
     'test_verification.py',
     'test_matrix.py',
     'test_calibration_session.py',

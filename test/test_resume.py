@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
-from loopback import CHECKOUT, until
+from loopback import CHECKOUT, patience, until
 from test_sequencer import Stand as Simulated
 
 from imu_calib import calibrate
@@ -29,8 +29,8 @@ try:
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
-STEP = 8
-"""At which step the session is interrupted: some positions are done, most are not."""
+TURN = 9
+"""At which step the session is interrupted, a turn: some positions are done, most are not."""
 
 
 def begin(tmp_path, *options, name='my stand'):
@@ -64,7 +64,7 @@ def comes_to(process, folder, words):
         assert process.poll() is None, process.communicate()
         return log.exists() and words in log.read_text()
 
-    assert until(said, 60)
+    assert until(said)
 
 
 def numbers(folder):
@@ -83,7 +83,7 @@ def kill_everything(process, folder):
     for number in nodes:
         os.kill(number, signal.SIGKILL)
     process.communicate()
-    assert until(lambda: not numbers(folder), 20)
+    assert until(lambda: not numbers(folder))
 
 
 def tear(folder):
@@ -93,9 +93,14 @@ def tear(folder):
         held.truncate(file.stat().st_size - 3000)
 
 
+def stood(folder):
+    """Return how often the simulated table has ended at rest, by its own word."""
+    return (folder / 'nodes' / 'stand_node.log').read_text().count('the table stands')
+
+
 def finishes(process, folder):
     """Let a session end; it must be that of an uninterrupted one, in the true parameters."""
-    output, errors = process.communicate(timeout=150)
+    output, errors = process.communicate(timeout=patience(150))
     assert process.returncode == 0, errors
     assert not numbers(folder)
     assert {path.name for path in folder.iterdir()} >= {
@@ -126,21 +131,28 @@ def runs(folder):
 def test_what_is_interrupted_torn_off_and_killed_is_gone_on_with_time_after_time(tmp_path):
     """One session: Ctrl-C, a power cut, and a command that is killed alone."""
     process, folder = begin(tmp_path)
-    comes_to(process, folder, f'step {STEP} of')
+    comes_to(process, folder, f'Turning: step {TURN} of')
     last = interrupted(process, signal.SIGINT)
+    # Nothing is left running, and the table was stopped before.
+    assert not numbers(folder)
+    assert stood(folder) == 1
     assert last == f"imu-calib stand --resume '{folder}'"
     # Files that a person edits meanwhile are no matter.
     (tmp_path / 'short.yaml').write_text('name: another\n')
     process = command(shlex.split(last)[1:])
-    comes_to(process, folder, f'step {STEP + 4} of')
+    comes_to(process, folder, f'step {TURN + 4} of')
     kill_everything(process, folder)
     tear(folder)
     process = command(['stand', '--resume', str(folder)])
-    comes_to(process, folder, f'step {STEP + 7} of')
-    # Its nodes end by themselves: what goes on waits for that.
+    comes_to(process, folder, f'Turning: step {TURN + 7} of')
+    # Its nodes stop the table and end by themselves: what goes on waits for that.
+    assert stood(folder) == 1
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    output = finishes(command(['stand', '--resume', str(folder)]), folder)
+    process = command(['stand', '--resume', str(folder)])
+    comes_to(process, folder, f'step {TURN + 9} of')
+    assert stood(folder) == 2
+    output = finishes(process, folder)
     assert 'The IMU stream was interrupted' in output
     parts = runs(folder)
     assert len(parts) == 4
@@ -163,8 +175,9 @@ def test_sigterm_says_how_to_go_on_too(tmp_path):
 def interrupted(process, number):
     """Interrupt the command; return what its last line says."""
     process.send_signal(number)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=patience())
     assert process.returncode == 130, errors
+    assert 'Traceback' not in errors
     return errors.splitlines()[-1].rpartition(': ')[2]
 
 
@@ -172,10 +185,10 @@ def test_free_positions_in_a_simulated_hand_go_on_too(tmp_path):
     folder = tmp_path / 'hand'
     process = command(['stand', 'free_positions', '-o', str(folder)])
     log = folder / 'nodes' / 'calibrator_node.log'
-    assert until(lambda: log.exists() and '6 holds' in log.read_text(), 60)
+    assert until(lambda: log.exists() and '6 holds' in log.read_text())
     kill_everything(process, folder)
     again = command(['stand', '--resume', str(folder)])
-    output, errors = again.communicate(timeout=150)
+    output, errors = again.communicate(timeout=patience(150))
     assert again.returncode == 0, errors
     live = Calibration.load(folder / 'calibration.yaml')
     calibration = calibrate(folder / 'journal').calibration
