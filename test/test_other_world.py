@@ -14,7 +14,10 @@ from sessions import gathered
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.earth import Site
+from imu_calib.estimation import search
+from imu_calib.estimation.converge import NotConverged
 from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import UNPLANNED, Plan, load_plan
 from imu_calib.stream import Floats, ImuBlock, JointBlock, Units
@@ -138,6 +141,28 @@ def test_no_parameter_is_further_off_than_stated(name: str, grade: str) -> None:
     assert np.abs(off).max() < 4.5, np.round(off, 1)
     # Nor are they wide: chi-square of 24 is below 4.3 with a probability of 1e-6.
     assert (off**2).sum() > 4.3
+
+
+def test_a_move_in_which_the_samples_froze_keeps_no_session_from_its_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From the end of a dwell on, which has a part of it; the search comes to no end."""
+    world = World(damage=Damage(freezes=(148.3,), frozen=3.0))
+    calibrator = fed(world, NAVIGATION, look=True)
+    all_moves, refused = len(gathered(calibrator).moves), []
+
+    def fit(equations: Equations, state: Floats) -> Floats:
+        if len(equations.evidence.moves) == all_moves:
+            refused.append(equations)
+            raise NotConverged('It goes to and fro.')
+        return search_fit(equations, state)
+
+    search_fit = search.fit
+    monkeypatch.setattr(search, 'fit', fit)
+    found = calibrator.finish().calibration
+    assert refused
+    assert np.abs(errors(found, NAVIGATION)).max() < 4.5
+    assert any('1 of 5 moves end elsewhere' in finding for finding in found.findings)
 
 
 def stop(outer: float, middle: float, inner: float, *rates: float, turning: int = 0) -> Stop:

@@ -13,6 +13,7 @@ Source: docs/mathematics.md, 'Terms that are missing'; Holm 1979, Scand. J. Stat
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,7 @@ from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import determined, nominal_information
 from ..stream import Floats
 from .changing import with_changes, with_time_constant
+from .converge import NotConverged
 from .fit import Estimate, estimate, fit
 from .score import (
     Family,
@@ -220,9 +222,27 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
     Nothing is set aside meanwhile, and again all that the first estimate set aside: a family that
     is missing makes outliers, and outliers make a family that is not there.
     """
+    as_kept = (first.without_scatter, first.state)
     views = [(_restored(start, first), first.state)]
     if first.downweighted_outputs:
-        views.append((first.without_scatter, first.state))
+        views.append(as_kept)
+    with suppress(NotConverged):
+        return _significant(start, views, rejected)
+    # What was set aside fits nothing: a move in which the samples froze, say.
+    with suppress(NotConverged):
+        return _significant(start, [as_kept], rejected)
+    return ()
+
+
+def _significant(
+    start: _Model, views: list[tuple[Equations, Floats]], rejected: set[Family]
+) -> tuple[Found, ...]:
+    """Return families one after the other by some views of a session, each with its state.
+
+    Raises:
+        NotConverged: A view comes to no end with what was found.
+
+    """
     found: list[Found] = []
     while True:
         model = start.with_found(found)
