@@ -12,7 +12,7 @@ posterior over a grid, not the most likely one, which would be too sure of itsel
 
 A wandering that the data sheet states (bias instability) is a floor: a session of half an hour
 does not show a drift of the size of its own noise, and its mean errs by it all the same. It is
-weighed against less of it by what the data says, with odds of ten to one for the data sheet.
+weighed against less of it by what the data says, with odds of a thousand to one for the data sheet.
 
 Source: docs/mathematics.md, 'Joint estimate' and 'Positioning errors'.
 """
@@ -60,8 +60,10 @@ one size by 9, three standard deviations."""
 _SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
 """Shares of the data sheet's variance that a session may have instead: standard deviations of
 nothing, a quarter, a half and all of it."""
-_LOG_ODDS = np.log([1 / 33, 1 / 33, 1 / 33, 10 / 11])
-"""Of these: ten to one for what the data sheet states, a third of the rest each."""
+_LOG_ODDS = np.log([1 / 3003, 1 / 3003, 1 / 3003, 1000 / 1001])
+"""Of these: a thousand to one for what the data sheet states, a third of the rest each. By chance a
+session seems so much calmer than its unit is less than once in a thousand (Markov's inequality for
+a ratio of likelihoods); at ten to one two of 2000 sessions did, and were off by six deviations."""
 _UNLIKELY = 1e-3
 """Of a case that is as good as none: it moves variances by less than their own spread by far."""
 
