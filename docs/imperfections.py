@@ -169,9 +169,9 @@ def misnamed(row: dict[str, Any]) -> set[str]:
 def outcome(row: dict[str, Any]) -> str:
     """Say in a word what a session came to.
 
-    Misalignments are against the table's axes. Zeros that are further off than is assumed of them,
-    which is said, turn them all alike, and no sensor shows that: what is free of the frame must
-    hold then.
+    Misalignments are against the table's axes. Zeros, and right angles between the joints' axes,
+    that are further off than is assumed of them, which is said, turn them all alike, and no sensor
+    shows that: what is free of the frame must hold then.
     """
     if 'refused' in row:
         return 'refused'
@@ -182,7 +182,7 @@ def outcome(row: dict[str, Any]) -> str:
     held = {parameter for name, parameter in row['held'] if name in causes}
     if any(causes & named(finding) for finding in row['findings']) or wrong <= held:
         return 'named'
-    frame = 'zeros' in causes and all(name.startswith('E') for name in wrong)
+    frame = {'zeros', 'orthogonality'} & causes and all(name.startswith('E') for name in wrong)
     return 'frame' if frame and max(map(abs, row['free'])) < SILENT else 'silently wrong'
 
 
@@ -331,8 +331,9 @@ for each unit the table is perfect and states it. Biases wander as the data shee
   that fade and of terms.
 - wrong: an error of more than 4.5 deviations. It is named where a finding names its cause, or where
   the result says for which term that is not seen the parameter holds; else it is silent.
-- off by the frame alone: the table's zeros are further off than is assumed of them. That turns all
-  misalignments alike and no sensor shows it; the angles between the input axes hold.
+- off by the frame alone: the table's zeros, or the right angles between its axes, are further off
+  than is assumed of them. That turns all misalignments alike and no sensor shows it; the angles
+  between the input axes hold.
 - blamed: findings name something that is not there. Terms that explain a session as well as the
   right one, and are named with it, do not count.
 
