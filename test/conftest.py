@@ -19,8 +19,8 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 # ROS reads this when it first loads a message: fields are then checked on every assignment.
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 
-# A test that fails fails again: its examples are the same in every run, and on a busy machine, where
-# one of them may wait for the processor.
+# A test that fails fails again: its examples are the same in every run, also on a busy machine,
+# where one of them may wait for the processor.
 settings.register_profile('fixed', derandomize=True, deadline=None)
 settings.load_profile('fixed')
 

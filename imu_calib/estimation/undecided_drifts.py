@@ -22,8 +22,8 @@ from ..stream import Floats
 from .score import Family, Score
 
 _ODDS = 1 / 20
-"""Of each of two courses, before the session is seen, to none: ten to one for none, a judgement, one
-session in eleven that drifts."""
+"""Of each of two courses, before the session is seen, to none: ten to one for none, a judgement:
+one session in eleven drifts."""
 
 _LEAST = 1e-9
 """Chi-square below which the integrals are taken at it: they are smooth there."""
