@@ -135,7 +135,7 @@ CONDITIONS = {
     ),
     'orthogonality 10 arcsec': Condition(
         'table: {orthogonality: 10 arcsec}',
-        ('orthogonality',),
+        ('orthogonality', 'moves'),
         bound={'orthogonality': 10 * ARCSEC},
     ),
     'wobble 2 arcsec': Condition('table: {wobble: {once: 2 arcsec, twice: 2 arcsec}}', ('wobble',)),
@@ -170,7 +170,10 @@ CONDITIONS = {
     'lost 2 %': Condition('samples: {lost: 2 %}'),
     'twice 0.05 %': Condition('samples: {twice: 0.05 %}'),
     'twice 2 %': Condition('samples: {twice: 2 %}'),
-    'frozen 3 s every 5 min': Condition('samples: {frozen: {every: 5 min, for: 3 s}}', bound=None),
+    # Of a move that ends elsewhere frozen samples are among the causes named.
+    'frozen 3 s every 5 min': Condition(
+        'samples: {frozen: {every: 5 min, for: 3 s}}', ('moves', 'velocities'), bound=None
+    ),
     'ringing': Condition(
         'mounting: {ringing: {rate: 0.5 deg/s, force: 50 mg, decay: 0.5 s}}', bound=None
     ),

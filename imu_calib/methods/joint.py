@@ -330,17 +330,16 @@ def _astray(found: Estimate) -> list[str]:
         notes.append(
             f'By the gyros {len(turned)} of {len(turned) + len(led)} moves end elsewhere than by '
             f'the encoders ({_ways(turned)}; {angle:.3g} arcsec at most): they are left out. Rates '
-            'beyond the range of the gyros do so, gyros that do not answer in proportion, and a '
-            'table whose axes are not where its description says.'
+            'beyond the range of the gyros do so, gyros that do not answer in proportion, samples '
+            'that freeze on the way, and a table whose axes are not where its description says.'
         )
     if pushed:
         speed = max(move.misclosure for move in pushed)
         notes.append(
             f'By the accelerometers {len(pushed)} of {len(pushed) + len(led.with_accels)} moves '
             f'do not end at rest ({_ways(pushed)}; {speed:.3g} m/s at most): their velocities '
-            'are left out. '
-            'Accelerometers that do not answer in proportion do so, and a unit that vibrates '
-            'in its mount.'
+            'are left out. Accelerometers that do not answer in proportion do so, samples that '
+            'freeze on the way, and a unit that vibrates in its mount.'
         )
     return notes
 
