@@ -243,7 +243,7 @@ def renamed(block: Block) -> Block:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=8 if SESSIONS == 100 else 3, deadline=None)
+@settings(max_examples=8 if SESSIONS == 100 else 3)
 def test_the_result_does_not_depend_on_cuts_and_interleaving(seed: int) -> None:
     again = calibrate(recut(short_session(), seed), short_plan())
     assert again.calibration.to_yaml() == of_short_session()

@@ -461,7 +461,7 @@ def test_losses_are_told_when_nothing_is_left(tmp_path):
 
 
 @pytest.mark.parametrize('suffix', ['mcap', 'db3'])
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_whatever_is_damaged_the_answer_is_data_or_a_sentence(tmp_path, suffix, data):
     whole = tmp_path / f'whole_{suffix}'

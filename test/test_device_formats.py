@@ -61,7 +61,7 @@ def test_fletcher_of_modulus_256_is_that_of_mip_and_ubx(covered, sent):
     assert value.to_bytes(2, 'little') == bytes.fromhex(sent)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.lists(st.binary(min_size=300, max_size=300), min_size=1, max_size=5))
 @pytest.mark.parametrize('modulus', [255, 256])
 def test_fletcher_of_many_long_messages_is_that_of_each(modulus, messages):
@@ -76,7 +76,7 @@ def test_fletcher_of_many_long_messages_is_that_of_each(modulus, messages):
     assert Checksums(Fletcher(modulus), 300).of(rows).tolist() == list(map(alone, messages))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.lists(st.binary(min_size=16, max_size=16), min_size=1, max_size=5))
 @pytest.mark.parametrize(('order', 'name'), [('<', 'little'), ('>', 'big')])
 @pytest.mark.parametrize('word', [16, 32])
@@ -164,7 +164,7 @@ def test_a_signalling_nan_is_no_number_and_no_warning(order):
     assert decoder.counts.unusable == 1
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.integers(-(2**47), 2**47 - 1))
 def test_fp16_32_is_exact(number):
     fields = {

@@ -99,7 +99,7 @@ def load_path(name):
     return named_file('devices', name)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.lists(st.binary(min_size=7, max_size=7), min_size=1, max_size=20), st.integers(0, 3))
 @pytest.mark.parametrize('name', CATALOGUE)
 def test_every_crc_of_the_catalogue_is_that_of_fastcrc(name, messages, padding):
@@ -110,7 +110,6 @@ def test_every_crc_of_the_catalogue_is_that_of_fastcrc(name, messages, padding):
     assert found.tolist() == [crc(m + bytes(padding)) for m in messages]
 
 
-@settings(deadline=None)
 @given(st.lists(st.binary(min_size=7, max_size=7), min_size=1, max_size=20))
 def test_sums_of_many_messages_are_those_of_each(messages):
     rows = np.frombuffer(b''.join(messages), np.uint8).reshape(-1, 7)
@@ -138,7 +137,7 @@ def test_what_the_simulation_packs_is_what_the_described_format_reads():
     assert (decoder.counts.frames, decoder.counts.lost, decoder.counts.restarts) == (500, 0, 0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.integers(0, 10**6), max_size=40), st.binary(max_size=100), st.integers(0, 900))
 def test_any_cut_of_the_stream_gives_the_same_samples_and_counts(places, garbage, where):
     line = b''.join(frames(20))
@@ -151,7 +150,7 @@ def test_any_cut_of_the_stream_gives_the_same_samples_and_counts(places, garbage
         assert (parts == getattr(expected, name)).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.lists(st.tuples(st.integers(0, 880), st.binary(min_size=1, max_size=120)), max_size=6),
     st.booleans(),

@@ -184,7 +184,7 @@ def test_more_data_never_makes_a_parameter_less_sure() -> None:
 
 
 @given(st.sets(st.integers(0, 11)), st.sets(st.integers(0, 17)))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_any_part_of_a_session_is_fit_to_be_asked(rests: set[int], turns: set[int]) -> None:
     whole = WHOLE
     some = replace(

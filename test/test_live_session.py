@@ -122,7 +122,7 @@ def same(one, other):
     )
 
 
-@settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=3, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_result_is_that_of_the_journal_however_the_messages_came(
     tmp_path_factory, wire, reference, seed
@@ -273,7 +273,7 @@ def test_others_read_a_journal_that_was_gone_on_with(tmp_path, wire):
 MANY = 10 if os.environ.get('IMU_CALIB_MATRIX') == 'covering' else 40
 
 
-@settings(max_examples=MANY, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=MANY, suppress_health_check=list(HealthCheck))
 @given(lag=st.integers(-3000, 3000), share=st.floats(0, 1))
 @example(lag=2369, share=0.9636708728449709)
 def test_a_session_can_be_reviewed_wherever_it_stands(slow_wire, lag, share):

@@ -84,7 +84,7 @@ def test_samples_wait_until_the_interval_is_known():
     assert waiting == [20, 0, 0]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_how_the_stream_is_cut_carries_no_meaning(data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))

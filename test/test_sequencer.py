@@ -736,7 +736,7 @@ EVENTS = st.lists(
 )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     EVENTS,
     st.lists(st.floats(-180.0, 180.0), min_size=3, max_size=3),
@@ -765,7 +765,7 @@ def test_no_setpoint_ever_leaves_that_the_table_does_not_allow(events, start, ra
     assert stand.stands(3.0)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(EVENTS, st.floats(20.0, 200.0))
 def test_whatever_happened_a_start_leads_to_the_end(events, rate):
     stand = Stand(small_plan(dwell=0.3, rates=(rate * DEG,)), block=10).started()
