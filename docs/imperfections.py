@@ -2,7 +2,8 @@
 
 Each condition is a file of imperfections (docs/files/imperfections.md), or a term of the sensors.
 Sessions that were run are kept as lines of a file, so that the study goes on where it was stopped;
-delete the file to begin anew.
+delete the file to begin anew. What an earlier state of the package refused, or was far off with, is
+run again.
 
 Usage: python docs/imperfections.py [--seeds 2] [--jobs 1] [--rows imperfections.jsonl]
        python docs/imperfections.py --only 'stamps late' --seeds 5
@@ -56,6 +57,9 @@ from imperfect_stands import (
 
 SILENT = 4.5
 """Deviations: chance passes them in one of 6000 sessions of 24 parameters."""
+
+AGAIN = 3.5
+"""Deviations beyond which a session of an earlier state of the package is run again."""
 
 
 def session(grade: str, seed: int, condition: str) -> dict[str, Any]:
@@ -121,11 +125,16 @@ def rows_of(path: Path) -> dict[tuple[str, str, str, int], dict[str, Any]]:
     return {(r['condition'], r['file'], r['grade'], r['seed']): r for r in rows}
 
 
+def stands(row: dict[str, Any]) -> bool:
+    """Say whether a session need not be run again, though the package may have changed."""
+    return row.get('code') == version() or np.abs(row.get('off', np.inf)).max() < AGAIN
+
+
 def run(
     wanted: Iterable[tuple[str, str, int]], path: Path, jobs: int, scheduler: str | None = None
 ) -> None:
     """Run the sessions that are missing and keep each as it ends."""
-    done = rows_of(path)
+    done = {key for key, row in rows_of(path).items() if stands(row)}
     missing = [w for w in wanted if (w[0], CONDITIONS[w[0]].file, w[1], w[2]) not in done]
 
     def keep(row: dict[str, Any]) -> None:
@@ -259,7 +268,8 @@ def page(rows: list[dict[str, Any]]) -> str:
     many = f'{most} seeds each' if fewest == most else f'{fewest} to {most} seeds each'
     other = sum(r.get('code') != version() for r in rows)
     code = (
-        f'{other} of the {len(rows)} sessions were run by earlier states of the package.'
+        f'{other} of the {len(rows)} sessions were run by earlier states of the package; what was '
+        f'refused there, or off by more than {AGAIN:g} deviations, was run again.'
         if other
         else f'All {len(rows)} sessions were run by the package as it is beside this page.'
     )
