@@ -60,10 +60,14 @@ one size by 9, three standard deviations."""
 _SHARES = np.array([0.0, 1 / 16, 1 / 4, 1.0])
 """Shares of the data sheet's variance that a session may have instead: standard deviations of
 nothing, a quarter, a half and all of it."""
-_LOG_ODDS = np.log([1 / 3003, 1 / 3003, 1 / 3003, 1000 / 1001])
-"""Of these: a thousand to one for what the data sheet states, a third of the rest each. By chance a
-session seems so much calmer than its unit is less than once in a thousand (Markov's inequality for
-a ratio of likelihoods); at ten to one two of 2000 sessions did, and were off by six deviations."""
+_ODDS = 1000.0
+"""For what the data sheet states, to one for the other shares together, a third of it each. By
+chance a session seems so much calmer than its unit is less than once in a thousand (Markov's
+inequality for a ratio of likelihoods); at ten to one two of 2000 sessions did, and were off by six
+deviations."""
+_ODDS_BESIDE_OUTLIERS = 10.0
+"""The same where an outlier is held against what the others scatter: drift that is stated, and is
+not there, would hide it. A judgement."""
 _UNLIKELY = 1e-3
 """Of a case that is as good as none: it moves variances by less than their own spread by far."""
 
@@ -90,6 +94,7 @@ class _Triad:
         bias_drift: Where the bias is looked at.
         typical: What a ratio of one stands for, SI units squared.
         stated: Variance of the wandering stated, SI units squared.
+        log_odds: (shares,) logarithms of the odds of shares of it.
 
     """
 
@@ -102,6 +107,7 @@ class _Triad:
     bias_drift: BiasDrift
     typical: float
     stated: float
+    log_odds: Floats
 
     def positioning_covariance(self, joints: float, stops: float) -> Floats:
         """Return the covariance by noise and arrivals of these variances, rad^2."""
@@ -193,7 +199,9 @@ class ExcessScatter:
         return tuple(c for c in self.extra if c.source is Source.BIAS_STATED)
 
 
-def excess(equations: Equations, state: Floats, *, doubted: bool = False) -> ExcessScatter:
+def excess(
+    equations: Equations, state: Floats, *, doubted: bool = False, suspecting: bool = False
+) -> ExcessScatter:
     """Estimate the excess scatter of a session about a solution.
 
     What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
@@ -205,12 +213,13 @@ def excess(equations: Equations, state: Floats, *, doubted: bool = False) -> Exc
         state: (n,) a solution close to the final one.
         doubted: Whether the size of the noise is in doubt as far as blocks leave it so. Next to
             outputs that do not fit noise seems larger than it is: these are to be found before.
+        suspecting: Whether an outlier is held against it.
 
     """
     plain = replace(equations, extra=(), positioning=NO_POSITIONING_ERRORS)
     if not plain.evidence.segments or plain.own_variances.max() <= SMALLEST_VARIANCE:
         return ExcessScatter(NO_POSITIONING_ERRORS, np.zeros(6))
-    triads = _triads(plain, state)
+    triads = _triads(plain, state, _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS)
     if not doubted:
         triads = [replace(triad, noise=()) for triad in triads]
     still = [_Wander.of(triad) for triad in triads]
@@ -251,7 +260,7 @@ class _Wander:
         called for, what that explains is taken off.
         """
         calm, beyond = triad.weigh(joints, stops)
-        found = cls(calm + _LOG_ODDS, beyond - np.log(beyond.size))
+        found = cls(calm + triad.log_odds, beyond - np.log(beyond.size))
         if not found.called_for:
             return found
         known, more = (
@@ -293,7 +302,7 @@ class _Wander:
         )
         return [
             (
-                self.known - float(self.calm[calm]) + float(_LOG_ODDS[calm]),
+                self.known - float(self.calm[calm]) + float(triad.log_odds[calm]),
                 triad.drift_covariance(_SHARES[calm], 0, 0.0),
             ),
             (
@@ -424,12 +433,13 @@ def _spread_out(
     return math.sqrt(total), tuple(parts), (spared,) if triad.stated else (), swift
 
 
-def _triads(plain: Equations, state: Floats) -> list[_Triad]:
-    """Return gyros and accelerometers, either with turns and moves."""
+def _triads(plain: Equations, state: Floats, odds: float) -> list[_Triad]:
+    """Return gyros and accelerometers, either with turns and moves, by odds for the data sheet."""
+    log_odds = np.log([*[1 / 3] * (len(_SHARES) - 1), odds]) - math.log(1 + odds)
     jacobian, left = plain.jacobian(state), plain.outputs - plain.predict(state)
     rising = plain.slopes(state)
     parts = (jacobian, left, rising, plain.covariance(state), plain.by_positioning(state))
-    return [_triad(plain, first, parts, state) for first in (0, 3)]
+    return [_triad(plain, first, parts, state, log_odds) for first in (0, 3)]
 
 
 def _triad(
@@ -437,6 +447,7 @@ def _triad(
     first: int,
     parts: tuple[Floats, Floats, Floats, Floats, tuple[Floats, ...]],
     state: Floats,
+    log_odds: Floats,
 ) -> _Triad:
     """Cut out gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
@@ -512,6 +523,7 @@ def _triad(
         wandering,
         typical,
         stated,
+        log_odds,
     )
 
 

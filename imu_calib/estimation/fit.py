@@ -565,7 +565,7 @@ def _outlier(
     for index in worst:
         name, rows = candidates[index]
         without = _weighed_down(plain, rows, _LEFT_OUT)
-        others = with_scatter(plain, excess(without, fit(without, state)))
+        others = with_scatter(plain, excess(without, fit(without, state), suspecting=True))
         here = fit(others, state)
         square, freedom = _fall(others, here, rows)
         limit = scipy.special.chdtri(max(freedom, 1), _OUTLYING)
