@@ -55,7 +55,9 @@ def test_the_causes_of_conditions_are_known() -> None:
         (row('accel_cubic', off=off('K_ay'), held=[['accel_cubic', 'K_ax']]), 'silently wrong'),
         (row('zeros 60 arcsec', off=off('E_gxy')), 'frame'),
         (row('zeros 60 arcsec', off=off('E_gxy'), free=[5.0] * 9), 'silently wrong'),
-        (row('orthogonality 10 arcsec', off=off('E_gxy')), 'silently wrong'),
+        (row('orthogonality 10 arcsec', off=off('E_gxy')), 'frame'),
+        (row('orthogonality 10 arcsec', off=off('K_gx')), 'silently wrong'),
+        (row('wobble 2 arcsec', off=off('E_gxy')), 'silently wrong'),
         ({'condition': 'perfect', 'refused': 'Nothing.'}, 'refused'),
     ],
 )
