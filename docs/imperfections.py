@@ -267,9 +267,11 @@ def page(rows: list[dict[str, Any]]) -> str:
     fewest, most = min(counts), max(counts)
     many = f'{most} seeds each' if fewest == most else f'{fewest} to {most} seeds each'
     other = sum(r.get('code') != version() for r in rows)
+    doubtful = sum(not stands(r) for r in rows)
     code = (
-        f'{other} of the {len(rows)} sessions were run by earlier states of the package; what was '
-        f'refused there, or off by more than {AGAIN:g} deviations, was run again.'
+        f'{other} of the {len(rows)} sessions were run by earlier states of the package, '
+        f'{doubtful} of them refused, or off by more than {AGAIN:g} deviations; the present one '
+        'has not run those again.'
         if other
         else f'All {len(rows)} sessions were run by the package as it is beside this page.'
     )
