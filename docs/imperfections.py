@@ -268,13 +268,15 @@ def page(rows: list[dict[str, Any]]) -> str:
     many = f'{most} seeds each' if fewest == most else f'{fewest} to {most} seeds each'
     other = sum(r.get('code') != version() for r in rows)
     doubtful = sum(not stands(r) for r in rows)
-    code = (
-        f'{other} of the {len(rows)} sessions were run by earlier states of the package, '
-        f'{doubtful} of them refused, or off by more than {AGAIN:g} deviations; the present one '
-        'has not run those again.'
-        if other
-        else f'All {len(rows)} sessions were run by the package as it is beside this page.'
-    )
+    if other:
+        code = f'{other} of the {len(rows)} sessions were run by earlier states of the package.'
+        if doubtful:
+            code += (
+                f' {doubtful} of them were refused, or off by more than {AGAIN:g} deviations; the '
+                'present one has not run those again.'
+            )
+    else:
+        code = f'All {len(rows)} sessions were run by the package as it is beside this page.'
     lines = [HEAD.format(dwell=DWELL, seeds=many, code=code, total=_total(rows))]
     for condition in CONDITIONS:
         for grade in GRADES:

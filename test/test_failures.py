@@ -78,24 +78,25 @@ def test_every_node_may_hang_and_the_session_ends_in_the_true_parameters(tmp_pat
             assert stand.table_stands(LEASE)
         stops(stand)
         resumes(stand)
-        for node, phases, word in (
-            ('calibrator_node', [State.DWELLING], 'calibrator'),
-            ('stand_node', MOVES, 'joint state'),
-        ):
-            comes_to(stand, phases, stand.state.step)
-            stand.words.clear()
-            with hangs(stand, node, seconds):
-                assert stand.reaches(State.PAUSED, seconds=30), stand.state
-            stops(stand)
-            # The simulated table waits for a calibrator that hangs: joint states may cease first.
-            assert any(one in stand.state.reason for one in {word, 'joint state'})
-            if node == 'calibrator_node':
-                resumes(stand)
+        is_missed(stand, 'calibrator_node', seconds, [State.DWELLING], 'calibrator')
+        resumes(stand)
+        is_missed(stand, 'stand_node', seconds, MOVES, 'joint state')
         stand.fault('damage 10')
         assert stand.call('turntable_node/start')[0]
         assert stand.wait(lambda: stand.said('imu_node: stream', 'damaged'))
         stand.fault('clear')
         finishes(stand)
+
+
+def is_missed(stand, node, seconds, phases, word):
+    """Hang a node in one of the phases: the table stops, and the reason names what is missing."""
+    comes_to(stand, phases, stand.state.step)
+    stand.words.clear()
+    with hangs(stand, node, seconds):
+        assert stand.reaches(State.PAUSED, seconds=30), stand.state
+    stops(stand)
+    # The simulated table waits for a calibrator that hangs: joint states may cease first.
+    assert any(one in stand.state.reason for one in {word, 'joint state'})
 
 
 def comes_to(stand, phases, step):

@@ -38,7 +38,7 @@ class SingleThreadedExecutor:
         self._context = context or get_default_context()
         self._nodes: list[Node] = []
         self._waitset: WaitSet | None = None
-        self._of: Participant | None = None
+        self._participant: Participant | None = None
         self._awaited: list[_Awaited] = []
         self._shut = False
 
@@ -142,16 +142,16 @@ class SingleThreadedExecutor:
         if participant is None:
             raise ExternalShutdownException
         awaited = [one for node in self._nodes for one in node.awaited()]
-        if self._waitset is None or (participant, awaited) != (self._of, self._awaited):
+        if self._waitset is None or (participant, awaited) != (self._participant, self._awaited):
             self._forget()
             self._waitset = WaitSet(participant, [one.reader for one in awaited])
-            self._of, self._awaited = participant, awaited
+            self._participant, self._awaited = participant, awaited
         return self._waitset
 
     def _forget(self) -> None:
         if self._waitset is not None:
             self._waitset.delete()
-        self._waitset, self._of, self._awaited = None, None, []
+        self._waitset, self._participant, self._awaited = None, None, []
 
 
 _global: SingleThreadedExecutor | None = None

@@ -226,19 +226,12 @@ class WaitSet:
     """
 
     def __init__(self, participant: Participant, readers: Sequence[Reader]) -> None:
-        from cyclonedds.core import GuardCondition
-        from cyclonedds.core import WaitSet as Wheels
-        from cyclonedds.internal import DDS
+        from cyclonedds import core
 
-        library = DDS._dll_handle
-        attach = CFUNCTYPE(c_int32, c_int32, c_int32, c_ssize_t)(('dds_waitset_attach', library))
-        pointer, number = c_void_p, c_size_t
-        # Types of our own: those of the wheel's functions stay as they are.
-        call = CFUNCTYPE(c_int32, c_int32, pointer, number, c_int64)
-        self._call = call(('dds_waitset_wait', library))
-        self._entity = Wheels(participant.entity)
+        attach, self._call = _waiting()
+        self._entity = core.WaitSet(participant.entity)
         # An empty wait set does not wait; this one always holds a condition that is never met.
-        self._never = GuardCondition(participant.entity)
+        self._never = core.GuardCondition(participant.entity)
         self._found = (c_ssize_t * (len(readers) + 1))()
         conditions = [*(reader.condition for reader in readers), self._never]
         for k, condition in enumerate(conditions):
@@ -259,6 +252,17 @@ class WaitSet:
         """Wait for nothing any more."""
         delete(self._entity)
         delete(self._never)
+
+
+@cache
+def _waiting() -> tuple[Any, Any]:
+    """Return dds_waitset_attach and dds_waitset_wait; those of the wheel keep their own types."""
+    from cyclonedds.internal import DDS
+
+    library, code, entity = DDS._dll_handle, c_int32, c_int32
+    attach = CFUNCTYPE(code, entity, entity, c_ssize_t)
+    wait = CFUNCTYPE(code, entity, c_void_p, c_size_t, c_int64)
+    return attach(('dds_waitset_attach', library)), wait(('dds_waitset_wait', library))
 
 
 def _check(code: int) -> int:
