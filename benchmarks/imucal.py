@@ -50,7 +50,7 @@ REASONS = {
     'E_g': 'the level Earth rate of one hold passes for sensitivity to g (K_ga) and is subtracted '
     'from the turn: up to 12 deg/h in 60 deg/s, 0.2 arcmin; ours averages it out over whole turns',
     'D_g': 'in these six attitudes the Earth rate cancels from its mean too; what is left: a '
-    'plain mean keeps a pulse at both ends of a hold, and the bias wanders (both alike)',
+    'plain mean keeps a pulse at both ends of a hold, and the bias drifts (both alike)',
     'K_a': 'the same two holds; a line through the count is surer than its ends (no pulses, no '
     'difference)',
     'E_a': 'the same; six positions cannot tell E_a from a table that leans, which our stated '
@@ -107,7 +107,7 @@ def run(unit: Unit, seed: int) -> tuple[Floats, Floats, Floats]:
         calibration = calibrator.finish().calibration
         ours, std = calibration.model.vector(), calibration.std[:24]
     except NotObservable:
-        # Biases that wander look like another Earth rate, and ours refuses to guess.
+        # Biases that drift look like another Earth rate, and ours refuses to guess.
         ours = std = np.full(24, np.nan)
     regions: dict[str, Floats] = {}
     for visit in stand.visits:

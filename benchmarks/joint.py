@@ -8,7 +8,7 @@ whether the normalised errors are standard normal. A perfect estimator stays bel
 times in 100. The bound takes the stream beyond whole turns to tell where the counters stood at the
 cuts, and nothing of the rate.
 
-    python benchmarks/joint.py [--seeds 500] [--jobs 2] [--scheduler ADDRESS] [--wandering]
+    python benchmarks/joint.py [--seeds 500] [--jobs 2] [--scheduler ADDRESS] [--drifting]
 
 Exit code 1: a ratio is above its limit.
 """
@@ -44,15 +44,15 @@ SETTLE = 1.0
 ONE_IN_A_HUNDRED = 0.01
 
 
-def run(seed: int, *, wandering: bool) -> Floats:
+def run(seed: int, *, drifting: bool) -> Floats:
     """Return errors, deviations, those of the closed form, and the bound: (2, 5, 24).
 
     First with the moves, then without.
     """
     azimuth = float(np.random.default_rng(seed + 1000).uniform(-np.pi, np.pi))
     plan, model = load_plan('twelve_position'), truth().model
-    options = economical(replace(stand(azimuth=azimuth), bias_instability=wandering))
-    spec = load_imu('fog_medium') if wandering else paper_imu()
+    options = economical(replace(stand(azimuth=azimuth), bias_instability=drifting))
+    spec = load_imu('fog_medium') if drifting else paper_imu()
     evidence = simulated(plan, options, seed, spec=spec)
     closed, real = twelve_position.solve(evidence), model.vector()
     at_rest = {position.id: position.dwell + SETTLE for position in plan.positions}
@@ -105,9 +105,9 @@ def main() -> int:
     parser.add_argument('--seeds', type=int, default=500)
     parser.add_argument('--jobs', type=int)
     parser.add_argument('--scheduler', metavar='ADDRESS', help='of a Dask cluster')
-    parser.add_argument('--wandering', action='store_true', help='biases wander by the data sheet')
+    parser.add_argument('--drifting', action='store_true', help='biases drift by the data sheet')
     chosen = parser.parse_args()
-    one = partial(run, wandering=chosen.wandering)
+    one = partial(run, drifting=chosen.drifting)
     runs = np.array(run_all(one, range(chosen.seeds), jobs=chosen.jobs, scheduler=chosen.scheduler))
     kept = True
     for words, variant in zip(VARIANTS, np.swapaxes(runs, 0, 1), strict=True):
@@ -116,7 +116,7 @@ def main() -> int:
     gained = runs[0, 0, 4] / runs[0, 1, 4]
     cells = [f'{n} {g:.3f}' for n, g in zip(PARAMETER_NAMES, gained, strict=True) if g < 0.995]
     print(f'\nbound with moves over without, where they tell: {"  ".join(cells)}')
-    return 0 if kept or chosen.wandering else 1
+    return 0 if kept or chosen.drifting else 1
 
 
 if __name__ == '__main__':

@@ -336,7 +336,7 @@ Written by `docs/imperfections.py`: sessions of {dwell:g} s per position of thre
 
 The table is `three_axis`. Its description says here what a laboratory's often does, nothing of how
 good it is: what is assumed then is in [tables.md](tables.md) and stands on the screen. In one row
-for each unit the table is perfect and states it. Biases wander as the data sheets say.
+for each unit the table is perfect and states it. Biases drift as the data sheets say.
 
 - worst: the parameter whose error is the largest in its stated standard deviations
 - widened: the largest ratio of the stated deviations of K, and of D, to those of the perfect table

@@ -45,7 +45,7 @@ def calibrated(name: str, pair: int = 0, *, drifting: bool = False) -> Calibrati
     Args:
         name: Of plan and method.
         pair: Which pair of sessions.
-        drifting: Whether the biases wander by the data sheet.
+        drifting: Whether the biases drift by the data sheet.
 
     """
     unit, imu = Calibration.load(named_file('truths', 'cao2022_table1')), load_imu('fog_medium')
@@ -76,11 +76,11 @@ def main() -> None:
     largest = differences(six, twelve)
     pairs = [differences(*(calibrated(n, k) for n in AZIMUTH)) for k in range(PAIRS)]
     worst = {kind: max(pair[kind] for pair in pairs) for kind in LIMITS}
-    wandering = differences(*(calibrated(name, drifting=True) for name in AZIMUTH))
+    drifting = differences(*(calibrated(name, drifting=True) for name in AZIMUTH))
     columns = [
         f'{d["E"] / ARCMIN:.3f} arcmin | {d["D_g"] / DEG_H:.2f} deg/h '
         f'| {d["D_a"] / MICRO_G:.1f} ug |'
-        for d in (largest, worst, wandering)
+        for d in (largest, worst, drifting)
     ]
     truth = Calibration.load(named_file('truths', 'cao2022_table1'))
     errors = {c.provenance['method']: (c.values - truth.values) / c.std for c in (six, twelve)}
@@ -106,10 +106,10 @@ Largest differences between the two methods:
 | here | {columns[0]}
 | here, the largest of {PAIRS} such pairs | {columns[1]}
 | the paper | 0.04 arcmin | 0.40 deg/h | 100 ug, its last digit |
-| here, with biases that wander by 0.1 deg/h and 20 ug | {columns[2]}
+| here, with biases that drift by 0.1 deg/h and 20 ug | {columns[2]}
 
 The last row is what the unit does between and during the sessions, not what the methods do: where
-biases wander by 20 ug, two sessions of any method differ by that much.
+biases drift by 20 ug, two sessions of any method differ by that much.
 
 Against the truth the 24 errors have a root mean square of {rms['six_position']:.2f} (six) and
 {rms['twelve_position']:.2f} (twelve) of their stated standard deviations.

@@ -1,9 +1,9 @@
-"""Overlapping Allan variance of stretches at rest, pooled, with what is known of its spread.
+"""Overlapping Allan variance of static dwells, pooled, with what is known of its spread.
 
 The Allan variance of a rate at averaging time tau is the mean square of second differences of its
 integral, d = x(t + 2 tau) - 2 x(t + tau) + x(t), over 2 tau^2 (Allan 1966; IEEE Std 952-1997,
-annex C). Sums over stretches add up, so that a stretch leaves a few dozen numbers and its samples
-may go.
+annex C). Sums over static dwells add up, so that a dwell leaves a few dozen numbers and its
+samples may go.
 
 Noise is described by four coefficients, the squares of IEEE Std 952's: quantisation Q (slope -1),
 random walk N (-1/2), bias instability B (flat, at 0.664 B) and rate random walk K (+1/2).
@@ -128,7 +128,7 @@ def allan_sums(runs: Sequence[Floats], period: float) -> AllanSums:
 
 
 def pooled(parts: Sequence[AllanSums]) -> AllanSums:
-    """Add up the sums of several stretches; the period is their mean."""
+    """Add up the sums of several static dwells; the period is their mean."""
     rows = max(len(p.counts) for p in parts)
     squares = np.zeros((rows, parts[0].squares.shape[1]))
     counts = np.zeros(rows, dtype=np.int64)

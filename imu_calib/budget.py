@@ -32,8 +32,8 @@ class Source(Enum):
     QUANTISATION = 'quantisation'
     BIAS_STATED = 'bias_instability'
     BIAS_FOUND = 'bias_drift'
-    ARRIVAL_STATED = 'positioning'
-    ARRIVAL_FOUND = 'positioning_found'
+    POSITIONING_STATED = 'positioning'
+    POSITIONING_FOUND = 'positioning_found'
     STOPS = 'stops_found'
     ENCODER_RATE = 'encoder_rate'
     ENCODER_NOISE = 'encoder_noise'
@@ -74,8 +74,8 @@ _ROWS = {
     Source.QUANTISATION: ('B', 'pulse', 'quantisation, from the pulse weight'),
     Source.BIAS_STATED: ('B', 'bias', 'bias instability, as the IMU description states it'),
     Source.BIAS_FOUND: ('A', 'drift', 'bias drift beyond that, as the session shows it'),
-    Source.ARRIVAL_STATED: ('B', 'pos', 'positioning errors, as stated or assumed'),
-    Source.ARRIVAL_FOUND: (
+    Source.POSITIONING_STATED: ('B', 'pos', 'positioning errors, as stated or assumed'),
+    Source.POSITIONING_FOUND: (
         'A',
         'pos+',
         'positioning errors beyond that, found',

@@ -53,7 +53,7 @@ _FORMAT = 1
 
 @dataclass(frozen=True, eq=False)
 class ResidualRow:
-    """What a stretch at rest shows beyond the model: (3,) rad/s and (3,) m/s^2.
+    """What a static dwell shows beyond the model: (3,) rad/s and (3,) m/s^2.
 
     NaN where the triad was not estimated.
     """
@@ -73,7 +73,7 @@ class Calibration:
         model: The parameters.
         covariance: (n, n) in the order of `parameters`, SI units. Rows and columns of a triad that
             was not estimated are NaN.
-        residuals: One per stretch at rest.
+        residuals: One per static dwell.
         findings: What a person should know, in sentences.
         provenance: Where it comes from: recording, hash, plan, method, site, versions.
         serial_number: Which unit of the type `imu.id`; empty where nobody stated it.

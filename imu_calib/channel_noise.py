@@ -39,7 +39,7 @@ class Coefficient:
 
 @dataclass(frozen=True, eq=False)
 class ChannelNoise:
-    """What the stretches at rest show of one channel, in SI units.
+    """What the static dwells show of one channel, in SI units.
 
     Attributes:
         tau: (k,) averaging times, s.

@@ -38,10 +38,10 @@ some 1e-16 times the number of points, and estimated variances a good deal more.
 
 
 def session_noise(statistics: Sequence[Statistics], walk: Floats) -> dict[str, ChannelNoise]:
-    """Estimate the noise of every channel from the stretches at rest of a session.
+    """Estimate the noise of every channel from the static dwells of a session.
 
     Args:
-        statistics: Of the stretches.
+        statistics: Of the static dwells.
         walk: (6,) random-walk coefficients as the calibration takes them: they say how fast a
             counter's steps are smeared, rad/sqrt(s) and (m/s)/sqrt(s).
 
@@ -120,7 +120,7 @@ def _timed_points(
 ) -> _Points | None:
     """Take the blocks, whose means use the moments of the pulses, for the samples.
 
-    Only stretches are pooled whose blocks are of one typical length, and whose pulses could be
+    Only static dwells are pooled whose blocks are of one typical length, and whose pulses could be
     timed to less than the walk.
     """
     rows = [s.blocks[channel] for s in statistics if len(s.blocks[channel]) > 2]

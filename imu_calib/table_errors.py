@@ -1,4 +1,4 @@
-"""What a table's description leaves open: levelling, arrivals, axes, zeros and encoders.
+"""What a table's description leaves open: levelling, positioning, axes, zeros and encoders.
 
 A joint is thought to turn by R(axis, a): its axis may lean, its zero be off, its encoder err within
 the turn and its axis wobble with the angle a. Each error is small: attitudes follow it to first
@@ -38,10 +38,11 @@ ASSUMED: Mapping[str, float] = {
 For units of navigation grade Ruyang Precision, who make such tables, ask for positions within
 10 arcsec and axes perpendicular within 5 arcsec ("Standard process for IMU two-dimensional
 calibration using a dual axis turntable", ruya-t.com). As limits of a uniform law (GUM 4.3.7) these
-are 5.8 and 2.9 arcsec. The 5.8 are shared among arrivals, the encoder's two harmonics and those of
-the wobble: the root of 2^2 + 2 x 3^2 + 2 x 2^2 is 5.5. A zero is set with the level that the table
-was levelled with. What comes out, 10^-4 of a misalignment, is twice the bound that Geist and Gaitan
-(2022, J. Res. NIST 126, 126038) give for a "reasonably well manufactured and installed" stage.
+are 5.8 and 2.9 arcsec. The 5.8 are shared among positioning errors, the encoder's two harmonics and
+those of the wobble: the root of 2^2 + 2 x 3^2 + 2 x 2^2 is 5.5. A zero is set with the level that
+the table was levelled with. What comes out, 10^-4 of a misalignment, is twice the bound that Geist
+and Gaitan (2022, J. Res. NIST 126, 126038) give for a "reasonably well manufactured and installed"
+stage.
 """
 
 _BETWEEN_JOINTS = {'zeros', 'orthogonality'}

@@ -66,7 +66,7 @@ class Table:
         joints: From the base to the unit.
         mount: (3, 3) columns are the body axes in the frame of the last joint.
         azimuth: Heading of the table's zero against north about up, rad; None when unknown.
-        positioning: Standard deviation of an arrival's error that the encoder does not show, rad.
+        positioning: Standard deviation of a positioning error that the encoder does not show, rad.
         clock: Standard deviation of the rate of its clock, relative; 0 when not stated.
         errors: What is left open of its axes, zeros and encoders.
         level: Standard deviation of its tilt about either level axis, rad.

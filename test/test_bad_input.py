@@ -31,7 +31,7 @@ from imu_calib.imu import ImuSpec
 from imu_calib.plan import Plan, read_plan
 from imu_calib.share import named_file
 from imu_calib.simulation import SimulatedStand
-from imu_calib.simulation.options import Knock
+from imu_calib.simulation.options import Shock
 from imu_calib.stream import Block, Floats, ImuBlock, JointBlock, Mode, SetpointBlock, Stamps
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG
@@ -114,10 +114,10 @@ def start_of(imu: ImuBlock) -> int:
 
 
 def run_stand(
-    plan: Plan | None = None, spec: ImuSpec | None = None, knock: Knock | None = None
+    plan: Plan | None = None, spec: ImuSpec | None = None, shock: Shock | None = None
 ) -> Session:
     plan = plan or read_plan(Section.parse(PLAN_TEXT, 'the plan'))
-    options = stand(azimuth=0.3, knock=knock)
+    options = stand(azimuth=0.3, shock=shock)
     simulated = SimulatedStand(
         plan, load_table('three_axis'), spec or paper_imu(), truth().model, SITE, options, seed=3
     )
@@ -740,29 +740,29 @@ def test_a_recording_that_does_not_say(cli: CommandLine, key: str, sentence: str
     cli.refuses(2, sentence, {IMU: good().imu}, data=data)
 
 
-# Knocks.
+# Shocks.
 
-KNOCK = Knock(0.0, (1.0, 0.0, 0.0), 0.05 * DEG)
+SHOCK = Shock(0.0, (1.0, 0.0, 0.0), 0.05 * DEG)
 
 
-def knocked(position: str, after: float, axis: tuple[float, float, float]) -> Columns:
+def shocked(position: str, after: float, axis: tuple[float, float, float]) -> Columns:
     time = good().dwells[position][0] + after
-    return run_stand(knock=replace(KNOCK, time=time, axis=axis)).columns
+    return run_stand(shock=replace(SHOCK, time=time, axis=axis)).columns
 
 
 @pytest.mark.parametrize('axis', [(1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)])
-def test_a_knock_amid_the_session(cli: CommandLine, axis: tuple[float, float, float]) -> None:
+def test_a_shock_amid_the_session(cli: CommandLine, axis: tuple[float, float, float]) -> None:
     # About Y, which is vertical at position 7, no accelerometer sees it: the gyros must.
     sentence = (
         r'No position turns Z: K_gz, .* The unit shifted in its mount \(by 0.05\d deg at '
         r'position 7\): .* only what lies before it is used'
     )
-    cli.refuses(1, sentence, knocked('7', 11.0, axis))
+    cli.refuses(1, sentence, shocked('7', 11.0, axis))
 
 
-def test_a_knock_at_the_end_of_the_session(cli: CommandLine) -> None:
+def test_a_shock_at_the_end_of_the_session(cli: CommandLine) -> None:
     sentence = r'The unit shifted .* at position 12\): .* only what lies before it is used'
-    found = cli.uses_the_rest(sentence, knocked('12', 11.0, (1.0, 0.0, 0.0)))
+    found = cli.uses_the_rest(sentence, shocked('12', 11.0, (1.0, 0.0, 0.0)))
     assert not any('Missing' in finding for finding in found.findings)
 
 

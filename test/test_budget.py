@@ -65,7 +65,7 @@ METHODS = [
 WHATEVER_THE_METHOD = {
     Source.NOISE,
     Source.QUANTISATION,
-    Source.ARRIVAL_STATED,
+    Source.POSITIONING_STATED,
     Source.ENCODER_RATE,
     Source.ENCODER_NOISE,
     Source.CLOCK,
@@ -177,7 +177,7 @@ def test_six_positions_err_by_what_their_means_and_differences_make_of_each_sour
 
 def test_six_positions_err_by_the_arrivals_in_the_directions_that_these_have() -> None:
     # Up and down each have an arrival of their own; turns keep that of their axis.
-    found = std_of(six_positions(), Source.ARRIVAL_STATED) / POSITIONING
+    found = std_of(six_positions(), Source.POSITIONING_STATED) / POSITIONING
     assert found[of('E_gxy', 'E_gyx', 'E_gzx')] == pytest.approx(1.0, rel=0.01)
     across = {'E_axy': 'K_ax', 'E_ayx': 'K_ay', 'E_azx': 'K_az'}
     for name, own in across.items():
@@ -222,7 +222,7 @@ def test_the_degrees_of_freedom_are_those_of_the_estimates_behind_them() -> None
     assert shares[Source.NOISE].freedom[K_A] == pytest.approx(30.0)
     # Thirty motions, a rate and an offset.
     assert shares[Source.CLOCK].freedom[K_G] == pytest.approx(28.0)
-    assert np.isinf(shares[Source.ARRIVAL_STATED].freedom[0])
+    assert np.isinf(shares[Source.POSITIONING_STATED].freedom[0])
 
 
 def perfect(plan: str, model: SensorModel, **known: float) -> Evidence:
@@ -339,10 +339,10 @@ def test_what_the_session_shows_beyond_what_is_stated_has_lines_of_its_own() -> 
     budget = Budget.of(found.shares)
     lines = {line.source: line for line in budget.lines}
     e_a = slice(NAMES.index('E_axy'), NAMES.index('D_ax'))
-    assert lines[Source.ARRIVAL_FOUND].std[e_a].min() > 10 * ARCSEC
+    assert lines[Source.POSITIONING_FOUND].std[e_a].min() > 10 * ARCSEC
     assert lines[Source.NOISE].std[e_a].max() < ARCSEC
     # A mean over the posterior of the variance holds the doubt of its size already.
-    assert np.isinf(lines[Source.ARRIVAL_FOUND].freedom).all()
+    assert np.isinf(lines[Source.POSITIONING_FOUND].freedom).all()
     assert budget.std == pytest.approx(found.std, rel=1e-9)
 
 

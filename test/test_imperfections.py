@@ -161,7 +161,7 @@ def test_sizes_are_standard_deviations() -> None:
 
 
 def test_joints_arrive_wrong_until_they_move_again() -> None:
-    session = stand(replace(EXACT, arrival=10 * ARCSEC))
+    session = stand(replace(EXACT, stop_error=10 * ARCSEC))
     missed = []
     for visit in session.visits:
         at_rest = np.array([visit.rest + 0.2, visit.end - 0.2])
@@ -345,7 +345,7 @@ def test_the_shipped_file_holds_every_key() -> None:
         7,
     )
     assert options.tilt == pytest.approx((5 * ARCSEC, -3 * ARCSEC))
-    assert options.arrival == pytest.approx(ARCSEC)
+    assert options.stop_error == pytest.approx(ARCSEC)
     assert options.acceleration == pytest.approx(100 * DEG)
     assert options.imu_stamp_jitter == pytest.approx(2e-4)
     assert options.delivery == Delivery(late=1e-3, delay=5e-3, lost=1e-4, twice=1e-4)

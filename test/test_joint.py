@@ -347,7 +347,7 @@ CORRELATION = 1000.0
 
 
 def wandering(seed: int, share: float = 1.0) -> Evidence:
-    """An ideal session whose biases wander by a share of what the data sheet says, s by s."""
+    """An ideal session whose biases drift by a share of what the data sheet says, s by s."""
     rng = np.random.default_rng(seed)
     evidence = evidence_of(model=truth().model, azimuth=rng.uniform(-3, 3), noise=rng)
     parts = [*evidence.segments, *evidence.turns]
@@ -413,7 +413,7 @@ def test_moves_do_not_know_biases_better_than_a_drift_leaves_them() -> None:
     bound = spec.gyro.bias_instability * np.sqrt(2 / (2 + length / CORRELATION))
     assert (joint.solve(evidence).std[GYRO_BIAS] > bound).all()
     setup = Setup(spec, plan, load_table('three_axis'), SITE)
-    assert (forecast(setup, truth().model, wander=True).std[GYRO_BIAS] > bound).all()
+    assert (forecast(setup, truth().model, drifting=True).std[GYRO_BIAS] > bound).all()
 
 
 def test_drift_that_no_data_sheet_states_is_found_and_said() -> None:

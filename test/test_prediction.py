@@ -138,7 +138,7 @@ def test_predicted_is_what_many_sessions_achieve() -> None:
 
 def test_biases_that_wander_widen_what_rests_on_stretches() -> None:
     wild = replace(setup(), imu=load_imu('fog_medium'))
-    calm, stormy = (forecast(wild, truth().model, 0.5, wander=w) for w in (False, True))
+    calm, stormy = (forecast(wild, truth().model, 0.5, drifting=w) for w in (False, True))
     extra = np.sqrt(stormy.std**2 - calm.std**2)[D_GX]
     # 0.1 deg/h with 1000 s over 36 min: between the mean of independent stretches and all of it.
     assert 0.1 / np.sqrt(12) < extra / DEG_H < 0.1
@@ -261,7 +261,7 @@ def test_a_skewed_bias_that_wanders_adds_to_its_own_deviation_alone() -> None:
     quiet = replace(case.imu, gyro=replace(case.imu.gyro, bias_instability=0.0))
     unit = truth().model
     still = forecast(case, unit)
-    moved = forecast(replace(case, imu=quiet), unit, wander=True)
+    moved = forecast(replace(case, imu=quiet), unit, drifting=True)
     names = [p.name for p in still.parameters]
     added = moved.std[names.index('D_gs')] ** 2 - still.std[names.index('D_gs')] ** 2
     # Well over a dozen correlation times would leave nothing, less than one all of it.

@@ -301,7 +301,7 @@ def test_the_screen_says_what_a_session_cannot_show() -> None:
 
 
 INSTABILITY = np.repeat([0.05 * DEG / 3600, 10 * MICRO_G], 3)
-"""Of biases that wander as they are stated to: some times what the noise of rests hides."""
+"""Of biases that drift as they are stated to: some times what the noise of rests hides."""
 
 CORRELATION = 1000.0
 """Of such wandering, s, as a simulated unit has it."""
@@ -331,7 +331,7 @@ def instants(evidence: Evidence) -> tuple[Floats, Floats]:
 
 
 def wandering(evidence: Evidence, seed: int) -> Evidence:
-    """The evidence with biases that wander as they are stated to, from instant to instant."""
+    """The evidence with biases that drift as they are stated to, from instant to instant."""
     rng = np.random.default_rng([7, seed])
     middles, lengths = instants(evidence)
     grid = (np.arange(8) + 0.5) / 8 - 0.5
@@ -355,7 +355,7 @@ def drifting(evidence: Evidence, size: float) -> Evidence:
     return changed(evidence, biases, np.tile(size * signs * INSTABILITY / span, (len(middles), 1)))
 
 
-def chances(evidence: Evidence, *, wander: bool = True) -> dict[str, float]:
+def chances(evidence: Evidence, *, drifting: bool = True) -> dict[str, float]:
     """The chances of trend and warm-up in a session, natural logarithms, as the search tests them.
 
     With `wander` off noise alone is allowed for.
@@ -368,7 +368,7 @@ def chances(evidence: Evidence, *, wander: bool = True) -> dict[str, float]:
         family = Family(course.value, course=course)
         patterns = columns_of([family], equations, state)[family]
         score = WhitenedResiduals.of(equations, state).score(family, patterns)
-        if wander:
+        if drifting:
             scatter = family.scatter(equations, state, times_of(family)[score.chosen])
             there = WhitenedResiduals.of(family.weighed(equations, scatter), state)
             score = there.score(family, patterns)
@@ -385,7 +385,7 @@ def test_biases_that_wander_as_stated_are_no_drift() -> None:
     assert sum(p < np.log(0.01) for p in found) < 4
     assert min(found) > np.log(1e-3 / 15)
     # Noise alone would take most of them for a drift.
-    alone = [min(chances(session, wander=False).values()) for session in sessions[:4]]
+    alone = [min(chances(session, drifting=False).values()) for session in sessions[:4]]
     assert sum(p < np.log(1e-3 / 15) for p in alone) >= 3
 
 

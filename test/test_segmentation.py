@@ -280,13 +280,13 @@ def test_a_quiet_stretch_is_sound_throughout() -> None:
     assert sound.notes == ()
 
 
-def test_a_bump_is_cut_and_a_knock_is_told_from_it() -> None:
+def test_a_bump_is_cut_and_a_shock_is_told_from_it() -> None:
     rows = still(2000, np.random.default_rng(0))
     rows[1000:1010, 0] += 20 * PULSE
-    knocked = sound_samples(samples(rows, 0.01), NO_WALK)
-    assert knocked.mount_shift is not None
-    assert (knocked.mount_shift.start, knocked.mount_shift.stop) == (1000, 1050)
-    assert knocked.mount_shift.angle == pytest.approx(200 * PULSE, rel=0.05)
+    shocked = sound_samples(samples(rows, 0.01), NO_WALK)
+    assert shocked.mount_shift is not None
+    assert (shocked.mount_shift.start, shocked.mount_shift.stop) == (1000, 1050)
+    assert shocked.mount_shift.angle == pytest.approx(200 * PULSE, rel=0.05)
     rows[1020:1030, 0] -= 20 * PULSE
     bumped = sound_samples(samples(rows, 0.01), NO_WALK)
     assert bumped.mount_shift is None

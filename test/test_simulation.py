@@ -18,7 +18,7 @@ from imu_calib.model import SensorModel, Triad
 from imu_calib.plan import Plan, Position, RateTest
 from imu_calib.simulation import (
     ImuOptions,
-    Knock,
+    Shock,
     SimulatedImu,
     SimulatedStand,
     SimulatedTable,
@@ -720,20 +720,20 @@ def test_joint_states_and_pulses_tell_the_same_turn():
     assert angle == pytest.approx(turned[1] - turned[0], abs=1.3 * DEG)
 
 
-def test_a_knock_turns_the_unit_by_its_angle_and_it_stays():
-    knock = Knock(4.0, (2.0, 0.0, 0.0), 3 * DEG)
+def test_a_shock_turns_the_unit_by_its_angle_and_it_stays():
+    shock = Shock(4.0, (2.0, 0.0, 0.0), 3 * DEG)
     plan = replace(small_plan(), positions=small_plan().positions[1:])
     options = StandOptions(**QUIET, quantise=False, positioning_error=0)
     blocks = {}
-    for name, chosen in (('knocked', replace(options, knock=knock)), ('plain', options)):
+    for name, chosen in (('shocked', replace(options, shock=shock)), ('plain', options)):
         session = SimulatedStand(plan, THREE_AXIS, IN_SI, SensorModel(), SITE, chosen)
         imu = [b for t, b in session.blocks() if t == 'imu/pulses']
         blocks[name] = [np.vstack(c) for c in ([b.gyro for b in imu], [b.accel for b in imu])]
-    turned = (blocks['knocked'][0] - blocks['plain'][0]).sum(axis=0) / 100
+    turned = (blocks['shocked'][0] - blocks['plain'][0]).sum(axis=0) / 100
     # The Earth rate that the unit then sees otherwise adds less than 1e-4 * 8 s * 3 deg.
     assert turned == pytest.approx([3 * DEG, 0, 0], abs=1e-4)
     tilted = Rotation.from_rotvec([3 * DEG, 0, 0]).inv().apply(blocks['plain'][1][-1])
-    assert blocks['knocked'][1][-1] == pytest.approx(tilted, abs=1e-9)
+    assert blocks['shocked'][1][-1] == pytest.approx(tilted, abs=1e-9)
 
 
 def test_vibration_rings_after_an_arrival_and_leaves_nothing():

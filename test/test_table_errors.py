@@ -214,7 +214,7 @@ def test_what_a_file_leaves_out_is_assumed_and_not_exact(unstated: Result) -> No
     assert calibration.std[misaligned].max() == pytest.approx(ASSUMED['zeros'], rel=0.1)
     assert {line.source for line in calibration.budget.lines} > {
         Source.TABLE,
-        Source.ARRIVAL_STATED,
+        Source.POSITIONING_STATED,
     }
 
 

@@ -109,7 +109,7 @@ def predict(
         azimuth: Heading of the table's zero, where it is known, deg.
         method: The estimator; None for the joint estimate where it applies, else the plan's own.
         terms: Of the sensors, to be estimated too: names with commas between.
-        bias_instability: Let the biases wander by the IMU's figure.
+        bias_instability: Let the biases drift by the IMU's figure.
         latitude: deg; None for Luoyang's.
         height: Above the ellipsoid, m.
         height_std: m.
@@ -134,7 +134,7 @@ def predict(
         gravity=gravity,
         gravity_std=gravity_std,
     )
-    return predicted(setup_of(stated), as_truth(truth).model, wander=bias_instability)
+    return predicted(setup_of(stated), as_truth(truth).model, drifting=bias_instability)
 
 
 def optimise(
@@ -308,14 +308,14 @@ def setup_of(stated: Stated) -> Setup:
     return setup
 
 
-def predicted(setup: Setup, truth: SensorModel, *, wander: bool) -> Prediction:
+def predicted(setup: Setup, truth: SensorModel, *, drifting: bool) -> Prediction:
     """Predict; as `predict`, of what was stated."""
-    found = forecast(setup, truth, wander=wander)
+    found = forecast(setup, truth, drifting=drifting)
     beside = closed_form_beside(found.method, setup.plan)
     own = None
     if beside is not None:
-        own = forecast(replace(setup, method=beside, terms=()), truth, wander=wander)
-    told = tuple(forecast_terms(found, setup, truth, wander=wander))
+        own = forecast(replace(setup, method=beside, terms=()), truth, drifting=drifting)
+    told = tuple(forecast_terms(found, setup, truth, drifting=drifting))
     return Prediction(setup, found, own, told)
 
 

@@ -103,7 +103,7 @@ def montecarlo(
         truth: The unit's true parameters.
         azimuth: Heading of the table's zero, deg, known to the calibrator; None draws another one
             for each run, which is unknown.
-        bias_instability: Let the biases wander by the IMU's figure.
+        bias_instability: Let the biases drift by the IMU's figure.
         method: The estimator; None for the joint estimate where it applies, else the plan's own.
         terms: What the joint estimate adds to the 24 parameters, as for `calibrate`.
         latitude: deg; None for Luoyang's.
@@ -137,7 +137,7 @@ def montecarlo(
         method=method,
         terms=terms,
     )
-    study = _study(stated, as_plan(plan), as_imu(imu), truth, wander=bias_instability)
+    study = _study(stated, as_plan(plan), as_imu(imu), truth, drifting=bias_instability)
     with progress('simulating and calibrating') as show:
         outcome = repeat(study, runs, seed, jobs, show, scheduler)
     refusals = sorted({r.refusal for r in outcome.refused})
@@ -151,7 +151,7 @@ def montecarlo(
 
 
 def _study(
-    stated: Stated, plan: Plan, imu: ImuSpec, truth: Calibration | Named, *, wander: bool
+    stated: Stated, plan: Plan, imu: ImuSpec, truth: Calibration | Named, *, drifting: bool
 ) -> Study:
     """Return what is repeated.
 
@@ -170,7 +170,7 @@ def _study(
     stand = StandOptions(
         # A uniform error of this half width has the standard deviation that the table states.
         positioning_error=math.sqrt(3) * table.positioning,
-        bias_instability=wander,
+        bias_instability=drifting,
     )
     setup = Setup(
         imu,

@@ -99,7 +99,7 @@ def simulate(
         table: Name or file; None for the three-axis table, and for none where the plan is by hand.
         truth: The unit's true parameters.
         azimuth: True heading of the table's zero against north, about up, deg.
-        bias_instability: Let the biases wander by the IMU's figure.
+        bias_instability: Let the biases drift by the IMU's figure.
         imperfections: What is wrong with the stand: name or file.
         seed: The same seed gives the same bits.
         latitude: As stated in the recording, as are all to `gravity_std`, deg; None for Luoyang's.

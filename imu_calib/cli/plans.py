@@ -163,7 +163,7 @@ def _predict(arguments: argparse.Namespace) -> None:
     if arguments.reach:
         _show_reach(arguments, setup, truth)
         return
-    prediction = predicted(setup, truth, wander=arguments.bias_instability)
+    prediction = predicted(setup, truth, drifting=arguments.bias_instability)
     found, own = prediction.forecast, prediction.closed_form
     if own is None:
         _show_forecast(found)

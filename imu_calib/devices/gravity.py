@@ -9,7 +9,7 @@ from ..stream import Floats, Stamps, Units
 from ..units import STANDARD_GRAVITY
 
 _SPAN_NS = 500_000_000
-"""What is looked at: the first half second. A judgement: five pieces, of which two may be knocks,
+"""What is looked at: the first half second. A judgement: five pieces, of which two may be shocks,
 and a person who waits at the screen is told before anything moves."""
 
 _PIECE_NS = 100_000_000

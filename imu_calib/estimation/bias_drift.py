@@ -1,4 +1,4 @@
-"""A bias that wanders as a Gauss-Markov process, as means and slopes of stretches see it.
+"""A bias that drifts as a Gauss-Markov process, as means and slopes of segments see it.
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ..stream import Floats
 
 STATED_TIME = 1000.0
-"""Correlation time of the wandering that a data sheet states, s, as the simulation has it."""
+"""Correlation time of the drift that a data sheet states, s, as the simulation has it."""
 
 _NODES = 8
-"""Instants of a stretch at which the process is looked at."""
+"""Instants of a segment at which the process is looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +24,8 @@ class BiasDrift:
     """Where a process is looked at: nodes in time, and the means and slopes over them.
 
     Attributes:
-        nodes: (n, 8) instants of each stretch, s.
-        of: (k,) the stretch that each mean or slope is of, all means first.
+        nodes: (n, 8) instants of each segment, s.
+        of: (k,) the segment that each mean or slope is of, all means first.
         weights: (k, 8) of its nodes.
         answers: (k, 3, 3) what three outputs make of three biases, for each.
 
@@ -41,10 +41,10 @@ class BiasDrift:
     def over(
         cls, starts: Floats, durations: Floats, answers: Floats, with_slope: NDArray[np.bool_]
     ) -> BiasDrift:
-        """Lay nodes over n stretches, whose means come first, then the slopes.
+        """Lay nodes over n segments, whose means come first, then the slopes.
 
         Args:
-            starts: (n,) of the stretches, s.
+            starts: (n,) of the segments, s.
             durations: (n,) s.
             answers: (n, 3, 3) derivatives of the outputs by constant biases. A move carries them
                 along as it turns: at its end they are not what their time alone would make.
@@ -70,7 +70,7 @@ class BiasDrift:
         return max(float(np.ptp(self.nodes)), 1.0)
 
     def stated_kernel(self) -> Floats:
-        """Return `kernel` of the wandering that a data sheet states."""
+        """Return `kernel` of the drift that a data sheet states."""
         return self.kernel(STATED_TIME / self.span)
 
     def kernel(self, time: float) -> Floats:
@@ -88,7 +88,7 @@ class BiasDrift:
     def of_one(self, time: float) -> Floats:
         """Return the covariance of one channel, (k, k), for a correlation time in s.
 
-        From one stretch to a later one the process decays by how far apart they are: what each
+        From one segment to a later one the process decays by how far apart they are: what each
         holds of it, and the time between, are factors.
         """
         nodes, weights = self.nodes[self.of], self.weights

@@ -1,16 +1,16 @@
-"""What scatters beyond random walk and quantisation: biases that wander, arrivals that miss.
+"""What scatters beyond random walk and quantisation: biases that drift, positioning errors.
 
 Both are estimated from the session itself by restricted maximum likelihood (Patterson and Thompson
-1971, Biometrika 58, 545): the likelihood of what the parameters cannot explain. A bias wanders as
+1971, Biometrika 58, 545): the likelihood of what the parameters cannot explain. A bias drifts as
 a first-order Gauss-Markov process, variance s^2 and correlation time tau, seen between the
-stretches by their means and within them by their slopes; arrivals err as `Equations.arrivals` says,
-and gyros and accelerometers see the same ones. Correlation times reach to three lengths of the
-session: what is slower yet is no other than a bias. Either counts where the likelihood asks for it,
-so that a session of pure noise keeps the weights that suit it. One session tells neither s nor tau
-well, nor the arrivals of a dozen stops: the covariance that then counts is the mean of the
-posterior over a grid, not the most likely one, which would be too sure of itself.
+segments by their means and within them by their slopes; gyros and accelerometers see the same
+positioning errors. Correlation times reach to three lengths of the session: what is slower yet is
+no other than a bias. Either counts where the likelihood asks for it, so that a session of pure
+noise keeps the weights that suit it. One session tells neither s nor tau well, nor the positioning
+errors of a dozen stops: the covariance that then counts is the mean of the posterior over a grid,
+not the most likely one, which would be too sure of itself.
 
-A wandering that the data sheet states (bias instability) is a floor: a session of half an hour
+A drift that the data sheet states (bias instability) is a floor: a session of half an hour
 does not show a drift of the size of its own noise, and its mean errs by it all the same. It is
 weighed against less of it by what the data says, with odds of a thousand to one for the data sheet.
 
@@ -48,11 +48,11 @@ slower than the last is no other than a bias; the first is about one rest of a u
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
 """Variances of drift that are tried, over the usual variance of a rest's mean: half decades, from
 what no session shows to standard deviations ten thousand times the noise."""
-_ARRIVAL_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
+_POSITIONING_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
 """Variances of positioning errors that are tried, over what noise hides: half decades, from a tenth
 to standard deviations a thousand times the noise."""
 _KINDS = np.array([0.0, 0.1, 0.5, 0.9, 1.0])
-"""Shares of stops in the variance of arrivals: none, all, and mixtures of both."""
+"""Shares of stops in the variance of positioning errors: none, all, and mixtures of both."""
 
 _CALLED_FOR = 4.5
 """By how much a log likelihood must rise for scatter to count beyond what is known: chi-square of
@@ -86,14 +86,14 @@ class _Triad:
     Attributes:
         rows: (k,) of the outputs.
         residuals: (r,) what is left.
-        calm: (r, r) covariance by the wandering that the data sheet states.
-        beyond: (r, r) covariances by wandering of each time of `_TIMES`, for unit ratios.
+        calm: (r, r) covariance by the drift that the data sheet states.
+        beyond: (r, r) covariances by drift of each time of `_TIMES`, for unit ratios.
         positioning: (r, e) what joints that stop and what stops do, for one rad.
         noise: Columns (r, k) of the random walk of each channel, and the degrees of freedom by
             which its size is known.
         bias_drift: Where the bias is looked at.
         typical: What a ratio of one stands for, SI units squared.
-        stated: Variance of the wandering stated, SI units squared.
+        stated: Variance of the drift stated, SI units squared.
         log_odds: (shares,) logarithms of the odds of shares of it.
 
     """
@@ -110,7 +110,7 @@ class _Triad:
     log_odds: Floats
 
     def positioning_covariance(self, joints: float, stops: float) -> Floats:
-        """Return the covariance by noise and arrivals of these variances, rad^2."""
+        """Return the covariance by noise and positioning errors of these variances, rad^2."""
         found = np.eye(len(self.residuals))
         for variance, columns in zip((joints, stops), self.positioning, strict=True):
             if variance:
@@ -118,10 +118,10 @@ class _Triad:
         return found
 
     def weigh(self, joints: float = 0.0, stops: float = 0.0) -> tuple[Floats, Floats]:
-        """Return log likelihoods for arrivals of these variances, rad^2.
+        """Return log likelihoods for positioning errors of these variances, rad^2.
 
         Returns:
-            (shares,) for shares of the wandering stated, and (taus, ratios) for what comes on top
+            (shares,) for shares of the drift stated, and (taus, ratios) for what comes on top
             of it.
 
         """
@@ -134,28 +134,28 @@ class _Triad:
         )
 
     def drift_covariance(self, share: float, time: int, ratio: float) -> Floats:
-        """Return the covariance by a share of the wandering stated and one beyond it."""
+        """Return the covariance by a share of the drift stated and one beyond it."""
         found = share * self.calm
         return found + ratio * self.beyond[time] if ratio else found
 
-    def by_noise(self, wander: Floats, joints: float = 0.0, stops: float = 0.0) -> float:
-        """Return what the log likelihood gains beside a wandering (r, r) and arrivals, rad^2.
+    def by_noise(self, drift: Floats, joints: float = 0.0, stops: float = 0.0) -> float:
+        """Return what the log likelihood gains beside a drift (r, r) and positioning errors, rad^2.
 
         By the size of the noise, which blocks at rest tell no better than they are many.
         """
         return gained_by_noise(
-            self.positioning_covariance(joints, stops) + wander, self.residuals, self.noise
+            self.positioning_covariance(joints, stops) + drift, self.residuals, self.noise
         )
 
-    def lines(self, wander: Floats, variances: Floats) -> Floats:
-        """Return the log likelihoods of arrivals, (kinds, v), beside a wandering (r, r).
+    def lines(self, drift: Floats, variances: Floats) -> Floats:
+        """Return the log likelihoods of positioning errors, (kinds, v), beside a drift (r, r).
 
         Args:
-            wander: Its covariance.
-            variances: (v,) of the arrivals, rad^2, split between joints and stops by `_KINDS`.
+            drift: Its covariance.
+            variances: (v,) of positioning errors, rad^2, split into joints and stops by `_KINDS`.
 
         """
-        base = np.eye(len(self.residuals)) + wander
+        base = np.eye(len(self.residuals)) + drift
         shares = _KINDS.tolist()
         mixed = [np.sqrt([1 - share, share]) for share in shares]
         return log_likelihoods_by_columns(base, self.positioning, mixed, self.residuals, variances)
@@ -166,13 +166,13 @@ class ExcessScatter:
     """What scatters beyond random walk and quantisation, as the session shows it.
 
     Attributes:
-        positioning: Arrivals beyond what the table states.
-        bias_drift: (6,) standard deviation of the wandering biases, rad/s and m/s^2.
-        extra: What wandering adds to the covariance of the outputs: as the data sheet states it,
+        positioning: Positioning errors beyond what the table states.
+        bias_drift: (6,) standard deviation of the drift of biases, rad/s and m/s^2.
+        extra: What drift adds to the covariance of the outputs: as the data sheet states it,
             and what the session shows beyond.
-        absent_drift: What of the wandering that the data sheet states the session seems to be
+        absent_drift: What of the drift that the data sheet states the session seems to be
             without.
-        positioning_probability: Probability that arrivals miss beyond what the table states.
+        positioning_probability: Probability that positioning errors exceed what the table states.
         fast_drift: Of gyros and accelerometers, whether what they show beyond the data sheet comes
             and goes within a thirtieth of the session, and sooner than biases drift by the data
             sheet.
@@ -205,8 +205,8 @@ def excess(
     """Estimate the excess scatter of a session about a solution.
 
     What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
-    without it. Then the other cases share the weight: a few arrivals that miss and a bias that
-    wanders slowly look alike, and do unlike harm.
+    without it. Then the other cases share the weight: a few positioning errors and a bias that
+    drifts slowly look alike, and do unlike harm.
 
     Args:
         equations: The session, any earlier excess is ignored.
@@ -222,12 +222,12 @@ def excess(
     triads = _triads(plain, state, _ODDS_BESIDE_OUTLIERS if suspecting else _ODDS)
     if not doubted:
         triads = [replace(triad, noise=()) for triad in triads]
-    still = [_Wander.of(triad) for triad in triads]
-    share, joints, stops = _arrivals(triads, still, _variances(plain))
-    found = [[(1 - share, wander)] for wander in still]
+    still = [_Drift.of(triad) for triad in triads]
+    share, joints, stops = _positioning(triads, still, _variances(plain))
+    found = [[(1 - share, drift)] for drift in still]
     if share:
         for mixture, triad in zip(found, triads, strict=True):
-            mixture.append((share, _Wander.of(triad, joints, stops)))
+            mixture.append((share, _Drift.of(triad, joints, stops)))
     spread = [_spread_out(triad, mixture) for triad, mixture in zip(triads, found, strict=True)]
     return ExcessScatter(
         PositioningErrors(math.sqrt(share * joints), math.sqrt(share * stops)),
@@ -240,8 +240,8 @@ def excess(
 
 
 @dataclass(frozen=True, eq=False)
-class _Wander:
-    """How likely wanderings are: (shares,) of what is stated, (taus, ratios) of what is beyond.
+class _Drift:
+    """How likely drifts are: (shares,) of what is stated, (taus, ratios) of what is beyond.
 
     Attributes:
         calm: Log likelihoods with the odds of the data sheet.
@@ -253,19 +253,17 @@ class _Wander:
     beyond: Floats
 
     @classmethod
-    def of(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Wander:
-        """Weigh wanderings beside arrivals of these variances, rad^2.
+    def of(cls, triad: _Triad, joints: float = 0.0, stops: float = 0.0) -> _Drift:
+        """Weigh drifts beside positioning errors of these variances, rad^2.
 
-        Noise whose size is known from few blocks may be larger than it seems. Where wandering is
+        Noise whose size is known from few blocks may be larger than it seems. Where drift is
         called for, what that explains is taken off.
         """
         calm, beyond = triad.weigh(joints, stops)
         found = cls(calm + triad.log_odds, beyond - np.log(beyond.size))
         if not found.called_for:
             return found
-        known, more = (
-            triad.by_noise(wander, joints, stops) for _, wander in found.hypotheses(triad)
-        )
+        known, more = (triad.by_noise(drift, joints, stops) for _, drift in found.hypotheses(triad))
         return replace(found, beyond=found.beyond - (known - more))
 
     @property
@@ -295,7 +293,7 @@ class _Wander:
         return np.exp(self.calm - self.known), np.zeros_like(self.beyond)
 
     def hypotheses(self, triad: _Triad) -> list[tuple[float, Floats]]:
-        """Return the likeliest wandering of either kind: its weight's logarithm, covariance."""
+        """Return the likeliest drift of either kind: its weight's logarithm, covariance."""
         calm, (time, ratio) = (
             int(self.calm.argmax()),
             divmod(int(self.beyond.argmax()), len(_RATIOS)),
@@ -313,7 +311,7 @@ class _Wander:
 
 
 def _variances(equations: Equations) -> Floats:
-    """Return the variances of arrivals that may be, (v,) rad^2.
+    """Return the variances of positioning errors that may be, (v,) rad^2.
 
     From a tenth of what the noise of the sharpest outputs hides.
     """
@@ -322,38 +320,38 @@ def _variances(equations: Equations) -> Floats:
     sharpest = float(np.median(at_rest)) / evidence.site.gravity**2
     if len(evidence.links):
         sharpest = min(sharpest, float(np.median(evidence.links.variances(evidence.walk)[:, :3])))
-    return np.asarray(_ARRIVAL_RATIOS * sharpest)
+    return np.asarray(_POSITIONING_RATIOS * sharpest)
 
 
-def _arrivals(
-    triads: Sequence[_Triad], still: Sequence[_Wander], variances: Floats
+def _positioning(
+    triads: Sequence[_Triad], still: Sequence[_Drift], variances: Floats
 ) -> tuple[float, float, float]:
-    """Return how likely arrivals miss, and by which variances of joints and of stops, rad^2.
+    """Return how likely positioning errors are, and their variances by joints and by stops, rad^2.
 
-    Those of a triad count beside the likeliest of its wanderings, with none of the arrivals and
+    Those of a triad count beside the likeliest of its drifts, without positioning errors and
     with the likeliest.
     """
-    hypotheses = [wander.hypotheses(triad) for triad, wander in zip(triads, still, strict=True)]
+    hypotheses = [drift.hypotheses(triad) for triad, drift in zip(triads, still, strict=True)]
     lines = [
-        [weight + triad.lines(wander, variances) for weight, wander in its]
+        [weight + triad.lines(drift, variances) for weight, drift in its]
         for triad, its in zip(triads, hypotheses, strict=True)
     ]
     joints, stops = _likeliest(_pooled(lines), variances)
     for triad, its, mine in zip(triads, lines, hypotheses, strict=True):
-        weight, wander = _Wander.of(triad, joints, stops).hypotheses(triad)[1]
-        mine.append((weight, wander))
-        its.append(weight + triad.lines(wander, variances))
+        weight, drift = _Drift.of(triad, joints, stops).hypotheses(triad)[1]
+        mine.append((weight, drift))
+        its.append(weight + triad.lines(drift, variances))
     found = _pooled(lines)
-    known = sum(wander.known for wander in still)
-    # Wanderings of gyros and accelerometers are asked for one by one: half of the cause in each is
+    known = sum(drift.known for drift in still)
+    # Drifts of gyros and accelerometers are asked for one by one: half of the cause in each is
     # none.
-    asked_for = any(wander.called_for for wander in still)
+    asked_for = any(drift.called_for for drift in still)
     if asked_for or float(found.max()) >= known + _CALLED_FOR:
         found += _by_noise(triads, hypotheses, lines, variances)
     if not asked_for and float(found.max()) < known + _CALLED_FOR:
         return 0.0, 0.0, 0.0
-    either = sum(float(np.logaddexp(wander.known, wander.unknown)) for wander in still)
-    # Of what does not move the arrivals all but what is known beforehand.
+    either = sum(float(np.logaddexp(drift.known, drift.unknown)) for drift in still)
+    # Of what does not move the positioning errors all but what is known beforehand.
     none = either + math.log(max(-math.expm1(known - either), np.finfo(float).tiny))
     found -= math.log(found.size)
     some = float(np.logaddexp.reduce(found, axis=None))
@@ -379,13 +377,13 @@ def _by_noise(
     lines: Sequence[Sequence[Floats]],
     variances: Floats,
 ) -> float:
-    """Return what the size of the noise gains beside the likeliest arrivals, less that beside none.
+    """Return what the size of the noise gains with the likeliest positioning errors, less without.
 
     Args:
         triads: Gyros and accelerometers.
-        hypotheses: Of each, wanderings; the first is what is known beforehand.
-        lines: Log likelihoods of arrivals beside each of them.
-        variances: (v,) of arrivals.
+        hypotheses: Of each, drifts; the first is what is known beforehand.
+        lines: Log likelihoods of positioning errors beside each of them.
+        variances: (v,) of positioning errors.
 
     """
     found = _pooled(lines)
@@ -398,20 +396,20 @@ def _by_noise(
 
 
 def _pooled(lines: Sequence[Sequence[Floats]]) -> Floats:
-    """Return the log likelihoods of arrivals by all triads, (kinds, v), wanderings averaged."""
+    """Return the log likelihoods of positioning errors by all triads, (kinds, v), over drifts."""
     return np.asarray(np.sum([np.logaddexp.reduce(its) for its in lines], axis=0))
 
 
 def _spread_out(
-    triad: _Triad, mixture: list[tuple[float, _Wander]]
+    triad: _Triad, mixture: list[tuple[float, _Drift]]
 ) -> tuple[float, tuple[Component, ...], tuple[Component, ...], bool]:
-    """Return the wandering's standard deviation, the posterior's mean of its covariance.
+    """Return the drift's standard deviation, the posterior's mean of its covariance.
 
-    And what that lacks of the wandering stated, and whether what is beyond comes and goes swiftly.
+    And what that lacks of the drift stated, and whether what is beyond comes and goes swiftly.
     """
     calm, by_ratio = 0.0, np.zeros((len(_TIMES), len(_RATIOS)))
-    for weight, wander in mixture:
-        of_calm, of_beyond = wander.weights()
+    for weight, drift in mixture:
+        of_calm, of_beyond = drift.weights()
         calm += weight * float(of_calm @ _SHARES + of_beyond.sum())
         by_ratio += weight * of_beyond
     means = len(triad.rows)
@@ -452,7 +450,7 @@ def _triad(
     """Cut out gyros (first = 0) or accelerometers (first = 3)."""
     evidence = equations.evidence
     rows = equations.layout.gyros if first == 0 else equations.layout.accels
-    stretches = [(x.statistics, x.start) for x in evidence.segments]
+    segments = [(x.statistics, x.start) for x in evidence.segments]
     turns, moves = list(evidence.turns), [link.move for link in evidence.links.links]
     pushed = [moves[k] for k in evidence.layout.moves_with_accels]
     if first == 3:
@@ -461,18 +459,17 @@ def _triad(
         # What the gyros' biases do to the axes of a move is in its velocity too.
         rows = np.concatenate([rows, equations.layout.velocity.ravel()])
         moves = [*moves, *pushed]
-    stretches += [(x.statistics, x.start) for x in turns]
-    jacobian, left, rising, covariance, arrivals = parts
+    segments += [(x.statistics, x.start) for x in turns]
+    jacobian, left, rising, covariance, positioning = parts
     seen = np.flatnonzero(np.any(jacobian[rows] != 0, axis=0))
     prior = equations.prior_rows(state)
-    starts = np.array([start for _, start in stretches] + [m.start for m in moves], dtype=np.int64)
-    durations = np.array([x.duration for x, _ in stretches] + [m.duration for m in moves])
+    starts = np.array([start for _, start in segments] + [m.start for m in moves], dtype=np.int64)
+    durations = np.array([x.duration for x, _ in segments] + [m.duration for m in moves])
     biases = indices_of(BIASES[first : first + 3], equations.parameters)
     with_slope = [
-        all(len(b) >= _BLOCKS_FOR_A_SLOPE for b in x.blocks[first : first + 3])
-        for x, _ in stretches
+        all(len(b) >= _BLOCKS_FOR_A_SLOPE for b in x.blocks[first : first + 3]) for x, _ in segments
     ]
-    sloped = [x for (x, _), good in zip(stretches, with_slope, strict=True) if good]
+    sloped = [x for (x, _), good in zip(segments, with_slope, strict=True) if good]
     drifts = np.array([x.drift[first : first + 3] for x in sloped]).reshape(-1, 3)
     explained = rising[rows].reshape(-1, 3)[np.flatnonzero(with_slope)]
     slope_left = (drifts - explained).ravel()
@@ -483,7 +480,7 @@ def _triad(
         ]
     ).reshape(-1, 3, 2)
     slope_variances = of_slopes[..., 1].ravel()
-    wandering = BiasDrift.over(
+    drift = BiasDrift.over(
         (starts - starts.min()) * 1e-9,
         durations,
         jacobian[np.ix_(rows, np.array(biases))].reshape(-1, 3, 3),
@@ -504,7 +501,7 @@ def _triad(
         return np.asarray(both.T @ (variance * kernel) @ both)
 
     moved = [
-        np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in arrivals
+        np.vstack([project.T @ p[rows], np.zeros((len(slopes), p.shape[1]))]) for p in positioning
     ]
     noise = []
     for c, own in enumerate(equations.own[first : first + 3]):
@@ -516,11 +513,11 @@ def _triad(
     return _Triad(
         rows,
         np.concatenate([z, slope_left * slopes]),
-        seen_by(wandering.stated_kernel(), stated),
-        tuple(seen_by(wandering.kernel(time), typical) for time in _TIMES),
+        seen_by(drift.stated_kernel(), stated),
+        tuple(seen_by(drift.kernel(time), typical) for time in _TIMES),
         (moved[0], moved[1]),
         tuple(noise),
-        wandering,
+        drift,
         typical,
         stated,
         log_odds,

@@ -1,9 +1,9 @@
 """The least squares behind the joint estimate: where it starts, how it weighs, what it distrusts.
 
 Parameters of the sensors, the table's azimuth, its two tilts and the rate between the clocks are
-estimated together from every stretch at rest and every turn of any plan, each output by the noise
-that the session shows. What wanders and what misses its mark widens the covariance (`excess`);
-a stretch that does not fit the rest counts for less.
+estimated together from every static dwell and every turn of any plan, each output by the noise
+that the session shows. Bias drift and positioning errors widen the covariance (`excess`);
+a segment that does not fit the rest counts for less.
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """
@@ -59,7 +59,7 @@ _UNLIKE = 1e-4
 in one session of a thousand."""
 _ASTRAY = 1e-9
 """Chance by which a sound move is left out, by noise and what the rest of the session leaves open.
-Far smaller than that of an outlier: arrivals that both share are counted twice."""
+Far smaller than that of an outlier: positioning errors that both share are counted twice."""
 
 _MOST_OUTLIERS = 1 / 3
 """Share of a session's rests, or of the turns about an axis, that may count for less. A judgement:
@@ -83,7 +83,7 @@ much through rounding."""
 
 @dataclass(frozen=True, eq=False)
 class Outlier:
-    """A stretch or a turn that does not fit the rest.
+    """A static dwell or a turn that does not fit the rest.
 
     Attributes:
         name: Position and kind, for a person.
@@ -275,7 +275,7 @@ def _moves_that_fit(
             return evidence, ()
         if _count(fitting) <= _count(kept):
             return evidence.with_moves(fitting), astray
-        # Moves show arrivals that hide in the noise of rests: with those that fit, others may.
+        # Moves show positioning errors that rests hide in their noise: with those, others may.
         kept = fitting
         moved = replace(resting, evidence=evidence.with_moves(kept))
         scatter = replace(scatter, positioning=excess(moved, state).positioning)
@@ -549,7 +549,7 @@ def _outlier(
 
     Looked at are the equations with the solution of each: without what scatters, and with it.
 
-    One outlier among good stretches looks like a bias that wanders, and hides behind the scatter
+    One outlier among good segments looks like a bias that drifts, and hides behind the scatter
     that it makes: the scatter that it is held against is that of the others alone.
     """
     (plain, _), (_, state) = views

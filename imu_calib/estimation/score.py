@@ -124,7 +124,7 @@ class Family:
     def weighed(self, equations: Equations, scatter: ExcessScatter) -> Equations:
         """Return the equations with the scatter under which the family is tested.
 
-        A bias that wanders is no drift: a term of the session takes the place of wandering, which
+        A bias that drifts is no drift: a term of the session takes the place of random drift, which
         then seems less than the data sheet states, and is counted in full.
         """
         extra = scatter.extra if self.course is None else (*scatter.extra, *scatter.absent_drift)

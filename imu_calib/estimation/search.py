@@ -1,8 +1,8 @@
 """The search for what is missing: terms of the sensors, and errors of the table.
 
-Scatter and terms compete. A term that is missing makes arrivals, drift and outliers that are not
-there, and scatter that is estimated without it hides it. So every family is tested under the
-scatter that remains with it on, with all moves and no output set aside, and the best that is
+Scatter and terms compete. A term that is missing makes positioning errors, drift and outliers that
+are not there, and scatter that is estimated without it hides it. So every family is tested under
+the scatter that remains with it on, with all moves and no output set aside, and the best that is
 significant is switched on, until none is. All is then fitted anew, and every one must still be
 significant. It takes the place of outputs that were set aside only where it needs fewer
 coefficients than they are.

@@ -452,11 +452,11 @@ class _System:
         spread = by_common * np.sqrt(np.diag(self._prior))
         for source, prior in zip(sources, spread.T, strict=True):
             covariance = np.outer(prior, prior)
-            stated = self._common.stated_share if source is Source.ARRIVAL_STATED else 1.0
+            stated = self._common.stated_share if source is Source.POSITIONING_STATED else 1.0
             freedom = ENCODER_FREEDOM if source is Source.ENCODER_RATE else np.inf
             found[source].append((stated * covariance, freedom))
             if stated < 1:
-                found[Source.ARRIVAL_FOUND].append(((1 - stated) * covariance, freedom))
+                found[Source.POSITIONING_FOUND].append(((1 - stated) * covariance, freedom))
         return {source: Share.of_parts(parts) for source, parts in found.items() if parts}
 
     def _told(self, k: int) -> list[tuple[Floats, float]]:

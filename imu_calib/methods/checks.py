@@ -55,13 +55,13 @@ _ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """What the stretches at rest say of the world, the sensors given.
+    """What the static dwells say of the world, the sensors given.
 
     Attributes:
         vector: (3,) Earth rate or specific force in the frame of the attitudes.
         covariance: (3, 3) its covariance.
         residuals: (s, 3) what is left.
-        scatter: Chi-square per degree of freedom of what is left, of stretches or of groups.
+        scatter: Chi-square per degree of freedom of what is left, of static dwells or of groups.
         significant: Whether the scatter exceeds the noise.
         freedom: Degrees of freedom of the scatter.
 
@@ -270,7 +270,7 @@ def check_axes(response: Floats, name: str, what: str) -> None:
 
 
 def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int) -> _Fit:
-    """Fit the vector that all stretches see, and a common offset, by weighted least squares.
+    """Fit the vector that all static dwells see, and a common offset, by weighted least squares.
 
     Source: docs/mathematics.md, 'Joint estimate' (azimuth and latitude from the session itself).
     """
@@ -301,7 +301,7 @@ def _fit(evidence: Evidence, model: SensorModel, channels: slice, estimated: int
     tested = left
     if channels.start == 3:
         tested = _left_by_weighted_fit(evidence, model, variances)
-    for groups in (np.arange(s), _arrivals(evidence)):
+    for groups in (np.arange(s), _by_up(evidence)):
         ratio, plain, free = _scatter(tested, variances, groups, estimated)
         if noisy and plain and ratio > scatter:
             scatter, significant, freedom = ratio, True, free
@@ -339,10 +339,10 @@ def _left_by_weighted_fit(evidence: Evidence, model: SensorModel, variances: Flo
     return (equations.outputs - equations.predict(state))[rows].reshape(-1, 3)
 
 
-def _arrivals(evidence: Evidence) -> NDArray[np.intp]:
-    """Number the stretches by the direction of up: what errs once in all of such a group.
+def _by_up(evidence: Evidence) -> NDArray[np.intp]:
+    """Number the static dwells by the direction of up: what errs once in all of such a group.
 
-    Between the positions of a group only the vertical axis turned. An error of arrival of the
+    Between the positions of a group only the vertical axis turned. A positioning error of the
     other axes is common to them, and hides from the scatter within the group.
     """
     ups = evidence.attitudes()[:, 2]

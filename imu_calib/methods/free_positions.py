@@ -354,7 +354,7 @@ def _check_observable(state: _State) -> None:
 
 
 def refuse(_: Evidence) -> Solution:
-    """Say what this method needs beyond the evidence of stretches and whole turns.
+    """Say what this method needs beyond the evidence of static dwells and whole turns.
 
     Raises:
         NotObservable: Always.

@@ -1,8 +1,8 @@
 """Estimators that are linear in the mean outputs, and the covariance of the very weights they use.
 
-A published method of this kind is a matrix of weights on the outputs of stretches and turns. With
-the covariance of the outputs (random walk, quantisation, arrivals, encoder) that of the parameters
-follows.
+A published method of this kind is a matrix of weights on the outputs of dwells and turns. With
+the covariance of the outputs (random walk, quantisation, positioning, encoder) that of the
+parameters follows.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Gains:
 
     Attributes:
         gyro: (u, s + t), or (3, u, s + t) where channels differ: three responses, the bias, and
-            three g-sensitivities where u is 7, from the outputs of stretches, then turns.
+            three g-sensitivities where u is 7, from the outputs of static dwells, then turns.
         accel: (4, s), or (3, 4, s), three responses and the bias; None where they are not
             estimated.
         condition: Condition number of what was inverted, columns scaled to unit length.
@@ -237,6 +237,6 @@ def bias_names(triad: str) -> str:
 
 
 def position_weights(evidence: Evidence) -> Floats:
-    """Return the weight of each stretch, (s,): a position measured twice counts as one."""
+    """Return the weight of each static dwell, (s,): a position measured twice counts as one."""
     names = [segment.position for segment in evidence.segments]
     return np.array([1 / names.count(name) for name in names])

@@ -39,11 +39,11 @@ from .checks import (
 from .solution import Residual, Solution
 
 _TELLING = 0.1
-"""Of what is stated anyway: arrivals below it change no deviation by more than half a percent,
-biases that drift by so much more by no more than a tenth."""
+"""Of what is stated anyway: positioning errors below it change no deviation by more than half a
+percent, biases that drift by so much more by no more than a tenth."""
 
 _SAID = 0.99
-"""Probability, at even odds, from which on arrivals that miss are said: of sessions without any at
+"""Probability, at even odds, from which on positioning errors are said: of sessions without any at
 most one in a hundred comes to it, since the mean of their likelihood ratio is one (Markov)."""
 
 _OF_ATTITUDE = {'gyros': 'g_sensitivity', 'accelerometers': 'accel_cross'}
@@ -379,12 +379,12 @@ def _scattering(found: Estimate) -> list[str]:
         ('gyros', 0, DEG_H, 'deg/h'),
         ('accelerometers', 3, MICRO_G, 'ug'),
     ):
-        wandering, stated_of = scatter.bias_drift[first], evidence.instability[first]
-        if wandering > (1 + _TELLING) * stated_of:
+        drift, stated_of = scatter.bias_drift[first], evidence.instability[first]
+        if drift > (1 + _TELLING) * stated_of:
             stated = f'{stated_of / unit:.3g} {symbol}' if stated_of else 'none'
             if scatter.fast_drift[first // 3]:
                 notes.append(
-                    f'The {name} scatter from rest to rest by {wandering / unit:.2g} {symbol}, '
+                    f'The {name} scatter from rest to rest by {drift / unit:.2g} {symbol}, '
                     'more than their noise, and swifter than biases drift (the description of '
                     f'the IMU states {stated} for those): the standard deviations allow for it. A '
                     'floor that shakes does so, and so do errors that follow the attitude and are '
@@ -393,7 +393,7 @@ def _scattering(found: Estimate) -> list[str]:
                 )
                 continue
             notes.append(
-                f'The biases of the {name} drift by {wandering / unit:.2g} {symbol} (the '
+                f'The biases of the {name} drift by {drift / unit:.2g} {symbol} (the '
                 f'description of the IMU states {stated}): the standard deviations allow for it.'
             )
     return notes

@@ -30,7 +30,7 @@ class BiasEquation:
     """The gyro biases as weighted means of the outputs at rest.
 
     Attributes:
-        weights: (s, 3) of the stretches at rest, per channel.
+        weights: (s, 3) of the static dwells, per channel.
         mean_input: (3,) rad/s that these weights leave.
 
     """

@@ -16,13 +16,13 @@ from ..stream import Floats
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """What a stretch at rest shows beyond the solution.
+    """What a static dwell shows beyond the solution.
 
     Attributes:
         position: Id of the plan's position.
         start: ns, IMU clock.
         value: (6,) rad/s and m/s^2.
-        std: (6,) standard deviation of the stretch's mean.
+        std: (6,) standard deviation of the static dwell's mean.
 
     """
 
@@ -40,14 +40,14 @@ class Solution:
         model: The sensor model.
         covariance: (n, n) in the order of `parameters`, SI units. NaN for a triad that was not
             estimated.
-        residuals: One per stretch at rest.
+        residuals: One per static dwell.
         azimuth: Heading of the table's zero that the gyros show, rad; NaN where they cannot.
         azimuth_std: Its standard deviation, rad.
         earth_up: Vertical Earth rate that the gyros show, rad/s.
         earth_up_std: Its standard deviation, rad/s.
         condition: Condition number of the system solved, columns scaled to unit length.
         findings: What a person should know, in sentences.
-        bias_drift: (6,) standard deviation of wandering biases that the covariance allows for,
+        bias_drift: (6,) standard deviation of drifting biases that the covariance allows for,
             rad/s and m/s^2; None for a method that knows of no such thing.
         parameters: (n,) what the rows of the covariance stand for.
         shares: The covariance by source, which adds up to it; None for a method that does not tell.

@@ -74,7 +74,7 @@ def require_north(evidence: Evidence) -> None:
 
 
 def gyros_only(evidence: Evidence, gyro: Floats, condition: float) -> Solution:
-    """Estimate the gyros with (4, s) weights on the stretches at rest.
+    """Estimate the gyros with (4, s) weights on the static dwells.
 
     Raises:
         NotObservable: A response is known no better than to a tenth.

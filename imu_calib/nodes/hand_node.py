@@ -75,12 +75,12 @@ class HandNode(ros.Node):
         latitude = declare(self, 'latitude', LUOYANG, 'deg, negative in the south')
         height = declare(self, 'height', 0.0, 'm above the ellipsoid')
         gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
-        wander = declare(self, 'bias_instability', False, 'whether the biases drift')
+        drifting = declare(self, 'bias_instability', False, 'whether the biases drift')
         rate = declare(self, 'sample_rate', 0.0, 'of the IMU, Hz; 0: its own', lower=0.0)
         seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
         start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
         wrong = declare(self, 'imperfections', '', 'name or file of what is wrong; empty: nothing')
-        options = StandOptions(bias_instability=wander, sample_rate=rate or None)
+        options = StandOptions(bias_instability=drifting, sample_rate=rate or None)
         if wrong:
             options = load_imperfections(wrong, options, None, seed)
         self._epoch = round(start * 1e9) + StandOptions.start_time

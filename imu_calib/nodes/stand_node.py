@@ -120,7 +120,7 @@ class StandNode(ros.Node):
         height = declare(self, 'height', 0.0, 'm above the ellipsoid')
         gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
         azimuth = declare(self, 'azimuth', 0.0, "true heading of the table's zero, deg")
-        wander = declare(self, 'bias_instability', False, 'whether the biases drift')
+        drifting = declare(self, 'bias_instability', False, 'whether the biases drift')
         offset = declare(self, 'clock_offset', 0.0, 'device clock minus host clock, s')
         drift = declare(self, 'clock_drift', 0.0, 'how much faster the device clock runs, ppm')
         joints = declare(self, 'joint_state_rate', 100.0, 'Hz', lower=0.1, upper=10_000.0)
@@ -130,7 +130,7 @@ class StandNode(ros.Node):
             azimuth=azimuth * DEG,
             # A uniform error of this half width has the standard deviation that the table states.
             positioning_error=math.sqrt(3) * table.positioning,
-            bias_instability=wander,
+            bias_instability=drifting,
             clock_offset=offset,
             clock_rate_error=drift * 1e-6,
             joint_state_rate=joints,

@@ -29,8 +29,8 @@ TABLE_STATE = (Nuisance.AZIMUTH, Nuisance.TILT_X, Nuisance.TILT_Y)
 
 SHARED = frozenset(
     {
-        Source.ARRIVAL_STATED,
-        Source.ARRIVAL_FOUND,
+        Source.POSITIONING_STATED,
+        Source.POSITIONING_FOUND,
         Source.STOPS,
         Source.TABLE,
         Source.LATITUDE,
@@ -115,7 +115,7 @@ class CommonTable:
             for k, (unit, state) in enumerate(zip(self._units, states, strict=True))
         ]
         kinds = [
-            (Source.ARRIVAL_STATED, self._joints.names, joints),
+            (Source.POSITIONING_STATED, self._joints.names, joints),
             (Source.TABLE, (), 0.0),
             (Source.LATITUDE, (), 0.0),
             (Source.ENCODER_RATE, (), 0.0),

@@ -1,4 +1,4 @@
-"""A session as equations: what every stretch and turn should read, its derivatives, its noise.
+"""A session as equations: what every static dwell and turn should read, its derivatives, its noise.
 
 One state vector holds the parameters of the sensors and, after them, what the session does not
 care for but must allow for (`Nuisance`). The table stands turned by the azimuth about up and
@@ -123,7 +123,7 @@ class Equations:
         levelled: Standard deviation of the table's tilt about either axis, rad; None for what the
             table states.
         any_heading: Whether the azimuth may be any, though the table's configuration states one.
-        positioning: What arrivals scatter by beyond what the table states.
+        positioning: What positioning errors scatter by beyond what the table states.
         extra: Further parts of the covariance of the outputs.
         inflation: (m,) factors on the variance of each output's own noise, or None.
         changes: Coefficients by which parameters change during the session: the end of the state.
@@ -408,7 +408,7 @@ class Equations:
         return columns(self.evidence, changes, derivatives, self.parameters, self.time_constant)
 
     def slopes(self, state: Floats) -> Floats:
-        """Return by how much outputs rise within their stretch, (m,) per s: by what changes."""
+        """Return by how much outputs rise within their segment, (m,) per s: by what changes."""
         jacobian, changes, time = self.jacobian(state), self.changes, self.time_constant
         found = slopes(self.evidence, changes, jacobian, self.parameters, time)
         return np.asarray(found @ state[self.changing])
@@ -441,7 +441,7 @@ class Equations:
         """Return the parts of the covariance that outputs have in common.
 
         The outputs of one turn share the error of the encoder's rate, those of neighbours the
-        error of the table's arrival, and all the error of the latitude.
+        positioning error of the table, and all the error of the latitude.
         """
         evidence, response = self.evidence, self.model(state).gyro.response
         turning, rates, _ = self._turning
@@ -451,7 +451,7 @@ class Equations:
             unknown_north(evidence, ups, response),
             level_gravity(evidence, turning, float(self.prior[1][Nuisance.TILT_X])),
             *self.extra,
-            *self._arriving(state),
+            *self._by_positioning(state),
         ]
         if self.doubts:
             parameters, deviations = zip(*self.doubts, strict=True)
@@ -558,7 +558,7 @@ class Equations:
 
         Args:
             state: (n,) of sensors and table.
-            at_rest: (s, 3, e) rotations of the stretches about the body axes, rad.
+            at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
             turned: (t, 3, e) of the turns.
 
         """
@@ -581,14 +581,14 @@ class Equations:
         """Return the derivatives of `predict` by the rate between the clocks."""
         return np.asarray(self.jacobian(state)[:, self.clock])
 
-    def _arriving(self, state: Floats) -> list[Component]:
+    def _by_positioning(self, state: Floats) -> list[Component]:
         stated, found = self.evidence.positioning, self.positioning
         parts = []
         if stated or found.joints:
             joints = self.by_positioning(state)[0]
             for source, size in (
-                (Source.ARRIVAL_STATED, stated),
-                (Source.ARRIVAL_FOUND, found.joints),
+                (Source.POSITIONING_STATED, stated),
+                (Source.POSITIONING_FOUND, found.joints),
             ):
                 if size:
                     parts.append(Component(source, Factor(joints * size)))
@@ -599,13 +599,13 @@ class Equations:
         return parts
 
     def by_positioning(self, state: Floats) -> tuple[Floats, Floats]:
-        """Return how arrivals enter the outputs: (m, errors), per rad.
+        """Return how positioning errors enter the outputs: (m, errors), per rad.
 
         Those of joints that stop, and what each stop leans of its own.
         """
-        return self._once('positioning', state, self._arrivals)
+        return self._once('positioning', state, self._positioning_columns)
 
-    def _arrivals(self, state: Floats) -> tuple[Floats, Floats]:
+    def _positioning_columns(self, state: Floats) -> tuple[Floats, Floats]:
         joints, stops = (
             self._leaning(state, leaning.at_rest, leaning.turning)
             for leaning in self.evidence.positioning_leans
@@ -617,7 +617,7 @@ class Equations:
 
         Args:
             state: (n,) of sensors and table.
-            at_rest: (s, 3, e) rotations of the stretches about the body axes, rad.
+            at_rest: (s, 3, e) rotations of the static dwells about the body axes, rad.
             turned: (t, 3, e) of the turns.
 
         """

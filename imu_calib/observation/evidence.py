@@ -62,18 +62,18 @@ class Evidence:
     """A labelled session, ready to be solved.
 
     Attributes:
-        segments: Stretches at rest with position and attitude.
+        segments: Static dwells with position and attitude.
         turns: Whole turns about the vertical.
         plan: What was run; `plan.UNPLANNED` where nobody knows.
         site: Gravity and Earth rate.
         clock: Table against IMU.
         azimuth: Heading of the table's zero against north, rad; None when unknown.
         walk: (6,) random-walk coefficients, rad/sqrt(s) and (m/s)/sqrt(s).
-        positioning: Standard deviation of an arrival of the table, rad; 0 when not stated.
-        instability: (6,) standard deviation of biases that wander, by the data sheet, rad/s and
+        positioning: Standard deviation of a positioning error of the table, rad; 0 when not stated.
+        instability: (6,) standard deviation of biases that drift, by the data sheet, rad/s and
             m/s^2; 0 when not stated.
         walk_freedom: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
-        moves: What the gyros saw between one stretch and the next.
+        moves: What the gyros saw between one static dwell and the next.
         table: What turned the unit; None where nobody says how far its axes may be off.
         units: Of the numbers of the unit's stream.
         temperature: Of the session; None where no thermometer shows it.
@@ -225,7 +225,7 @@ class Evidence:
     def leaning(self) -> tuple[Floats, Floats]:
         """How attitudes lean by what is left open of the table, rad per standard deviation.
 
-        (s, 3, e) of the stretches at rest and (t, 3, e) of the turns, about the body axes, turns
+        (s, 3, e) of the static dwells and (t, 3, e) of the turns, about the body axes, turns
         the mean over all angles of the joint that turns.
         """
         known = [s.angles for s in self.segments] + [t.angles for t in self.turns]
@@ -276,11 +276,11 @@ class Evidence:
         return np.maximum(np.array(rows).reshape(-1, 6), SMALLEST_VARIANCE)
 
     def attitudes(self) -> Floats:
-        """Return R_nb of the stretches at rest, (s, 3, 3), in the frame of the table's azimuth."""
+        """Return R_nb of the static dwells, (s, 3, 3), in the frame of the table's azimuth."""
         return np.array([s.attitude for s in self.segments]).reshape(-1, 3, 3)
 
     def position_weights(self) -> Floats:
-        """Return the weight of every stretch in the mean of its position, (s, 6).
+        """Return the weight of every static dwell in the mean of its position, (s, 6).
 
         A position measured several times is averaged first, each time by its variance.
         """
@@ -292,7 +292,7 @@ class Evidence:
         return np.asarray(precision / total)
 
     def vertical_axes(self) -> list[tuple[int, int]]:
-        """Return for every stretch which body axis is vertical, and +1 up or -1 down.
+        """Return for every static dwell which body axis is vertical, and +1 up or -1 down.
 
         Raises:
             NotObservable: An attitude with no body axis vertical.

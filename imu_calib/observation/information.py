@@ -107,7 +107,7 @@ def attainable_std(evidence: Evidence, parameters: tuple[Parameter, ...] = PARAM
     """Return the standard deviations that a session allows so far.
 
     Args:
-        evidence: Any subset of a session's stretches and turns, none at all included.
+        evidence: Any subset of a session's static dwells and turns, none at all included.
         parameters: That are to be estimated.
 
     Returns:

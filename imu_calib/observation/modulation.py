@@ -1,6 +1,6 @@
 """Parameters that change during a session: their courses at its outputs, and the derivatives.
 
-The derivative by a coefficient is its course, the mean over the stretch, times the sum of the
+The derivative by a coefficient is its course, the mean over the segment, times the sum of the
 derivatives by the parameters that it changes: the outputs are linear in the parameters, but for a
 second order in moves that is below 1e-9 rad (a bias off by 1 deg/h for a minute, squared).
 
@@ -160,7 +160,7 @@ def slopes(
     parameters: Sequence[Parameter],
     time_constant: float,
 ) -> Floats:
-    """Return by how much outputs rise within their stretch by coefficients, (m, k) per s.
+    """Return by how much outputs rise within their segment by coefficients, (m, k) per s.
 
     Args:
         evidence: The session.

@@ -34,7 +34,7 @@ _HEADINGS = 8
 
 @dataclass(frozen=True)
 class PositioningErrors:
-    """Standard deviations of arrivals beyond what the table states, rad.
+    """Standard deviations of positioning errors beyond what the table states, rad.
 
     Attributes:
         joints: Of a joint that stops, about its axis.
@@ -55,7 +55,7 @@ class Leaning:
     """How attitudes turn about the body axes by one radian of each of e errors.
 
     Attributes:
-        at_rest: (s, 3, e) of the stretches at rest.
+        at_rest: (s, 3, e) of the static dwells.
         turning: (t, 3, e) of the turns.
 
     """
@@ -64,10 +64,10 @@ class Leaning:
     turning: Floats
 
     @classmethod
-    def of(cls, columns: list[Floats], stretches: int, parts: int) -> Leaning:
+    def of(cls, columns: list[Floats], dwells: int, parts: int) -> Leaning:
         """Take (s + t, 3) rotations, one by one error, apart."""
         whole = np.stack(columns, axis=2) if columns else np.zeros((parts, 3, 0))
-        return cls(whole[:stretches], whole[stretches:])
+        return cls(whole[:dwells], whole[dwells:])
 
 
 def of_joints(
@@ -76,8 +76,8 @@ def of_joints(
     """Return what joints that stop beside their mark do.
 
     Without joint angles it is the attitudes that say what moved: while up stays the same in body
-    axes the vertical joint alone turns. The error of the others is then common to all stretches and
-    turns of such a group, about both level axes; its own is another for each stretch.
+    axes the vertical joint alone turns. The error of the others is then common to all dwells and
+    turns of such a group, about both level axes; its own is another for each dwell.
     """
     parts: list[Segment | Turn] = [*segments, *turns]
     known = [part.angles for part in parts]
@@ -96,7 +96,7 @@ def of_joints(
 
 
 def of_stops(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
-    """Return what stops do that lean and turn of their own: three errors for each stretch."""
+    """Return what stops do that lean and turn of their own: three errors for each static dwell."""
     count = len(segments)
     at_rest = np.zeros((count, 3, 3 * count))
     for k in range(count):
@@ -129,7 +129,7 @@ def axes_of(table: Table, joint: int, angles: Floats, turns: tuple[Turn, ...]) -
 def stops_of(
     joint: int, readings: Floats, parts: Sequence[Segment | Turn], order: Sequence[int]
 ) -> list[list[int]]:
-    """Return the stretches and turns of each stop of a joint, in time."""
+    """Return the static dwells and turns of each stop of a joint, in time."""
     found: list[list[int]] = []
     last = None
     for k in order:
@@ -159,7 +159,7 @@ def _by_up(segments: tuple[Segment, ...], turns: tuple[Turn, ...]) -> Leaning:
 
 
 def _groups(ups: Floats, starts: list[int]) -> NDArray[np.intp]:
-    """Number stretches and turns by runs in time of one and the same direction of up."""
+    """Number static dwells and turns by runs in time of one and the same direction of up."""
     groups = np.zeros(len(starts), dtype=np.intp)
     current, last = -1, None
     for k in np.argsort(starts, kind='stable').tolist():

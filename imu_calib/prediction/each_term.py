@@ -41,7 +41,7 @@ _DEARER = 1.1
 
 
 def forecast_terms(
-    found: Forecast, setup: Setup, truth: SensorModel, *, wander: bool = False
+    found: Forecast, setup: Setup, truth: SensorModel, *, drifting: bool = False
 ) -> tuple[TermForecast, ...]:
     """Return what a session would tell of each term that its joint estimate leaves out.
 
@@ -49,17 +49,19 @@ def forecast_terms(
         found: What is forecast of the session without it.
         setup: As the forecast was asked for.
         truth: Likewise.
-        wander: Likewise.
+        drifting: Likewise.
 
     """
     if found.method not in JOINT or found.refusal or setup.plan.by_hand:
         return ()
     asked = terms_of(found.parameters)
-    return tuple(_of_term(term, found, setup, truth, wander) for term in TERMS if term not in asked)
+    return tuple(
+        _of_term(term, found, setup, truth, drifting) for term in TERMS if term not in asked
+    )
 
 
 def _of_term(
-    term: Term, found: Forecast, setup: Setup, truth: SensorModel, wander: bool
+    term: Term, found: Forecast, setup: Setup, truth: SensorModel, drifting: bool
 ) -> TermForecast:
     more = replace(setup, terms=(*setup.terms, term))
     evidence = replace(found.evidence, coarse=has_motion_terms(more.terms))
@@ -67,7 +69,7 @@ def _of_term(
     std = dict(
         zip(
             parameters,
-            with_parameters(evidence, more, truth, parameters, wander=wander).tolist(),
+            with_parameters(evidence, more, truth, parameters, drifting=drifting).tolist(),
             strict=True,
         )
     )

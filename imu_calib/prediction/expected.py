@@ -249,14 +249,14 @@ def _followed(move: Move, spec: ImuSpec) -> bool:
 
 
 def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
-    """Return the covariance of the outputs by biases that wander, (m + u,) square.
+    """Return the covariance of the outputs by biases that drift, (m + u,) square.
 
     First-order Gauss-Markov processes whose standard deviations are the data sheet's bias
-    instabilities, seen by the means of stretches and turns and by what moves sum up; u is the
+    instabilities, seen by the means of static dwells and turns and by what moves sum up; u is the
     number of turns that a skewed gyro saw.
 
     Args:
-        evidence: Stretches and turns in time.
+        evidence: Static dwells and turns in time.
         spec: Bias instabilities.
 
     """

@@ -1,7 +1,7 @@
 """The standard deviations that a session would reach: by the plan's method, and by the best.
 
 A method is asked with outputs that hit their expectation and the covariance that a session would
-give them. What wanders goes through the derivatives of its parameters by its outputs.
+give them. Bias drift goes through the derivatives of its parameters by its outputs.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def forecast(
     truth: SensorModel,
     azimuth: float | None = None,
     *,
-    wander: bool = False,
+    drifting: bool = False,
 ) -> Forecast:
     """Predict the standard deviations of a session.
 
@@ -67,7 +67,7 @@ def forecast(
         setup: Plan, method, table, IMU and site.
         truth: What the sensors are thought to be.
         azimuth: True heading of the table's zero, rad; None for what the table says, or north.
-        wander: Whether the biases wander by the IMU's bias instability.
+        drifting: Whether the biases drift by the IMU's bias instability.
 
     Raises:
         InputError: The table cannot run the plan, the IMU states no noise, or there is no such
@@ -86,7 +86,7 @@ def forecast(
     square = _nothing(parameters)
     if name not in JOINT:
         try:
-            extra = bias_drift_covariance(resting, setup.imu) if wander else None
+            extra = bias_drift_covariance(resting, setup.imu) if drifting else None
             parameters, square = _by_closed_form(resting, solver, extra)
             if name == skewed.NAME:
                 square = square + skewed.variance_by_weights(evidence)
@@ -99,7 +99,7 @@ def forecast(
             refusal = str(error)
     best = _nothing(parameters)
     if name in JOINT or not setup.plan.by_hand:
-        extra = bias_drift_covariance(evidence, setup.imu) if wander else None
+        extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
         best = _best(evidence, truth, parameters, extra)
     std = best if name in JOINT else np.sqrt(square)
     return _with_common(Forecast(evidence, name, parameters, std, best, refusal), setup, truth)
@@ -111,13 +111,13 @@ def with_parameters(
     truth: SensorModel,
     parameters: tuple[Parameter, ...],
     *,
-    wander: bool,
+    drifting: bool,
 ) -> Floats:
     """Return the standard deviations (n,) of a joint estimate of other parameters; see `forecast`.
 
     NaN stands for what the session does not determine.
     """
-    extra = bias_drift_covariance(evidence, setup.imu) if wander else None
+    extra = bias_drift_covariance(evidence, setup.imu) if drifting else None
     best = _best(evidence, truth, parameters, extra)
     found = Forecast(evidence, setup.method_name, parameters, best, best, '')
     return _with_common(found, setup, truth).std

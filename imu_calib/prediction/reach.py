@@ -1,6 +1,6 @@
 """The shortest dwells that reach a wanted accuracy.
 
-Between two looks at what a session would give, the variance of a stretch's mean is taken to fall
+Between two looks at what a session would give, the variance of a dwell's mean is taken to fall
 with its time as a walk does, and what a pulse leaves as the square of it. A parameter's variance
 is a sum over the outputs, each by the square of its weight: for weights that are the best ones the
 change of the weights themselves counts for nothing, to first order, and those of a closed form do

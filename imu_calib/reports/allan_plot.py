@@ -1,4 +1,4 @@
-"""The Allan deviation of a session's stretches at rest, and the noise read from it."""
+"""The Allan deviation of a session's static dwells, and the noise read from it."""
 
 from __future__ import annotations
 

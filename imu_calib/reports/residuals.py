@@ -1,4 +1,4 @@
-"""What the model leaves unexplained, stretch by stretch, plain and in standard deviations."""
+"""What the model leaves unexplained of each static dwell, plain and in standard deviations."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Residuals:
     """Residuals of a session.
 
     Attributes:
-        positions: Name of every stretch at rest.
+        positions: Name of every static dwell.
         value: (s, 6) rad/s and m/s^2; NaN where a triad was not estimated.
-        std: (s, 6) standard deviation of each stretch's own mean; None without the recording.
+        std: (s, 6) standard deviation of each static dwell's own mean; None without the recording.
 
     """
 

@@ -27,7 +27,7 @@ _MOST_BLOCKS = 500
 
 
 class Lane(Enum):
-    """What happened in a stretch; the value is the lane's name."""
+    """What happened in an interval; the value is the lane's name."""
 
     STATIC = 'at rest'
     TURN = 'turning'
@@ -36,7 +36,7 @@ class Lane(Enum):
 
 @dataclass(frozen=True)
 class Interval:
-    """A stretch of the session, s from its first sample.
+    """An interval of the session, s from its first sample.
 
     Attributes:
         lane: What happened.
@@ -79,7 +79,7 @@ def intervals(result: Result) -> list[Interval]:
 
 
 def time_line(found: Sequence[Interval], duration: float) -> str:
-    """Draw the stretches on three lanes."""
+    """Draw the intervals on three lanes."""
     minutes = duration > _MINUTES
     scale = 60.0 if minutes else 1.0
     width = _WIDTH - _LEFT - 12
@@ -106,11 +106,11 @@ def time_line(found: Sequence[Interval], duration: float) -> str:
     return scrolling(drawing(parts, _WIDTH, bottom + 38, 'Time line of the session'))
 
 
-def _block(panel: Panel, stretch: Interval, y: float, scale: float) -> str:
-    left, right = panel.across(stretch.start / scale), panel.across(stretch.end / scale)
+def _block(panel: Panel, interval: Interval, y: float, scale: float) -> str:
+    left, right = panel.across(interval.start / scale), panel.across(interval.end / scale)
     width = max(right - left, 1.2)
-    words = f'{stretch.name}, {stretch.start:.1f} s to {stretch.end:.1f} s'
-    words += f': {stretch.reason}' if stretch.reason else ''
+    words = f'{interval.name}, {interval.start:.1f} s to {interval.end:.1f} s'
+    words += f': {interval.reason}' if interval.reason else ''
     shape = tag(
         'rect',
         tag('title', escape(words)),
@@ -118,12 +118,12 @@ def _block(panel: Panel, stretch: Interval, y: float, scale: float) -> str:
         y=y + 2,
         width=width,
         height=_ROW - 7,
-        class_=f'block {stretch.lane.name.lower()}',
+        class_=f'block {interval.lane.name.lower()}',
     )
-    if stretch.lane is Lane.TURN or len(stretch.name) * _LETTER > width:
+    if interval.lane is Lane.TURN or len(interval.name) * _LETTER > width:
         return shape
     return shape + label(
-        stretch.name, left + width / 2, y + 18, class_='inside', text_anchor='middle'
+        interval.name, left + width / 2, y + 18, class_='inside', text_anchor='middle'
     )
 
 

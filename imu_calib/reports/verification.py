@@ -54,7 +54,7 @@ def limits_line(verification: Verification) -> str:
 
 
 def rest_table(verification: Verification) -> Table | None:
-    """Return the stretches at rest, worst first; None without any."""
+    """Return the static dwells, worst first; None without any."""
     return _table(verification, _AT_REST)
 
 

@@ -22,7 +22,7 @@ LONGEST = 0.1
 over it; a longer one is a stop of the stream."""
 
 _MOST = 0.1
-"""Share of a stretch that may be bridged: beyond it is not a line that drops a message."""
+"""Share of a segment that may be bridged: beyond it is not a line that drops a message."""
 
 _REACHES: tuple[int, ...] = tuple(1 << k for k in range(14))
 """Samples on either side that a gap may be read from: a counter of one pulse in ten seconds at 100

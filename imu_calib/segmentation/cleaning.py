@@ -1,4 +1,4 @@
-"""What of a stretch at rest is sound: settling, knocks and steps are cut by what the data shows."""
+"""What of a static dwell is sound: settling, shocks and steps are cut by what the data shows."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _WINDOW_SECONDS = 0.5
 """s: long enough to average noise, short beside a dwell."""
 _OUTLIER = 7.0
 """Times the scatter of the windows' means: false in 3e-12 of Gaussian ones."""
-_KNOCK = 5.0
+_SHIFT = 5.0
 """Standard deviations of the angle through which a mount must have turned: false in 6e-7."""
-_LEAST_KNOCK = 0.005 * DEG
+_LEAST_SHIFT = 0.005 * DEG
 """rad: 18 arcsec, three times what a table is assumed to position to (table_errors)."""
-_TOLD_APART = _KNOCK**2
-"""Samples of one sign alone whose sum stands out of their own squares by `_KNOCK`: with fewer no
+_TOLD_APART = _SHIFT**2
+"""Samples of one sign alone whose sum stands out of their own squares by `_SHIFT`: with fewer no
 test tells a turn from vibration."""
 _HALF = 0.5
 """Of the tilt that a turn must leave: the accelerometers bear out what is above it."""
@@ -52,7 +52,7 @@ _FAR_BETTER = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Sound:
-    """Which samples of a stretch are sound, in words what the others were, and the first knock."""
+    """Which samples of a dwell are sound, in words what the others were, and the first shock."""
 
     mask: NDArray[np.bool_]
     notes: tuple[str, ...]
@@ -69,13 +69,13 @@ class ShiftingDisturbance:
 
 
 def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | None = None) -> Sound:
-    """Cut the settling at both ends and the disturbances within a stretch at rest.
+    """Cut the settling at both ends and the disturbances within a static dwell.
 
     Windows of half a second whose mean or spread leaves the others' are not sound. A drift of the
-    whole stretch is no disturbance: windows are judged about a robust line.
+    whole dwell is no disturbance: windows are judged about a robust line.
 
     Args:
-        samples: A stretch during which the table stood still.
+        samples: A static dwell during which the table stood still.
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
         spoilt: (n,) samples that are known to be unsound, for instance saturated.
 
@@ -89,7 +89,7 @@ def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | No
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
     means = _Means.of(used.sum(axis=1), walk * np.sqrt(length * samples.period))
-    # A channel of little noise may wander from one step of its ADC to the next within a stretch.
+    # A channel of little noise may wander from one step of its ADC to the next within a dwell.
     pulses = samples.pulse + samples.carried
     bad = means.outlying(_PULSES * pulses + samples.grid * length)
     bad |= _outlying_spreads(used, pulses + samples.grid)
@@ -175,7 +175,7 @@ class _Means:
         """
         length = windows.shape[1]
         inside = np.flatnonzero(bad[first:last]) + first
-        # A slow knock may show in some of its windows only: runs with one good between are one.
+        # A slow shock may show in some of its windows only: runs with one good between are one.
         for run in np.split(inside, np.flatnonzero(np.diff(inside) > 2) + 1):
             start, stop = int(run[0]), int(run[-1]) + 1
             turned = self.left[start:stop, :3].sum(axis=0)
@@ -189,8 +189,8 @@ class _Means:
                 pulses[:3],
             )
             turned = np.where(one_way, turned, 0.0)
-            limit = _KNOCK * np.sqrt(stop - start) * self.scatter[:3] + floor[:3]
-            if np.any(np.abs(turned) > np.maximum(limit, _LEAST_KNOCK)):
+            limit = _SHIFT * np.sqrt(stop - start) * self.scatter[:3] + floor[:3]
+            if np.any(np.abs(turned) > np.maximum(limit, _LEAST_SHIFT)):
                 return ShiftingDisturbance(
                     start * length, stop * length, float(np.linalg.norm(turned))
                 )
@@ -214,7 +214,7 @@ class _Means:
             sum(1 / len(e) for e in ends)
         )
         seen = float(along @ (ends[1].mean(axis=0) - mean))
-        return None if wanted < _KNOCK * std else seen > _HALF * wanted
+        return None if wanted < _SHIFT * std else seen > _HALF * wanted
 
     def _about_up(self, turned: Floats) -> Floats:
         """Return the part of a turn that no accelerometer sees."""
@@ -240,7 +240,7 @@ def _one_way(samples: Floats, total: Floats, turned: Floats, pulses: Floats) -> 
     flips = len(samples) * (_FLIPPING * pulses) ** 2
     squares = np.maximum(np.sum(free**2, axis=0) - flips, 0.0)
     many = np.sum(np.abs(free), axis=0) ** 2 > _TOLD_APART * np.sum(free**2, axis=0)
-    return np.asarray(~many | (np.abs(turned) >= _KNOCK * np.sqrt(squares)))
+    return np.asarray(~many | (np.abs(turned) >= _SHIFT * np.sqrt(squares)))
 
 
 def _robust_line(sums: Floats) -> Floats:
@@ -264,16 +264,16 @@ def _outlying_spreads(windows: Floats, pulse: Floats) -> NDArray[np.bool_]:
 
 
 def find_step(statistics: Statistics, walk: Floats) -> tuple[tuple[float, float], str] | None:
-    """Find a step of the mean within a stretch: somebody moved the unit and left it so.
+    """Find a step of the mean within a static dwell: somebody moved the unit and left it so.
 
     Args:
-        statistics: Of the whole stretch.
+        statistics: Of the whole dwell.
         walk: (6,) random-walk coefficients expected, rad/sqrt(s) and (m/s)/sqrt(s).
 
     Returns:
-        Between which two instants the step lies, s after the stretch began, and the step in
+        Between which two instants the step lies, s after the dwell began, and the step in
         words; None without a step. A step must be plain against the scatter of neighbouring
-        blocks and explain the stretch far better than a drift does.
+        blocks and explain the dwell far better than a drift does.
 
     """
     best: tuple[_Step, int] | None = None

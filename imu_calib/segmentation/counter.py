@@ -90,7 +90,7 @@ def best_passages(pulses: Floats, period: float, walk: float) -> MeanRate | None
     """Return the estimate from first passages where it is the best at such a rate, else None.
 
     What decides is the rate that they give and what passages leave on average at that rate, not
-    how many there happened to be. That number depends on the phase that the stretch begins with: to
+    how many there happened to be. That number depends on the phase that the segment begins with: to
     fall back on another estimator where it is small takes that one just where it errs most.
 
     Args:

@@ -41,7 +41,7 @@ _LAG = 240
 many in a row are without a gap."""
 
 _LAGS = 4
-"""Fewest lags of a stretch: their lower ones are then within it."""
+"""Fewest lags of a segment: their lower ones are then within it."""
 
 _WITHOUT_GAP = 0.1
 """Share of the lags that have no gap: the lower ones tell the interval."""
@@ -57,7 +57,7 @@ _LAYINGS = 3
 """Most rounds of laying a line and of counting what is missing by it."""
 
 _TAIL = 32
-"""Samples at the end of a stretch that comes in bunches: the last bunch is cut off, and what of it
+"""Samples at the end of a segment that comes in bunches: the last bunch is cut off, and what of it
 is late is not told from what is missing."""
 
 _FEWEST = 3
@@ -69,7 +69,7 @@ _OUTLYING = 4.0
 _ROUNDS = 5
 """A cap."""
 _BLOCKS = 16
-"""Of a stretch of stamps, whose means show what they have in common: a queue, a coarse clock."""
+"""Of a segment of stamps, whose means show what they have in common: a queue, a coarse clock."""
 
 _CLEAN = 1e-3
 """Of an interval: stamps nearer than this to their line are left as they are."""
@@ -80,7 +80,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SampleGrid:
-    """Equal intervals laid through the stamps of a stretch.
+    """Equal intervals laid through the stamps of a segment.
 
     Attributes:
         index: (n,) which interval each sample ends, from 0; numbers that are left out are missing.

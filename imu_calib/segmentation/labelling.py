@@ -42,9 +42,9 @@ class Labelled:
     """A session whose segments carry positions and attitudes.
 
     Attributes:
-        segments: Stretches at rest that count, in order.
+        segments: Static dwells that count, in order.
         turns: Whole turns, in order.
-        rejected: Stretches that were not used, and why.
+        rejected: Static dwells that were not used, and why.
         notes: What else of the session was left out, in sentences.
         passing: Stops on the way from one rest to another, which are not used.
 
@@ -199,7 +199,7 @@ def _in_one_mount(
 ) -> Labelled:
     """Keep what was measured while the unit sat in its mount in one and the same way.
 
-    A knock changes every misalignment against the table: what lies before it and after it are two
+    A shock changes every misalignment against the table: what lies before it and after it are two
     calibrations. The one with more positions and turns is kept.
     """
     instants = [slip.instant for slip in slips]

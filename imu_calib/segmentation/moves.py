@@ -51,7 +51,7 @@ COARSEST_BY_HAND = 20 * DEG
 class MoveReader:
     """Joins what lies between one segment at rest and the next to a move.
 
-    Feed motions and rests in order. A gap, a sample at the end of its range, a knock, or a step of
+    Feed motions and rests in order. A gap, a sample at the end of its range, a shock, or a step of
     the stamps ends a move without a result.
 
     Args:
@@ -130,7 +130,7 @@ class MoveReader:
 
     def _add(self, samples: Samples, delivered: Floats, stop: int) -> None:
         """Join samples before `stop` to steps; forget the move where they are not sound."""
-        # The same sample may lie a little otherwise on the line of another stretch.
+        # The same sample may lie a little otherwise on the line of another segment.
         beyond = self._seen + round(samples.period * 5e8)
         fresh = slice(int(np.searchsorted(samples.stamp, beyond, side='right')), stop)
         part = samples.at(fresh)

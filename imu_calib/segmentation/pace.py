@@ -1,8 +1,8 @@
-"""How long a sample interval is, by the stamps of a whole session rather than of one stretch.
+"""How long a sample interval is, by the stamps of a whole session rather than of one segment.
 
-The device's clock is one throughout. Stretches a minute apart tell its interval a hundred times
+The device's clock is one throughout. Segments a minute apart tell its interval a hundred times
 better than one of them does, where stamps jitter; where the clock that stamps them wanders, the
-stretches do not lie on a line, and then each is timed by its own stamps. The two are averaged by
+segments do not lie on a line, and then each is timed by its own stamps. The two are averaged by
 their variances (docs/mathematics.md, 'Stamps and lost samples').
 """
 
@@ -16,21 +16,21 @@ from ..stream import Stamps
 from .grid import SampleGrid, read_grid
 
 _NEAR_WHOLE = 0.25
-"""Of an interval: stretches are so near to a whole number of intervals apart, or on two lines."""
+"""Of an interval: segments are so near to a whole number of intervals apart, or on two lines."""
 
 _SURE = 0.1
 """Of an interval: standard deviation up to which the number of intervals between is sure."""
 
 _FEWEST_FREE = 2
-"""Degrees of freedom from which on the scatter of stretches about their line says something."""
+"""Degrees of freedom from which on the scatter of segments about their line says something."""
 
 _LEAST_STD = 1e-10
-"""Of the level of a stretch, s: stamps in ns, averaged."""
+"""Of the level of a segment, s: stamps in ns, averaged."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """How a stretch was timed.
+    """How a segment was timed.
 
     Attributes:
         used: Sample interval that it was read with, s.
@@ -46,7 +46,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class _Knot:
-    """The middle of a stretch: which sample since the first stretch, when, s, and its std, s."""
+    """The middle of a segment: which sample since the first segment, when, s, and its std, s."""
 
     number: float
     time: float
@@ -55,7 +55,7 @@ class _Knot:
 
 @dataclass(frozen=True)
 class _Line:
-    """Sums of a line through the stretches of a session, pieces between jumps with levels apart."""
+    """Sums of a line through the segments of a session, pieces between jumps with levels apart."""
 
     freedom: int = 0
     xx: float = 0.0
@@ -72,7 +72,7 @@ class _Line:
 
 
 class Pace:
-    """Times stretches of samples in order; the outcome depends on them alone."""
+    """Times segments of samples in order; the outcome depends on them alone."""
 
     def __init__(self) -> None:
         self._start = 0
@@ -82,7 +82,7 @@ class Pace:
         self._knots: list[_Knot] = []
 
     def read(self, stamp: Stamps) -> tuple[SampleGrid, Timing]:
-        """Return the grid of a stretch, (n,) stamps in ns, and its timing by all so far."""
+        """Return the grid of a segment, (n,) stamps in ns, and its timing by all so far."""
         grid = read_grid(stamp, self._long()[0] or None)
         if not self._reference:
             self._start, self._reference = int(stamp[0]), grid.period
@@ -93,11 +93,11 @@ class Pace:
 
     @property
     def interval(self) -> float:
-        """That of all stretches so far, s; of the first one where no line goes through them."""
+        """That of all segments so far, s; of the first one where no line goes through them."""
         return self._long()[0] or self._reference
 
     def combined(self, timing: Timing) -> tuple[float, float]:
-        """Return the interval of a stretch by its own stamps and all others, and its std, s."""
+        """Return the interval of a segment by its own stamps and all others, and its std, s."""
         long, long_std = self._long()
         if not long:
             return timing.own, timing.own_std
@@ -105,7 +105,7 @@ class Pace:
         return float(weights @ [long, timing.own] / weights.sum()), float(weights.sum() ** -0.5)
 
     def _long(self) -> tuple[float, float]:
-        """Return the interval by the line through all stretches, and its std, s; 0 without one."""
+        """Return the interval by the line through all segments, and its std, s; 0 without one."""
         line = self._pieces + _line(self._knots, self._reference)
         freedom = line.freedom - 1
         if freedom < _FEWEST_FREE or not line.xx > 0:
@@ -115,7 +115,7 @@ class Pace:
         return self._reference + change, float(np.sqrt(max(1.0, squares) / line.xx))
 
     def _note(self, start: float, grid: SampleGrid) -> None:
-        """Add a stretch to the line, or begin another where it does not lie on it."""
+        """Add a segment to the line, or begin another where it does not lie on it."""
         middle = float(grid.index[grid.kept].mean())
         # The level of a line is as uncertain as its slope over the spread of its samples.
         std = grid.period_std * float(np.std(grid.index[grid.kept]))
@@ -127,7 +127,7 @@ class Pace:
         self._knots.append(_Knot(first + middle, time, max(std, _LEAST_STD)))
 
     def _number_of_first(self, time: float, middle: float, grid: SampleGrid) -> int | None:
-        """Return which sample since the first stretch this one begins with; None if unsure."""
+        """Return which sample since the first segment this one begins with; None if unsure."""
         if not self._knots:
             return None
         last = self._knots[-1]

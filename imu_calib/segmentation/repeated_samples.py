@@ -11,7 +11,7 @@ _FEWEST = 8
 """Fewest samples in a row that are taken for frozen: a judgement, less is no loss."""
 
 _CHANCE = 1e-9
-"""Probability that sound samples of a stretch repeat themselves so often somewhere in it."""
+"""Probability that sound samples of a segment repeat themselves so often somewhere in it."""
 
 
 _AROUND = 32
@@ -25,8 +25,8 @@ two without any, and three where it drifts to the next edge."""
 def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
     """Find the samples (n,) that repeat the one before beyond chance.
 
-    How often two samples in a row are the same by chance, the others of the stretch tell: codes of
-    little noise often are. Of a stretch that repeats itself for most of its length nothing tells.
+    How often two samples in a row are the same by chance, the others of the segment tell: codes of
+    little noise often are. Of a segment that repeats itself for most of its length nothing tells.
 
     Args:
         values: (n, 6) as delivered.

@@ -1,4 +1,4 @@
-"""A stretch at rest: what of it is a segment, and why the remainder is not."""
+"""A static dwell: what of it is a segment, and why the remainder is not."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def read_rest(
 ) -> list[Segment | Rejected | MountShift]:
     """Turn samples at rest into segments, or say why not.
 
-    A knock that left the unit turned parts the stretch in two where the table's angles tell its
+    A shock that left the unit turned parts the dwell in two where the table's angles tell its
     attitude; without them the sound part alone is used.
 
     Args:
         sensor: The IMU.
-        samples: Of the stretch.
+        samples: Of the static dwell.
         values: (n, 6) as delivered; NaN where samples were lost and are read from those around.
-        angles: Joint angles during the stretch, rad; None without a table.
+        angles: Joint angles during the static dwell, rad; None without a table.
         attitude: (3, 3) R_nb by them; None without a table.
         attitude_error: Standard deviation of the attitude by the encoders' noise, rad.
 
@@ -108,7 +108,7 @@ def _with_note(
 def _sound_statistics(
     samples: Samples, sound: Sound, saturated: NDArray[np.bool_], walk: Floats
 ) -> tuple[Statistics, Stamps, tuple[str, ...]] | str:
-    """Estimate over the sound part of a stretch; a text says why there is none."""
+    """Estimate over the sound part of a static dwell; a text says why there is none."""
     notes = list(sound.notes)
     if saturated.any():
         notes.append(f'{saturated.sum()} samples are saturated')

@@ -1,4 +1,4 @@
-"""A segment: a stretch of a session in which the unit stood still, or turned whole turns."""
+"""A segment: a part of a session in which the unit stood still, or turned whole turns."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A stretch at rest.
+    """A static dwell.
 
     Attributes:
         start: First instant used, ns, IMU clock.

@@ -25,7 +25,7 @@ class Rejected:
 
 @dataclass(frozen=True)
 class MountShift:
-    """At `instant` (ns, IMU clock) a knock turned the unit in its mount by `angle` (rad)."""
+    """At `instant` (ns, IMU clock) a shock turned the unit in its mount by `angle` (rad)."""
 
     instant: int
     angle: float
@@ -121,12 +121,12 @@ class Segmented:
     """All that a session's streams contain.
 
     Attributes:
-        segments: Stretches at rest, in order.
+        segments: Static dwells, in order.
         turns: Whole turns measured by an encoder, in order.
         motions: Larger motions that no encoder saw, in order.
         moves: What the gyros saw between one segment and the next, in order.
-        rejected: Stretches that were not used.
-        mount_shifts: Knocks after which the unit sat otherwise in its mount, in order.
+        rejected: Static dwells that were not used.
+        mount_shifts: Shocks after which the unit sat otherwise in its mount, in order.
         losses: What was lost on the way in, in sentences.
         setpoints: The first of every run of equal setpoints, in order.
         clock: Table against IMU.

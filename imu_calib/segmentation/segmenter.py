@@ -89,12 +89,12 @@ class Segmenter:
 
     @property
     def segments(self) -> tuple[Segment, ...]:
-        """Stretches at rest found so far."""
+        """Static dwells found so far."""
         return tuple(self._segments)
 
     @property
     def moves(self) -> tuple[Move, ...]:
-        """What the gyros saw between these stretches so far."""
+        """What the gyros saw between these static dwells so far."""
         return self._moves.finish(self._pace.interval)
 
     @property
@@ -264,7 +264,7 @@ class Segmenter:
         self._note_lost(whole, motion.start + self._offset_ns, motion.end + self._offset_ns)
         samples, values = whole.samples, whole.values(values)
         # By the stamps as they came: the rest begins with the first beyond, and on the line of
-        # another stretch the same sample may lie on the other side.
+        # another static dwell the same sample may lie on the other side.
         after = int(np.searchsorted(stamp, motion.end + self._offset_ns, side='right'))
         ends = int(np.searchsorted(np.maximum.accumulate(whole.rows), after))
         self._moves.motion(samples.part(0, ends), values[:ends])

@@ -1,4 +1,4 @@
-"""Samples of one stretch at rest or at rate -> the statistics of a segment."""
+"""Samples of one static dwell or turn -> the statistics of a segment."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SAMPLES_FOR_GRID = 4096
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of one stretch, in SI after the nominal scale factor.
+    """Samples of one segment, in SI after the nominal scale factor.
 
     Attributes:
         stamp: (n,) ns, ends of the sample intervals.
@@ -142,7 +142,7 @@ def gap_free(stamp: Stamps, period: float) -> list[tuple[int, int]]:
 
 
 def statistics_at_rest(samples: Samples, walk: Floats) -> Statistics:
-    """Estimate the mean output of every channel over a stretch at rest.
+    """Estimate the mean output of every channel over a static dwell.
 
     Args:
         samples: At least one sample; gaps are stepped over.

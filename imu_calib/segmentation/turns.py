@@ -204,7 +204,7 @@ def _sound(samples: Samples) -> bool:
 
 
 def _steady(samples: Samples) -> bool:
-    """Say whether the gyros turn as fast at the ends of a stretch as in the whole of it."""
+    """Say whether the gyros turn as fast at the ends of a segment as in the whole of it."""
     n = len(samples.stamp)
     length = max(1, n // _ENDS)
     rates = samples.increments[:, :3]

@@ -5,8 +5,8 @@ from .imu import SimulatedImu
 from .options import (
     Delivery,
     ImuOptions,
-    Knock,
     Shake,
+    Shock,
     StandOptions,
     TableOptions,
     ThermalDrift,
@@ -23,9 +23,9 @@ from .true_table import TableSizes, TrueJoint, TrueTable
 __all__ = [
     'Delivery',
     'ImuOptions',
-    'Knock',
     'SeveralOnTable',
     'Shake',
+    'Shock',
     'SimulatedImu',
     'SimulatedStand',
     'SimulatedTable',

@@ -101,7 +101,7 @@ def _table(part: Section, options: StandOptions, table: Table | None, seed: int)
             options,
             # The file says it all: not the table's description as well.
             positioning_error=0.0,
-            arrival=_size(arrivals, 'joints'),
+            stop_error=_size(arrivals, 'joints'),
             stop_tilt=_size(arrivals, 'tilt'),
             stop_heading=_size(arrivals, 'heading'),
         )

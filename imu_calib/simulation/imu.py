@@ -43,7 +43,7 @@ class _Channels:
         self._units = units
         self._quantise = quantise
         self._turn_on = turn_on * once.standard_normal(3)
-        self._wander = instability * once.standard_normal(3)
+        self._drift = instability * once.standard_normal(3)
         self._accumulated = once.uniform(0.0, 1.0, 3)
         """Pulses since the start on top of the counter's phase."""
 
@@ -58,7 +58,7 @@ class _Channels:
         """
         mean = mean + self._turn_on
         if self._instability:
-            mean = mean + self._wandering(len(mean), period)
+            mean = mean + self._drift_of_biases(len(mean), period)
         if self._walk:
             noise = self._walk_noise.standard_normal(mean.shape)
             mean = mean + noise * (self._walk / math.sqrt(period))
@@ -71,7 +71,7 @@ class _Channels:
         increments = mean * widths[:, None] / self._scale_factor
         return self._count(increments) if self._quantise else np.asarray(increments)
 
-    def _wandering(self, count: int, period: float) -> Floats:
+    def _drift_of_biases(self, count: int, period: float) -> Floats:
         """Return the bias (n, 3): first-order Gauss-Markov, stationary from the start."""
         decay = math.exp(-period / self._correlation)
         drive = self._instability * math.sqrt(-math.expm1(-2 * period / self._correlation))
@@ -79,8 +79,8 @@ class _Channels:
         from scipy.signal import lfilter
 
         noise = drive * self._bias_noise.standard_normal((count, 3))
-        course, _ = lfilter([1.0], [1.0, -decay], noise, axis=0, zi=decay * self._wander[None])
-        self._wander = course[-1]
+        course, _ = lfilter([1.0], [1.0, -decay], noise, axis=0, zi=decay * self._drift[None])
+        self._drift = course[-1]
         return np.asarray(course)
 
     def _count(self, increments: Floats) -> Floats:

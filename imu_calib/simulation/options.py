@@ -36,7 +36,7 @@ class TableOptions:
         wrapped: Angles are read within -180 to 180 deg instead of continuously.
         true: Axes, zeros, wobble and encoders as they truly are; None: as described.
         encoder_noise: Standard deviation of one reading, rad.
-        arrival: Standard deviation by which a joint stops wrong, unseen by its encoder until it
+        stop_error: Standard deviation by which a joint stops wrong, unseen by its encoder until it
             moves again, whole turns included, rad.
         stop_tilt: Standard deviation by which the whole table leans about east and about north,
             anew after every motion, rad.
@@ -56,7 +56,7 @@ class TableOptions:
     wrapped: bool = False
     true: TrueTable | None = None
     encoder_noise: float = 0.0
-    arrival: float = 0.0
+    stop_error: float = 0.0
     stop_tilt: float = 0.0
     stop_heading: float = 0.0
     acceleration: float = math.inf
@@ -156,8 +156,8 @@ class ImuOptions:
     Attributes:
         sample_rate: Hz, in the device's own clock; None: the data sheet's, or 100 Hz.
         noise: Whether there is random walk by the data sheet.
-        bias_instability: Whether the biases wander by the data sheet.
-        bias_time_constant: Correlation time of the wandering, s.
+        bias_instability: Whether the biases drift by the data sheet.
+        bias_time_constant: Correlation time of the drift, s.
         turn_on_gyro: Standard deviation of a bias drawn once per run, rad/s.
         turn_on_accel: The same of the accelerometers, m/s^2.
         quantise: Whether pulses and counts are whole numbers.
@@ -192,14 +192,14 @@ class ImuOptions:
 
 
 @dataclass(frozen=True)
-class Knock:
-    """The unit is knocked and stays rotated in its mounting.
+class Shock:
+    """The unit is shocked and stays rotated in its mounting.
 
     Attributes:
         time: s since the start.
         axis: About which body axis; any length.
         angle: By how much, rad.
-        duration: How long the knock takes, s.
+        duration: How long the shock takes, s.
 
     """
 
@@ -261,7 +261,7 @@ class StandOptions(TableOptions, ImuOptions):
         block_length: No block holds more than so long, s.
         vibration: After each arrival.
         shake: Of the floor.
-        knock: None, or one knock.
+        shock: None, or one shock.
 
     """
 
@@ -275,7 +275,7 @@ class StandOptions(TableOptions, ImuOptions):
     block_length: float = 10.0
     vibration: Vibration = field(default_factory=Vibration)
     shake: Shake = field(default_factory=Shake)
-    knock: Knock | None = None
+    shock: Shock | None = None
 
 
 def switched_on(seed: int, start: float) -> int | tuple[int, int]:

@@ -27,7 +27,7 @@ from ..stream import (
 from ..turntable import Table
 from .imu import SimulatedImu
 from .motion import Motion, Ringing, Shaking
-from .options import Knock, Shake, StandOptions
+from .options import Shake, Shock, StandOptions
 from .table import SimulatedTable
 from .tracks import Track, side_by_side, trapezoid
 
@@ -173,7 +173,7 @@ class SimulatedStand:
         shake = self.options.shake
         if shake.rate or shake.force:
             motion = replace(motion, shaking=_shaking(shake, rng.spawn(1)[0]))
-        return motion if self.options.knock is None else _knocked(motion, self.options.knock)
+        return motion if self.options.shock is None else _shocked(motion, self.options.shock)
 
     def _sender(self, step: Step) -> Callable[[int], Setpoint]:
         """Return what makes the setpoint of a step from its stamp."""
@@ -272,12 +272,12 @@ def _shaking(shake: Shake, rng: np.random.Generator) -> Shaking:
     return Shaking(frequency, angle, velocity, rng.uniform(0, 2 * math.pi, _TONES))
 
 
-def _knocked(motion: Motion, knock: Knock) -> Motion:
-    """Add the knock as one more joint, between the last one and the unit."""
-    axis = np.array(knock.axis) / np.linalg.norm(knock.axis)
+def _shocked(motion: Motion, shock: Shock) -> Motion:
+    """Add the shock as one more joint, between the last one and the unit."""
+    axis = np.array(shock.axis) / np.linalg.norm(shock.axis)
     before = Track.standing(motion.track.start[0], np.zeros(1))
-    rate, acceleration = 2 * abs(knock.angle) / knock.duration, 4 * abs(knock.angle)
-    turn = trapezoid(knock.time, 0.0, knock.angle, rate, acceleration / knock.duration**2)
+    rate, acceleration = 2 * abs(shock.angle) / shock.duration, 4 * abs(shock.angle)
+    turn = trapezoid(shock.time, 0.0, shock.angle, rate, acceleration / shock.duration**2)
     return replace(
         motion,
         axes=np.vstack([motion.axes, motion.mount @ axis]),

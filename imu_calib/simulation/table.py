@@ -105,7 +105,7 @@ class SimulatedTable:
         count = len(table.joints)
         streams = (rng or np.random.default_rng()).spawn(6)
         self._errors, self._servo_errors, self._rate_errors = streams[:3]
-        self._arrivals, self._stops, self._readings = streams[3:]
+        self._stop_errors, self._stops, self._readings = streams[3:]
         self._encoders, self._truths = slice(0, count), slice(count, 2 * count)
         self._fastest = np.array([joint.max_rate for joint in table.joints])
         encoder = np.zeros(count) if start is None else np.array(start, dtype=float)
@@ -250,8 +250,10 @@ class SimulatedTable:
     def _hidden(self) -> Floats:
         """Draw by how much joints that stop are off what their encoders read, rad."""
         hidden = self._draw(self._errors, self.options.positioning_error)
-        if self.options.arrival:
-            hidden = hidden + self.options.arrival * self._arrivals.standard_normal(len(hidden))
+        if self.options.stop_error:
+            hidden = hidden + self.options.stop_error * self._stop_errors.standard_normal(
+                len(hidden)
+            )
         return hidden
 
     def _base_error(self) -> Floats:
@@ -337,7 +339,7 @@ class SimulatedTable:
         cruise[j] = min(abs(rates[j]) * (1 + error), cruise[j])
         servo = self._draw(self._servo_errors, self.options.servo_error)
         hidden = before.true - before.encoder
-        if self.options.arrival:
+        if self.options.stop_error:
             hidden = np.where(rates != 0, self._hidden(), hidden)
         encoder = np.where(rates != 0, goal + servo, before.encoder)
         return _Order(goal, encoder, encoder + hidden, cruise, turns=True)
@@ -380,7 +382,7 @@ class SimulatedTable:
             move = trapezoid(start, origin, target, rate, self._acceleration(joint))
             moves.append(move)
             stops = float(self._order.true[k])
-            if self.options.arrival and self._order.turns:
+            if self.options.stop_error and self._order.turns:
                 # A joint that turns is where its encoder reads: it errs again where it stops.
                 truths.append(move.stopping(true - origin, stops))
             else:

@@ -127,7 +127,7 @@ def with_true_noise(system: TriadSystem) -> TriadSystem:
     """
     lengths_alone = system.up is not None
     if lengths_alone or refitted_parameters(system).spare < _ENOUGH:
-        system = replace(system, wander=system.spec.bias_instability)
+        system = replace(system, bias_drift=system.spec.bias_instability)
     if lengths_alone:
         return system
     for _ in range(2):

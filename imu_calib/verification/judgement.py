@@ -219,7 +219,7 @@ class _Trial:
         mine = [abs(c.ratio) for c in compared if c.quantity.of_gyros == self.system.gyros]
         chance, worst = self.fit.chance, max(mine)
         verdict = Verdict.PASS
-        # Limits that wide would hide more than arrivals and drift: another latitude, for one.
+        # Limits that wide would hide more than positioning and drift: another latitude, for one.
         if not (chance > DOUBT and worst < limits[0]) or max(self.system.inflation) > _TOO_WIDE:
             verdict = Verdict.MARGINAL
         if not (chance > REJECTION and worst < limits[1]):

@@ -85,7 +85,7 @@ class TriadSystem:
         reading: Factor by which the outputs are to be multiplied.
         up: By the accelerometers; None where attitudes tell it.
         inflation: Factors on the noise of rests, of turns and of moves.
-        wander: Standard deviation of the biases from rest to rest, rad/s or m/s^2.
+        bias_drift: Standard deviation of the biases from rest to rest, rad/s or m/s^2.
         seen: The unknowns that the session shows whatever the parameters, to begin with; None
             before that is known.
         mount_free: Whether the unit may sit otherwise in its mount, by a small rotation.
@@ -99,7 +99,7 @@ class TriadSystem:
     reading: float = 1.0
     up: Up | None = None
     inflation: tuple[float, ...] = (1.0, 1.0, 1.0)
-    wander: float = 0.0
+    bias_drift: float = 0.0
     seen: Floats | None = None
     mount_free: bool = False
     doubts: tuple[tuple[Parameter, float], ...] = ()
@@ -143,11 +143,11 @@ class TriadSystem:
         """Those of the joint estimate, where attitudes are known."""
         rows = self.evidence.layout
         biases = np.zeros(len(rows))
-        biases[rows.rest] = (self.wander * self.reading) ** 2
+        biases[rows.rest] = (self.bias_drift * self.reading) ** 2
         seconds = np.array([m.move.duration for m in self.evidence.links.links]).reshape(-1, 1)
-        biases[rows.move] = (self.wander * self.reading * seconds) ** 2
+        biases[rows.move] = (self.bias_drift * self.reading * seconds) ** 2
         biases[rows.velocity] = (
-            self.wander * self.reading * seconds[list(rows.moves_with_accels)]
+            self.bias_drift * self.reading * seconds[list(rows.moves_with_accels)]
         ) ** 2
         return Equations(
             self.evidence,
@@ -204,7 +204,7 @@ class TriadSystem:
         """
         if self.up is not None:
             variances = self.evidence.variances()[:, self.sensors.channels]
-            return noise_at_rest(variances + (self.wander * self.reading) ** 2, self.magnitude)
+            return noise_at_rest(variances + (self.bias_drift * self.reading) ** 2, self.magnitude)
         state, deviations = np.append(values, self._known), self.equations.prior[1]
         besides = self.equations.jacobian(state)[:, len(values) :] * deviations
         besides = besides[:, ~self._free[: len(deviations)]]

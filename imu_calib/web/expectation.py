@@ -31,7 +31,7 @@ def expectation(setup: Setup) -> Expected:
     predicted: dict[str, float] = {}
     # Without a data sheet's noise nothing can be predicted; all else can be shown.
     with suppress(ImuCalibError):
-        found = forecast(setup, SensorModel(), wander=True)
+        found = forecast(setup, SensorModel(), drifting=True)
         names = [parameter.name for parameter in found.parameters]
         predicted = dict(zip(names, found.std.tolist(), strict=True))
     return Expected(
