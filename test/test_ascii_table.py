@@ -534,7 +534,7 @@ def test_turntable_node_leads_a_plan_with_turns_through_lines_of_text(monkeypatc
     driver, leader = AsciiTableNode(), TurntableNode()
     states = []
     leader.create_subscription(
-        ros.messages.TurntableState, 'turntable/state', states.append, qos.latched()
+        ros.messages.TurntableState, 'turntable/state', states.append, qos.latched(100)
     )
     for node in (driver, leader):
         executor.add_node(node)

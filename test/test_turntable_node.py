@@ -144,7 +144,7 @@ class Watcher(ros.Node):
         self.states, self.diagnostics = [], []
         kinds = ros.messages
         self.create_subscription(
-            kinds.TurntableState, 'turntable/state', self.states.append, qos.latched()
+            kinds.TurntableState, 'turntable/state', self.states.append, qos.latched(100)
         )
         self.create_subscription(kinds.DiagnosticArray, '/diagnostics', self.diagnostics.append, 10)
         self.estop = self.create_publisher(kinds.Bool, 'estop', 10)
