@@ -32,7 +32,7 @@ _NO_NAME = re.compile(r'[^A-Za-z0-9_]')
 """What a name of ROS may not hold."""
 _FASTEST_LINE = 10_000_000
 """bit/s: more than any serial port has."""
-_MOST = 256
+MOST_UNITS = 256
 """Units of a session: each topic needs its reader, and no table has room for more."""
 
 
@@ -111,8 +111,8 @@ def read_units(section: Section, folder: Path | None = None) -> tuple[MountedUni
 
     """
     parts = section.sections('units')
-    if len(parts) > _MOST:
-        raise InputError(f'{section.key("units")}: found {len(parts)} units, at most {_MOST}.')
+    if len(parts) > MOST_UNITS:
+        raise InputError(f'{section.key("units")}: found {len(parts)} units, at most {MOST_UNITS}.')
     units = tuple(_read_unit(part, folder) for part in parts)
     section.finish()
     for what, found in (

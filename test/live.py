@@ -76,11 +76,9 @@ class Stand:
         ros.init(args=[])
         self.node = ros.Node('listener')
         listen = self.node.create_subscription
-        # Of depth 1 a busy listener would hear the last of what came at once: one unit of three.
-        every = qos.latched(100)
-        listen(State, 'turntable/state', self.states.append, every)
-        listen(Progress, 'calibration/progress', self.progress.append, every)
-        listen(messages.ImuCalibration, 'calibration', self.calibrations.append, every)
+        listen(State, 'turntable/state', self.states.append, qos.latched(100))
+        listen(Progress, 'calibration/progress', self.progress.append, qos.latched(100))
+        listen(messages.ImuCalibration, 'calibration', self.calibrations.append, qos.results())
         listen(messages.DiagnosticArray, '/diagnostics', self._on_words, 100)
         listen(messages.TurntableSetpoint, 'turntable/setpoint', self.setpoints.append, 1)
         listen(messages.JointState, 'turntable/joint_states', self._on_joints, 1)

@@ -261,6 +261,17 @@ def test_the_unit_in_use_keeps_its_serial_number(monkeypatch):
             assert bench.until(lambda: bench.said('calibration offered', words))  # noqa: B023
 
 
+def test_of_several_units_that_end_at_once_its_own_is_found(monkeypatch):
+    with Bench(monkeypatch, serial_number='A1') as bench:
+        # As a calibrator publishes the last words: as many are kept as there are units.
+        words = bench.peer.create_publisher(M.ImuCalibration, 'calibration', qos.results())
+        assert bench.until(lambda: words.get_subscription_count() > 0)
+        now = bench.peer.get_clock().now().to_msg()
+        for serial in ('A1', 'B2', 'C3'):
+            words.publish(valid(now, serial_number=serial))
+        assert bench.until(lambda: bench.said('calibration', '/calibration is applied'))
+
+
 def test_a_file_of_another_unit_is_refused(monkeypatch, tmp_path):
     file = tmp_path / 'unit.yaml'
     replace(truth(), serial_number='B2').save(file)

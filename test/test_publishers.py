@@ -104,7 +104,7 @@ def test_two_devices_end_a_session_whatever_their_topic_is_called(monkeypatch, t
     node, peer, heard = calibrator_node.CalibratorNode(), ros.Node('peer'), []
     try:
         kind = ros.messages.ImuCalibration
-        peer.create_subscription(kind, 'calibration', heard.append, qos.latched(100))
+        peer.create_subscription(kind, 'calibration', heard.append, qos.results())
         for _ in range(2):
             peer.create_publisher(ros.messages.Imu, topic, qos.stream())
 

@@ -51,7 +51,7 @@ def stood(tmp_path_factory):
             listen = stand.node.create_subscription
             topic = f'{name}/calibration'
             listen(Progress, f'{topic}/progress', heard.progress.append, qos.latched(100))
-            listen(messages.ImuCalibration, topic, heard.calibrations.append, qos.latched(100))
+            listen(messages.ImuCalibration, topic, heard.calibrations.append, qos.results())
         seen = SimpleNamespace(stand=stand, own=own, folder=stand.folder, plan=plan)
         seen.unheard = stand.wait(lambda: waits_for(stand, 'C3'), patience(60))
         # The leader hears it too, and says so: a start before that waits for the calibrator.

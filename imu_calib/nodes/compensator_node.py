@@ -104,7 +104,7 @@ class CompensatorNode(ros.ManagedNode):
         self._active = False
         if self._follows:
             self.create_subscription(
-                messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched()
+                messages.ImuCalibration, 'calibration', self._on_calibration, qos.results()
             )
         ros.open_stream(
             self,

@@ -9,6 +9,7 @@ from ..middleware import (
     QoSProfile,
     ReliabilityPolicy,
 )
+from ..mounted import MOST_UNITS
 
 
 def stream(*, reliable: bool = True) -> QoSProfile:
@@ -39,6 +40,11 @@ def command() -> QoSProfile:
 def latched(depth: int = 1) -> QoSProfile:
     """Return the profile of states and results: late subscribers get the last ones."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def results() -> QoSProfile:
+    """Return the profile of who hears the last words on several units, which come all at once."""
+    return latched(MOST_UNITS)
 
 
 def as_offered(offered: QoSProfile) -> QoSProfile:

@@ -19,8 +19,6 @@ _RESULT_TIMEOUT = 600.0
 """s for the calibrator to solve a session; as long as the plan waits for its word on repeats."""
 _STOP_TIMEOUT = 10.0
 """s that a cancelled goal waits for the table to stand: from 90 deg/s, 10 deg/s^2 brake in 9 s."""
-_MOST_UNITS = 256
-"""Last words that may come at once: as many as a file of units may list."""
 _FINAL = frozenset({messages.ImuCalibration.VALID, messages.ImuCalibration.INCOMPLETE})
 
 
@@ -55,7 +53,7 @@ class RunAction:
         self._told: tuple[Any, ...] = ()
         self._refused = ''
         node.create_subscription(
-            messages.ImuCalibration, 'calibration', self._on_calibration, qos.latched(_MOST_UNITS)
+            messages.ImuCalibration, 'calibration', self._on_calibration, qos.results()
         )
         self._server = GoalServer(
             node,
