@@ -182,8 +182,8 @@ import sys
 from imu_calib.middleware import run
 from imu_calib.nodes import turntable_node
 class Broken(turntable_node.TurntableNode):
-    def _take(self, payloads, now):
-        super()._take(payloads, now)
+    def _go_on(self):
+        super()._go_on()
         if self._sequencer.state().turns_done > 0.1:
             raise RuntimeError('a fault in a callback')
 run(Broken)
@@ -813,11 +813,11 @@ def test_the_watchdog_bites_when_its_time_is_over_and_not_before(session, timeou
     session.table.silent = True
     ros.drain(node._joints)
     steady = node._steady = FakeSteady(node._fed_at + timeout - 1e-3)
-    node._work()
+    node._go_on()
     assert node._sequencer.running
     session.table.setpoints.clear()
     steady.seconds += 2e-3
-    node._work()
+    node._go_on()
     assert not node._sequencer.running
     assert node._sequencer.state().reason == f'No joint state from the table for {timeout:g} s.'
     assert session.until(lambda: session.table.setpoints)
@@ -838,10 +838,10 @@ def test_a_calibrator_is_given_its_time_and_no_more(session, timeout):
     assert session.until(turning)
     steady = node._steady = FakeSteady(node._heard_at + timeout - 1e-3)
     node._fed_at = steady.seconds
-    node._work()
+    node._go_on()
     assert node._sequencer.running
     steady.seconds += 2e-3
     node._fed_at = steady.seconds
-    node._work()
+    node._go_on()
     assert node._sequencer.state().reason == f'The calibrator is silent for {timeout:g} s.'
     assert session.ends_stopped()

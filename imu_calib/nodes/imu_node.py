@@ -248,6 +248,8 @@ class ImuNode(ManagedNode):
         first = np.diff(second, prepend=self._second) != 0
         first &= np.isfinite(celsius)
         self._second = int(second[-1])
+        if not first.any():
+            return
         block = TemperatureBlock(stamp[first], celsius[first])
         for payload in encode_temperatures(block, self._frame_id).payloads():
             self._temperatures.publish(payload)

@@ -16,9 +16,8 @@ from ..middleware import (
     ClockType,
     Node,
     Trigger,
-    drain,
     messages,
-    open_drain,
+    open_stream,
     serialize_message,
     spin_once,
 )
@@ -39,8 +38,8 @@ from .run_action import RunAction
 from .stop import EmergencyStop, state_folder
 from .words import figures, sentence
 
-_DRAIN_PERIOD = 0.002
-"""s: five times as often as a table that answers at 100 Hz."""
+_PERIOD = 0.01
+"""s between two looks at the clocks, where no joint state comes: a tenth of a setpoint's period."""
 _STATE_PERIOD = 0.5
 """s between two states that say the same."""
 _LOOK_PERIOD = 0.1
@@ -122,10 +121,11 @@ class TurntableNode(Node):
         self._states = self.create_publisher(
             messages.TurntableState, 'turntable/state', qos.latched()
         )
-        self._joints = open_drain(
+        self._joints = open_stream(
             self,
             messages.JointState,
             'turntable/joint_states',
+            self._on_joints,
             qos.stream(),
             qos_overriding_options=qos.overridable(),
         )
@@ -145,7 +145,7 @@ class TurntableNode(Node):
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/abort', self._on_abort)
         self._action = RunAction(self, self._sequencer, self._start, self._at_once)
-        self.create_timer(_DRAIN_PERIOD, self._work, clock=self._steady)
+        self.create_timer(min(_PERIOD, self._period * 1e-9), self._go_on, clock=self._steady)
         self.create_timer(_LOOK_PERIOD, self._look_around, clock=self._steady)
         self._tell()
         self._look_around()
@@ -171,7 +171,7 @@ class TurntableNode(Node):
             spin_once(self, timeout_sec=0.0)
         # Timers run meanwhile: it gives up on one that does not answer.
         while self._controller is not None and not self._controller.answered:
-            spin_once(self, timeout_sec=_DRAIN_PERIOD)
+            spin_once(self, timeout_sec=_PERIOD)
 
     def _declare_output(self) -> Controller | None:
         output = declare(
@@ -194,12 +194,17 @@ class TurntableNode(Node):
             return None
         return Controller(self, action, self._sequencer, self._at_once)
 
-    def _work(self) -> None:
-        """Take what has come, go on, and send what is due."""
+    def _on_joints(self, payloads: list[bytes]) -> None:
+        """Take what the table says of itself, and answer it at once."""
         now = self._steady.now().nanoseconds * 1e-9
-        payloads = drain(self._joints)
-        if payloads:
-            self._take(payloads, now)
+        for block in decode_joints(Messages.join(payloads), self._malformed):
+            if self._sequencer.take(block):
+                self._fed_at = now
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Look at the clocks, go on, and send what is due."""
+        now = self._steady.now().nanoseconds * 1e-9
         self._watch(now)
         if self._sequencer.fault:
             # What went wrong is for a person to look at, before anything moves.
@@ -209,11 +214,6 @@ class TurntableNode(Node):
         self._send_what_is_due(now)
         self._tell()
         self._action.look(now)
-
-    def _take(self, payloads: list[bytes], now: float) -> None:
-        for block in decode_joints(Messages.join(payloads), self._malformed):
-            if self._sequencer.take(block):
-                self._fed_at = now
 
     def _watch(self, now: float) -> None:
         """Hold table and calibrator to the steady clock: stamps may stand still."""
