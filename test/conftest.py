@@ -41,6 +41,9 @@ _FAILED = pytest.StashKey[bool]()
 
 
 _LONG = (
+    'test_ros_stand.py',
+    'test_ros_launched.py',
+    'test_security.py',
     'test_stand.py',
     'test_stand_strangers.py',
     'test_verification.py',

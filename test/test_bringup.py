@@ -5,9 +5,9 @@ import importlib.util
 import pytest
 from installed import needs
 from loopback import CHECKOUT
+from ros_stands import LAUNCHABLE, Network, nothing_left
 from sessions import truth
 from test_interop import has_wheel
-from test_ros_stand import LAUNCHABLE, Network, nothing_left
 
 pytestmark = [
     needs('rclpy', 'rmw_cyclonedds_cpp', verbs=['launch', 'topic']),

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from installed import ROS, needs
 from loopback import CHECKOUT, until
+from ros_stands import LAUNCHABLE, Network, nothing_left
 from scipy.spatial.transform import Rotation
-from test_ros_stand import LAUNCHABLE, Network, nothing_left
 
 PACKAGES = ('imu_filter_madgwick', 'robot_localization', 'diagnostic_aggregator')
 pytestmark = [

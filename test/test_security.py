@@ -9,7 +9,7 @@ from importlib.util import find_spec
 import pytest
 from installed import ROS, has_package, needs
 from loopback import CHECKOUT, environment, patience
-from test_ros_stand import LAUNCHABLE, Network, launch, nothing_left
+from ros_stands import LAUNCHABLE, Network, launch, nothing_left
 
 from imu_calib.cli.processes import free_port
 from imu_calib.errors import ImuCalibError, InputError
