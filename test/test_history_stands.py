@@ -196,7 +196,7 @@ def test_effects_of_a_balanced_design_are_differences_of_means() -> None:
     left = table - table.mean(axis=1, keepdims=True) - expected
     plain = np.sqrt(np.sum(left**2) / 78 / 40 * 2 / 3)
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(np.full(3, plain), rel=0.1)
-    assert found.freedom == 78 and found.told
+    assert found.freedom == 78 and found.comparable
 
 
 def test_stands_are_named_as_seldom_as_stated_where_none_is_off() -> None:
@@ -208,7 +208,7 @@ def test_stands_are_named_as_seldom_as_stated_where_none_is_off() -> None:
         stands = rng.integers(0, 3, 32)
         values = rng.standard_normal(32) + 50 * rng.standard_normal(8)[units]
         found = crossed(units, stands, np.zeros((32, 0)), values, np.ones(32))
-        if found.told:
+        if found.comparable:
             t = found.effect / np.sqrt(np.diag(found.covariance))
             large += int(np.sum(np.abs(t) > 2.080))  # 5 % of Student's t, 21 to 22 degrees
             count += 3

@@ -79,7 +79,7 @@ class Inside:
         turns: Whole turns.
         plan: Name; empty without one.
         missing: What of the plan is not there; None where no plan has to be kept to.
-        told: Whether all parameters are determined, in a sentence.
+        determined: Whether all parameters are determined, in a sentence.
         latitude: Seen by the gyros, and its standard deviation, deg; None where they do not tell.
         contradictions: What does not go with the latitude, the plan or the description of the IMU.
         left_out: What is not used, and why.
@@ -91,7 +91,7 @@ class Inside:
     turns: tuple[Turned, ...]
     plan: str
     missing: tuple[str, ...] | None
-    told: str
+    determined: str
     latitude: tuple[float, float] | None
     contradictions: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -124,7 +124,7 @@ def inside(opened: Opened, progress: Progress) -> Inside:
         tuple(_turns(labelled, setup.plan, zero)),
         setup.plan.name if setup.plan.is_stated else '',
         None if free or not setup.plan.is_stated else tuple(_missing(labelled, setup.plan)),
-        _told(session, labelled, setup, free=free) if refusal else _determined(setup),
+        _what_decides(session, labelled, setup, free=free) if refusal else _determined(setup),
         None if found is None else (found[0] / DEG, found[1] / DEG),
         tuple(contradictions),
         (
@@ -185,7 +185,7 @@ def _determined(setup: Setup) -> str:
     return f'the attitudes and turns determine all {len(setup.parameters)} parameters'
 
 
-def _told(session: Segmented, labelled: Labelled, setup: Setup, *, free: bool) -> str:
+def _what_decides(session: Segmented, labelled: Labelled, setup: Setup, *, free: bool) -> str:
     """Say whether a session that is refused determines all parameters, or what it lacks."""
     if free:
         return f'{len(session.segments)} holds do not determine them all'

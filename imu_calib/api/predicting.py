@@ -315,8 +315,8 @@ def predicted(setup: Setup, truth: SensorModel, *, drifting: bool) -> Prediction
     own = None
     if beside is not None:
         own = forecast(replace(setup, method=beside, terms=()), truth, drifting=drifting)
-    told = tuple(forecast_terms(found, setup, truth, drifting=drifting))
-    return Prediction(setup, found, own, told)
+    of_terms = tuple(forecast_terms(found, setup, truth, drifting=drifting))
+    return Prediction(setup, found, own, of_terms)
 
 
 def shortest(

@@ -112,8 +112,8 @@ class Recording:
         self.files = found.paths
         self.topics = _topics(storages, found.metadata.counts)
         if not self.topics:
-            told = ''.join(f' {sentence}' for sentence in losses.sentences)
-            raise RecordingError(f'{path} holds no topics.{told}')
+            sentences = ''.join(f' {sentence}' for sentence in losses.sentences)
+            raise RecordingError(f'{path} holds no topics.{sentences}')
         self.custom_data: dict[str, str] = {}
         for storage in storages:
             self.custom_data.update(storage.custom_data)
@@ -219,8 +219,8 @@ class Recording:
         self._state_malformed(malformed)
         self._state_missing({topic: n + malformed[topic].count for topic, n in read.items()})
         if not any(read.values()):
-            told = ''.join(f' {sentence}' for sentence in self.losses)
-            raise RecordingError(f'{self.path}: no message on {", ".join(topics)}.{told}')
+            sentences = ''.join(f' {sentence}' for sentence in self.losses)
+            raise RecordingError(f'{self.path}: no message on {", ".join(topics)}.{sentences}')
         if progress:
             progress(total, total)
 

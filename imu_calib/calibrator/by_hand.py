@@ -187,8 +187,8 @@ class HandCalibrator:
         try:
             evidence = self._evidence(segments, session.moves)
         except NotObservable:
-            told = guide(self._evidence((), ()), holding=holding)
-            return replace(told, stage=Stage.HOLD, text=_NOISE)
+            guidance = guide(self._evidence((), ()), holding=holding)
+            return replace(guidance, stage=Stage.HOLD, text=_NOISE)
         return guide(evidence, holding=holding, reached=reached)
 
     def _evidence(self, segments: Sequence[Segment], moves: Sequence[Move]) -> Evidence:

@@ -107,7 +107,7 @@ def guide(
     holds, std = len(evidence.segments), np.full(len(PARAMETERS), np.nan)
     if not holds:
         candidates = tuple(Candidate(w, u, 0.0) for w, u in _directions())
-        return _told(holding, hold_seconds, 0, std, candidates, enough=False)
+        return _guidance(holding, hold_seconds, 0, std, candidates, enough=False)
     equations, values = initial_equations(evidence)
     base = equations.whitened(values)[0]
     base = np.vstack([np.eye(len(ESTIMATES), base.shape[1]) / _widths()[:, None], base])
@@ -126,10 +126,10 @@ def guide(
     with np.errstate(invalid='ignore'):
         good = std <= np.where(scale, wanted.scale_factor, np.where(angle, wanted.angle, np.inf))
     enough = holds >= _CHECKED and bool(good[FREE & (scale | angle)].all())
-    return _told(holding, hold_seconds, holds, std, tuple(found), enough=enough)
+    return _guidance(holding, hold_seconds, holds, std, tuple(found), enough=enough)
 
 
-def _told(
+def _guidance(
     holding: float | None,
     hold_seconds: float,
     holds: int,

@@ -50,7 +50,7 @@ def with_changes(
     if any(c.course is Course.THERMAL for c in changes):
         check_temperature(equations.evidence)
     changing = replace(equations, changes=tuple(changes), time_constant=_QUARTER)
-    known, parameters = _told(changing)
+    known, parameters = _determined(changing)
     if known.all() and parameters.all():
         return changing, ()
     of_choice = np.array([c.of_scale_factor and not c.asked for c in changes])
@@ -58,13 +58,13 @@ def with_changes(
     changing = replace(
         changing, changes=tuple(c for c, out in zip(changes, gone, strict=True) if not out)
     )
-    known, parameters = _told(changing)
+    known, parameters = _determined(changing)
     if known.all() and parameters.all():
         return changing, tuple(c for c, out in zip(changes, gone, strict=True) if out)
     raise NotObservable(_refusal(changing, known, parameters))
 
 
-def _told(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _determined(equations: Equations) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Say of coefficients (k,) and of parameters (n,) whether the session tells them."""
     found = nominal_information(equations)
     parameters = determined(found, equations.parameters)

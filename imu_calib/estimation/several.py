@@ -442,7 +442,7 @@ class _System:
                 prior = gain[:, row : row + kept]
                 found[source].append((prior @ prior.T, freedom))
                 row += kept
-        others = [self._told(j) for j in range(len(self._units)) if j != k]
+        others = [self._information_on_common(j) for j in range(len(self._units)) if j != k]
         found[Source.OTHER_UNITS] += [
             (by_common @ information @ by_common.T, freedom)
             for told in others
@@ -459,7 +459,7 @@ class _System:
                 found[Source.POSITIONING_FOUND].append(((1 - stated) * covariance, freedom))
         return {source: Share.of_parts(parts) for source, parts in found.items() if parts}
 
-    def _told(self, k: int) -> list[tuple[Floats, float]]:
+    def _information_on_common(self, k: int) -> list[tuple[Floats, float]]:
         """Return what a unit says of what is common: (c, c) information by its own errors.
 
         Each with the degrees of freedom of its size; what its own priors say is taken as known.

@@ -91,12 +91,12 @@ def written(
         recordings = recordings_of(table, found.folder, path.parent)
         del table
         show(1, _STEPS)
-        told = (
+        sentence = (
             history(found, where=where, imu=imu, rules=rules)
             if recordings.calibrated.any()
             else _nothing(rules)
         )
-        fleet = Fleet(found.folder.resolve().name, recordings, told, _day(on), ahead)
+        fleet = Fleet(found.folder.resolve().name, recordings, sentence, _day(on), ahead)
         show(2, _STEPS)
         write_whole(path, page(fleet))
         show(_STEPS, _STEPS)

@@ -56,9 +56,9 @@ def scores_of(block: Block, prior: Prior) -> Floats:
         mean = np.divide(sums, total, out=np.zeros(shape), where=total > 0)
         own = np.where(before, (y - mean) / np.sqrt(np.where(before, spread, 1.0)), 0.0)
         scale, known = prior.moderated(square, freedom)
-        told = before & (known > 0) & (scale > 0)
-        t = np.divide(own, np.sqrt(np.where(told, scale, 1.0)))
-        found[:, i] = np.where(told, _normal(t, np.where(told, known, 1.0)), np.nan)
+        determined = before & (known > 0) & (scale > 0)
+        t = np.divide(own, np.sqrt(np.where(determined, scale, 1.0)))
+        found[:, i] = np.where(determined, _normal(t, np.where(determined, known, 1.0)), np.nan)
         square += own**2
         freedom += before
         total += weight

@@ -35,7 +35,7 @@ class Effects:
         freedom: Degrees of freedom.
         residuals: (n,) of the sessions over their standard deviations, outlying ones drawn in; NaN
             where a session does not count.
-        told: Whether all stands can be compared.
+        comparable: Whether all stands can be compared.
 
     """
 
@@ -43,7 +43,7 @@ class Effects:
     covariance: Floats
     freedom: int
     residuals: Floats
-    told: bool
+    comparable: bool
 
 
 def crossed(
@@ -72,7 +72,7 @@ def crossed(
     plain = _less_units(columns, own, weight)
     rank = _rank(plain[:, :-1], weight)
     rest = int(there.sum()) - len(size) - rank
-    told = rank == columns.shape[1] - 2
+    comparable = rank == columns.shape[1] - 2
     if rest < 1 or rank == 0:
         unknown = np.full(count, np.nan)
         empty = np.full(len(values), np.nan)
@@ -105,7 +105,7 @@ def crossed(
         factor * inverse[:count, :count],
         rest,
         residuals,
-        told,
+        comparable,
     )
 
 
@@ -115,7 +115,7 @@ def reproducibility(effects: Effects) -> float:
     Along the eigenvectors of the contrasts' covariance each has the variance t + lambda.
     """
     count = len(effects.effect)
-    if not effects.told or count < 2:
+    if not effects.comparable or count < 2:
         return float('nan')
     centred = np.linalg.svd(np.eye(count) - 1 / count)[0][:, : count - 1]
     own, vectors = np.linalg.eigh(centred.T @ effects.covariance @ centred)

@@ -59,7 +59,7 @@ def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rul
     horizon = 12 * rules.horizon
     stated = _mean_stated(block)
     between = np.abs(lines.scale * (stated + prior.between) - stated)
-    told = np.isfinite(lines.covariance[..., 0, 0]) & np.isfinite(limit)
+    determined = np.isfinite(lines.covariance[..., 0, 0]) & np.isfinite(limit)
 
     def chance(months: Floats) -> Floats:
         """Return the probability (u, 24) of being outside after months (u, 1) or (u, 24)."""
@@ -67,11 +67,11 @@ def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rul
         covariance = lines.covariance
         variance = covariance[..., 0, 0] + months**2 * covariance[..., 1, 1]
         variance = variance + 2 * months * covariance[..., 0, 1] + between
-        std = np.sqrt(np.maximum(np.where(told, variance, 1.0), np.finfo(float).tiny))
-        freedom = np.where(told, lines.freedom, 1.0)
+        std = np.sqrt(np.maximum(np.where(determined, variance, 1.0), np.finfo(float).tiny))
+        freedom = np.where(determined, lines.freedom, 1.0)
         beyond = scipy.special.stdtr(freedom, -(limit - middle) / std)
         below = scipy.special.stdtr(freedom, -(limit + middle) / std)
-        return np.where(told, beyond + below, 0.0)
+        return np.where(determined, beyond + below, 0.0)
 
     allowed = 1 - rules.inside
     shape = block.values.shape[:2]
@@ -81,8 +81,8 @@ def forecast(block: Block, lines: Lines, prior: Prior, limit: Floats, rules: Rul
     unit = _first(lambda m: chance(m).sum(axis=1, keepdims=True), whole, allowed, horizon)
     then = np.where(np.isfinite(unit), unit, horizon)
     return Due(
-        np.where(told, _crossing(lines, limit, horizon), np.nan),
-        np.where(told, earliest, np.nan),
+        np.where(determined, _crossing(lines, limit, horizon), np.nan),
+        np.where(determined, earliest, np.nan),
         unit[:, 0],
         np.argmax(chance(then), axis=1),
     )

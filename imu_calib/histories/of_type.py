@@ -232,11 +232,11 @@ def _worst(verdicts: Sequence[Verdict | None]) -> Verdict | None:
 def _forecast(due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lines) -> Forecast:
     """Return what is said of one unit, in dates."""
     day = newest.astype('datetime64[D]')
-    told = np.isfinite(limit) & ~np.isnan(due.earliest[u])
+    determined = np.isfinite(limit) & ~np.isnan(due.earliest[u])
     reason = ''
     if not np.isfinite(limit).any():
         reason = 'No specification is known: nothing says when it is due.'
-    elif not told.any():
+    elif not determined.any():
         reason = (
             'Its sessions do not tell how it drifts, nor do enough units of its type: nothing says '
             'when it is due.'
@@ -250,7 +250,7 @@ def _forecast(due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lin
         earliest=_dates(day, due.earliest[u]),
         recalibrate=np.datetime64('NaT', 'D') if none else _dates(day, due.unit[u : u + 1])[0],
         parameter='' if none else PARAMETER_NAMES[int(due.worst[u])],
-        borrowed=bool(np.any(told & ~(lines.known[u] & (lines.freedom[u] > 0)))),
+        borrowed=bool(np.any(determined & ~(lines.known[u] & (lines.freedom[u] > 0)))),
         reason=reason,
     )
 
@@ -334,5 +334,5 @@ def _newest(values: Floats) -> Floats:
 
 def _turn_on(units: Sequence[UnitHistory], prior: Prior) -> Floats:
     """Return the typical standard deviation between sessions; NaN where no unit tells."""
-    told = np.any([np.isfinite(unit.scatter.std) for unit in units], axis=0)
-    return np.where(told, np.sqrt(prior.between), np.nan)
+    determined = np.any([np.isfinite(unit.scatter.std) for unit in units], axis=0)
+    return np.where(determined, np.sqrt(prior.between), np.nan)

@@ -26,7 +26,7 @@ _MOST = 20
 """Shifts that are named: where there are more, no stand is like another."""
 _RANK = 1e-9
 """Eigenvalue of a covariance, of the largest, below which it is rounding."""
-_TOLD = 1e-6
+_DISTINCT = 1e-6
 """Share of a stand's column that others leave, below which it is one of them."""
 
 
@@ -80,7 +80,7 @@ def judge_stands(
         if len(mine) == max(map(len, judged)):
             spread = np.array([reproducibility(one) for one in group.effects])
         found += _shifts(group, every, units, of, rules, len(judged))
-        if not all(one.told for one in group.effects if one.freedom):
+        if not all(one.comparable for one in group.effects if one.freedom):
             findings.append(
                 f'Stands {listed([every[k] for k in mine])}: they were used one after the other, '
                 'and what a stand adds cannot be told from what units drift. Bring units back to a '
@@ -183,9 +183,9 @@ class _Tested:
             basis = np.linalg.qr(left[:, self.chosen])[0]
             left, rest = left - basis @ (basis.T @ left), rest - basis @ (basis.T @ rest)
         own, before = np.sum(left**2, axis=0), np.sum(self._columns**2, axis=0)
-        told = own > _TOLD * before
+        distinct = own > _DISTINCT * before
         return np.asarray(
-            np.abs(np.divide(left.T @ rest, np.sqrt(own), out=np.zeros(len(own)), where=told))
+            np.abs(np.divide(left.T @ rest, np.sqrt(own), out=np.zeros(len(own)), where=distinct))
         )
 
     def sizes(self, effect: Floats) -> tuple[Floats, Floats]:
@@ -213,7 +213,7 @@ def _shifts(
     tried = [
         _Tested(pattern, group)
         for pattern in PATTERNS
-        if all(group.effects[p].told for p in pattern.parameters)
+        if all(group.effects[p].comparable for p in pattern.parameters)
     ]
     s = len(group.stands)
     tests = groups * len(tried) * s

@@ -20,7 +20,7 @@ FEWEST = 4
 """Sessions of a parameter among which steps are looked for: a line and a step are three numbers."""
 _MOST = 5
 """Steps of one parameter, beyond which it is not steps that it does."""
-_TOLD = 1e-6
+_DISTINCT = 1e-6
 """Share of a step that line and steps leave, below which it is one of them."""
 
 
@@ -119,13 +119,13 @@ def _t_at(
     explained = np.einsum('...i,...ij,...j->...', crossed, at.inverse, crossed)
     own = np.sum(weights[..., after], axis=-1)
     left = own - explained
-    told = left > _TOLD * own
-    gain = np.divide(along**2, left, out=np.zeros_like(along), where=told)
+    determined = left > _DISTINCT * own
+    gain = np.divide(along**2, left, out=np.zeros_like(along), where=determined)
     rest = np.maximum(at.square - gain, 0.0)
     scale, freedom = prior.moderated(rest, np.maximum(at.freedom - 1.0, 0.0))
-    told = told & (freedom > 0) & (np.sum(weights > 0, axis=-1) >= FEWEST) & (scale > 0)
-    t = np.sqrt(np.divide(gain, scale, out=np.zeros_like(gain), where=told))
-    return t, np.where(told, freedom, 0.0)
+    determined = determined & (freedom > 0) & (np.sum(weights > 0, axis=-1) >= FEWEST) & (scale > 0)
+    t = np.sqrt(np.divide(gain, scale, out=np.zeros_like(gain), where=determined))
+    return t, np.where(determined, freedom, 0.0)
 
 
 def chance_of(t: Floats, freedom: Floats) -> Floats:

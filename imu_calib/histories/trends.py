@@ -111,9 +111,9 @@ def _with_slope(
     row = np.zeros((*design.shape[:-2], 1, design.shape[-1]))
     row[..., 1] = 1.0
     variance = slopes.variance + slopes.doubt
-    told = np.isfinite(slopes.mean) & np.isfinite(scale)
-    weight = np.where(told, scale / np.maximum(variance, _TINY), 0.0)
-    mean = np.broadcast_to(np.where(told, slopes.mean, 0.0), weight.shape)
+    determined = np.isfinite(slopes.mean) & np.isfinite(scale)
+    weight = np.where(determined, scale / np.maximum(variance, _TINY), 0.0)
+    mean = np.broadcast_to(np.where(determined, slopes.mean, 0.0), weight.shape)
     return (
         np.concatenate([design, row], axis=-2),
         np.concatenate([weights, weight[..., None]], axis=-1),
@@ -127,19 +127,21 @@ def slopes_of(slope: Floats, variance: Floats) -> Slopes:
     The variance t of true slopes is where the sum of (slope - mean)^2 / (variance + t) is its
     degrees of freedom (Paule & Mandel 1982).
     """
-    told = np.isfinite(slope) & np.isfinite(variance) & (variance > 0)
-    count = told.sum(axis=0)
+    determined = np.isfinite(slope) & np.isfinite(variance) & (variance > 0)
+    count = determined.sum(axis=0)
     enough = count >= FEWEST_UNITS
-    values = np.where(told, slope, 0.0)
+    values = np.where(determined, slope, 0.0)
 
     def mean_at(extra: Floats) -> tuple[Floats, Floats, Floats]:
-        weights = np.divide(1.0, variance + extra, out=np.zeros_like(slope), where=told)
+        weights = np.divide(1.0, variance + extra, out=np.zeros_like(slope), where=determined)
         whole = np.maximum(weights.sum(axis=0), _TINY)
         mean = np.sum(weights * values, axis=0) / whole
         return mean, 1 / whole, np.sum(weights * (values - mean) ** 2, axis=0)
 
     low = np.zeros(slope.shape[1])
-    high = np.maximum(np.sum(np.where(told, (values - mean_at(low)[0]) ** 2, 0.0), axis=0), _TINY)
+    high = np.maximum(
+        np.sum(np.where(determined, (values - mean_at(low)[0]) ** 2, 0.0), axis=0), _TINY
+    )
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         above = mean_at(middle)[2] > count - 1

@@ -373,8 +373,8 @@ class LiveSession:
         if self.intakes[Kind.SKEW].count:
             self._begin(with_skew=True)
         elif imu.oldest is not None and imu.newest is not None:
-            told = (imu.newest - imu.oldest) * 1e-9
-            if min(told, time.monotonic() - self._began) > _SKEW_AWAITED:
+            spanned = (imu.newest - imu.oldest) * 1e-9
+            if min(spanned, time.monotonic() - self._began) > _SKEW_AWAITED:
                 self._begin(with_skew=False)
 
     def _begin(self, *, with_skew: bool) -> None:

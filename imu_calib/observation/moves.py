@@ -137,10 +137,10 @@ class Moves:
             encoders = sum(segments[end].attitude_error ** 2 for end in (first, second))
             # A hand holds no rate: rounded one by one, its samples average out.
             rounding = np.zeros(6) if free else _rounding(move, segments[first])
-            told = move if coarse else _telling(move, rounding, segments[first], walk)
+            telling = move if coarse else _telling(move, rounding, segments[first], walk)
             cut = wrong * gravity * _second_order(move)
             links.append(
-                LinkedMove(first, second, told, rounding, encoders, coning_variance(move), cut)
+                LinkedMove(first, second, telling, rounding, encoders, coning_variance(move), cut)
             )
         # Where nobody tells them no table's move counts; of a unit in the hand they are sought.
         attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]

@@ -63,12 +63,12 @@ def course_table(unit: UnitHistory) -> Table:
     for i, date in enumerate(unit.date):
         score = np.nan_to_num(charts.score[i])
         k = int(np.argmax(np.abs(score)))
-        told = bool(np.isfinite(charts.score[i]).any())
+        charted = bool(np.isfinite(charts.score[i]).any())
         table.add_row(
             _day(date),
             unit.stand[i] or _UNKNOWN,
-            f'{score[k]:+.2f}' if told else _UNKNOWN,
-            PARAMETER_NAMES[k] if told else _UNKNOWN,
+            f'{score[k]:+.2f}' if charted else _UNKNOWN,
+            PARAMETER_NAMES[k] if charted else _UNKNOWN,
             _number(charts.t2[i], 1),
             _number(charts.t2_limit[i], 1),
             f'{charts.t2_chance[i]:.2g}' if np.isfinite(charts.t2_chance[i]) else _UNKNOWN,

@@ -121,14 +121,14 @@ class Encoders:
         span = (stamp - since) * 1e-9
         changes = [now - then for now, then in zip(angles, before, strict=True)]
         still = stamp - since >= _WINDOW and max(map(abs, changes)) <= self._quiet
-        told = tuple(rates)
+        rates_of_joints = tuple(rates)
         if any(map(math.isnan, rates)):
-            told = tuple(
+            rates_of_joints = tuple(
                 change / span if math.isnan(rate) else rate
                 for rate, change in zip(rates, changes, strict=True)
             )
         past.append((stamp, tuple(angles)))
-        return Feedback(stamp, gap, tuple(angles), told, still)
+        return Feedback(stamp, gap, tuple(angles), rates_of_joints, still)
 
     def _unwrapped(self, angles: list[float], last: tuple[float, ...], gap: float) -> list[float]:
         """Add whole turns where an angle jumps by about a turn, further than it can have turned.

@@ -172,14 +172,14 @@ def _of_sessions(
         part
         for unit in units
         for part in (
-            np.full((len(unit.sessions) - _told(unit), width), np.nan),
+            np.full((len(unit.sessions) - _sessions_in_history(unit), width), np.nan),
             *(() if unit.history is None else (what(unit.history),)),
         )
     ]
     return np.concatenate([np.empty((0, width)), *parts])
 
 
-def _told(unit: Unit) -> int:
+def _sessions_in_history(unit: Unit) -> int:
     """Return how many sessions the history of a unit has."""
     return 0 if unit.history is None else len(unit.history.key)
 
@@ -193,7 +193,7 @@ def _of_units(units: Sequence[Unit], what: Callable[[UnitHistory], Floats]) -> N
 def _steps(unit: Unit) -> list[list[object]]:
     """Return the steps of a unit: [index of the session after it, looks like, sizes as shown]."""
     found: list[list[object]] = []
-    before = len(unit.sessions) - _told(unit)
+    before = len(unit.sessions) - _sessions_in_history(unit)
     for step in unit.history.steps if unit.history is not None else ():
         sizes = [
             [name, _shown(name, size), _shown(name, std)]
