@@ -96,7 +96,7 @@ def test_every_stop_leans_for_itself() -> None:
 
 
 SIZES = {
-    'joints': {'arrival': 5 * ARCSEC},
+    'joints': {'stop_error': 5 * ARCSEC},
     'stops': {'stop_tilt': 2 * ARCSEC, 'stop_heading': 2 * ARCSEC},
 }
 SEEDS = (1, 2, 3)
