@@ -71,7 +71,7 @@ def _show(inside: Inside) -> None:
     else:
         OUTPUT.print('\nno whole turns')
     plan = f'plan {inside.plan}' if inside.plan else 'no plan'
-    determined = inside.determined
+    determined = inside.told
     if inside.missing is not None:
         missing = ', '.join(inside.missing)
         determined = f'missing of {plan}: {missing}' if missing else 'complete'
