@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -22,7 +23,10 @@ from imu_calib.segmentation.clock import ClockSample, fit_clock, seen_by_gyros
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.order import StampOrder
 from imu_calib.segmentation.plateau import find_turns
+from imu_calib.segmentation.rests import read_rest
 from imu_calib.segmentation.segment import Statistics
+from imu_calib.segmentation.segmented import Rejected
+from imu_calib.segmentation.sensor import Sensor
 from imu_calib.segmentation.statistics import (
     Samples,
     gap_free,
@@ -236,6 +240,24 @@ def test_a_turn_is_not_read_from_samples_that_froze_just_before_it() -> None:
     read = found.statistics
     spread = np.sqrt(read.quantisation_variance + read.walk_gain * stated_walk(setup) ** 2)
     assert (np.abs(read.mean - sound.statistics.mean) < 5 * spread).all()
+
+
+@pytest.mark.parametrize('sound', [0, 40])
+def test_a_dwell_that_repeats_a_sample_of_the_turn_before_is_none(sound: int) -> None:
+    # The device froze in a turn of 57 deg/s and came back, if at all, as the dwell ended.
+    spec = load_imu('fog_medium')
+    sensor = Sensor.of(spec)
+    count, rng = 370, np.random.default_rng(5)
+    stamp = np.arange(1, count + 1) * 10**7
+    frozen = np.rint([0.01 / spec.gyro.scale_factor, 3.0, -2.0, 10.0, 1.0, 0.0])
+    values = np.tile(frozen, (count, 1))
+    values[count - sound :] = np.rint(rng.normal([0.0, 0, 0, 10, 0, 0], 0.7, (sound, 6)))
+    read = [sensor, sensor.samples(stamp, values), values]
+    (found,) = read_rest(*read, np.zeros(3), np.eye(3))
+    assert isinstance(found, Rejected)
+    assert re.search(rf'frozen for 3\.[{7 - sound // 10}] s, repeating one$', found.reason)
+    # Held by hand it may turn as evenly.
+    assert not any('frozen' in str(one) for one in read_rest(*read, None, None))
 
 
 def stated_walk(setup: Setup) -> Floats:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
+from ..units import DEG
 from .cleaning import Sound, find_step, sound_samples
 from .repeated_samples import repeating_samples
 from .segment import Segment, Statistics
@@ -19,9 +20,11 @@ _SHORTEST_REST = 1.0
 """s: a shorter one tells less than its settling costs."""
 _MOSTLY = 0.5
 """Share of saturated samples."""
+_TURNS = 10 * DEG
+"""rad/s: no gyro on a turntable has a bias as large; of cheap ones it is a few deg/s."""
 
 
-def read_rest(
+def read_rest(  # noqa: PLR0911 (each names another reason)
     sensor: Sensor,
     samples: Samples,
     values: Floats,
@@ -51,13 +54,18 @@ def read_rest(
         return []
     saturated = sensor.saturated(values, samples)
     # The end of a range repeats itself, too.
-    frozen = repeating_samples(values, counted=sensor.counted) & ~saturated
+    frozen = repeating_samples(values, counted=sensor.counted)
+    if angles is not None:
+        frozen |= _repeats_of_a_turn(samples, values)
+    frozen &= ~saturated
     if frozen.any():
         seconds = frozen.sum() * samples.period
-        note = f'its samples are frozen for {seconds:.1f} s, repeating one; left out'
+        note = f'its samples are frozen for {seconds:.1f} s, repeating one'
         kept = samples.at(~frozen), values[~frozen]
         rest = read_rest(sensor, *kept, angles, attitude, attitude_error)
-        return [_with_note(note, thing) for thing in rest]
+        if not rest:
+            return [Rejected(int(stamp[0]), int(stamp[-1]), note)]
+        return [_with_note(f'{note}; left out', thing) for thing in rest]
     if saturated.mean() > _MOSTLY:
         return [Rejected(int(stamp[0]), int(stamp[-1]), 'the sensor is saturated')]
     sound = sound_samples(samples, sensor.walk, saturated)
@@ -92,6 +100,20 @@ def read_rest(
             attitude_error=attitude_error,
         )
     ]
+
+
+def _repeats_of_a_turn(samples: Samples, values: Floats) -> NDArray[np.bool_]:
+    """Find the samples (n,) that repeat one of a turn, though the table stands.
+
+    Where a device froze before the table came to rest, no other sample of the dwell shows that it
+    did; that it cannot turn does.
+    """
+    rates = np.linalg.norm(samples.increments[:, :3], axis=1) / samples.period
+    same = (values[1:] == values[:-1]).all(axis=1)
+    found = np.zeros(len(values), dtype=bool)
+    found[1:] |= same
+    found[:-1] |= same
+    return np.asarray(found & (rates > _TURNS))
 
 
 def _with_note(
