@@ -71,11 +71,11 @@ def _show(inside: Inside) -> None:
     else:
         OUTPUT.print('\nno whole turns')
     plan = f'plan {inside.plan}' if inside.plan else 'no plan'
-    determined = inside.told
+    sentence = inside.told
     if inside.missing is not None:
         missing = ', '.join(inside.missing)
-        determined = f'missing of {plan}: {missing}' if missing else 'complete'
-    OUTPUT.print(f'\n{plan}: {determined}', markup=False)
+        sentence = f'missing of {plan}: {missing}' if missing else 'complete'
+    OUTPUT.print(f'\n{plan}: {sentence}', markup=False)
     if inside.latitude is not None:
         seen, std = inside.latitude
         OUTPUT.print(f'the gyros see a latitude of {seen:.1f} +- {std:.1f} deg at rest')

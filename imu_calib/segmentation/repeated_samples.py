@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats
+from ..units import DEG
 
 _FEWEST = 8
 """Fewest samples in a row that are taken for frozen: a judgement, less is no loss."""
@@ -20,6 +21,9 @@ _AROUND = 32
 _NOISY = 4
 """Different codes among them that a channel of noise shows: one at the edge between two codes shows
 two without any, and three where it drifts to the next edge."""
+
+_TURNS = 10 * DEG
+"""rad/s: a judgement; no gyro on a turntable has a bias as large, of cheap ones it is a few deg/s."""
 
 
 def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
@@ -52,6 +56,24 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
             continue
         found[first[k] + 1 : last[k] + 1] = True
     return found
+
+
+def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:
+    """Find the samples (n,) of a dwell that repeat one of a turn.
+
+    Where a device froze before the table came to rest, no other sample of the dwell need show that
+    it did; that a table that stands does not turn does.
+
+    Args:
+        values: (n, 6) as delivered.
+        rates: (n, 3) of the gyros, rad/s.
+
+    """
+    found = np.zeros(len(values), dtype=bool)
+    same = (values[1:] == values[:-1]).all(axis=1)
+    found[1:] |= same
+    found[:-1] |= same
+    return np.asarray(found & (np.linalg.norm(rates, axis=1) > _TURNS))
 
 
 def _noisy(values: Floats, start: int, stop: int) -> bool:

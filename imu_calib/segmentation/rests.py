@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
-from ..units import DEG
 from .cleaning import Sound, find_step, sound_samples
-from .repeated_samples import repeating_samples
+from .repeated_samples import repeating_a_turn, repeating_samples
 from .segment import Segment, Statistics
 from .segmented import MountShift, Rejected
 from .sensor import Sensor
@@ -20,8 +19,6 @@ _SHORTEST_REST = 1.0
 """s: a shorter one tells less than its settling costs."""
 _MOSTLY = 0.5
 """Share of saturated samples."""
-_TURNS = 10 * DEG
-"""rad/s: no gyro on a turntable has a bias as large; of cheap ones it is a few deg/s."""
 
 
 def read_rest(  # noqa: PLR0911 (each names another reason)
@@ -56,7 +53,7 @@ def read_rest(  # noqa: PLR0911 (each names another reason)
     # The end of a range repeats itself, too.
     frozen = repeating_samples(values, counted=sensor.counted)
     if angles is not None:
-        frozen |= _repeats_of_a_turn(samples, values)
+        frozen |= repeating_a_turn(values, samples.increments[:, :3] / samples.period)
     frozen &= ~saturated
     if frozen.any():
         seconds = frozen.sum() * samples.period
@@ -100,20 +97,6 @@ def read_rest(  # noqa: PLR0911 (each names another reason)
             attitude_error=attitude_error,
         )
     ]
-
-
-def _repeats_of_a_turn(samples: Samples, values: Floats) -> NDArray[np.bool_]:
-    """Find the samples (n,) that repeat one of a turn, though the table stands.
-
-    Where a device froze before the table came to rest, no other sample of the dwell shows that it
-    did; that it cannot turn does.
-    """
-    rates = np.linalg.norm(samples.increments[:, :3], axis=1) / samples.period
-    same = (values[1:] == values[:-1]).all(axis=1)
-    found = np.zeros(len(values), dtype=bool)
-    found[1:] |= same
-    found[:-1] |= same
-    return np.asarray(found & (rates > _TURNS))
 
 
 def _with_note(
