@@ -23,7 +23,7 @@ _NOISY = 4
 two without any, and three where it drifts to the next edge."""
 
 _TURNS = 10 * DEG
-"""rad/s: a judgement; no gyro on a turntable has a bias as large, of cheap ones it is a few deg/s."""
+"""rad/s: a judgement. No gyro on a turntable has such a bias; of cheap ones it is a few deg/s."""
 
 
 def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
