@@ -433,6 +433,8 @@ class Greedy(sqlite3.Connection):
 
 def test_a_damaged_length_in_a_sqlite_file_costs_its_own_row(tmp_path, monkeypatch):
     path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    # A column that rosbag2 does not know leaves the rows to SQLite.
+    change(path, 'ALTER TABLE messages ADD COLUMN note')
     connect = sqlite3.connect
     monkeypatch.setattr(
         sqlite3, 'connect', lambda *given, **more: connect(*given, factory=Greedy, **more)

@@ -1,0 +1,164 @@
+"""Asks SQLite for the messages of a file, past what is damaged."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing, suppress
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..cdr import Messages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from ..stream import Stamps
+    from .storage import Losses
+
+LAST_ROW = 2**63 - 1
+"""The largest row id (SQLite file format, section 2.1)."""
+# Python turns SQLite's own messages into text, which damaged names make impossible; a damaged
+# length asks for more memory than there is.
+DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError, MemoryError)
+_MIN_ROWS, _MAX_ROWS = 2048, 65536
+"""Of a query; a choice between memory and calls."""
+_Row = tuple[Any, Any]
+"""Log time and data, as the file has them."""
+
+
+class RowQueries:
+    """Reads messages in windows of row ids.
+
+    Args:
+        name: Of the file, for sentences.
+        connect: Opens it.
+        last: The largest row id that it holds; None where that is damaged.
+        losses: Takes sentences about what cannot be read.
+
+    """
+
+    def __init__(
+        self,
+        name: str,
+        connect: Callable[[], sqlite3.Connection],
+        last: int | None,
+        losses: Losses,
+    ) -> None:
+        self._name, self._connect = name, connect
+        self._last, self._losses = last, losses
+
+    def read(
+        self, topics: tuple[int, ...], first: int | None, last: int = LAST_ROW
+    ) -> Iterator[tuple[Messages, Stamps, int | None]]:
+        """Read the messages of some topics in windows, wider ones where a topic is rare.
+
+        Args:
+            topics: Their numbers.
+            first: The first row id; None where there is no row.
+            last: The last row id.
+
+        Yields:
+            Messages, when each was logged in ns, and the row id after them, None at the end.
+
+        """
+        start, width = first, _MIN_ROWS
+        with closing(self._connect()) as database:
+            while topics and start is not None and start <= last:
+                rows, following = self._load(database, topics, start, width, last)
+                if rows:
+                    yield _messages(rows), _log(rows), following
+                wider = len(rows) < width // 8
+                width = min(2 * width, _MAX_ROWS) if wider else max(width // 2, _MIN_ROWS)
+                start = following
+
+    def _load(
+        self,
+        database: sqlite3.Connection,
+        topics: tuple[int, ...],
+        start: int,
+        width: int,
+        end: int,
+    ) -> tuple[list[_Row], int | None]:
+        """Return the messages of a window of row ids up to `end`, and where the next starts."""
+        last = min(start + width - 1, end)
+        query = (
+            'SELECT timestamp, data FROM messages WHERE id >= ? AND id <= ? '
+            f'AND topic_id IN ({", ".join("?" * len(topics))}) ORDER BY id'
+        )
+        try:
+            rows = database.execute(query, (start, last, *topics)).fetchall()
+            if rows:
+                return rows, last + 1 if last < LAST_ROW else None
+            beyond = _first_row(database, last + 1, end)
+        except DAMAGE as error:
+            return self._load_damaged(database, topics, start, end, error)
+        return [], beyond[0] if beyond else None
+
+    def _load_damaged(
+        self,
+        database: sqlite3.Connection,
+        topics: tuple[int, ...],
+        start: int,
+        end: int,
+        error: Exception,
+    ) -> tuple[list[_Row], int | None]:
+        """Read row by row up to the damage, state where it is, and go on after it."""
+        rows: list[_Row] = []
+        last = start - 1
+        # One query per row: a query for many fails as a whole where its last row is damaged.
+        with suppress(*DAMAGE):
+            while (row := _first_row(database, last + 1, end)) is not None:
+                last = row[0]
+                if row[1] in topics:
+                    rows.append(row[2:])
+                if len(rows) == _MIN_ROWS:
+                    return rows, last + 1
+            return rows, None
+        following = self._next_readable(database, last + 1, end)
+        where = f'rows {last + 1} to {following - 1}' if following else f'the rows after {last}'
+        self._losses.add(f'{self._name}: {where} cannot be read ({why(error)}).')
+        return rows, following
+
+    def _next_readable(self, database: sqlite3.Connection, damaged: int, end: int) -> int | None:
+        """Return the first row id after a damaged one that can be read, found in growing steps."""
+        if self._last is None:
+            return None
+        beyond = end + 1 if end < self._last else None
+        step = 1
+        while damaged + step <= min(self._last, end):
+            with suppress(*DAMAGE):
+                row = _first_row(database, damaged + step, end)
+                return row[0] if row else beyond
+            step *= 2
+        return beyond
+
+
+def why(error: Exception) -> str:
+    """Return what is wrong with a damaged file, in words."""
+    return 'it states a length beyond all memory' if isinstance(error, MemoryError) else str(error)
+
+
+def _first_row(
+    database: sqlite3.Connection, start: int, end: int
+) -> tuple[int, int, Any, Any] | None:
+    """Return id, topic, log time and data of the first row from an id on, up to another."""
+    if start > end:
+        return None
+    query = 'SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id LIMIT 1'
+    row: tuple[int, int, Any, Any] | None = database.execute(query, (start,)).fetchone()
+    if row is not None and not (isinstance(row[0], int) and row[0] >= start):
+        raise sqlite3.DatabaseError('the row ids are out of order')
+    return row if row is not None and row[0] <= end else None
+
+
+def _log(rows: list[_Row]) -> Stamps:
+    """Return log times; a foreign value instead of one takes that of the first."""
+    times = [row[0] for row in rows]
+    first = next((time for time in times if isinstance(time, int)), 0)
+    return np.array([time if isinstance(time, int) else first for time in times], np.int64)
+
+
+def _messages(rows: list[_Row]) -> Messages:
+    # A foreign value instead of bytes becomes an empty message, which the decoder counts.
+    return Messages.join([row[1] if isinstance(row[1], bytes) else b'' for row in rows])
