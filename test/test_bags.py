@@ -352,17 +352,23 @@ def test_messages_may_be_of_different_sizes_within_one_write(tmp_path):
     assert_same(read(tmp_path / 'own', [IMU])[0], {IMU: imu})
 
 
-def test_the_next_compressed_chunk_is_unpacked_while_one_is_decoded(tmp_path, monkeypatch):
-    """Who has taken the first block waits for nothing but the second core."""
+def test_the_next_compressed_chunks_are_unpacked_while_one_is_decoded(tmp_path, monkeypatch):
+    """Who waits for the thread that unpacks a chunk unpacks the one after."""
     path = write_own(tmp_path / 'bag', compression='zstd', chunk_bytes=1 << 12)
-    unpack, begun = mcap.decompressor, []
-    second = threading.Event()
+    unpack, here = mcap.decompressor, threading.get_ident()
+    begun, helped = threading.Event(), threading.Event()
+    by_this_one = []
 
     def noted(name):
         def unpacked(content):
-            begun.append(threading.get_ident())
-            if len(begun) == 2:
-                second.set()
+            if threading.get_ident() == here:
+                by_this_one.append(begun.is_set())
+                # The first one, which nobody has begun, and one that the thread has not come to.
+                if len(by_this_one) == 2:
+                    helped.set()
+            elif not begun.is_set():
+                begun.set()
+                assert helped.wait(60.0)
             return unpack(name)(content)
 
         return unpacked
@@ -371,9 +377,8 @@ def test_the_next_compressed_chunk_is_unpacked_while_one_is_decoded(tmp_path, mo
     with open_recording(path) as recording:
         blocks = iter(recording.read({IMU: KINDS[IMU]}))
         next(blocks)
-        assert second.wait(60.0)
+        assert begun.wait(60.0)
         rest = list(blocks)
     assert rest
-    # One core decodes; all but the first chunk are another's.
-    assert set(begun[1:]).isdisjoint({threading.get_ident()})
+    assert by_this_one[1] and helped.is_set()
     assert_same(read(path)[0], SESSION)

@@ -1,4 +1,4 @@
-"""The next compressed chunk is unpacked in a thread while the one before is decoded."""
+"""The next compressed chunks are unpacked on two cores while the one before is decoded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from ..errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from concurrent.futures import Future, ThreadPoolExecutor
 
     from .mcap_chunk import Chunk
@@ -16,12 +16,17 @@ if TYPE_CHECKING:
 Stored = TypeVar('Stored')
 Content = TypeVar('Content')
 
+_AHEAD = 3
+"""Chunks that are begun: one that a thread unpacks, one to help with, one for the thread to go on
+with meanwhile."""
+
 
 class ReadAhead(Generic[Stored, Content]):
-    """Loads chunks, compressed ones before they are asked for, one at a time.
+    """Loads chunks, compressed ones before they are asked for.
 
-    Unpacking takes as long as all the rest of reading and lets go of the interpreter, so that a
-    second core does it. Files are read in the thread that asks: what reads them knows of no other.
+    Unpacking takes longer than all the rest of reading and lets go of the interpreter, so that a
+    second core does it; who waits for it unpacks the chunk after. Files are read in the thread
+    that asks: what reads them knows of no other.
 
     Args:
         chunks: In the order in which they will be asked for.
@@ -38,30 +43,52 @@ class ReadAhead(Generic[Stored, Content]):
     ) -> None:
         self._fetch, self._unpack = fetch, unpack
         self._following = {one.start: after for one, after in pairwise(chunks)}
-        self._begun: tuple[int, Future[Content]] | None = None
+        self._begun: dict[int, tuple[Stored, Future[Content]]] = {}
         self._pool: ThreadPoolExecutor | None = None
 
     def load(self, chunk: Chunk) -> Content:
-        """Return a chunk, and begin with the one that follows it."""
-        if self._begun is not None and self._begun[0] == chunk.start:
-            content = self._begun[1].result()
-            self._begun = None
-        else:
-            content = self._unpack(self._fetch(chunk))
-        following = self._following.get(chunk.start)
-        if following is not None and following.compression and self._begun is None:
-            self._begin(following)
-        return content
+        """Return a chunk, and begin with those that follow it."""
+        stored, future = self._begun.pop(chunk.start, None) or (self._fetch(chunk), None)
+        self._begin(chunk)
+        if future is None or future.cancel():
+            return self._unpack(stored)
+        if not future.done():
+            self._help(chunk)
+        return future.result()
 
     def _begin(self, chunk: Chunk) -> None:
-        try:
-            stored = self._fetch(chunk)
-        except (OSError, InputError):
-            # It is said when that chunk is asked for.
-            return
-        if self._pool is None:
+        """Hand over the chunks that follow one."""
+        for after in self._after(chunk):
+            if after.start in self._begun:
+                continue
+            try:
+                stored = self._fetch(after)
+            except (OSError, InputError):
+                # It is said when that chunk is asked for.
+                return
             # Most commands never need it, and it takes longer to load than the rest of reading.
             from concurrent.futures import ThreadPoolExecutor
 
-            self._pool = ThreadPoolExecutor(1, 'unpacking')
-        self._begun = chunk.start, self._pool.submit(self._unpack, stored)
+            self._pool = self._pool or ThreadPoolExecutor(1, 'unpacking')
+            self._begun[after.start] = stored, self._pool.submit(self._unpack, stored)
+
+    def _help(self, chunk: Chunk) -> None:
+        """Unpack a chunk that follows one and that the thread has not come to."""
+        from concurrent.futures import Future
+
+        for after in self._after(chunk):
+            begun = self._begun.get(after.start)
+            if begun is not None and begun[1].cancel():
+                unpacked: Future[Content] = Future()
+                unpacked.set_result(self._unpack(begun[0]))
+                self._begun[after.start] = begun[0], unpacked
+                return
+
+    def _after(self, chunk: Chunk) -> Iterator[Chunk]:
+        """Yield the compressed chunks that follow one without another in between."""
+        for _ in range(_AHEAD):
+            following = self._following.get(chunk.start)
+            if following is None or not following.compression:
+                return
+            chunk = following
+            yield chunk

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ..cdr.messages import Bytes, Indices
 
     _Stored = tuple[Chunk, memoryview, dict[int, Indices]]
+    _Content = tuple[Bytes | None, dict[int, Indices]]
     from .mcap_scan import ByteFile
     from .remote import AnyPath
 
@@ -140,7 +141,7 @@ class McapStorage:
         }
         wanted = [ids for ids in channels.values() if ids]
         read = [c for c in self._chunks if any(_may_hold(c, ids) for ids in wanted)]
-        ahead = ReadAhead(read, self._fetch, self._located)
+        ahead = ReadAhead(read, self._fetch, self._with_content)
         return {topic: self._read(ids, wanted, cache, ahead) for topic, ids in channels.items()}
 
     def _read(
@@ -148,13 +149,14 @@ class McapStorage:
         channels: frozenset[int],
         wanted: list[frozenset[int]],
         cache: Cache,
-        ahead: ReadAhead[_Stored, Unpacked],
+        ahead: ReadAhead[_Stored, _Content],
     ) -> Iterator[MessageBatch]:
         for chunk in self._chunks if channels else ():
             if not _may_hold(chunk, channels):
                 continue
             users = sum(_may_hold(chunk, others) for others in wanted)
-            unpacked = cache.get((self.path, chunk.start), partial(ahead.load, chunk), users)
+            located = partial(self._located, ahead, chunk)
+            unpacked = cache.get((self.path, chunk.start), located, users)
             stretch = unpacked.batch(channels, chunk.end)
             if stretch is not None:
                 yield stretch
@@ -204,10 +206,14 @@ class McapStorage:
                 chunk = _with_checksum(chunk, file)
         return chunk, stored, tables
 
-    def _located(self, fetched: _Stored) -> Unpacked:
-        """Unpack a chunk and find its messages."""
+    def _with_content(self, fetched: _Stored) -> _Content:
+        """Unpack a chunk that was fetched."""
         chunk, stored, tables = fetched
-        buffer = self._unpack(chunk, stored)
+        return self._unpack(chunk, stored), tables
+
+    def _located(self, ahead: ReadAhead[_Stored, _Content], chunk: Chunk) -> Unpacked:
+        """Find the messages of a chunk; the thread that unpacks goes on meanwhile."""
+        buffer, tables = ahead.load(chunk)
         if buffer is None:
             return Unpacked(np.empty(0, np.uint8), {})
         placed = _indexed(tables, buffer)
