@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..model import PARAMETER_NAMES, PARAMETERS, Parameter
+from ..model import PARAMETER_NAMES, PARAMETERS
 from .results import Cause, Chart, Rules, Signal, StandShift, Step, UnitHistory
 
 _BY_NAME = dict(zip(PARAMETER_NAMES, PARAMETERS, strict=True))
@@ -39,11 +39,6 @@ def quantity(value: float, parameter: str, *, per: str = '', sign: bool = False)
     unit = _BY_NAME[parameter].unit
     shown = f'{unit.shown}/{per}' if per else unit.shown
     return f'{value / unit.scale:{"+" if sign else ""}.3g} {shown}'
-
-
-def parameter_of(name: str) -> Parameter:
-    """Return one of the 24 by its name."""
-    return _BY_NAME[name]
 
 
 def percent(share: float) -> str:

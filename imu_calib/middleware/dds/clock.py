@@ -60,19 +60,10 @@ class Time:
         self.nanoseconds = int(seconds * NS) + int(nanoseconds)
         self.clock_type = clock_type
 
-    @classmethod
-    def from_msg(cls, msg: Any, clock_type: ClockType = ClockType.ROS_TIME) -> Time:
-        """Return the time of a builtin_interfaces/Time."""
-        return cls(nanoseconds=msg.sec * NS + msg.nanosec, clock_type=clock_type)
-
     def to_msg(self) -> Any:
         """Return a builtin_interfaces/Time."""
         sec, nanosec = divmod(self.nanoseconds, NS)
         return message_class('builtin_interfaces/msg/Time')(sec=sec, nanosec=nanosec)
-
-    def seconds_nanoseconds(self) -> tuple[int, int]:
-        """Return whole seconds and the nanoseconds that remain."""
-        return divmod(self.nanoseconds, NS)
 
     def __add__(self, other: Duration) -> Time:
         return Time(nanoseconds=self.nanoseconds + other.nanoseconds, clock_type=self.clock_type)

@@ -54,10 +54,6 @@ class SingleThreadedExecutor:
         if node in self._nodes:
             self._nodes.remove(node)
 
-    def get_nodes(self) -> list[Node]:
-        """Return the nodes."""
-        return list(self._nodes)
-
     def shutdown(self, timeout_sec: float | None = None) -> bool:  # noqa: ARG002 (rclpy's)
         """Stop for good."""
         self._shut = True

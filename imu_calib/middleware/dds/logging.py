@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 class LoggingSeverity(IntEnum):
     """Levels of a log line."""
 
-    UNSET = 0
     DEBUG = 10
     INFO = 20
     WARN = 30
@@ -52,14 +51,6 @@ class Logger:
 
     def __init__(self, name: str) -> None:
         self.name = name
-
-    def get_child(self, name: str) -> Logger:
-        """Return a logger below this one."""
-        return Logger(f'{self.name}.{name}')
-
-    def set_level(self, level: LoggingSeverity) -> None:
-        """Set the lowest level that is written."""
-        set_logger_level(self.name, level)
 
     def get_effective_level(self) -> LoggingSeverity:
         """Return the level of this logger or of the nearest above it."""
@@ -115,7 +106,6 @@ class Logger:
     warning = _writes(LoggingSeverity.WARN)
     error = _writes(LoggingSeverity.ERROR)
     fatal = _writes(LoggingSeverity.FATAL)
-    warn = warning
 
 
 def get_logger(name: str) -> Logger:

@@ -192,19 +192,6 @@ class Node:
         """Declare a parameter; arguments and errors as `Parameters.declare`."""
         return self._parameters.declare(name, value, descriptor, ignore_override)
 
-    def declare_parameters(
-        self, namespace: str, parameters: Iterable[tuple[Any, ...]], ignore_override: bool = False
-    ) -> list[Parameter]:
-        """Declare (name, value, descriptor) tuples, each name below a namespace."""
-        prefix = f'{namespace}.' if namespace else ''
-        declared = []
-        for name, *rest in parameters:
-            value, descriptor = (*rest, None, None)[:2]
-            declared.append(
-                self.declare_parameter(prefix + name, value, descriptor, ignore_override)
-            )
-        return declared
-
     def has_parameter(self, name: str) -> bool:
         """Tell whether a parameter is declared."""
         return self._parameters.has(name)
@@ -224,12 +211,6 @@ class Node:
     ) -> None:
         """Let a callback accept or refuse changes."""
         self._parameters.callbacks.append(callback)
-
-    def remove_on_set_parameters_callback(
-        self, callback: Callable[[list[Parameter]], SetParametersResult]
-    ) -> None:
-        """Ask a callback no longer."""
-        self._parameters.callbacks.remove(callback)
 
     def count_publishers(self, topic_name: str) -> int:
         """Return how many publishers a topic has, here and elsewhere; names are not remapped."""
@@ -261,10 +242,6 @@ class Node:
     def destroy_subscription(self, subscription: Subscription) -> bool:
         """Remove a subscription; return whether it was this node's."""
         return self._destroy(subscription, self.subscriptions_)
-
-    def destroy_service(self, service: Service) -> bool:
-        """Remove a service; return whether it was this node's."""
-        return self._destroy(service, self.services_)
 
     def destroy_client(self, client: Client) -> bool:
         """Remove a client; return whether it was this node's."""

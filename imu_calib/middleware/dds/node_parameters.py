@@ -33,10 +33,6 @@ class InvalidParameterValueException(ParameterException):
     """Its value is out of range, or refused by a callback."""
 
 
-class ParameterImmutableException(ParameterException):
-    """It is read-only."""
-
-
 @dataclass
 class FloatingPointRange:
     """From and to which value a float parameter may go; the step is not enforced."""

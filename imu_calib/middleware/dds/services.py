@@ -144,10 +144,6 @@ class Client:
         self.writer.write(serialize_message(request, prefix))
         return future
 
-    def remove_pending_request(self, future: Future) -> None:
-        """Forget a request whose answer nobody waits for any more."""
-        self._pending = {s: f for s, f in self._pending.items() if f is not future}
-
     def execute(self, most: int) -> bool:
         """Take the answers that have come; return whether there was one."""
         found = False

@@ -25,10 +25,6 @@ class Timer:
         """Stop calling back."""
         self._cancelled = True
 
-    def is_canceled(self) -> bool:
-        """Tell whether it is stopped."""
-        return self._cancelled
-
     def reset(self) -> None:
         """Start anew: the next call is one period from now."""
         self._cancelled = False
