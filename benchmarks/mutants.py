@@ -40,7 +40,7 @@ TESTS = {
     'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal', 'in_motion'],
     'segmentation': ['sample_grid', 'counter', 'segmentation'],
     'sequencing': ['watch', 'sequencer'],
-    'bags': ['codec', 'bags', 'damaged_bags'],
+    'bags': ['codec', 'sqlite_pages', 'bags', 'damaged_bags'],
     'methods': ['methods_positions', 'methods_gyro_only', 'methods_skewed', 'joint'],
     'observation': ['information', 'arms', 'moves', 'methods_positions', 'joint'],
     'estimation': ['likelihood', 'converge', 'score', 'undecided', 'joint'],

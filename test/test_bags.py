@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import sqlite3
-import struct
 import threading
 import tracemalloc
 from itertools import pairwise
@@ -144,37 +143,6 @@ def test_what_we_write_rosbags_and_we_read(tmp_path, compression):
         assert reader.duration == SESSION[IMU].stamp[-1] - START + 1
     for topic in SESSION:
         assert payloads[topic] == [(t, data) for t, name, data in ROWS if name == topic]
-
-
-def test_the_indexes_that_we_write_lead_to_every_message(tmp_path):
-    """Ours and rosbags find messages without them; others seek by them."""
-    data = storage_file(write_own(tmp_path / 'own')).read_bytes()
-    chunks, position = 0, 8
-    found = []
-    while position < len(data) - 8:
-        op, length = struct.unpack_from('<BQ', data, position)
-        position += 9 + length
-        if op != 0x08:
-            continue
-        chunks += 1
-        begin, _, at, whole, size = struct.unpack_from('<QQQQI', data, position - length)
-        pairs = struct.iter_unpack('<HQ', data[position - length + 36 :][:size])
-        # Of a chunk: its head, two times, two sizes, a checksum, and the name of no compression.
-        messages = at + 9 + 16 + 12 + 4 + 8
-        times = []
-        for channel, index in pairs:
-            assert data[index] == 0x07
-            number, count = struct.unpack_from('<HI', data, index + 9)
-            assert number == channel
-            for time, offset in struct.iter_unpack('<QQ', data[index + 15 :][:count]):
-                head = struct.unpack_from('<BQHIQ', data, messages + offset)
-                assert (head[0], head[2], head[4]) == (0x05, channel, time)
-                assert messages + offset + 9 + head[1] <= at + whole
-                times.append(time)
-        assert min(times) == begin
-        found += times
-    assert chunks > 1
-    assert sorted(found) == [time for time, _, _ in ROWS]
 
 
 def test_a_writer_that_was_killed_leaves_its_flushed_chunks(tmp_path):

@@ -30,7 +30,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from imu_calib.bags import RecordingError, RecordingWriter, open_recording
+from imu_calib.bags import RecordingError, RecordingWriter, open_recording, sqlite_rows
 from imu_calib.bags.mcap_records import walk
 from imu_calib.cdr import part
 from imu_calib.errors import InputError
@@ -273,6 +273,16 @@ def test_a_broken_record_head_is_jumped_over_with_the_chunk_index(tmp_path):
     assert 'holds no valid record at byte' in losses[0]
 
 
+def test_a_chunk_that_states_more_than_its_record_holds_is_left_out(tmp_path):
+    path = write_chunks(tmp_path / 'bag')
+    second, length = records(path, 6)[1]
+    # Behind the head: times, size and checksum, the name of no compression, the stored length.
+    overwrite(storage_file(path), second + 9 + 32, struct.pack('<Q', length))
+    blocks, losses = read(path, [IMU])
+    assert sum(map(len, blocks[IMU])) == len(SESSION[IMU]) - 400
+    assert f'holds no valid record at byte {second}:' in losses[0]
+
+
 @pytest.mark.parametrize('what', ['gone', 'wrong offsets', 'offsets beyond all', 'incomplete'])
 def test_messages_are_found_without_a_sound_message_index(tmp_path, what):
     path = write_chunks(tmp_path / 'bag')
@@ -345,6 +355,17 @@ def test_a_file_without_chunks_is_read(tmp_path, footer):
         assert counts[JOINTS] in {len(SESSION[JOINTS]), None}
 
 
+@pytest.mark.parametrize('short', [1, 10, 22, 30, 31, 32, 300])
+def test_a_file_without_chunks_that_is_cut_gives_its_whole_messages(tmp_path, short):
+    rows = [row for row in ROWS if row[1] == IMU][:20]
+    path = write_unchunked(tmp_path / 'flat.mcap', rows, footer=False)
+    os.truncate(path, path.stat().st_size - len(rows[-1][2]) - 31 + short)
+    blocks, losses = read(path, [IMU])
+    stamp = np.concatenate([b.stamp for b in blocks[IMU]])
+    assert stamp.tolist() == [log for log, _, _ in rows[:-1]]
+    assert losses
+
+
 def test_a_cut_sqlite_file_gives_the_rows_that_are_there(tmp_path):
     path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
     cut(path, storage_file(path).stat().st_size // 2)
@@ -376,6 +397,28 @@ def change(path, *statements):
         database.execute(statement)
     database.commit()
     database.close()
+
+
+@pytest.mark.parametrize('damaged', [False, True])
+def test_rows_that_sqlite_is_asked_for_come_once_however_windows_fall(
+    tmp_path, monkeypatch, damaged
+):
+    """A column that rosbag2 does not know leaves the rows to SQLite."""
+    monkeypatch.setattr(sqlite_rows, '_MIN_ROWS', 7)
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    change(path, 'ALTER TABLE messages ADD COLUMN note')
+    if damaged:
+        file = storage_file(path)
+        payload = next(data for stamp, topic, data in ROWS[1500:] if topic == IMU)
+        page = file.read_bytes().index(payload) // 4096
+        overwrite(file, 4096 * page, b'\xff' * 4096)
+    blocks, losses = read(path)
+    assert len(losses) == damaged
+    for topic, expected in SESSION.items():
+        found = np.concatenate([stamps(b) for b in blocks[topic]])
+        kept = np.isin(stamps(expected), found)
+        np.testing.assert_array_equal(found, stamps(expected)[kept])
+        assert 0 <= len(kept) - kept.sum() <= 40 * damaged
 
 
 def test_a_topic_without_a_number_in_a_sqlite_file_is_a_stated_loss(tmp_path):
