@@ -40,13 +40,14 @@ TESTS = {
     'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal', 'in_motion'],
     'segmentation': ['sample_grid', 'counter', 'segmentation'],
     'sequencing': ['watch', 'sequencer'],
-    'bags': ['codec', 'sqlite_pages', 'bags', 'damaged_bags'],
+    'bags': ['codec', 'mcap_writer', 'sqlite_pages', 'bags', 'damaged_bags'],
     'methods': ['methods_positions', 'methods_gyro_only', 'methods_skewed', 'joint'],
     'observation': ['information', 'arms', 'moves', 'methods_positions', 'joint'],
     'estimation': ['likelihood', 'converge', 'score', 'undecided', 'joint'],
 }
 # What is too slow for every mutant of a package, and by which modules it goes.
 MORE = {
+    'imu_calib/bags/mcap_chunk.py': ['remote'],
     'imu_calib/bags/remote.py': ['remote'],
     'imu_calib/segmentation/stillness.py': ['stillness'],
 }
