@@ -41,6 +41,7 @@ from imu_calib.specification import Verdict, judge
 from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
 
 TODAY = np.datetime64('2026-11-22', 's')
+LATELY = TODAY - np.timedelta64(1, 'h')
 TYPES = ('fog_medium', 'mems_counts', 'stim300')
 STANDS = ('east', 'west', 'north')
 OFF = 'west'
@@ -120,7 +121,13 @@ def invented(units: int, sessions: int = 6, seed: int = 1) -> Invented:
         ],
     }
     for k in np.flatnonzero(failing):
-        _add_failed(rows, n + int(k), serial(int(k)), TYPES[k % len(TYPES)], TODAY - 3600)
+        _add_failed(
+            rows,
+            n + int(k),
+            serial(int(k)),
+            TYPES[k % len(TYPES)],
+            TODAY - np.timedelta64(3600, 's'),
+        )
     names = [frozenset(serial(int(k)) for k in np.flatnonzero(some))
              for some in (drifting, stepping, failing)]  # fmt: skip
     covariance = np.broadcast_to(np.diag(STD**2), (n, 24, 24))

@@ -1,6 +1,7 @@
 """A recording compensated: right numbers, all else untouched, and words for what does not fit."""
 
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -115,7 +116,7 @@ def test_types_that_nobody_knows_pass_byte_by_byte_with_their_description(tmp_pa
 def test_a_type_that_a_sqlite3_file_does_not_describe_passes_too(tmp_path, calibration):
     bag = write_with_rosbags(tmp_path / 'bag', ROWS, StoragePlugin.SQLITE3)
     (file,) = bag.glob('*.db3')
-    with sqlite3.connect(file) as database:
+    with closing(sqlite3.connect(file)) as database, database:
         database.execute("UPDATE topics SET type = 'my_msgs/msg/Odd' WHERE name LIKE '%joint%'")
     (bag / 'metadata.yaml').unlink()
     target = tmp_path / 'out'

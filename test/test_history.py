@@ -342,7 +342,7 @@ def test_sessions_of_one_date_tell_no_trend() -> None:
 def test_what_does_not_count_is_said() -> None:
     made = sessions(np.random.default_rng(91), 4, 3)
     date = made.date.copy()
-    date[0] = np.datetime64('NaT')
+    date[0] = np.datetime64('NaT', 's')
     values = made.values.copy()
     values[1] = np.nan
     serial = (*made.serial[:2], '', *made.serial[3:])

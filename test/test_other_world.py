@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from imu_calib.earth import Site
 from imu_calib.estimation import search
 from imu_calib.estimation.converge import NotConverged
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import UNPLANNED, Plan, load_plan
 from imu_calib.stream import Floats, ImuBlock, JointBlock, Units
@@ -149,16 +149,16 @@ def test_a_move_in_which_the_samples_froze_keeps_no_session_from_its_answer(
     """From the end of a dwell on, which has a part of it; the search comes to no end."""
     world = World(damage=Damage(freezes=(148.3,), frozen=3.0))
     calibrator = fed(world, NAVIGATION, look=True)
-    all_moves, refused = len(gathered(calibrator).moves), []
+    judged, refused = search._significant, []
 
-    def fit(equations: Equations, state: Floats) -> Floats:
-        if len(equations.evidence.moves) == all_moves:
-            refused.append(equations)
+    def judge(*given: Any) -> Any:
+        if not refused:
+            # By the view with all moves, which comes first.
+            refused.append(given)
             raise NotConverged('It goes to and fro.')
-        return search_fit(equations, state)
+        return judged(*given)
 
-    search_fit = search.fit
-    monkeypatch.setattr(search, 'fit', fit)
+    monkeypatch.setattr(search, '_significant', judge)
     found = calibrator.finish().calibration
     assert refused
     assert np.abs(errors(found, NAVIGATION)).max() < 4.5
