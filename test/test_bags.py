@@ -32,6 +32,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from imu_calib.bags import RecordingError, RecordingWriter, Topic, mcap, open_recording
 from imu_calib.bags.merge import STRETCH_NS
+from imu_calib.bags.storage import Cache
 from imu_calib.cdr import Messages, encode_imu, part
 from imu_calib.errors import InputError
 from imu_calib.stream import ImuBlock
@@ -318,6 +319,26 @@ def test_messages_may_be_of_different_sizes_within_one_write(tmp_path):
     with RecordingWriter(tmp_path / 'own') as writer:
         writer.write(IMU, KINDS[IMU].type_name, odd, imu.stamp)
     assert_same(read(tmp_path / 'own', [IMU])[0], {IMU: imu})
+
+
+def test_chunks_are_held_until_all_have_read_them_and_within_a_limit():
+    loaded = []
+
+    def take(key, users):
+        def load():
+            loaded.append(key)
+            return np.zeros(100, np.uint8)
+
+        cache.get(key, load, users)
+
+    cache = Cache(250)
+    for key in ('a', 'a', 'b', 'b', 'c', 'c'):
+        take(key, 2)
+    assert loaded == ['a', 'b', 'c']
+    # A third one is beyond the limit: the oldest goes, and is loaded again.
+    for key in ('d', 'e', 'f', 'e', 'f', 'd'):
+        take(key, 2)
+    assert loaded == ['a', 'b', 'c', 'd', 'e', 'f', 'd']
 
 
 def test_the_next_compressed_chunks_are_unpacked_while_one_is_decoded(tmp_path, monkeypatch):

@@ -497,6 +497,20 @@ def test_a_cut_compressed_file_gives_what_unpacks(tmp_path):
     assert 'is damaged' in losses[0]
 
 
+def test_a_message_that_does_not_unpack_costs_itself_alone(tmp_path):
+    rows = [row for row in ROWS if row[1] == IMU][:50]
+    path = write_with_rosbags(tmp_path / 'bag', rows, SQLITE, CompressionMode.MESSAGE)
+    change(path, "UPDATE messages SET data = x'28b52ffd00' WHERE id = 7")
+    with open_recording(path) as recording:
+        found = list(recording.messages())
+        losses = recording.losses
+    payloads = [payload for _, messages, _ in found for payload in messages.payloads()]
+    times = [log for _, _, times in found for log in times.log.tolist()]
+    assert payloads == [data for _, _, data in rows[:6] + rows[7:]]
+    assert times == [log for log, _, _ in rows[:6] + rows[7:]]
+    assert any('1 malformed messages' in loss and 'does not unpack' in loss for loss in losses)
+
+
 def test_losses_are_told_when_nothing_is_left(tmp_path):
     path = write_chunks(tmp_path / 'bag', count=1)
     offset, length = records(path, 6)[0]

@@ -77,6 +77,29 @@ def test_rows_are_those_that_sqlite_gives(tmp_path, page):
     assert taken(pages, 3) == []
 
 
+@pytest.mark.parametrize('reserved', [0, 24])
+def test_a_row_that_goes_on_in_another_page_is_left_to_sqlite(tmp_path, reserved):
+    """From 35 bytes below the usable size of a page on (section 1.6 of the file format)."""
+    usable = 512 - reserved
+    for size in range(usable - 70, usable + 10):
+        path = write(tmp_path / f'{size}.db3', [(1, 1, 10**18, bytes(size)), (2, 2, 7, b'ab')])
+        content = bytearray(path.read_bytes())
+        content[20] = reserved  # of every page, by the header: SQLite writes anew with it
+        path.write_bytes(content)
+        with closing(sqlite3.connect(path)) as database:
+            database.execute('PRAGMA page_size=512')
+            database.execute('VACUUM')
+        pages = pages_of(path)
+        # The head of the record, topic and time take 14 or 15 bytes of the payload.
+        if size < usable - 35 - 15:
+            assert taken(pages, 1, 2) == [row[1:] for row in ask(path, 1, 2)]
+        elif size > usable - 35 - 14:
+            with pytest.raises(OddPagesError):
+                taken(pages, 1, 2)
+        # Nobody asked for the long one.
+        assert taken(pages, 2) == [(2, 7, b'ab')]
+
+
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_whatever_numbers_and_lengths_rows_have_none_is_read_wrongly(tmp_path, data):
