@@ -345,6 +345,9 @@ class TriadSystem:
         spare = 1 - np.einsum('ij,ji->i', columns[:count], found.gain[:, :count])
         free = columns[:count, k:][:, self._free]
         norms = np.linalg.norm(free, axis=0)
+        # NumPy 2.2 and older know no rank of no columns.
+        spanned = free[:, norms > 0] / norms[norms > 0]
+        rank = int(np.linalg.matrix_rank(spanned)) if spanned.size else 0
         spread = np.diag(factor @ found.covariance[:k, :k] @ factor.T)
 
         def ratio(kind: int) -> float:
@@ -354,7 +357,7 @@ class TriadSystem:
 
         return Fit(
             float(left @ left),
-            count - int(np.linalg.matrix_rank(free[:, norms > 0] / norms[norms > 0])),
+            count - rank,
             factor @ point[:k],
             np.sqrt(np.maximum(spread, 0.0)),
             point[k:],
