@@ -165,6 +165,41 @@ def test_a_move_in_which_the_samples_froze_keeps_no_session_from_its_answer(
     assert any('1 of 5 moves end elsewhere' in finding for finding in found.findings)
 
 
+@pytest.mark.parametrize(
+    ('by', 'until'), [(-0.0241, 9.9), (0.0859, 4.9), (0.2763, 23.6), (-0.0185, None)]
+)
+def test_a_clock_that_is_set_within_a_dwell_puts_no_parameter_off(
+    monkeypatch: pytest.MonkeyPatch, by: float, until: float | None
+) -> None:
+    """In the last dwell, which alone tells what Z up shows, or in the motions before it.
+
+    Nothing is lost then: counts that were filled in put K_az off by up to six deviations.
+    """
+    rests = gathered(fed(World(), MEDIUM)).segments
+    last = [rest for rest in rests if rest.statistics.duration > 20][8]
+    end = last.start + 31 * 10**9 if until is None else last.start + round(until * 1e9)
+    begin = last.start - round((37.99 if until is None else 17.0) * 1e9)
+    feed = Calibrator.feed
+
+    def set_and_cut(self: Calibrator, block: Any) -> None:
+        held = block.stamp < last.end
+        if isinstance(block, ImuBlock):
+            wrong = (block.stamp >= begin) & (block.stamp < end)
+            stamp = block.stamp + round(by * 1e9) * wrong
+            block = ImuBlock(stamp[held], block.gyro[held], block.accel[held])
+        else:
+            block = JointBlock(
+                block.stamp[held], block.names, block.position[held], block.velocity[held]
+            )
+        feed(self, block)
+
+    monkeypatch.setattr(Calibrator, 'feed', set_and_cut)
+    result = fed(World(), MEDIUM).review().result
+    assert result is not None
+    assert np.abs(errors(result.calibration, MEDIUM)).max() < 3.5
+    assert any('The clock of the IMU was set' in one for one in result.calibration.findings)
+
+
 def stop(outer: float, middle: float, inner: float, *rates: float, turning: int = 0) -> Stop:
     angles = (outer * DEG, middle * DEG, inner * DEG)
     return Stop(angles, tuple(rate * DEG for rate in rates), turning)

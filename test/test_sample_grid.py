@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imu_calib.imu import load_imu
 from imu_calib.segmentation.bridging import bridged, steadily
-from imu_calib.segmentation.grid import read_grid
+from imu_calib.segmentation.grid import clock_steps, read_grid
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.pace import Pace
 from imu_calib.segmentation.repeated_samples import repeating_samples
@@ -101,6 +101,42 @@ def test_samples_are_found_on_their_grid(
     # White jitter of 1 ms leaves 1e-3 * 12^0.5 / 4000^1.5 s; what is late is left out.
     assert grid.period == pytest.approx(PERIOD, abs=5 * 1e-3 * 12**0.5 / 4000**1.5)
     assert abs(grid.period - PERIOD) < 5 * grid.period_std + 1e-13
+
+
+@pytest.mark.parametrize('share', [0.0, 0.01])
+@pytest.mark.parametrize('line', LINES)
+def test_a_clock_that_was_set_is_told_from_what_lines_do(
+    line: Callable[[Floats, np.random.Generator], Floats], share: float
+) -> None:
+    rng = np.random.default_rng(7)
+    index = kept(4000, share, rng)
+    came = line(index * PERIOD, rng)
+    assert clock_steps(stamps(came)) == []
+    if line in {in_bunches, in_fives, stalled}:
+        return
+    # Away from what is late by chance.
+    step = 1733
+    # Where stamps jitter by a tenth of an interval a shorter step is not seen, and of longer ones
+    # the phase is not known.
+    for by in (0.0241, *([] if line is jittered else [0.0041, 0.5053, 3.0047])):
+        found = clock_steps(stamps(came + by * (np.arange(len(came)) >= step)))
+        assert found == [step]
+    # Whole intervals are lost samples.
+    assert clock_steps(stamps(came + 0.03 * (np.arange(len(came)) >= step))) == []
+
+
+def test_a_clock_that_was_set_back_is_found_where_its_stamps_go_on() -> None:
+    made = np.arange(2000) * PERIOD
+    made[1000:] -= 0.0241
+    sound = np.append(True, made[1:] > np.maximum.accumulate(made)[:-1])
+    assert clock_steps(stamps(made[sound])) == [1000]
+
+
+def test_stamps_without_a_grid_have_no_steps_off_it() -> None:
+    rng = np.random.default_rng(8)
+    assert clock_steps(stamps(np.cumsum(rng.uniform(0.005, 0.015, 3000)))) == []
+    often = np.arange(3000) * PERIOD + 0.004 * (np.arange(3000) // 100)
+    assert clock_steps(stamps(often)) == []
 
 
 @pytest.mark.parametrize('count', [60, 189, 500])

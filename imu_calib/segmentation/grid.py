@@ -8,6 +8,7 @@ stamps; what the stamps are off it is theirs and not the samples' (docs/mathemat
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +19,20 @@ from ..stream import Floats, Stamps
 _LATE = 1.5
 """Intervals between two stamps from which on a sample between them may be missing."""
 
-_NOT_ONE = 0.3
-"""Of an interval: missing samples shift the stamps by whole intervals within this. A judgement:
-half of one would take any shift for a sample."""
+_OFF_GRID = 0.03
+"""Of an interval: by less a clock was not set, or it does not matter: samples that are missing
+shift the stamps by whole intervals. A judgement: three times what sixteen intervals add up to that
+are a thousandth off."""
+
+_ALONGSIDE = 16
+"""Samples on either side of a step by which it is judged: few, as their interval is not known."""
+
+_SURELY = 6.0
+"""Standard deviations of stamps about their grid beyond which a step is off it: by chance one in
+10^9 is."""
+
+_SELDOM = 500
+"""Samples for each step off the grid: where there are more, the stamps have none."""
 
 _LIKE = 0.2
 """Of an interval: so near are two estimates of it. A judgement: more than samples that are missing
@@ -130,6 +142,51 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
         grid = _laid(time, counted, period)
         period, window = grid.period, _WINDOW
     return grid
+
+
+def clock_steps(stamp: Stamps) -> list[int]:
+    """Return where stamps go on off the grid of those before: their clock was set.
+
+    What is missing shifts them by whole intervals, and the counts go on with what was lost. Where a
+    clock was set nothing was lost, and counts that were filled in would be wrong by half a pulse.
+
+    Args:
+        stamp: (n,) ns, increasing.
+
+    Returns:
+        The first samples after each step; none where samples come in bunches.
+
+    Source: docs/mathematics.md, 'Stamps and lost samples'.
+
+    """
+    if len(stamp) < 2 * _ALONGSIDE:
+        return []
+    steps = np.diff(stamp) * 1e-9
+    period = float(np.median(steps))
+    if float(np.quantile(steps, 0.25)) < _HASTE * period:
+        return []
+    off = np.abs(steps / period - 1)
+    scatter = 1.4826 * float(np.median(off))
+    regular = np.append(True, off <= max(_OFF_GRID, _SURELY * scatter))
+    # The error of a median of n, which grows with the step.
+    unknown = 1.25 * scatter / math.sqrt(len(steps))
+    phase = np.exp(2j * np.pi * (stamp - stamp[0]) * 1e-9 / period)
+    on_grid, found = np.flatnonzero(regular), []
+    # Of stamps that are off in a row, a queue that is read out, the first regular one tells.
+    for place in np.unique(np.searchsorted(on_grid, np.flatnonzero(~regular))).tolist():
+        before = phase[on_grid[max(0, place - _ALONGSIDE) : place]]
+        after = phase[on_grid[place : place + _ALONGSIDE]]
+        if min(len(before), len(after)) < _FEWEST:
+            continue
+        # Circular statistics: the angle of a mean, and by its length the deviation about it.
+        first, second = before.mean(), after.mean()
+        apart = abs(float(np.angle(second * first.conjugate()))) / (2 * np.pi)
+        length = float(np.clip(min(abs(first), abs(second)), 1e-300, 1.0))
+        deviation = math.sqrt(-4 * math.log(length) / min(len(before), len(after))) / (2 * np.pi)
+        across = float(stamp[on_grid[place]] - stamp[on_grid[place - 1]]) * 1e-9 / period
+        if apart > max(_OFF_GRID, _SURELY * math.hypot(deviation, across * unknown)):
+            found.append(int(on_grid[place - 1]) + 1)
+    return found if len(found) * _SELDOM <= max(len(stamp), 2 * _SELDOM) else []
 
 
 def _first_period(time: Floats) -> tuple[float, bool]:

@@ -6,6 +6,7 @@ import copy
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ..imu import ImuSpec
 from ..instants import at
 from ..stream import (
     Block,
+    Floats,
     ImuBlock,
     JointBlock,
     SetpointBlock,
@@ -21,8 +23,9 @@ from ..stream import (
     TemperatureBlock,
 )
 from ..turntable import Table
-from .bridging import Bridged, bridged
+from .bridging import LONGEST, Bridged, bridged
 from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
+from .grid import clock_steps
 from .intake import StreamBuffer
 from .motion import JointTracker, Motion, Rest
 from .moves import MoveReader
@@ -86,6 +89,7 @@ class Segmenter:
         self._slips: list[MountShift] = []
         self._pace = Pace()
         self._lost = 0
+        self._clock_set: set[int] = set()
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -239,8 +243,11 @@ class Segmenter:
         attitude = None
         if self._table is not None and rest.angles is not None:
             attitude = self._table.attitude(rest.angles)
-        for first in range(0, len(stamp), _LONGEST_REST):
-            piece = slice(first, first + _LONGEST_REST)
+        steps = clock_steps(stamp)
+        self._clock_set.update(stamp[steps].tolist())
+        edges = [0, *steps, len(stamp)]
+        cuts = [k for a, b in pairwise(edges) for k in range(a, b, _LONGEST_REST)]
+        for piece in map(slice, cuts, [*cuts[1:], len(stamp)]):
             if len(stamp[piece]) < 2:
                 continue
             came = self._sensor.samples(stamp[piece], values[piece], self._pace)
@@ -256,7 +263,7 @@ class Segmenter:
     def _motion(self, motion: Motion) -> None:
         start = motion.start + self._offset_ns - MARGIN_NS
         end = motion.end + self._offset_ns + MARGIN_NS
-        stamp, values = self._intake.imu.between(start, end)
+        stamp, values = self._apart_at_steps(*self._intake.imu.between(start, end))
         if len(stamp) < 2:
             return
         # The rate changes here: what lies right beside a lost sample tells of it, and no more.
@@ -300,6 +307,19 @@ class Segmenter:
         if compared is not None:
             self._clock.append(compared)
             self._offset_ns = round(compared.offset * 1e9)
+
+    def _apart_at_steps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+        """Leave samples of a motion out where the clock was set: a gap that nobody fills."""
+        steps = clock_steps(stamp)
+        if not steps:
+            return stamp, values
+        self._clock_set.update(stamp[steps].tolist())
+        # From half a gap that is filled at most, and a sample, before the step on.
+        around = round(LONGEST / float(np.median(np.diff(stamp)) * 1e-9)) // 2 + 1
+        beside = np.zeros(len(stamp), dtype=bool)
+        for k in steps:
+            beside[max(0, k - around) : k + around] = True
+        return stamp[~beside], values[~beside]
 
     def _take(self, found: Sequence[Segment | Turn | FreeMotion | MountShift | Rejected]) -> None:
         """Keep what was found, each kind in order."""
@@ -357,6 +377,11 @@ class Segmenter:
             lost.append(
                 f'{self._lost} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
                 'what they counted is read from those around them'
+            )
+        if self._clock_set:
+            lost.append(
+                f'The clock of the IMU was set {len(self._clock_set)} time(s), first at '
+                f'{at(min(self._clock_set))}: what is before and after counts by itself'
             )
         lost += [interruption(last, begins) for last, begins in self._interruptions]
         if self._table is not None and self._joints is not None and self._joints.silent:
