@@ -18,6 +18,7 @@ from bag_files import (
     NS,
     SETPOINTS,
     START,
+    STORE,
     TEMPERATURES,
     assert_same,
     read,
@@ -28,7 +29,15 @@ from bag_files import (
     write_with_rosbags,
 )
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin, Writer
 
 from imu_calib.bags import RecordingError, RecordingWriter, Topic, mcap, open_recording
 from imu_calib.bags.merge import STRETCH_NS
@@ -319,6 +328,40 @@ def test_messages_may_be_of_different_sizes_within_one_write(tmp_path):
     with RecordingWriter(tmp_path / 'own') as writer:
         writer.write(IMU, KINDS[IMU].type_name, odd, imu.stamp)
     assert_same(read(tmp_path / 'own', [IMU])[0], {IMU: imu})
+
+
+@pytest.mark.parametrize('plugin', [MCAP, SQLITE])
+def test_a_topic_of_two_publishers_is_one_topic(tmp_path, plugin):
+    """Each has a channel of its own, or a row of the table of topics."""
+    rows = [row for row in ROWS if row[1] == IMU]
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=plugin) as writer:
+        kind = KINDS[IMU].type_name
+        # Another QoS is what makes them two to this writer.
+        endless, latched = QosTime(0, 0), QosDurability.TRANSIENT_LOCAL
+        other = Qos(QosHistory.KEEP_LAST, 5, QosReliability.RELIABLE, latched, endless, endless,
+                    QosLiveliness.AUTOMATIC, endless, False)  # fmt: skip
+        two = [
+            writer.add_connection(IMU, kind, typestore=STORE, offered_qos_profiles=qos)
+            for qos in ([], [other])
+        ]
+        for k, (stamp, _, payload) in enumerate(rows):
+            writer.write(two[k % 3 == 0], stamp, payload)
+    blocks, losses = read(tmp_path / 'bag', [IMU])
+    assert_same(blocks, {IMU: SESSION[IMU]})
+    assert losses == []
+
+
+@pytest.mark.parametrize('latched', [False, True])
+def test_a_recording_tells_who_plays_it_which_topics_are_latched(tmp_path, latched):
+    with RecordingWriter(tmp_path / 'own') as writer:
+        writer.add_topic(IMU, KINDS[IMU].type_name, transient_local=latched)
+        writer.write(IMU, KINDS[IMU].type_name, encode_imu(SESSION[IMU]), SESSION[IMU].stamp)
+    with Reader(tmp_path / 'own') as reader:
+        (profile,) = reader.connections[0].ext.offered_qos_profiles
+    durability = (profile.durability.name, profile.history.name, profile.depth)
+    expected = ('TRANSIENT_LOCAL', 'KEEP_LAST', 1) if latched else ('VOLATILE', 'KEEP_ALL', 0)
+    assert durability == expected
+    assert profile.reliability.name == 'RELIABLE'
 
 
 def test_chunks_are_held_until_all_have_read_them_and_within_a_limit():
