@@ -331,6 +331,21 @@ def test_messages_may_be_of_different_sizes_within_one_write(tmp_path):
 
 
 @pytest.mark.parametrize('plugin', [MCAP, SQLITE])
+def test_progress_goes_up_to_the_whole_and_not_beyond(tmp_path, plugin):
+    path, told = write_with_rosbags(tmp_path / 'bag', ROWS, plugin), []
+    with open_recording(path) as recording:
+        for _ in recording.read(KINDS, lambda *one: told.append(one)):
+            pass
+        first = len(told)
+        for _ in recording.messages(lambda *one: told.append(one)):
+            pass
+    for some in (told[:first], told[first:]):
+        done, total = zip(*some, strict=True)
+        assert set(total) == {storage_file(path).stat().st_size}
+        assert list(done) == sorted(done) and done[0] >= 0 and done[-1] <= total[0]
+
+
+@pytest.mark.parametrize('plugin', [MCAP, SQLITE])
 def test_a_topic_of_two_publishers_is_one_topic(tmp_path, plugin):
     """Each has a channel of its own, or a row of the table of topics."""
     rows = [row for row in ROWS if row[1] == IMU]

@@ -111,7 +111,8 @@ class SqliteStorage:
                 yield from self._query(topics, window.first, window.last)
             elif len(mine := np.flatnonzero(np.isin(rows.topic, topics))):
                 messages, log = rows.messages.select(mine), rows.log[mine]
-                yield self._batch(messages, log, window.last + 1)
+                following = window.last + 1 if window.last < LAST_ROW else None
+                yield self._batch(messages, log, following)
 
     def _query(
         self, topics: tuple[int, ...], first: int | None, last: int
