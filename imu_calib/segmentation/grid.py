@@ -168,6 +168,8 @@ def clock_steps(stamp: Stamps) -> list[int]:
     off = np.abs(steps / period - 1)
     scatter = 1.4826 * float(np.median(off))
     regular = np.append(True, off <= max(_OFF_GRID, _SURELY * scatter))
+    if regular.all():
+        return []
     # The error of a median of n, which grows with the step.
     unknown = 1.25 * scatter / math.sqrt(len(steps))
     phase = np.exp(2j * np.pi * (stamp - stamp[0]) * 1e-9 / period)

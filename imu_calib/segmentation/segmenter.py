@@ -89,7 +89,7 @@ class Segmenter:
         self._slips: list[MountShift] = []
         self._pace = Pace()
         self._lost = 0
-        self._clock_set: set[int] = set()
+        self._off_grid: set[int] = set()
 
     @property
     def segments(self) -> tuple[Segment, ...]:
@@ -244,7 +244,7 @@ class Segmenter:
         if self._table is not None and rest.angles is not None:
             attitude = self._table.attitude(rest.angles)
         steps = clock_steps(stamp)
-        self._clock_set.update(stamp[steps].tolist())
+        self._off_grid.update(stamp[steps].tolist())
         edges = [0, *steps, len(stamp)]
         cuts = [k for a, b in pairwise(edges) for k in range(a, b, _LONGEST_REST)]
         for piece in map(slice, cuts, [*cuts[1:], len(stamp)]):
@@ -313,7 +313,7 @@ class Segmenter:
         steps = clock_steps(stamp)
         if not steps:
             return stamp, values
-        self._clock_set.update(stamp[steps].tolist())
+        self._off_grid.update(stamp[steps].tolist())
         # From half a gap that is filled at most, and a sample, before the step on.
         around = round(LONGEST / float(np.median(np.diff(stamp)) * 1e-9)) // 2 + 1
         beside = np.zeros(len(stamp), dtype=bool)
@@ -378,10 +378,11 @@ class Segmenter:
                 f'{self._lost} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
                 'what they counted is read from those around them'
             )
-        if self._clock_set:
+        if self._off_grid:
             lost.append(
-                f'The clock of the IMU was set {len(self._clock_set)} time(s), first at '
-                f'{at(min(self._clock_set))}: what is before and after counts by itself'
+                f'The stamps of the IMU go on off their grid {len(self._off_grid)} time(s), first '
+                f'at {at(min(self._off_grid))}: its clock was set, or it began to sample anew; '
+                'what is before and after counts by itself'
             )
         lost += [interruption(last, begins) for last, begins in self._interruptions]
         if self._table is not None and self._joints is not None and self._joints.silent:
