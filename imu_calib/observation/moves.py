@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,10 +31,12 @@ from ..segmentation.segmented import Move
 from ..stream import Floats
 from .arms import APART, LONGEST
 from .gyro_paths import GyroPath
+from .remainders import RoughAnswers, remainder_covariance
 from .velocity_increments import VelocityIncrement, by_places
 
 _EDGES = 1 / 6
-"""Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12."""
+"""Square of a pulse that the counter's remainders at both ends of a move leave: 2 / 12. What those
+between leave besides, see `remainders`, is little for gyros, which count in every step."""
 
 _LATE = 0.01
 """By how much accelerometers may answer later than gyros, s, a standard deviation: low-pass filters
@@ -83,12 +86,14 @@ class Moves:
         links: In order.
         attitudes: (s, 3, 3) of all segments.
         gravity: m/s^2.
+        rough: What the sensors answer; None where nobody knows which way is up.
 
     """
 
     links: tuple[LinkedMove, ...]
     attitudes: Floats
     gravity: float
+    rough: RoughAnswers | None = None
     _memo: dict[bytes, tuple[tuple[GyroPath, ...], tuple[VelocityIncrement | None, ...]]] = field(
         default_factory=dict, repr=False
     )
@@ -144,7 +149,10 @@ class Moves:
             )
         # Where nobody tells them no table's move counts; of a unit in the hand they are sought.
         attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]
-        return cls(tuple(links), np.array(attitudes).reshape(-1, 3, 3), gravity)
+        turned = np.array(attitudes).reshape(-1, 3, 3)
+        known = links and not free
+        rough = RoughAnswers.of(segments, turns, gravity * turned[:, 2], walk) if known else None
+        return cls(tuple(links), turned, gravity, rough)
 
     def __len__(self) -> int:
         return len(self.links)
@@ -373,9 +381,28 @@ class Moves:
             found[k, :3] = ends + link.rounding[:3] + bent + link.move.filled
             found[k, 3:] = turning[3:] * (ends.mean() / 4 + bent / 12 + link.move.filled / 4)
             if (gained := link.move.velocity_steps) is not None:
-                own = _EDGES * gained.pulse**2 + link.rounding[3:]
-                found[k, 3:] += own.mean() + gained.filled + link.second_order_error**2
+                held = np.diag(self.held_back[k])
+                own = link.rounding[3:].mean() + gained.filled + link.second_order_error**2
+                found[k, 3:] += held + own
         return found
+
+    @cached_property
+    def held_back(self) -> Floats:
+        """The covariances of velocities by what counters hold back, (m, 3, 3) (m/s)^2."""
+        found = np.zeros((len(self), 3, 3))
+        for k in self.with_accels:
+            gained = self.links[k].move.velocity_steps
+            if gained is not None and gained.pulse.any():
+                found[k] = self._held_back(k, gained.pulse)
+        return found
+
+    def _held_back(self, index: int, pulse: Floats) -> Floats:
+        if self.rough is None:
+            return np.eye(3) * _EDGES * np.mean(pulse**2)
+        path = self.paths(self.rough.model)[index]
+        directions = self.attitudes[self.links[index].second] @ path.axes
+        _, outputs = self.rough.model.predict(path.rates, path.forces)
+        return remainder_covariance(directions, path.seconds, outputs, self.rough.doubt, pulse)
 
     def encoders(self) -> Floats:
         """Return the variances of `misclosures` by the encoders' noise at both ends, (m, 6)."""

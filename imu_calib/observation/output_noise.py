@@ -71,6 +71,11 @@ def own_parts(evidence: Evidence, inflation: Floats | None) -> tuple[Component, 
         Component(Source.QUANTISATION, Diagonal(quantisation)),
         Component(Source.ENCODER_NOISE, Diagonal(encoder)),
     ]
+    if held := led.with_accels:
+        # What a level channel holds back is off along both level axes.
+        across = led.held_back[list(held)] * (1 - np.eye(3))
+        rows = np.array(evidence.layout.velocity)
+        parts.append(Component(Source.QUANTISATION, Blocks(rows, across)))
     if inflation is not None:
         more = np.maximum(total, SMALLEST_VARIANCE) * (inflation - 1)
         for c in range(6):

@@ -1,0 +1,94 @@
+"""What counters hold back on a move, against counters that count, one phase after another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imu_calib.observation.remainders import remainder_covariance
+from imu_calib.stream import Floats
+
+PERIOD, PULSE = 0.02, 0.01
+PHASES = 4000
+SPREAD = 6 * np.sqrt(2 / PHASES)
+"""Six deviations of a variance of so many draws that are nearly normal."""
+
+
+def about_x(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def half_a_turn() -> Floats:
+    """Half a turn about x in a hundred steps that speed up and slow down: (100, 3, 3)."""
+    time = (np.arange(100) + 0.5) / 100
+    return np.array([about_x(np.pi * (t - np.sin(2 * np.pi * t) / (2 * np.pi))) for t in time])
+
+
+def counted(directions: Floats, outputs: Floats) -> Floats:
+    """What counters make of a velocity beyond what it was, for many phases: (PHASES, 3) m/s."""
+    rng = np.random.default_rng(3)
+    off = []
+    for _ in range(PHASES):
+        charge = rng.uniform(0.0, 1.0, 3)
+        error = np.zeros(3)
+        for direction, output in zip(directions, outputs, strict=True):
+            gained = output * PERIOD
+            charge = charge + gained / PULSE
+            given = np.floor(charge)
+            charge = charge - given
+            error = error + direction @ (given * PULSE - gained)
+        off.append(error)
+    return np.array(off)
+
+
+@pytest.mark.parametrize('level', [0.0, 0.5, 1.0, 2.0, 7.3], ids=lambda pulses: f'{pulses} pulses')
+def test_the_covariance_is_that_of_counters_of_any_phase(level: float) -> None:
+    """About the vertical: channel x counts gravity, the level ones a few pulses in all."""
+    turned = half_a_turn()
+    outputs = np.tile([9.803, level * PULSE / 2.0, -level * PULSE / 2.0], (100, 1))
+    found = remainder_covariance(
+        turned, np.full(100, PERIOD), outputs, np.zeros(3), np.full(3, PULSE)
+    )
+    seen = np.cov(counted(turned, outputs).T)
+    # The harmonics that count as independent: 7 % of both ends of both channels.
+    np.testing.assert_allclose(found, seen, rtol=SPREAD, atol=0.07 * PULSE**2 / 3)
+    if level == 1.0:
+        assert np.trace(found) > 3 * PULSE**2 / 3
+
+
+def test_of_gravity_that_turns_the_ends_count_alone() -> None:
+    """About a level axis two channels count fast: what they hold back has no memory."""
+    turned = half_a_turn() @ np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    gravity = np.einsum('nij,i->nj', turned, [0.0, 0.0, 9.81])
+    found = remainder_covariance(
+        turned, np.full(100, PERIOD), gravity + 0.013, np.zeros(3), np.full(3, PULSE)
+    )
+    seen = np.cov(counted(turned, gravity + 0.013).T)
+    np.testing.assert_allclose(found, seen, rtol=SPREAD, atol=0.07 * PULSE**2 / 6)
+    assert np.trace(found) < 1.6 * 3 * PULSE**2 / 6
+
+
+def test_a_rate_that_is_in_doubt_counts_with_all_that_it_may_be() -> None:
+    turned, doubt = half_a_turn(), 0.5 * PULSE / 2.0
+    outputs = np.tile([9.803, PULSE / 2.0, 0.0], (100, 1))
+    found = remainder_covariance(
+        turned, np.full(100, PERIOD), outputs, np.array([0.0, doubt, 0.0]), np.full(3, PULSE)
+    )
+    rng = np.random.default_rng(5)
+    each = []
+    for faster in rng.normal(0.0, doubt, 400):
+        off = outputs + np.array([0.0, faster, 0.0])
+        each.append(
+            remainder_covariance(turned, np.full(100, PERIOD), off, np.zeros(3), np.full(3, PULSE))
+        )
+    np.testing.assert_allclose(found, np.mean(each, axis=0), rtol=0.12, atol=PULSE**2 / 100)
+
+
+def test_what_is_no_counter_holds_nothing_back() -> None:
+    turned = half_a_turn()
+    outputs = np.tile([9.81, 0.0, 0.0], (100, 1))
+    pulses = np.array([PULSE, 0.0, 0.0])
+    found = remainder_covariance(turned, np.full(100, PERIOD), outputs, np.zeros(3), pulses)
+    assert found[0, 0] > 0
+    assert not found[1:].any()
