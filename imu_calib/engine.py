@@ -427,11 +427,16 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what Dask logs of workers that come and go off the screen."""
-    logger = logging.getLogger('distributed')
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
+    """Keep what Dask logs of workers that come and go off the screen.
+
+    What its callbacks raise, Tornado logs: one has nothing to cancel yet where Ctrl-C comes early.
+    """
+    loggers = [logging.getLogger(name) for name in ('distributed', 'tornado.application')]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)

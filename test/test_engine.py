@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ from test_montecarlo import study
 
 from imu_calib import NotObservable
 from imu_calib.cli.main import main
-from imu_calib.engine import run_all
+from imu_calib.engine import Engine, run_all
 from imu_calib.repetition import repeat
 
 
@@ -91,6 +92,24 @@ def test_a_cluster_gives_what_this_machine_gives(
     done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
     # Two runs say nothing of a spread: it may end with 1.
     assert 'six_position_by_hand: 2 runs' in done.stdout, done.stderr
+
+
+def test_what_callbacks_of_dask_raise_is_not_logged(
+    scheduler: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One that cancels what was not begun does, where Ctrl-C comes early."""
+    begun, over = threading.Event(), threading.Event()
+
+    def fails() -> None:
+        begun.set()
+        raise NameError('There is no future yet.')
+
+    with Engine(scheduler).connected() as client:
+        for callback in (fails, over.set):
+            client.loop.add_callback(callback)
+        assert over.wait(60)
+    assert begun.is_set()
+    assert 'no future' not in caplog.text
 
 
 @pytest.mark.parametrize('where', ['jobs', 'scheduler'])
