@@ -15,8 +15,9 @@ from test_other_world import NAVIGATION, segmented, true_vector
 from imu_calib.budget import Source
 from imu_calib.estimation.fit import estimate
 from imu_calib.observation.arms import Arms
-from imu_calib.observation.equations import Equations, Nuisance
+from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.session_model import Nuisance
 from imu_calib.units import DEG
 
 ARM = (0.10, -0.05, 0.08)

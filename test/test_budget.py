@@ -23,8 +23,9 @@ from imu_calib.metadata import describe, described_site
 from imu_calib.methods import method
 from imu_calib.methods.solution import Solution
 from imu_calib.model import PARAMETERS, SensorModel
-from imu_calib.observation.equations import GIVEN_AZIMUTH, Nuisance
+from imu_calib.observation.equations import GIVEN_AZIMUTH
 from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.session_model import Nuisance
 from imu_calib.reports.budget import budget_section, budget_tables
 from imu_calib.share import named_file
 from imu_calib.stream import Floats, Units

@@ -32,8 +32,9 @@ from imu_calib.methods import joint, six_position, twelve_position
 from imu_calib.methods.solution import Solution
 from imu_calib.model import G_SENSITIVITY as G_TERM
 from imu_calib.model import PARAMETER_NAMES, TERMS, SensorModel, Term, parameters_of
-from imu_calib.observation.equations import Equations, Nuisance
+from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
+from imu_calib.observation.session_model import Nuisance
 from imu_calib.plan import Plan, Position, load_plan
 from imu_calib.prediction.forecast import forecast
 from imu_calib.repetition import economical

@@ -14,8 +14,8 @@ from imu_calib.budget import Source, total
 from imu_calib.calibrator.together import together
 from imu_calib.estimation.several import join, own_covariance
 from imu_calib.observation.common_errors import CommonSizes, CommonTable
-from imu_calib.observation.equations import Nuisance
 from imu_calib.observation.positioning_errors import PositioningErrors
+from imu_calib.observation.session_model import Nuisance
 
 NAMES = ['one', 'two', 'three', 'four']
 UNITS = len(NAMES)

@@ -23,7 +23,7 @@ from ..errors import NotObservable
 from ..model import PARAMETERS, Parameter, terms_of
 from ..model.motion import motion_parameters
 from ..model.session_terms import Change
-from ..observation.equations import Equations, Nuisance
+from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.information import (
     Information,
@@ -34,6 +34,7 @@ from ..observation.information import (
 )
 from ..observation.lacking import advice, lacking_parameters
 from ..observation.positioning_errors import NO_POSITIONING_ERRORS
+from ..observation.session_model import Nuisance
 from ..segmentation.segmented import Move
 from ..stream import Floats
 from ..units import DEG

@@ -29,9 +29,10 @@ from ..observation.common_errors import (
 )
 from ..observation.components import Component
 from ..observation.components import parts as parts_of
-from ..observation.equations import Equations, Nuisance
+from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..observation.output_noise import ENCODER_FREEDOM
+from ..observation.session_model import Nuisance
 from ..stream import Floats
 from .fit import Estimate
 

@@ -13,9 +13,10 @@ from ..budget import Share, Shares, Source, total
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel
-from ..observation.equations import Equations, Nuisance
+from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence
 from ..observation.level import Accelerometers, Tilt, widened_for_tilt
+from ..observation.session_model import Nuisance
 from ..rotations import angle_between
 from ..stream import Floats
 from ..units import DEG, DEG_H, PPM

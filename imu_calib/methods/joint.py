@@ -23,9 +23,10 @@ from ..estimation.temperature_change import temperature_finding
 from ..estimation.term_tests import findings, tested
 from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course, names_of
-from ..observation.equations import Equations, Nuisance
+from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..observation.modulation import spans
+from ..observation.session_model import Nuisance
 from ..stream import Floats
 from ..units import ARCSEC, DEG, DEG_H, MICRO_G
 from .checks import (

@@ -20,9 +20,10 @@ from ..budget import Source
 from ..segmentation.segment import Segment, Turn
 from ..stream import Floats
 from ..table_errors import TableErrors
-from .equations import Equations, Nuisance
+from .equations import Equations
 from .evidence import Evidence
 from .positioning_errors import PositioningErrors, axes_of, stops_of
+from .session_model import Nuisance
 
 TABLE_STATE = (Nuisance.AZIMUTH, Nuisance.TILT_X, Nuisance.TILT_Y)
 """What of the state of each unit is the table's."""

@@ -23,9 +23,10 @@ from ..directions import across
 from ..model import SensorModel
 from ..rotations import rotations
 from ..stream import Floats
-from .equations import Equations, Surroundings
+from .equations import Equations
 from .evidence import UP, Evidence
 from .layout import Indices
+from .surroundings import Surroundings
 
 
 @dataclass(frozen=True, eq=False)

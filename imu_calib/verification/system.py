@@ -24,10 +24,11 @@ from ..estimation.converge import least_squares
 from ..imu import TriadSpec
 from ..model import Parameter, Triad
 from ..observation.components import Component, Diagonal
-from ..observation.equations import Equations, Nuisance
+from ..observation.equations import Equations
 from ..observation.evidence import Evidence
 from ..observation.information import Information
 from ..observation.layout import Indices
+from ..observation.session_model import Nuisance
 from ..rotations import rotations
 from ..stream import Floats
 from .lengths import Sensors, Up, compare_lengths, noise_at_rest
