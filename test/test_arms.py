@@ -13,7 +13,7 @@ from sessions import SITE
 from test_other_world import NAVIGATION, segmented, true_vector
 
 from imu_calib.budget import Source
-from imu_calib.estimation.fit import estimate
+from imu_calib.estimation.estimate import estimate
 from imu_calib.observation.arms import Arms
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from sessions import quick_plan, stand, truth
 from test_joint import simulated
 
-from imu_calib.estimation.fit import Estimate, estimate
+from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
 from imu_calib.observation.positioning_errors import of_joints, of_stops

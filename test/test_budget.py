@@ -18,7 +18,7 @@ from imu_calib.calibration import Calibration
 from imu_calib.cli.main import main
 from imu_calib.earth import Site
 from imu_calib.errors import InputError
-from imu_calib.estimation.fit import estimate
+from imu_calib.estimation.estimate import estimate
 from imu_calib.metadata import describe, described_site
 from imu_calib.methods import method
 from imu_calib.methods.solution import Solution

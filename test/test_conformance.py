@@ -25,7 +25,8 @@ from imu_calib.compensation.apply import Compensation
 from imu_calib.compensation.samples import Mark, concatenated
 from imu_calib.compensation.thermal import combine, load_calibration
 from imu_calib.errors import InputError, NotObservable
-from imu_calib.estimation.fit import check_observable, estimate
+from imu_calib.estimation.estimate import estimate
+from imu_calib.estimation.fit import check_observable
 from imu_calib.exports import EXPORTS, ExportSource
 from imu_calib.gravity import gravity_slope
 from imu_calib.imu import load_imu

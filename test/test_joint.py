@@ -26,7 +26,7 @@ from test_information import SECOND, evidence_of
 
 from imu_calib.calibrator import Setup
 from imu_calib.errors import NotObservable
-from imu_calib.estimation.fit import estimate
+from imu_calib.estimation.estimate import estimate
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.methods import joint, six_position, twelve_position
 from imu_calib.methods.solution import Solution

@@ -14,7 +14,7 @@ from test_other_world import NAVIGATION, fed, true_vector
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Calibrator, Setup
 from imu_calib.errors import NotObservable
-from imu_calib.estimation.fit import Estimate, estimate
+from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.term_tests import TermState
 from imu_calib.imu import ImuSpec, TriadSpec, load_imu
 from imu_calib.methods.joint import solve

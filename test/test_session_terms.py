@@ -21,7 +21,7 @@ from imu_calib.cdr import Kind
 from imu_calib.cli.main import main
 from imu_calib.compensation.thermal import ThermalCalibration, by_temperature, load_calibration
 from imu_calib.errors import InputError, NotObservable
-from imu_calib.estimation.fit import Estimate, estimate
+from imu_calib.estimation.estimate import Estimate, estimate
 from imu_calib.estimation.score import families
 from imu_calib.estimation.term_tests import TermState, summary
 from imu_calib.imu import load_imu

@@ -22,7 +22,7 @@ from imu_calib.cli.calibrate import show
 from imu_calib.cli.main import main
 from imu_calib.config import Section
 from imu_calib.errors import InputError
-from imu_calib.estimation.fit import estimate
+from imu_calib.estimation.estimate import estimate
 from imu_calib.imu import load_imu
 from imu_calib.methods import joint
 from imu_calib.methods.joint import _scattering

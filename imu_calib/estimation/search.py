@@ -29,7 +29,8 @@ from ..observation.information import determined, nominal_information
 from ..stream import Floats
 from .changing import with_changes, with_time_constant
 from .converge import NotConverged
-from .fit import Estimate, estimate, fit
+from .estimate import Estimate, estimate
+from .fit import fit
 from .score import (
     Family,
     Pattern,

@@ -34,7 +34,7 @@ from ..observation.evidence import SMALLEST_VARIANCE
 from ..observation.output_noise import ENCODER_FREEDOM
 from ..observation.session_model import Nuisance
 from ..stream import Floats
-from .fit import Estimate
+from .estimate import Estimate
 
 _ROUNDS = 30
 """Most steps: what each unit found alone is within its deviations of the end."""

@@ -9,7 +9,7 @@ from ..model import TRIADS, ParameterKind
 from ..model.session_terms import Course, change
 from ..observation.modulation import temperatures, warms
 from ..units import PPM
-from .fit import Estimate
+from .estimate import Estimate
 
 _CHEAPEST = 200 * PPM
 """Scale factor per kelvin of the cheapest units (MPU-9150: 0.02 % of the accelerometers). Where

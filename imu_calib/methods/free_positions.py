@@ -22,7 +22,7 @@ import scipy
 from ..budget import Share, Shares
 from ..errors import NotObservable
 from ..estimation.converge import least_squares
-from ..estimation.fit import shares
+from ..estimation.estimate import shares
 from ..model import (
     G_SENSITIVITY,
     PARAMETERS,

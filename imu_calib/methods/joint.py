@@ -17,7 +17,8 @@ import scipy
 from ..changes import Changes
 from ..errors import Contradiction, NotObservable
 from ..estimation.converge import NotConverged
-from ..estimation.fit import Estimate, Outlier, RejectedMove, estimate
+from ..estimation.estimate import Estimate, estimate
+from ..estimation.outliers import Outlier, RejectedMove
 from ..estimation.search import Search, search_terms
 from ..estimation.temperature_change import temperature_finding
 from ..estimation.term_tests import findings, tested

@@ -1,0 +1,208 @@
+"""The joint estimate: all of a session fitted at once, and what of it was distrusted.
+
+Bias drift and positioning errors widen the covariance (`excess`); a segment that does not fit the
+rest counts for less (`outliers`).
+
+Source: docs/mathematics.md, 'Joint estimate'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from ..budget import Share, Source
+from ..model import PARAMETERS, Parameter
+from ..model.motion import motion_parameters
+from ..model.session_terms import Change
+from ..observation.equations import Equations
+from ..observation.evidence import Evidence
+from ..observation.information import Information
+from ..observation.positioning_errors import NO_POSITIONING_ERRORS
+from ..observation.session_model import Nuisance
+from ..stream import Floats
+from .changing import doubt_of_time_constant, with_changes, with_time_constant
+from .excess_scatter import ExcessScatter, excess
+from .fit import check_observable, fit, headed, levelled, start, with_scatter
+from .outliers import (
+    MOST_OUTLIERS,
+    Outlier,
+    RejectedMove,
+    candidates,
+    find_outlier,
+    moves_that_fit,
+    turns_disagree,
+    turns_weighed_down,
+    weighed_down,
+)
+from .score import with_parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What the least squares found, before it is held against the world.
+
+    Attributes:
+        equations: With the weights that were used.
+        state: (n,) parameters of the sensors, then the nuisances.
+        covariance: (n, n) of the state.
+        condition: Condition number of the system solved, columns scaled to unit length.
+        scatter: What scatters beyond the noise.
+        outliers: What counts for less.
+        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
+        turns_scatter: Largest chi-square per degree of freedom by which turns about an axis count
+            for less; 1 where they agree.
+        rejected_moves: Moves that were left out.
+        constant: Coefficients of the session's terms that it cannot tell, left out.
+        between: (n, n) what the doubt of a warm-up's time constant adds to the covariance, which
+            holds it.
+
+    """
+
+    equations: Equations
+    state: Floats
+    covariance: Floats
+    condition: float
+    scatter: ExcessScatter
+    outliers: tuple[Outlier, ...]
+    gain: Floats
+    turns_scatter: float = 1.0
+    rejected_moves: tuple[RejectedMove, ...] = ()
+    constant: tuple[Change, ...] = ()
+    between: Floats | None = None
+
+    def nuisance(self, which: Nuisance) -> tuple[float, float]:
+        """Return one of the nuisances and its standard deviation."""
+        index = self.equations.sensors + which
+        return float(self.state[index]), float(np.sqrt(self.covariance[index, index]))
+
+    @property
+    def without_scatter(self) -> Equations:
+        """The equations with the noise that is known beforehand: nothing that the session shows."""
+        return replace(self.equations, extra=self.scatter.stated, positioning=NO_POSITIONING_ERRORS)
+
+    @property
+    def downweighted_outputs(self) -> int:
+        """How many outputs count for less, or not at all."""
+        inflation = self.equations.inflation
+        down = 0 if inflation is None else int(np.count_nonzero(inflation > 1))
+        return down + 3 * len(self.rejected_moves)
+
+    def shares(self) -> dict[Source, Share]:
+        """Return the covariance of the parameters by source: of the outputs, and of the priors."""
+        found = shares(self.equations, self.state, self.gain)
+        if self.between is not None:
+            found[Source.TIME_CONSTANT] = Share.known(
+                self.between[: self.equations.sensors, : self.equations.sensors]
+            )
+        return found
+
+
+def shares(equations: Equations, state: Floats, gain: Floats) -> dict[Source, Share]:
+    """Return the covariance of the parameters by source: of the outputs, and of the priors.
+
+    Args:
+        equations: That were solved.
+        state: (n,) where they were.
+        gain: (n, m + k) derivatives of the state by outputs and priors in standard deviations.
+
+    """
+    n, m = equations.sensors, len(equations.outputs)
+    factor = equations.factor(state)
+    weights = scipy.linalg.solve_triangular(factor, gain[:n, :m].T, lower=True, trans='T').T
+    found = equations.shares(state, weights)
+    for source, which, freedom in equations.prior_sources:
+        prior = gain[:n, m + np.array(which, dtype=int)]
+        parts = [(prior @ prior.T, freedom)]
+        # Of lever arms some are in the state, and the others' priors in the outputs' covariance.
+        if source in found:
+            parts.append((found[source].covariance, np.inf))
+        found[source] = Share.of_parts(parts)
+    return found
+
+
+def estimate(
+    evidence: Evidence,
+    parameters: tuple[Parameter, ...] = PARAMETERS,
+    changes: tuple[Change, ...] = (),
+    doubts: tuple[tuple[Parameter, float], ...] = (),
+) -> Estimate:
+    """Fit all of a session at once.
+
+    Args:
+        evidence: The session.
+        parameters: Of the sensors.
+        changes: By which they change during the session.
+        doubts: As in `Equations`.
+
+    Raises:
+        NotObservable: Names what the session cannot observe.
+
+    """
+    equations = Equations(evidence, parameters, doubts=doubts)
+    check_observable(equations)
+    equations, constant = with_changes(equations, changes)
+    # Moves lead from attitude to attitude of a table that is known; they say less of where it is.
+    moving = motion_parameters(parameters)
+    resting = replace(
+        equations,
+        parameters=tuple(p for p in parameters if p not in moving),
+        evidence=evidence.with_moves(()),
+    )
+    resting, state = with_time_constant(resting, start(resting))
+    state = fit(resting, state)
+    resting = headed(levelled(resting, state), state)
+    state = fit(resting, state)
+    kept, astray = moves_that_fit(resting, state, evidence.moves)
+    equations = replace(resting, evidence=kept)
+    if moving:
+        equations, state = with_parameters(equations, state, moving)
+    observed = Information.of(equations.whitened(state)[0]).observed
+    if not (moving or np.delete(observed, np.r_[equations.arms]).all()):
+        # See `information.before`. Of lever arms turns show what the 24 need, and not more.
+        equations = resting
+    found = _without_outliers(equations, state, turns=True)
+    if turns_disagree(evidence, found.outliers):
+        equations, scatter = turns_weighed_down(equations, state)
+        found = _without_outliers(equations, state, turns=False)
+        found = replace(found, turns_scatter=scatter)
+    between = doubt_of_time_constant(found.equations, found.state)
+    covariance = found.covariance if between is None else found.covariance + between
+    return replace(
+        found, covariance=covariance, rejected_moves=astray, constant=constant, between=between
+    )
+
+
+def _without_outliers(equations: Equations, state: Floats, *, turns: bool) -> Estimate:
+    """Weigh down what does not fit, one after the other; turns too, if so asked."""
+    outliers: list[Outlier] = []
+    plain = state = fit(equations, state)
+    scatter = excess(equations, plain)
+    weighted = with_scatter(equations, scatter)
+    for _ in range(int(MOST_OUTLIERS * len(equations.evidence.segments)) + 1):
+        state = fit(weighted, state)
+        views = (equations, plain), (weighted, state)
+        found = find_outlier(views, candidates(equations.evidence, turns=turns))
+        if found is None:
+            break
+        outliers.append(found)
+        equations = weighed_down(equations, found.rows, 1 + found.chi_square)
+        plain = fit(equations, state)
+        scatter = excess(equations, plain)
+        weighted = with_scatter(equations, scatter)
+    if scatter.shown:
+        scatter = excess(equations, plain, doubted=True)
+        weighted = with_scatter(equations, scatter)
+    state = fit(weighted, state)
+    information = Information.of(weighted.whitened(state)[0])
+    return Estimate(
+        weighted,
+        state,
+        information.covariance,
+        information.condition,
+        scatter,
+        tuple(outliers),
+        information.gain,
+    )

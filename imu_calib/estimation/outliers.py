@@ -1,0 +1,293 @@
+"""What of a session does not fit the rest: dwells, turns and moves that count for less, or not.
+
+Source: docs/mathematics.md, 'Joint estimate'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..observation.equations import Equations
+from ..observation.evidence import SMALLEST_VARIANCE, Evidence
+from ..observation.information import Information
+from ..segmentation.segmented import Move
+from ..stream import Floats
+from ..units import DEG
+from .excess_scatter import excess
+from .fit import fit, with_scatter
+
+_OUTLYING = 1e-6
+"""Chance by which a sound rest or turn counts for less: with fifty of them, one session in 20 000
+loses one."""
+
+_SUSPECT = 1e-5
+"""Chance below which the worst of them is looked at closely: ten times that by which it then counts
+for less, for the first look is under scatter that an outlier itself has widened."""
+
+_UNLIKE = 1e-4
+"""Chance by which turns about an axis that agree count for less: of three axes and three channels,
+in one session of a thousand."""
+
+_ASTRAY = 1e-9
+"""Chance by which a sound move is left out, by noise and what the rest of the session leaves open.
+Far smaller than that of an outlier: positioning errors that both share are counted twice."""
+
+MOST_OUTLIERS = 1 / 3
+"""Share of a session's rests, or of the turns about an axis, that may count for less. A judgement:
+where more disagree, the data does not say which of them are right."""
+
+_RANK = 1e-6
+"""Least eigenvalue, of a matrix with ones on its diagonal, of a direction that an outlier can take:
+rounding leaves 1e-16, and one so small is taken up by the state. A judgement between."""
+
+_LEFT_OUT = 1e8
+"""Times the variance of an output that is left out: it then weighs as good as nothing, and half the
+digits of a 64-bit number are left to the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outlier:
+    """A static dwell or a turn that does not fit the rest.
+
+    Attributes:
+        name: Position and kind, for a person.
+        rows: Its rows among the equations.
+        chi_square: By how much chi-square would fall without it.
+
+    """
+
+    name: str
+    rows: NDArray[np.intp]
+    chi_square: float
+
+
+@dataclass(frozen=True)
+class RejectedMove:
+    """A move that is left out, or its velocity alone.
+
+    Attributes:
+        positions: That it leads from and to.
+        misclosure: By how much its end by the gyros is off what the encoders show, rad; or how fast
+            it is by the accelerometers where it stands, m/s.
+        velocity: Whether it is the velocity.
+
+    """
+
+    positions: tuple[str, str]
+    misclosure: float
+    velocity: bool = False
+
+
+def moves_that_fit(
+    resting: Equations, state: Floats, moves: tuple[Move, ...]
+) -> tuple[Evidence, tuple[RejectedMove, ...]]:
+    """Choose the moves that rests and turns bear out: return the session with them.
+
+    A gyro beyond its range, one that does not answer in proportion, or a table whose joints are
+    not what they are said to be, is off by many times the noise in what takes seconds: such a move
+    tells nothing of the parameters.
+
+    Args:
+        resting: The session without moves.
+        state: (n,) what they say.
+        moves: All of it.
+
+    """
+    evidence = resting.evidence.with_moves(moves)
+    if not len(evidence.links):
+        return resting.evidence, ()
+    scatter = excess(resting, state)
+    kept: tuple[Move, ...] = ()
+    while True:
+        fitting, astray = _judged(with_scatter(resting, scatter), state, evidence)
+        if not astray:
+            return evidence, ()
+        if _count(fitting) <= _count(kept):
+            return evidence.with_moves(fitting), astray
+        # Moves show positioning errors that rests hide in their noise: with those, others may.
+        kept = fitting
+        moved = replace(resting, evidence=evidence.with_moves(kept))
+        scatter = replace(scatter, positioning=excess(moved, state).positioning)
+
+
+def _count(moves: Sequence[Move]) -> int:
+    """Return the number of rotations and velocities."""
+    return sum(1 if move.velocity_steps is None else 2 for move in moves)
+
+
+def _judged(
+    resting: Equations, state: Floats, evidence: Evidence
+) -> tuple[tuple[Move, ...], tuple[RejectedMove, ...]]:
+    """Hold each move against rests and turns, which scatter as they are said to."""
+    known = Information.of(resting.whitened(state)[0]).covariance
+    moving = replace(resting, evidence=evidence, extra=())
+    predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))
+    covariance, known = moving.covariance(state), np.nan_to_num(known)
+    kept, astray = [], []
+
+    def fits(rows: NDArray[np.intp]) -> bool:
+        off, slopes = predicted[rows], jacobian[rows]
+        spread = covariance[np.ix_(rows, rows)] + slopes @ known @ slopes.T
+        return bool(off @ np.linalg.solve(spread, off) <= scipy.special.chdtri(3, _ASTRAY))
+
+    velocities = dict(zip(moving.layout.moves_with_accels, moving.layout.velocity, strict=True))
+    for k, (link, rows) in enumerate(zip(evidence.links.links, moving.layout.move, strict=True)):
+        ends = [str(evidence.segments[end].position) for end in (link.first, link.second)]
+        if not fits(rows):
+            off = float(np.linalg.norm(predicted[rows]))
+            astray.append(RejectedMove((ends[0], ends[1]), off))
+        elif k in velocities and not fits(velocities[k]):
+            off = float(np.linalg.norm(predicted[velocities[k]]))
+            astray.append(RejectedMove((ends[0], ends[1]), off, velocity=True))
+            kept.append(replace(link.move, velocity_steps=None))
+        else:
+            kept.append(link.move)
+    return tuple(kept), tuple(astray)
+
+
+def turns_weighed_down(equations: Equations, state: Floats) -> tuple[Equations, float]:
+    """Let turns count by how they scatter, each channel about each axis for itself.
+
+    Returns:
+        The equations, and the largest chi-square per degree of freedom.
+
+    """
+    jacobian, left = equations.whitened(state)
+    norms = np.linalg.norm(jacobian, axis=0)
+    basis = np.linalg.qr(jacobian[:, norms > 0] / norms[norms > 0])[0]
+    free = 1 - (basis**2).sum(axis=1)
+    largest = 1.0
+    for axes, outputs in _of_turns(equations.evidence):
+        for axis, channel in product(range(3), range(3)):
+            rows = outputs[axes == axis, channel]
+            freedom, square = float(free[rows].sum()), float(left[rows] @ left[rows])
+            if freedom >= 1 and scipy.special.chdtrc(freedom, square) < _UNLIKE:
+                equations = weighed_down(equations, rows, square / freedom)
+                largest = max(largest, square / freedom)
+    return equations, largest
+
+
+def _of_turns(evidence: Evidence) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Return the axes (k,) of turns with the rows (k, 3) of their gyros; of accelerometers too."""
+    axes = np.array([int(np.argmax(np.abs(turn.up))) for turn in evidence.turns], dtype=int)
+    rows = evidence.layout
+    return [(axes, rows.turn), (axes[list(rows.turns_with_accels)], rows.turn_accels)]
+
+
+def turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
+    """Say whether so many turns about an axis fall out that nobody knows which are wrong.
+
+    Rates beyond the range, say: two turns of four agree with each other and not with the rest.
+    """
+    rows = [o.rows[0] for o in outliers]
+    return any(
+        ((axes == axis) & np.isin(outputs[:, 0], rows)).sum() > MOST_OUTLIERS * (axes == axis).sum()
+        for axes, outputs in _of_turns(evidence)
+        for axis in range(3)
+    )
+
+
+def weighed_down(equations: Equations, rows: NDArray[np.intp], factor: float) -> Equations:
+    """Return the equations with the variances of some outputs, (k,) of them, times a factor."""
+    inflation = np.ones(len(equations.outputs))
+    if equations.inflation is not None:
+        inflation = equations.inflation.copy()
+    inflation[rows] *= factor
+    return replace(equations, inflation=inflation)
+
+
+def candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[np.intp]]]:
+    """Name what may be an outlier as a whole: three outputs of one kind at a time."""
+    rows = evidence.layout
+    found = []
+    for segment, mine in zip(evidence.segments, rows.rest, strict=True):
+        found.append((f'the gyros at position {segment.position}', mine[:3]))
+        found.append((f'the accelerometers at position {segment.position}', mine[3:]))
+    turned = [
+        f'a turn at {t.rate() / DEG:.3g} deg/s at position {t.position}' for t in evidence.turns
+    ]
+    if turns:
+        found += zip(turned, rows.turn, strict=True)
+        found += [
+            (f'the accelerometers in {turned[k]}', mine)
+            for k, mine in zip(rows.turns_with_accels, rows.turn_accels, strict=True)
+        ]
+    moved = []
+    for link in evidence.links.links:
+        ends = [evidence.segments[end].position for end in (link.first, link.second)]
+        moved.append(f'the move from position {ends[0]} to {ends[1]}')
+    found += zip(moved, rows.move, strict=True)
+    found += [
+        (f'the velocity of {moved[k]}', mine)
+        for k, mine in zip(rows.moves_with_accels, rows.velocity, strict=True)
+    ]
+    return found
+
+
+def find_outlier(
+    views: tuple[tuple[Equations, Floats], tuple[Equations, Floats]],
+    candidates: list[tuple[str, NDArray[np.intp]]],
+) -> Outlier | None:
+    """Find what fits least, and say whether the rest, judged without it, refuses it.
+
+    Looked at are the equations with the solution of each: without what scatters, and with it.
+
+    One outlier among good segments looks like a bias that drifts, and hides behind the scatter
+    that it makes: the scatter that it is held against is that of the others alone.
+    """
+    (plain, _), (_, state) = views
+    if plain.own_variances.max() <= SMALLEST_VARIANCE:
+        return None
+    worst = set()
+    for equations, solved in views:
+        prepared = _cleaned(equations, solved)
+        squares = np.array([_drop(prepared, rows)[0] for _, rows in candidates])
+        if squares.max() > scipy.special.chdtri(3, _SUSPECT):
+            worst.add(int(np.argmax(squares)))
+    best: Outlier | None = None
+    for index in worst:
+        name, rows = candidates[index]
+        without = weighed_down(plain, rows, _LEFT_OUT)
+        others = with_scatter(plain, excess(without, fit(without, state), suspecting=True))
+        here = fit(others, state)
+        square, freedom = _fall(others, here, rows)
+        limit = scipy.special.chdtri(max(freedom, 1), _OUTLYING)
+        if freedom and square > limit and (best is None or square > best.chi_square):
+            best = Outlier(name, rows, square)
+    return best
+
+
+def _fall(equations: Equations, state: Floats, rows: NDArray[np.intp]) -> tuple[float, int]:
+    """Return by how much chi-square falls when some outputs get offsets of their own, and how many.
+
+    The mean-shift test of Cook and Weisberg 1982, section 2.2.2, for correlated outputs.
+    """
+    return _drop(_cleaned(equations, state), rows)
+
+
+def _cleaned(equations: Equations, state: Floats) -> tuple[Floats, Floats]:
+    """Return C^-1 (outputs less prediction) and C^-1 less what the state takes up."""
+    factor, (jacobian, left) = equations.factor(state), equations.whitened(state)
+    root = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True)
+    # Next to outputs without noise the others may seem to observe nothing: they take up nothing.
+    taken = np.nan_to_num(Information.of(jacobian).covariance)
+    weighed = root.T @ jacobian[: len(factor)]
+    return root.T @ left[: len(factor)], root.T @ root - weighed @ taken @ weighed.T
+
+
+def _drop(prepared: tuple[Floats, Floats], rows: NDArray[np.intp]) -> tuple[float, int]:
+    pull, information = prepared[0][rows], prepared[1][np.ix_(rows, rows)]
+    # Without noise the state takes up all of an output but for rounding, and nothing is left.
+    own = np.diag(information)
+    least = np.finfo(float).eps * np.abs(information).max(initial=np.finfo(float).tiny)
+    scale = np.where(own > least, 1 / np.sqrt(np.maximum(own, least)), 0.0)
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    sound = values > _RANK
+    parts = (vectors.T @ (pull * scale))[sound]
+    return float(parts**2 @ (1 / values[sound])), int(sound.sum())
