@@ -9,6 +9,7 @@ from importlib.util import find_spec
 
 import processes
 import pytest
+from extent import ALL
 from hypothesis import settings
 
 # A shell that puts the tests in the background has them ignore Ctrl-C, and all that they start.
@@ -77,12 +78,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave out what only repeats, where a part is asked for; put the long files first.
+    """Leave out what only repeats, unless all is asked for; put the long files first.
 
     The order within a file, and of the others, is as collected.
     """
-    if os.environ.get('IMU_CALIB_MATRIX') == 'covering':
-        left_out = pytest.mark.skip(reason='repeats what another holds; IMU_CALIB_MATRIX=covering')
+    if not ALL:
+        left_out = pytest.mark.skip(reason='repeats what another holds; IMU_CALIB_TESTS=all')
         for item in items:
             if item.get_closest_marker('repeats') is not None:
                 item.add_marker(left_out)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from extent import ALL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
@@ -87,7 +87,7 @@ def independent(error: Floats, covariance: Floats) -> Floats:
     return np.linalg.solve(np.linalg.cholesky(covariance / np.outer(size, size)), error / size)
 
 
-SESSIONS = int(os.environ.get('IMU_CALIB_SESSIONS', '100'))
+SESSIONS = 100 if ALL else 5
 
 
 @cache
@@ -101,7 +101,7 @@ def test_normalised_errors_of_many_sessions_are_standard_normal(name: str) -> No
     fewer = np.sqrt(100 / SESSIONS)
     errors_in_std = np.array([run[0] for run in runs])
     deviations = np.array([run[1] for run in runs])
-    # 2400 values: 1 / sqrt(2 n) is 1.4 %, more of fewer sessions (IMU_CALIB_SESSIONS); those of one
+    # 2400 values: 1 / sqrt(2 n) is 1.4 %, more of fewer sessions (`extent`); those of one
     # are independent once what they share is taken out.
     pooled = np.sqrt(np.mean(np.array([run[2] for run in runs]) ** 2))
     assert 1 - 0.04 * fewer < pooled < 1 + 0.04 * fewer

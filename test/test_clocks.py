@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from extent import ALL
 from other_world import World
 from sessions import gathered, truth
 from test_information import evidence_of
@@ -114,8 +114,7 @@ NAMED = {
 }
 
 
-# Every second one where CI has not the time for all (`.ci/run`).
-SOME = list(NAMED)[:: 2 if os.environ.get('IMU_CALIB_MATRIX') == 'covering' else 1]
+SOME = list(NAMED)[:: 1 if ALL else 2]
 
 
 @pytest.mark.parametrize('name', SOME)

@@ -1,11 +1,11 @@
 """A live session ends in what its journal gives, however its messages came."""
 
-import os
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from extent import ALL
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from loopback import patience, until
@@ -270,7 +270,7 @@ def test_others_read_a_journal_that_was_gone_on_with(tmp_path, wire):
 
 
 # A quarter of them where CI has not the time for all (`.ci/run`).
-MANY = 10 if os.environ.get('IMU_CALIB_MATRIX') == 'covering' else 40
+MANY = 40 if ALL else 10
 
 
 @settings(max_examples=MANY, suppress_health_check=list(HealthCheck))

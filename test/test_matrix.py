@@ -10,13 +10,12 @@ Every combination is simulated, calibrated, verified, compensated and exported. 
 verified by the recording of the next plan with the same unit: each recording serves twice. The
 commands that read a recording once more for a person, `info` and `report` with the recording, run
 for the combinations of `covering`: each plan once, each IMU and truth with some plan. These alone
-run where IMU_CALIB_MATRIX=covering.
+run by default (`extent`).
 """
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 from collections import Counter
@@ -28,6 +27,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from extent import ALL
 
 from imu_calib.api.conforming import conformity
 from imu_calib.bags import open_recording
@@ -159,7 +159,7 @@ def covering(cases: list[Case]) -> list[Case]:
 
 CASES = list(every())
 WHOLE = covering(CASES)
-RUN = WHOLE if os.environ.get('IMU_CALIB_MATRIX') == 'covering' else CASES
+RUN = CASES if ALL else WHOLE
 
 
 def too_noisy(case: Case) -> bool:

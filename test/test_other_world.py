@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pytest
+from extent import ALL
 from other_world import DEG, Damage, Matrix, Stop, Unit, Vector, World, record
 from sessions import gathered
 
@@ -124,8 +124,7 @@ CASES = [
     *((name, 'navigation') for name in WORLDS if 'slow ramps' in name or 'tilted' in name),
     *((name, 'navigation') for name in DAMAGED),
 ]
-if os.environ.get('IMU_CALIB_MATRIX') == 'covering':
-    # Every third one where CI has not the time for all (`.ci/run`).
+if not ALL:
     CASES = CASES[::3]
 
 
