@@ -27,19 +27,15 @@ def half_a_turn() -> Floats:
 
 def counted(directions: Floats, outputs: Floats) -> Floats:
     """What counters make of a velocity beyond what it was, for many phases: (PHASES, 3) m/s."""
-    rng = np.random.default_rng(3)
-    off = []
-    for _ in range(PHASES):
-        charge = rng.uniform(0.0, 1.0, 3)
-        error = np.zeros(3)
-        for direction, output in zip(directions, outputs, strict=True):
-            gained = output * PERIOD
-            charge = charge + gained / PULSE
-            given = np.floor(charge)
-            charge = charge - given
-            error = error + direction @ (given * PULSE - gained)
-        off.append(error)
-    return np.array(off)
+    charge = np.random.default_rng(3).uniform(0.0, 1.0, (PHASES, 3))
+    error = np.zeros((PHASES, 3))
+    for direction, output in zip(directions, outputs, strict=True):
+        gained = output * PERIOD
+        charge += gained / PULSE
+        given = np.floor(charge)
+        charge -= given
+        error += (given * PULSE - gained) @ direction.T
+    return error
 
 
 @pytest.mark.parametrize('level', [0.0, 0.5, 1.0, 2.0, 7.3], ids=lambda pulses: f'{pulses} pulses')

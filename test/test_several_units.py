@@ -71,6 +71,22 @@ def test_each_by_itself_has_the_bits_of_calibrate_with_its_topic(session, separa
         assert mine.findings == alone.findings
 
 
+def test_a_serial_number_chooses_the_topic_that_the_recording_says_is_its(
+    session, separate, folder
+):
+    alone = imu_calib.calibrate(session, serial='N-1', **KNOWN).calibration
+    assert alone.serial_number == 'N-1'
+    np.testing.assert_array_equal(alone.values, separate['N-1'].calibration.values)
+    # So does the number in a calibration that is applied.
+    written = imu_calib.compensate(session, alone, folder / 'compensated')
+    assert written.topic == '/unit_N_1/imu/pulses'
+    # A number that nobody has chooses nothing, and a topic that is named goes before.
+    with pytest.raises(InputError, match=r'3 topics of type.*--serial chooses one'):
+        imu_calib.calibrate(session, serial='N-7', **KNOWN)
+    with pytest.raises(InputError, match=r'found N-1, but .* serial number A1'):
+        imu_calib.calibrate(session, serial='N-1', imu_topic='/unit_A1/imu/pulses', **KNOWN)
+
+
 def test_all_units_come_out_near_their_truth(session, separate):
     for unit in separate.units:
         truth = imu_calib.Calibration.load(session / 'truths' / f'{unit.serial_number}.yaml')

@@ -107,7 +107,7 @@ def compensate(
     file = Path(calibration).name if isinstance(calibration, str | Path) else ''
     written = new_folder(output)
     with open_recording(bag) as recording, whole_or_not_at_all(written):
-        topic = _topic(imu_topic, recording)
+        topic = _topic(imu_topic, recording, serial or first_of(loaded).serial_number)
         stated = Stated(imu=imu, serial=serial)
         spec = _check_unit(loaded, name, stated, recording, topic)
         target = _target(output_topic, recording, topic)
@@ -219,9 +219,9 @@ def _check_unit(
     return imu
 
 
-def _topic(wanted: str | None, recording: Recording) -> Topic:
-    """Return the topic of the raw stream."""
-    name = imu_topic(wanted, recording)
+def _topic(wanted: str | None, recording: Recording, serial: str) -> Topic:
+    """Return the topic of the raw stream; of several units that of the one with this number."""
+    name = imu_topic(wanted, recording, serial)
     return next(topic for topic in recording.topics if topic.name == name)
 
 

@@ -328,7 +328,7 @@ def streams_of(stated: Stated, recording: Recording) -> Streams:
         InputError: No IMU topic, or several candidates; they are listed.
 
     """
-    imu = imu_topic(stated.imu_topic, recording)
+    imu = imu_topic(stated.imu_topic, recording, stated.serial)
     skew = skew_topic(recording, imu)
     temperature = temperature_topic(recording)
     if stated.imu_only:
@@ -338,13 +338,19 @@ def streams_of(stated: Stated, recording: Recording) -> Streams:
     return Streams(imu, joints, setpoints, skew, temperature)
 
 
-def imu_topic(wanted: str | None, recording: Recording) -> str:
+def imu_topic(wanted: str | None, recording: Recording, serial: str | None = None) -> str:
     """Return the topic of the IMU: the one that is stated, or the only candidate.
+
+    Args:
+        wanted: As it is stated.
+        recording: The recording.
+        serial: Number of the unit: of several it chooses the one that the recording says has it.
 
     Raises:
         InputError: There is none, or several; they are listed.
 
     """
+    wanted = wanted or _topic_of_unit(serial, recording)
     imu = _choose(recording, Kind.IMU, wanted, '--imu-topic')
     if imu is None:
         listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics) or 'none at all'
@@ -352,6 +358,17 @@ def imu_topic(wanted: str | None, recording: Recording) -> str:
             f'{recording.path}: no topic of type {Kind.IMU.type_name}; its topics: {listed}.'
         )
     return imu
+
+
+def _topic_of_unit(serial: str | None, recording: Recording) -> str | None:
+    """Return the topic of the unit with a serial number, if the recording says which it is."""
+    kind, data = Kind.IMU.type_name, recording.custom_data
+    mine = [
+        t.name
+        for t in recording.topics
+        if t.type == kind and serial is not None and data.get(serial_key(t.name)) == serial
+    ]
+    return mine[0] if len(mine) == 1 else None
 
 
 def units_of(recording: Recording) -> tuple[str, ...]:
@@ -401,7 +418,10 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
         listed = ', '.join(t.name for t in filled)
         several = ''
         if kind is Kind.IMU:
-            several = ' Where they are units on one table, calibrate --imus takes all.'
+            several = (
+                ' Where they are units on one table, --serial chooses one whose number the '
+                'recording holds, and calibrate --imus takes all.'
+            )
         raise NotStated(
             f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '
             f'Choose with {option}.{several}'

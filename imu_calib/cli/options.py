@@ -131,7 +131,8 @@ def add_serial_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--serial',
         metavar='NUMBER',
-        help="serial number of the unit (default: the recording's, where it says)",
+        help="serial number of the unit (default: the recording's, where it says); of several "
+        'units it chooses the one that the recording says has it',
     )
 
 
