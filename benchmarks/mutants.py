@@ -38,11 +38,11 @@ ROOT = Path(__file__).resolve().parent.parent
 TESTS = {
     'cdr': ['cdr'],
     'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal', 'in_motion'],
-    'segmentation': ['sample_grid', 'counter', 'segmentation'],
+    'segmentation': ['one_motion', 'sample_grid', 'counter', 'segmentation'],
     'sequencing': ['watch', 'sequencer'],
-    'bags': ['codec', 'mcap_writer', 'sqlite_pages', 'bags', 'damaged_bags'],
+    'bags': ['codec', 'journal', 'mcap_writer', 'sqlite_pages', 'bags', 'damaged_bags'],
     'methods': ['methods_positions', 'methods_gyro_only', 'methods_skewed', 'joint'],
-    'observation': ['information', 'arms', 'moves', 'methods_positions', 'joint'],
+    'observation': ['remainders', 'information', 'arms', 'moves', 'methods_positions', 'joint'],
     'estimation': ['likelihood', 'converge', 'score', 'undecided', 'joint'],
 }
 # What is too slow for every mutant of a package, and by which modules it goes.
