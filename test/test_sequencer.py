@@ -191,6 +191,27 @@ def test_a_dwell_lasts_as_long_as_the_plan_says_by_the_stamps():
     assert 7.0 - PERIOD <= stand.time - begin <= 7.0 + 2 * stand.block * PERIOD
 
 
+def test_within_a_step_a_second_is_left_less_each_second():
+    stand, seen = Stand(small_plan(dwell=3.0)).started(), []
+
+    def done(state):
+        seen.append((stand.time, state))
+        return state.phase is Phase.DONE
+
+    stand.run(done)
+    spent = {Phase.MOVING: [], Phase.SETTLING: [], Phase.DWELLING: []}
+    for (before, earlier), (now, later) in pairwise(seen):
+        if (earlier.step, earlier.phase) == (later.step, later.phase) and later.phase in spent:
+            fell = earlier.seconds_left - later.seconds_left
+            spent[later.phase].append(fell / (now - before))
+    assert all(len(rates) > 20 for rates in spent.values())
+    for phase in (Phase.SETTLING, Phase.DWELLING):
+        assert spent[phase] == pytest.approx([1.0] * len(spent[phase]), abs=1e-3)
+    # A motion may take longer than was reckoned with: then nothing of it is left, and no less.
+    assert -1e-3 < min(spent[Phase.MOVING]) <= max(spent[Phase.MOVING]) < 1 + 1e-3
+    assert np.mean(spent[Phase.MOVING]) > 0.8
+
+
 def test_the_time_that_is_left_runs_down_to_nothing():
     stand = Stand().started()
     told = stand.run(lambda state: state.phase is Phase.MOVING).seconds_left
