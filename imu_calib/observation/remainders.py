@@ -8,7 +8,7 @@ and e_i what is held back after it, a velocity is off by
 
 Where a channel counts gravity the e_i are as good as independent. One that stays level while the
 unit turns about the vertical counts a few pulses in a whole move: its e_i follow each other, and
-the variance is up to four times that of both ends alone.
+in half a turn its variance can be five times that of both ends alone, in a whole one ten times.
 
 Source: docs/mathematics.md, 'Velocities of moves', remainders.
 """
@@ -76,6 +76,7 @@ class RoughAnswers:
         own = np.mean([s.statistics.variance(walk)[3:] for s in segments], axis=0)
         # What a line is off by in the mean over its own points.
         doubt = own * determined / len(segments)
+        # A bias and three directions.
         if known < 4:
             doubt = doubt + (_UNKNOWN * float(np.linalg.norm(forces[0]))) ** 2
         return cls(SensorModel(gyro, accel), np.sqrt(doubt))
