@@ -99,6 +99,8 @@ def test_all_units_are_there_and_one_that_falls_silent_is_named(shown):
         desk.locator('.chooser').click()
         desk.get_by_role('option', name='A1').click()
         desk.locator('tr.looked-at[data-unit=unit_A1]').wait_for()
+        # The list fades out, and holds the serial numbers once more until it has.
+        desk.get_by_role('option').first.wait_for(state='detached')
         assert float(shown_std.inner_text()) == pytest.approx(float(of_all) / 4, rel=0.02)
         keep(desk, 'desk_chosen')
 
