@@ -519,9 +519,6 @@ def test_turntable_node_leads_a_plan_with_turns_through_lines_of_text(monkeypatc
         monkeypatch.setenv(name, value)
     (tmp_path / 'nimble.yaml').write_text(NIMBLE)
     (tmp_path / 'tiny.yaml').write_text(PLAN.replace('RATE deg/s', '700 deg/s, -700 deg/s'))
-    # The servo goes by the clock: a reply that a busy machine lets lie for 35 ms is an eighth of
-    # the rate over 0.3 s. How well rates are held is tested in test_sequencer, without delays.
-    monkeypatch.setattr('imu_calib.sequencing.watch._RATE_TOLERANCE', 0.5)
     controller = Servo()
     given = {
         'port': controller.url,

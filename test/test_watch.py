@@ -82,6 +82,40 @@ def test_half_a_degree_beyond_the_goal_or_back_is_let_pass():
     )
 
 
+def turning(rates):
+    """Return what the watch of turns at 60 deg/s says at these rates, each for 0.3 s, deg/s."""
+    step = Step(0, '1', Mode.RATE, GOAL * DEG, np.array([60.0, 0.0, 0.0]) * DEG, 3, 0.0)
+    turns = Watch(TABLE, Rules(), step, at(0.0))
+    assert turns.look(at(4.0, outer=280.0)) == (False, '')
+    outer, seconds = 280.0, 4.0
+    said = []
+    for rate in rates:
+        outer += 0.3 * rate
+        seconds += 0.3
+        arrived, fault = turns.look(at(seconds, outer))
+        assert not arrived
+        said.append(fault)
+    return said
+
+
+def test_turns_are_held_against_the_rate_that_was_commanded():
+    said = turning([60.0, 53.0, 54.5, 53.5, 60.0, 66.5, 67.5])
+    assert said[:-1] == [''] * 6
+    assert said[-1] == 'Joint outer turns at 67.5 deg/s, commanded is 60 deg/s.'
+
+
+def test_one_late_joint_state_is_no_wrong_rate():
+    # 35 ms late: an eighth too slow, and an eighth too fast after it.
+    assert turning([60.0, 53.0, 67.0, 60.0, 53.0, 67.0]) == [''] * 6
+
+
+def test_a_wrong_rate_counts_at_the_second_look_and_a_very_wrong_one_at_once():
+    slow = 'Joint outer turns at 53 deg/s, commanded is 60 deg/s.'
+    assert turning([53.0, 53.0]) == ['', slow]
+    assert turning([31.0, 60.0]) == ['', '']
+    assert turning([29.0]) == ['Joint outer turns at 29 deg/s, commanded is 60 deg/s.']
+
+
 @pytest.mark.parametrize(('arrival', 'stray'), [(0.01, 0.05), (1.0, 0.5)])
 @pytest.mark.parametrize('side', [-1.0, 1.0])
 def test_what_is_to_stand_may_stray_by_five_tolerances_and_never_by_the_overshoot(
