@@ -112,8 +112,9 @@ def test_one_late_joint_state_is_no_wrong_rate():
 def test_a_wrong_rate_counts_at_the_second_look_and_a_very_wrong_one_at_once():
     slow = 'Joint outer turns at 53 deg/s, commanded is 60 deg/s.'
     assert turning([53.0, 53.0]) == ['', slow]
-    assert turning([31.0, 60.0]) == ['', '']
-    assert turning([29.0]) == ['Joint outer turns at 29 deg/s, commanded is 60 deg/s.']
+    assert turning([31.0, 60.0]) == turning([89.0, 60.0]) == ['', '']
+    for rate in (29.0, 91.0):
+        assert turning([rate]) == [f'Joint outer turns at {rate:g} deg/s, commanded is 60 deg/s.']
 
 
 @pytest.mark.parametrize(('arrival', 'stray'), [(0.01, 0.05), (1.0, 0.5)])

@@ -28,12 +28,12 @@ _RATE_SPAN = 0.3
 _RATE_TOLERANCE = 0.1
 """Of the rate commanded: tables hold 1e-3, one that slips or is blocked is far beyond.
 
-It counts twice in a row. A joint state that a busy computer delayed by 35 ms makes one rate an
-eighth too low, and the next one too high.
+It has to be exceeded twice in a row, to the same side: a joint state that a busy computer delays by
+35 ms makes one rate an eighth too low, and the next one too high.
 """
 
 _RATE_ASTRAY = 0.5
-"""The same, of which one look is enough: no joint state comes late by half of the span."""
+"""The same, once is enough: a joint state would have to be late by half a span. A judgement."""
 
 _STRAY = 5.0
 """How many times the arrival tolerance a joint may stray that is to stand."""
@@ -201,9 +201,9 @@ class _TurnRate:
         rate = (self.done - then) * TURN / span
         self._mark = stamp, self.done
         before, self._off = self._off, rate / self._rate - 1
-        if abs(self._off) <= _RATE_ASTRAY and (
-            min(abs(self._off), abs(before)) <= _RATE_TOLERANCE or self._off * before < 0
-        ):
+        slow = max(before, self._off) < -_RATE_TOLERANCE
+        fast = min(before, self._off) > _RATE_TOLERANCE
+        if not (slow or fast or abs(self._off) > _RATE_ASTRAY):
             return ''
         return (
             f'Joint {self._way.joint.name} turns at {rate / DEG:.4g} deg/s, '
