@@ -19,6 +19,7 @@ from imu_calib.cdr import (
     Kind,
     Malformed,
     Messages,
+    decode,
     decode_imu,
     decode_joints,
     decode_setpoints,
@@ -300,11 +301,96 @@ def test_messages_are_found_wherever_they_lie_in_the_buffer():
     np.testing.assert_array_equal(decoded.accel, block.accel)
 
 
+@pytest.mark.parametrize('order', [(0, 1, 2, 3), (0, 2, 1, 3), (3, 2, 1, 0), (1, 1, 2, 2), (2,)])
+def test_messages_in_a_row_are_not_copied_and_others_are(order):
+    size, before = 6, 5
+    buffer = np.arange(4 * size + 9, dtype=np.uint8)
+    offset = before + size * np.array(order)
+    rows = Messages(buffer, offset, np.full(len(order), size)).rows(size)
+    assert rows.tolist() == [list(range(at, at + size)) for at in offset.tolist()]
+    assert np.shares_memory(rows, buffer) == (order in {(0, 1, 2, 3), (2,)})
+
+
+def test_messages_with_gaps_between_them_are_gathered():
+    buffer = np.arange(40, dtype=np.uint8)
+    for offset in ([5, 12], [5, 10], [0, 7, 14]):
+        rows = Messages(buffer, np.array(offset), np.full(len(offset), 6)).rows(6)
+        assert rows.tolist() == [list(range(at, at + 6)) for at in offset]
+    assert Messages.join([]).rows(8).shape == (0, 8)
+
+
+@pytest.mark.parametrize(
+    ('offset', 'size'),
+    [([0, 5], [4, 6]), ([0, -1], [4, 4]), ([0, 4], [4, -1]), ([5], [6]), ([-1], [4]), ([4], [-1])],
+)
+def test_messages_beyond_their_buffer_are_refused(offset, size):
+    with pytest.raises(ValueError, match='beyond their buffer of 10 bytes'):
+        Messages(np.zeros(10, np.uint8), np.array(offset), np.array(size))
+
+
+@pytest.mark.parametrize(('offset', 'size'), [([0, 5], [5, 5]), ([10, 0], [0, 10]), ([4], [6])])
+def test_messages_may_fill_their_buffer(offset, size):
+    messages = Messages(np.arange(10, dtype=np.uint8), np.array(offset), np.array(size))
+    assert [len(payload) for payload in messages.payloads()] == size
+
+
+@pytest.fixture
+def parsed(monkeypatch):
+    """List the messages that are read field by field to learn what they look like."""
+    parse, found = decode._imu_layout, []
+
+    def counting(payload):
+        found.append(payload)
+        return parse(payload)
+
+    monkeypatch.setattr(decode, '_imu_layout', counting)
+    return found
+
+
+def test_what_messages_look_like_is_read_once(parsed):
+    messages = encode_imu(imu_block(9))
+    decode_imu(messages)
+    assert parsed == [messages.payload(0)]
+    decode_imu(messages)
+    decode_imu(messages.select(slice(3, 7)))
+    assert len(parsed) == 1
+
+
+def test_a_stream_is_read_once_for_what_its_messages_look_like(parsed):
+    decoder, malformed = ImuDecoder(), Malformed()
+    first, other = encode_imu(imu_block(3)).payloads(), encode_imu(imu_block(3, 'other')).payloads()
+    decoder.decode(first[:1], malformed)
+    seen = len(parsed)
+    (block,) = decoder.decode(first[1:2], malformed)
+    assert block.stamp.tolist() == imu_block(3).stamp[1:2].tolist()
+    assert len(parsed) == seen
+    # Several at once are all decoded, and the last is what the next one is held against.
+    blocks = decoder.decode(first[:2], malformed)
+    assert [len(b) for b in blocks] == [2]
+    decoder.decode([first[0], other[0]], malformed)
+    seen = len(parsed)
+    (block,) = decoder.decode(other[1:2], malformed)
+    assert block.frame_id == 'other'
+    assert len(parsed) == seen
+
+
+def test_a_part_that_is_the_whole_is_the_block_itself():
+    block = imu_block(4)
+    for stop in (4, 5):
+        assert part(block, 0, stop) is block
+    assert part(block, 0, 3) is not block
+    assert len(part(block, 1, 4)) == 3
+
+
 def test_padding_of_a_middleware_is_accepted_but_not_another_type():
-    (block,) = decode_imu(Messages.join([encode_imu(imu_block(1)).payload(0) + bytes(4)]))
-    assert len(block) == 1
-    with pytest.raises(CdrError, match='more than the fields take'):
-        decode_imu(Messages.join([encode_imu(imu_block(1)).payload(0) + bytes(16)]))
+    payload = encode_imu(imu_block(1)).payload(0)
+    for padding in (4, 7):
+        (block,) = decode_imu(Messages.join([payload + bytes(padding)]))
+        assert len(block) == 1
+    # Two messages in one are none, either.
+    for more in (bytes(8), bytes(16), payload):
+        with pytest.raises(CdrError, match=f' {len(more)} more than the fields take'):
+            decode_imu(Messages.join([payload + more]))
 
 
 def test_options_in_the_encapsulation_header_do_not_matter():
@@ -320,6 +406,7 @@ def test_options_in_the_encapsulation_header_do_not_matter():
         b'',
         b'\x00\x01',
         b'\x00\x07\x00\x00' + bytes(400),
+        b'\x01' + encode_imu(imu_block(1)).payload(0)[1:],
         encode_imu(imu_block(1)).payload(0)[:-1],
         encode_imu(imu_block(1)).payload(0)[:12] + b'\xff\xff\xff\xff' + bytes(400),
         encode_imu(imu_block(1, 'frame')).payload(0).replace(b'frame\0', b'frame!'),
@@ -360,10 +447,35 @@ def test_repeated_setpoints_differ_in_their_stamp():
     assert decode_setpoints(encode_setpoints(repeated)) == [repeated]
 
 
-def test_stamps_that_do_not_fit_a_header_are_refused():
-    block = TemperatureBlock(np.array([2**31 * NS]), np.zeros(1))
+@pytest.mark.parametrize('count', [1, 2])
+@pytest.mark.parametrize('sec', [-(2**31) - 1, -(2**31), 2**31 - 1, 2**31])
+def test_stamps_that_do_not_fit_a_header_are_refused(sec, count):
+    block = TemperatureBlock(np.arange(count) + sec * NS, np.zeros(count))
+    if -(2**31) <= sec < 2**31:
+        (decoded,) = decode_temperatures(encode_temperatures(block))
+        assert decoded.stamp.tolist() == block.stamp.tolist()
+        return
     with pytest.raises(CdrError, match='do not fit a ROS header'):
         encode_temperatures(block)
+
+
+def test_the_variance_of_a_temperature_is_unknown_by_default():
+    block = TemperatureBlock(np.array([1]), np.array([21.5]))
+    assert encode_temperatures(block).payloads() == encode_temperatures(block, '', 0.0).payloads()
+
+
+@pytest.mark.parametrize(
+    ('payload', 'reason'),
+    [
+        (b'\x00\x01', 'encapsulation header 00 01, expected'),
+        (b'', 'encapsulation header missing, expected'),
+        (b'\x00\x01\x00\x00', '4 bytes, but a field of 4 bytes starts at 4'),
+        (b'\x00\x01\x00\x00' + bytes(6), '10 bytes, but a field of 4 bytes starts at 8'),
+    ],
+)
+def test_what_is_wrong_with_a_message_is_said(payload, reason):
+    with pytest.raises(CdrError, match=reason):
+        decode_imu(Messages.join([payload]))
 
 
 @settings(max_examples=40)

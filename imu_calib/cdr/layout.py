@@ -76,7 +76,7 @@ class Layout:
         for start, content in self.fixed:
             width = next(w for w in (8, 4, 2, 1) if w <= len(content))
             # The last word may overlap the one before.
-            for at in {*range(0, len(content) - width + 1, width), len(content) - width}:
+            for at in {*range(0, len(content) - width, width), len(content) - width}:
                 kind = f'<u{width}'
                 words.append((start + at, kind, np.frombuffer(content, kind, 1, at)[0]))
         return words
