@@ -39,7 +39,7 @@ TESTS = {
     'cdr': ['cdr'],
     'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal', 'in_motion'],
     'segmentation': ['one_motion', 'sample_grid', 'counter', 'segmentation'],
-    'sequencing': ['encoders', 'watch', 'sequencer'],
+    'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'bags': ['codec', 'journal', 'mcap_writer', 'sqlite_pages', 'bags', 'damaged_bags'],
     'methods': ['methods_positions', 'methods_gyro_only', 'methods_skewed', 'joint'],
     'observation': ['remainders', 'information', 'arms', 'moves', 'methods_positions', 'joint'],

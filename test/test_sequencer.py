@@ -652,7 +652,8 @@ def test_a_plan_beyond_the_limits_is_refused_at_the_start(change, rates, words):
     assert sequencer.setpoint(EPOCH) is None
 
 
-SUPERVISED = Rules(repeats=2, repeat_wait=20.0)
+# No multiple of the joint states' period: what happens at the end of the wait is past it.
+SUPERVISED = Rules(repeats=2, repeat_wait=20.0 + PERIOD / 2)
 
 
 def supervised(rules=SUPERVISED):
@@ -663,13 +664,41 @@ def supervised(rules=SUPERVISED):
 
 def test_a_start_waits_for_the_calibrator():
     stand = Stand(rules=SUPERVISED)
-    stand.tick()
+    assert stand.tick().turns_done == 0
     assert 'calibrator' in stand.sequencer.start()
     for _ in range(20):
-        assert stand.tick().phase is Phase.IDLE
+        state = stand.tick()
+        assert (state.phase, state.reason) == (Phase.IDLE, '')
+        assert 'calibrator' in state.waits_for
     assert stand.sent == []
     stand.sequencer.set_calibrator_present(True)
     stand.run(lambda state: state.phase is Phase.MOVING, 1.0)
+
+
+def test_a_session_that_is_gone_on_with_runs_what_the_calibrator_lacks_and_then_everything():
+    stand = Stand(rules=SUPERVISED)
+    stand.sequencer.resume()
+    stand.tick()
+    stand.sequencer.set_calibrator_present(True)
+    assert 'Waits' in stand.sequencer.start(), 'what it has is not known yet'
+    # Four of the five steps have been seen, of those the third left too little.
+    stand.sequencer.skip_done(4, [2])
+    stand.sequencer.set_calibrator_present(True)
+    stand.run(lambda state: stand.sequencer.reviewing)
+    assert [step for step, phase in stand.phases if phase is Phase.DWELLING] == [4]
+    assert [step for step, phase in stand.phases if phase is Phase.TURNING] == [2]
+    stand.sequencer.review(EPOCH + round(stand.time * 1e9), [])
+    stand.phase(Phase.DONE)
+    stand.phases.clear()
+    stand.sequencer.skip_done(4, [2])
+    stand.sequencer.start()
+    stand.run(lambda state: stand.sequencer.reviewing)
+    assert [step for step, phase in stand.phases if phase is Phase.TURNING] == [1, 2]
+
+
+def test_only_who_is_supervised_can_go_on_with_a_session():
+    with pytest.raises(InputError, match='supervise'):
+        Stand().sequencer.resume()
 
 
 def test_phases_have_the_numbers_of_the_message():
@@ -733,7 +762,7 @@ def test_the_way_home_does_not_wait_for_ever_for_the_calibrators_word():
     begin = stand.time
     state = stand.phase(Phase.DONE)
     assert 20.0 <= stand.time - begin <= 30.0
-    assert 'did not say within 20 s' in state.reason
+    assert 'did not say within 20.005 s' in state.reason
 
 
 def test_a_pause_while_the_calibrator_is_awaited_repeats_nothing():
@@ -911,6 +940,15 @@ def test_a_hold_without_joint_states_brakes_on_the_way():
     times = np.linspace(0.0, 1.0, 50)
     assert np.allclose(piece.course.at(times)[0], turn.course.at(times)[0])
     assert piece.course.end == pytest.approx(1.0 + 60 / 200)
+
+
+@pytest.mark.parametrize(('age', 'known'), [(0.05, True), (0.19, True), (0.21, False)])
+def test_a_joint_state_of_a_fifth_of_a_second_still_says_where_the_table_is(age, known):
+    lead = Lead(TABLE)
+    turn = lead.piece(setpoint(Mode.RATE, rates=(60 * DEG, 0.0, 0.0)), at())
+    last = at(rates=(60 * DEG, 0.0, 0.0), still=False, stamp=10**9 - round(age * 1e9))
+    piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), last)
+    assert piece.stamp == (0 if known else turn.stamp)
 
 
 class Controller:
