@@ -1,0 +1,209 @@
+"""A plan's steps, one after the other, while the table is led through them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum, auto
+
+import numpy as np
+
+from ..errors import InputError
+from ..plan import Plan, Step
+from ..stream import Mode
+from ..turntable import Table
+from .encoders import Feedback
+from .itinerary import Itinerary
+from .orders import Orders
+from .rules import Phase, Rules
+from .steps import check, end_of, way_to
+
+
+class Leg(Enum):
+    """Where within its plan a table is."""
+
+    STOPPING = auto()
+    """Until the table stands, to go on from there."""
+    MOVING = auto()
+    SETTLING = auto()
+    DWELLING = auto()
+    REVIEWING = auto()
+    """For the calibrator's word on what is to be repeated."""
+    HOME = auto()
+    """Back where it stood: there is nothing left to be done."""
+
+
+_WITHIN_A_STEP = frozenset({Leg.MOVING, Leg.SETTLING, Leg.DWELLING})
+_PHASES = {
+    Leg.STOPPING: Phase.MOVING,
+    Leg.MOVING: Phase.MOVING,
+    Leg.SETTLING: Phase.SETTLING,
+    Leg.DWELLING: Phase.DWELLING,
+    Leg.REVIEWING: Phase.DWELLING,
+    Leg.HOME: Phase.DONE,
+}
+
+
+class Run:
+    """Leads a table from step to step, each confirmed by the joint states.
+
+    Args:
+        plan: What is run.
+        table: On what.
+        rules: Tolerances and times.
+
+    Attributes:
+        itinerary: The steps, and which comes next.
+        orders: What the table is told.
+        leg: Where within the plan it is; while it is not led, STOPPING.
+        remark: What a person is told of how the plan ended, else empty.
+
+    """
+
+    def __init__(self, plan: Plan, table: Table, rules: Rules) -> None:
+        self._table = table
+        self._rules = rules
+        self.itinerary = Itinerary(plan, table, rules)
+        self.orders = Orders(plan.name, table, rules)
+        self.leg = Leg.STOPPING
+        self.remark = ''
+        self._since = 0
+        self._ended = 0
+        self._place_is_known = False
+
+    @property
+    def phase(self) -> Phase:
+        """What the table is doing while it is led."""
+        motion = self.orders.motion
+        if self.leg is Leg.MOVING and motion is not None and motion.mode is Mode.RATE:
+            return Phase.TURNING
+        return _PHASES[self.leg]
+
+    def go(self, at: Feedback | None, done: frozenset[int] = frozenset()) -> None:
+        """Go on, once the table stands, with what is left of the plan.
+
+        Args:
+            at: The last joint state.
+            done: Steps that need not be run.
+
+        """
+        if done:
+            self.itinerary.leave_out(done)
+        self.remark = ''
+        self._place_is_known = False
+        self._stop(Leg.STOPPING, at)
+
+    def interrupt(self, at: Feedback | None) -> None:
+        """Hold the table; the step that is interrupted is run first when it goes on."""
+        if self.leg in _WITHIN_A_STEP:
+            self.itinerary.put_back()
+        self._stop(Leg.STOPPING, at)
+
+    def follow(self, now: Feedback) -> str:
+        """Go on by one joint state; return what went wrong, in a sentence, else nothing."""
+        if not self.orders.under_way:
+            return ''
+        there, fault = self.orders.look(now)
+        return fault or self._go_on(now, there)
+
+    def review(self, stamp: int, repeat_steps: Sequence[int], at: Feedback) -> str:
+        """Take the calibrator's word; return what goes wrong, in a sentence, else nothing.
+
+        Args:
+            stamp: Up to when it has worked through the joint states, ns.
+            repeat_steps: Indices of steps that left too little.
+            at: The last joint state.
+
+        """
+        # Nobody has worked through joint states that are yet to come.
+        latest = at.stamp + self._rules.feedback_timeout * 1e9
+        if self.leg is not Leg.REVIEWING or not self._ended <= stamp <= latest:
+            return ''
+        again = self.itinerary.repeat(repeat_steps)
+        self._place_is_known = False
+        return self._next(at) if again else self._begin(self.itinerary.home, at)
+
+    def seconds_left(self, at: Feedback | None) -> float:
+        """Return the expected time to the end of the plan, s."""
+        left = self.itinerary.seconds_left()
+        if self.leg not in _WITHIN_A_STEP or at is None:
+            return left
+        elapsed = (at.stamp - self._since) * 1e-9
+        now = {
+            Leg.MOVING: self.itinerary.seconds_of_current(),
+            Leg.SETTLING: self._rules.settle + self._dwell,
+            Leg.DWELLING: self._dwell,
+        }
+        return left + max(now[self.leg] - elapsed, 0.0)
+
+    @property
+    def _dwell(self) -> float:
+        current = self.itinerary.current
+        return 0.0 if current is None else current.dwell
+
+    def _enter(self, leg: Leg, at: Feedback | None) -> None:
+        self.leg = leg
+        if at is not None:
+            self._since = at.stamp
+
+    def _stop(self, leg: Leg, at: Feedback | None) -> None:
+        self._enter(leg, at)
+        self.orders.stop(self.itinerary.current, at)
+
+    def _go_on(self, now: Feedback, there: bool) -> str:
+        if there and self.leg in {Leg.STOPPING, Leg.MOVING}:
+            return self._next(now) if self.leg is Leg.STOPPING else self._arrive(now)
+        elapsed = (now.stamp - self._since) * 1e-9
+        if self.leg is Leg.SETTLING and elapsed >= self._rules.settle:
+            self._enter(Leg.DWELLING, now)
+            elapsed = 0.0
+        if self.leg is Leg.DWELLING and elapsed >= self._dwell:
+            return self._finish(now)
+        if self.leg is Leg.REVIEWING and elapsed > self._rules.repeat_wait:
+            self.remark = (
+                f'The calibrator did not say within {self._rules.repeat_wait:g} s '
+                'whether steps are to be repeated.'
+            )
+            return self._begin(self.itinerary.home, now)
+        return ''
+
+    def _next(self, at: Feedback) -> str:
+        """Begin the next step; after the last one ask the calibrator, then go home."""
+        step = self.itinerary.take()
+        if step is None and self._rules.supervised and not self.itinerary.goes_home:
+            self._stop(Leg.REVIEWING, at)
+            return ''
+        return self._begin(step or self.itinerary.home, at)
+
+    def _begin(self, step: Step, at: Feedback) -> str:
+        """Command a step; a turn whose place is not certain is preceded by the way there."""
+        self.itinerary.current = step
+        off = np.abs(step.angles - np.array(at.angles)).max()
+        near = self._place_is_known and off <= self._rules.arrival
+        return self._move(way_to(step) if step.mode is Mode.RATE and not near else step, at)
+
+    def _move(self, motion: Step, at: Feedback) -> str:
+        self._enter(Leg.MOVING, at)
+        try:
+            check(motion, self._table)
+        except InputError as error:
+            return str(error)
+        self._place_is_known = True
+        self.orders.move(motion)
+        return ''
+
+    def _arrive(self, now: Feedback) -> str:
+        motion, current = self.orders.motion, self.itinerary.current
+        assert motion is not None
+        assert current is not None
+        if motion.mode is not current.mode:
+            return self._move(current, now)
+        self._enter(Leg.SETTLING, now)
+        self.orders.stay(tuple(end_of(current).tolist()), now)
+        return ''
+
+    def _finish(self, now: Feedback) -> str:
+        if self.itinerary.goes_home:
+            self._stop(Leg.HOME, now)
+            return ''
+        self._ended = now.stamp
+        return self._next(now)
