@@ -40,8 +40,9 @@ def spoken():
         for file in (words, words.with_name('unit_results.py'))
         for part in first_texts(file, 'report')
     }
-    controller = words.with_name('controller.py')
-    parts |= {('turntable_node', part) for part in first_texts(controller, 'report')}
+    for taken in ('controller.py', 'calibrator_word.py'):
+        told = first_texts(words.with_name(taken), 'report')
+        parts |= {('turntable_node', part) for part in told}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):
         parts |= {(path.stem, part) for part in first_texts(path, 'report')}
         if 'Commands(' in path.read_text():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -26,13 +25,15 @@ from ..sequencing import Sequencer, SequencerState
 from ..stream import Mode, Setpoint, SetpointBlock
 from ..turntable import load_table
 from . import qos
+from .calibrator_word import CalibratorWord
 from .controller import Controller
 from .convert import state_message
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 from .heartbeat import Heartbeat
-from .publishers import OnePublisher
+from .own_topics import OwnTopics
+from .pacing import Pacing
 from .rules import declare_rules
 from .run_action import RunAction
 from .stop import EmergencyStop, state_folder
@@ -49,11 +50,6 @@ _LAST_HOLDS = 3
 """HOLDs sent as the node ends: one that is lost on the way has two more."""
 _LAST_ROUNDS = 20
 """Rounds of the executor for the result of a goal to leave as the node ends; it takes three."""
-_REMEMBERED = 256
-"""So many messages may be on their way back to the node that sent them."""
-
-_NS = 1_000_000_000
-"""Of a second."""
 
 
 class TurntableNode(Node):
@@ -82,7 +78,7 @@ class TurntableNode(Node):
             'Longest wait for a joint state on the steady clock, s.',
             lower=0.01,
         )
-        self._calibrator_timeout = declare(
+        calibrator_timeout = declare(
             self,
             'calibrator_timeout',
             5.0,
@@ -92,7 +88,7 @@ class TurntableNode(Node):
         rate = declare(
             self, 'setpoint_rate', 10.0, 'How often setpoints are sent, Hz.', lower=10.0, upper=1e3
         )
-        self._period = round(_NS / rate)
+        self._pacing = Pacing(rate)
         folder = declare(
             self,
             'state_folder',
@@ -105,14 +101,9 @@ class TurntableNode(Node):
         self._controller = self._declare_output()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._malformed = Malformed()
-        self._revision = -1
-        self._due_stamp = 0
-        self._due = -math.inf
         self._fed_at = self._steady.now().nanoseconds * 1e-9
-        self._heard_at = -math.inf
         self._published: tuple[Any, ...] = ()
         self._published_at = -math.inf
-        self._sent: deque[bytes] = deque(maxlen=_REMEMBERED)
 
         self._diagnostics = Diagnostics(self, table.name)
         self._setpoints = self.create_publisher(
@@ -136,7 +127,16 @@ class TurntableNode(Node):
             qos.latched(),
         )
         self._heartbeat = Heartbeat(self)
-        self._alone = self._watch_publishers()
+        own = {
+            'turntable/setpoint': messages.TurntableSetpoint,
+            'turntable/state': messages.TurntableState,
+        }
+        others = 'turntable/joint_states', 'calibration/progress', 'estop'
+        self._own = OwnTopics(self, own, others, self._on_foreign)
+        alone = partial(self._own.is_alone, 'calibration/progress')
+        self._calibrator = CalibratorWord(
+            self._sequencer, self._diagnostics, calibrator_timeout, alone
+        )
         self._estop = EmergencyStop(self, state_folder(folder), self._on_estop)
         if self._estop.words:
             self._on_estop()
@@ -145,7 +145,7 @@ class TurntableNode(Node):
         self.create_service(Trigger, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/abort', self._on_abort)
         self._action = RunAction(self, self._sequencer, self._start, self._at_once)
-        self.create_timer(min(_PERIOD, self._period * 1e-9), self._go_on, clock=self._steady)
+        self.create_timer(min(_PERIOD, self._pacing.seconds), self._go_on, clock=self._steady)
         self.create_timer(_LOOK_PERIOD, self._look_around, clock=self._steady)
         self._tell()
         self._look_around()
@@ -222,11 +222,7 @@ class TurntableNode(Node):
             self._sequencer.lose_feedback(
                 f'No joint state from the table for {self._watchdog:g} s.{self._of_others()}'
             )
-        silence = now - self._heard_at
-        self._sequencer.set_calibrator_present(
-            silence <= self._calibrator_timeout,
-            f'The calibrator is silent for {self._calibrator_timeout:g} s.',
-        )
+        self._calibrator.look(now)
 
     def _of_others(self) -> str:
         """Say which joint states do come, where none of them are the table's."""
@@ -249,23 +245,13 @@ class TurntableNode(Node):
 
     def _send_what_is_due(self, now: float) -> None:
         sequencer = self._sequencer
-        feedback = sequencer.feedback
-        table_time = 0 if feedback is None else feedback.stamp
-        if self._due_stamp > table_time + 2 * self._period:
-            # The table's time began anew.
-            self._due_stamp = table_time
-        ahead = table_time >= self._due_stamp and feedback is not None
-        if not (ahead or now >= self._due or sequencer.revision != self._revision):
+        table_time = None if sequencer.feedback is None else sequencer.feedback.stamp
+        if not self._pacing.is_due(table_time, now, sequencer.revision):
             return
         setpoint = sequencer.setpoint(self._stamp())
         if setpoint is None:
             return
-        if ahead:
-            # From when it was due: late by a joint state each time would be too slow on average.
-            late = table_time - self._due_stamp
-            self._due_stamp = table_time + self._period - (late if late < self._period else 0)
-        self._due = now + self._period * 1e-9
-        self._revision = sequencer.revision
+        self._pacing.sent(table_time, now, sequencer.revision)
         self._send(setpoint)
 
     def _stamp(self) -> int:
@@ -277,7 +263,7 @@ class TurntableNode(Node):
     def _send(self, setpoint: Setpoint) -> None:
         """Publish a setpoint; the calibrator reads it where a trajectory moves the table, too."""
         (payload,) = encode_setpoints(SetpointBlock((setpoint,))).payloads()
-        self._publish(self._setpoints, bytes(payload))
+        self._own.publish(self._setpoints, bytes(payload))
         if self._controller is not None:
             self._controller.follow(setpoint, self._steady.now().nanoseconds * 1e-9)
 
@@ -294,7 +280,7 @@ class TurntableNode(Node):
         self._published = self._sequencer.summary
         self._published_at = self._steady.now().nanoseconds * 1e-9
         message = state_message(state, self._sequencer.table.names, self._stamp())
-        self._publish(self._states, bytes(serialize_message(message)))
+        self._own.publish(self._states, bytes(serialize_message(message)))
         level = Level.WARN if state.reason else Level.OK
         self._diagnostics.report(
             'plan',
@@ -322,25 +308,13 @@ class TurntableNode(Node):
             },
         )
 
-    def _watch_publishers(self) -> dict[str, OnePublisher]:
-        """Watch who publishes what is one node's alone; hear who else leads this table."""
-        names = ['turntable/joint_states', 'calibration/progress', 'estop']
-        for name, kind in (
-            ('turntable/setpoint', messages.TurntableSetpoint),
-            ('turntable/state', messages.TurntableState),
-        ):
-            hear = partial(self._on_own_topic, name)
-            self.create_subscription(kind, name, hear, qos.own_topic(), raw=True)
-            names.append(name)
-        return {name: OnePublisher(self, self.resolve_topic_name(name)) for name in names}
-
     def _look_around(self) -> None:
         """Hear who says stop; hold the table while what is one node's has two publishers."""
         self._estop.look()
         now = self._steady.now().nanoseconds * 1e-9
         if self._controller is not None:
             self._controller.look(now, self._diagnostics)
-        found = {name: watched.look(now) for name, watched in self._alone.items()}
+        found = self._own.look(now)
         for name, words in found.items():
             self._sequencer.forbid(name, words)
         if self._heartbeat.required:
@@ -360,70 +334,17 @@ class TurntableNode(Node):
             'heartbeat', Level.ERROR if words else Level.OK, words or 'The heartbeat comes in.'
         )
 
-    def _publish(self, publisher: Any, payload: bytes) -> None:
-        """Publish on a topic that is this node's alone, and know the message again."""
-        self._sent.append(_content(payload))
-        publisher.publish(payload)
-
-    def _on_own_topic(self, name: str, payload: bytes) -> None:
-        """Take a message of this node's own topics; whose it is not, has another sender."""
-        if _content(bytes(payload)) in self._sent:
-            return
-        self._alone[name].heard_two(self._steady.now().nanoseconds * 1e-9)
+    def _on_foreign(self, name: str, payload: bytes) -> None:
+        """Take a message of this node's own topics that another has sent."""
+        self._own.heard_two(name, self._steady.now().nanoseconds * 1e-9)
         self._look_around()
         if name == 'turntable/setpoint' and not _holds(payload):
             # At once, whatever has been sent already: it may have set the table in motion.
             self._send(self._sequencer.hold(self._stamp()))
 
     def _on_progress(self, message: Any) -> None:
-        fault = self._fault_of(message)
-        failed = message.state == message.FAILED
-        # What keeps the table from moving is believed of everybody.
-        if failed and self._sequencer.running:
-            self._sequencer.fail(fault)
-        if message.plan == self._sequencer.plan.name:
-            self._take_progress(message)
-        elif not fault:
-            self._diagnostics.report(
-                'calibrator',
-                Level.ERROR,
-                f'The calibrator expects plan {message.plan or "(no name)"}, the table runs '
-                f'{self._sequencer.plan.name}: its progress does not count.',
-            )
-            return
-        self._sequencer.set_calibrator_fault(fault)
-        level = Level.WARN if _lacks_units(message) else Level.OK
-        self._diagnostics.report(
-            'calibrator',
-            Level.ERROR if failed else level,
-            fault or 'The calibrator expects this plan.',
-        )
-
-    def _fault_of(self, message: Any) -> str:
-        """Return what keeps the calibrator from taking a session in; empty where nothing does."""
-        if message.state == message.FAILED:
-            return f'The calibrator cannot go on: {message.text}'
-        if message.state == message.FINISHED:
-            return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
-        if _lacks_units(message):
-            # One that is not heard would have every step to be run again.
-            return f'Not every unit is heard: {message.text}'
-        return ''
-
-    def _take_progress(self, message: Any) -> None:
-        """Take progress of this plan: the calibrator is there, and may ask for steps again."""
-        now = self._steady.now().nanoseconds * 1e-9
-        self._heard_at = now
-        self._action.hear(message)
-        if not self._alone['calibration/progress'].is_alone(now):
-            return
-        # rclpy's Time refuses what lies before 1970, where simulated time may begin.
-        stamp = message.header.stamp.sec * _NS + message.header.stamp.nanosec
-        repeat_steps = [int(step) for step in message.repeat_steps]
-        if self._sequencer.reviewing:
-            self._sequencer.review(stamp, repeat_steps)
-        if stamp:
-            self._sequencer.skip_done(int(message.step), repeat_steps)
+        if self._calibrator.take(message, self._steady.now().nanoseconds * 1e-9):
+            self._action.hear(message)
 
     def _on_estop(self) -> None:
         """Hold the table until `~/release`, and do not start by itself any more."""
@@ -485,19 +406,9 @@ class TurntableNode(Node):
         self._tell()
 
 
-def _lacks_units(progress: Any) -> bool:
-    """Say whether the calibrator of several units does not hear them all."""
-    return bool(progress.state == progress.WAITING and progress.serial_numbers)
-
-
-def _content(payload: bytes) -> bytes:
-    """Return a serialised message without what the middleware may add: padding, and its length."""
-    return payload[4:].rstrip(b'\0')
-
-
 def _holds(payload: bytes) -> bool:
     """Say whether a serialised setpoint is HOLD, which nobody needs to answer."""
-    blocks = decode_setpoints(Messages.join([bytes(payload)]), Malformed())
+    blocks = decode_setpoints(Messages.join([payload]), Malformed())
     return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
 
 

@@ -1,0 +1,102 @@
+"""What the calibrator says of the session, as the node that leads the table takes it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from ..sequencing import Sequencer
+from .diagnostics import Diagnostics, Level
+
+_NS = 1_000_000_000
+"""Of a second."""
+
+
+class CalibratorWord:
+    """Takes progress in: the calibrator is there, cannot go on, or asks for steps again.
+
+    Args:
+        sequencer: Leads the table.
+        diagnostics: Where faults are reported.
+        timeout: Longest silence of the calibrator on the steady clock, s.
+        is_alone: Tells whether one node alone publishes progress, by the steady clock, s.
+
+    """
+
+    def __init__(
+        self,
+        sequencer: Sequencer,
+        diagnostics: Diagnostics,
+        timeout: float,
+        is_alone: Callable[[float], bool],
+    ) -> None:
+        self._sequencer = sequencer
+        self._diagnostics = diagnostics
+        self._timeout = timeout
+        self._is_alone = is_alone
+        self._heard_at = -math.inf
+
+    def look(self, now: float) -> None:
+        """Hold the calibrator to the steady clock, s."""
+        self._sequencer.set_calibrator_present(
+            now - self._heard_at <= self._timeout,
+            f'The calibrator is silent for {self._timeout:g} s.',
+        )
+
+    def take(self, progress: Any, now: float) -> bool:
+        """Take imu_calib_msgs/CalibrationProgress; return whether it is of this plan."""
+        sequencer = self._sequencer
+        fault = _fault_of(progress)
+        failed = progress.state == progress.FAILED
+        # What keeps the table from moving is believed of everybody.
+        if failed and sequencer.running:
+            sequencer.fail(fault)
+        of_this_plan = bool(progress.plan == sequencer.plan.name)
+        if of_this_plan:
+            self._take_steps(progress, now)
+        elif not fault:
+            self._diagnostics.report(
+                'calibrator',
+                Level.ERROR,
+                f'The calibrator expects plan {progress.plan or "(no name)"}, the table runs '
+                f'{sequencer.plan.name}: its progress does not count.',
+            )
+            return False
+        sequencer.set_calibrator_fault(fault)
+        level = Level.WARN if _lacks_units(progress) else Level.OK
+        self._diagnostics.report(
+            'calibrator',
+            Level.ERROR if failed else level,
+            fault or 'The calibrator expects this plan.',
+        )
+        return of_this_plan
+
+    def _take_steps(self, progress: Any, now: float) -> None:
+        self._heard_at = now
+        if not self._is_alone(now):
+            return
+        # rclpy's Time refuses what lies before 1970, where simulated time may begin.
+        stamp = progress.header.stamp.sec * _NS + progress.header.stamp.nanosec
+        repeat_steps = [int(step) for step in progress.repeat_steps]
+        if self._sequencer.reviewing:
+            self._sequencer.review(stamp, repeat_steps)
+        if stamp:
+            self._sequencer.skip_done(int(progress.step), repeat_steps)
+
+
+def _fault_of(progress: Any) -> str:
+    """Return what keeps the calibrator from taking a session in; empty where nothing does."""
+    if progress.state == progress.FAILED:
+        return f'The calibrator cannot go on: {progress.text}'
+    if progress.state == progress.FINISHED:
+        return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
+    if _lacks_units(progress):
+        # One that is not heard would have every step to be run again.
+        return f'Not every unit is heard: {progress.text}'
+    return ''
+
+
+def _lacks_units(progress: Any) -> bool:
+    """Say whether the calibrator of several units does not hear them all."""
+    return bool(progress.state == progress.WAITING and progress.serial_numbers)

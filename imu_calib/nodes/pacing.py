@@ -1,0 +1,51 @@
+"""When a setpoint is due; knows nothing of the middleware."""
+
+from __future__ import annotations
+
+import math
+
+_NS = 1_000_000_000
+"""Of a second."""
+
+
+class Pacing:
+    """Keeps a rate by the stamps of the joint states, and by the steady clock when none come.
+
+    Args:
+        rate: How often, Hz.
+
+    Attributes:
+        seconds: Between two setpoints.
+
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._period = round(_NS / rate)
+        self.seconds = self._period * 1e-9
+        self._revision = -1
+        self._due_stamp = 0
+        self._due = -math.inf
+
+    def is_due(self, table_time: int | None, now: float, revision: int) -> bool:
+        """Tell whether to send.
+
+        Args:
+            table_time: Stamp of the last joint state, ns; None before the first.
+            now: Of the steady clock, s.
+            revision: Of the setpoint: a new one is due at once.
+
+        """
+        if table_time is not None and self._due_stamp > table_time + 2 * self._period:
+            # The table's time began anew.
+            self._due_stamp = table_time
+        by_table = table_time is not None and table_time >= self._due_stamp
+        return by_table or now >= self._due or revision != self._revision
+
+    def sent(self, table_time: int | None, now: float, revision: int) -> None:
+        """Take it that a setpoint was sent; arguments as of `is_due`."""
+        if table_time is not None and table_time >= self._due_stamp:
+            # From when it was due: late by a joint state each time would be too slow on average.
+            late = table_time - self._due_stamp
+            self._due_stamp = table_time + self._period - (late if late < self._period else 0)
+        self._due = now + self.seconds
+        self._revision = revision
