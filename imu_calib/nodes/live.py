@@ -13,16 +13,17 @@ import scipy.special  # noqa: F401
 
 from ..bags import Journal
 from ..calibration import Calibration
-from ..calibrator import Calibrator, HandCalibrator, Review, Setup, calibrator_of
+from ..calibrator import Review, Setup
 from ..calibrator.by_hand import HandReview
 from ..calibrator.guidance import Guidance, Stage
 from ..cdr import Kind, Malformed, Messages
-from ..errors import ImuCalibError, InputError
-from ..instants import at
-from ..model import Parameter, skewed_parameters
-from ..segmentation.segmenter import INTERRUPTION, interruption
+from ..errors import ImuCalibError
+from ..model import Parameter
 from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
+from .feeding import Feeding
+from .former import Former
 from .intake import TopicIntake
+from .keeping import Keeping
 from .shared import JournalPart, SolverPart
 from .solving import Solver
 
@@ -30,10 +31,6 @@ _LATE = 500_000_000
 """ns by which the last samples may be older than the table's last word: half a second of delay."""
 _PATIENCE = 2.0
 """s that are waited for data older than the table's last word; what comes later is lost."""
-_SET_BACK = 10_000_000_000
-"""ns that stamps may begin before a journal's last: less than the shortest step of the plans."""
-_SKEW_AWAITED = 10.0
-"""How much the IMU may say while a skewed gyro says nothing: s by its stamps and by the clock."""
 
 
 class SessionPhase(IntEnum):
@@ -54,11 +51,9 @@ class LiveSession:
 
     Attributes:
         setup: What is calibrated, and how.
-        journal: The recording.
         intakes: The topics by what they carry.
         phase: How far it has come.
         failure: Why it failed, else empty.
-        trouble: What is wrong with the journal at the moment, else empty.
         notes: What a person should know beyond the calibration's own findings.
         review: What the last solving found; None before the first.
         calibration: The result as far as it goes; None while it is not determined.
@@ -66,7 +61,6 @@ class LiveSession:
             where there is no table.
         frame_id: The IMU's frame.
         steps_seen: Steps of the plan that have been commanded: up to the last one seen.
-        without_skew: Whether the session goes on without a skewed gyro.
 
     Args:
         setup: What is calibrated, and how.
@@ -92,37 +86,43 @@ class LiveSession:
     ) -> None:
         self.setup = setup
         self._solved = solved or setup
-        self.journal = journal
+        self._keeping = Keeping(journal)
         now = time.monotonic()
         self.intakes = {k: TopicIntake(k, topic, Malformed(), now) for k, topic in topics.items()}
         self.phase = SessionPhase.WAITING
         self.failure = ''
-        self.trouble = ''
         self.notes: list[str] = []
         self.review: Review | None = None
         self.calibration: Calibration | None = None
         self.worked_until = 0
         self.frame_id = ''
         self.steps_seen = 0
-        self.without_skew = False
-        self._began = now
-        self._held: list[Block] = []
-        self._calibrator: Calibrator | HandCalibrator | None = None
-        # A plan that its method cannot solve is refused now, whenever it is begun with.
-        calibrator_of(self._solved)
-        if setup.imu.skewed is None or Kind.SKEW not in topics:
-            self._begin(with_skew=False)
+        self._feeding = Feeding(self._solved, setup.imu, topics)
         self._solver = solver or Solver()
         self._ending = False
         self._done_at: int | None = None
         self._done_heard = 0.0
-        self._left_at: int | None = None
-        self._left: dict[Kind, int] = {}
+        self._former: Former | None = None
         kinds = {topic: kind for kind, topic in topics.items()}
         for topic, block in journal.replay():
             self.feed_former(kinds[topic], block)
         if journal.resumed:
             self.go_on(journal.losses)
+
+    @property
+    def journal(self) -> Journal | JournalPart:
+        """The recording."""
+        return self._keeping.journal
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with the journal at the moment, else empty."""
+        return self._keeping.trouble
+
+    @property
+    def without_skew(self) -> bool:
+        """Whether the session goes on without a skewed gyro."""
+        return self._feeding.without_skew
 
     @property
     def over(self) -> bool:
@@ -172,9 +172,10 @@ class LiveSession:
             payloads = sound
         messages = Messages.join(payloads)
         blocks = list(kind.decode(messages, intake.malformed))
-        if self._was_set_back(intake, blocks):
+        if self._former is not None and (why := self._former.set_back(intake, blocks)):
+            self.fail(why, finished=False)
             return
-        self._write(intake, messages, now)
+        self._keeping.write(intake.topic, kind.type_name, messages, now)
         intake.heard = time.monotonic()
         for block in blocks:
             if isinstance(block, ImuBlock) and len(block):
@@ -189,18 +190,12 @@ class LiveSession:
     def go_on(self, losses: Sequence[str]) -> None:
         """Note that all of what was left has been taken in, and what of it could not be read."""
         self.notes += losses
-        self._left_at = self.intakes[Kind.IMU].newest
-        timed = {k: self.intakes[k] for k in (Kind.IMU, Kind.JOINTS) if k in self.intakes}
-        self._left = {k: intake.newest for k, intake in timed.items() if intake.newest is not None}
+        self._former = Former(self.journal.path, self.intakes)
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
         """Keep a message that is not calibrated from."""
-        if self._closed:
-            return
-        try:
-            self.journal.write(topic, type_name, Messages.join([payload]), now)
-        except InputError as error:
-            self.trouble = str(error)
+        if not self._closed:
+            self._keeping.write(topic, type_name, Messages.join([payload]), now)
 
     def backwards(self, kind: Kind, payloads: Sequence[bytes]) -> bool:
         """Tell whether messages are older than what came in before: a second publisher's."""
@@ -212,15 +207,7 @@ class LiveSession:
 
     def flush(self) -> None:
         """Secure what came in, and try again what a full disk refused."""
-        if self.over:
-            return
-        try:
-            self.journal.flush()
-        except InputError as error:
-            self.trouble = str(error)
-        else:
-            self.trouble = ''
-        if self.journal.overfull:
+        if not self.over and not self._keeping.flush():
             self.fail(f'{self.trouble} The memory takes no more either.')
 
     def table_done(self, stamp: int) -> None:
@@ -236,8 +223,8 @@ class LiveSession:
         """Solve for good with what is here."""
         if not self.over:
             self._ending = True
-            if self._calibrator is None:
-                self._begin(with_skew=self.intakes[Kind.SKEW].count > 0)
+            if self._feeding.calibrator is None:
+                self._fail_if(self._feeding.begin(with_skew=self.intakes[Kind.SKEW].count > 0))
             self.solve()
 
     @property
@@ -247,9 +234,10 @@ class LiveSession:
 
     def solve(self) -> None:
         """Begin to solve with what is here, unless it is being done already."""
-        if not (self._solver.busy or self.over or self._calibrator is None):
+        calibrator = self._feeding.calibrator
+        if not (self._solver.busy or self.over or calibrator is None):
             until = self._leader.newest or 0
-            self._solver.begin(self._calibrator, until, final=self._ending)
+            self._solver.begin(calibrator, until, final=self._ending)
 
     def poll(self) -> bool:
         """Look for what the solver found, and for the end; return whether there is news."""
@@ -279,13 +267,13 @@ class LiveSession:
         self.phase = SessionPhase.FAILED
         self.failure = reason
         self.calibration = None
-        self._close_journal(finished=finished)
+        self._keeping.close(finished=finished)
 
     def close(self) -> None:
         """Leave the journal such that it can be gone on with."""
         self._solver.close()
         if not self.over:
-            self._close_journal(finished=False)
+            self._keeping.close(finished=False)
 
     def _all_here(self, done_at: int) -> bool:
         """Say whether all data up to the table's last word has come in."""
@@ -316,7 +304,7 @@ class LiveSession:
     def _finish(self, review: Review) -> None:
         if review.result is None:
             self.fail(review.refusal)
-        elif self._close_journal(finished=True):
+        elif self._keeping.close(finished=True):
             self.phase = SessionPhase.FINISHED
             self.calibration = self._with_notes(review.result.calibration)
         else:
@@ -327,21 +315,6 @@ class LiveSession:
         findings = (*calibration.findings, *self.notes)
         return replace(calibration, provenance=provenance, findings=findings)
 
-    def _close_journal(self, *, finished: bool) -> bool:
-        try:
-            self.journal.close(finished=finished)
-        except InputError as error:
-            self.trouble = str(error)
-            return False
-        return True
-
-    def _write(self, intake: TopicIntake, messages: Messages, now: int) -> None:
-        try:
-            self.journal.write(intake.topic, intake.kind.type_name, messages, now)
-        except InputError as error:
-            # Held in memory, and written with the next flush that succeeds.
-            self.trouble = str(error)
-
     def _feed(self, kind: Kind, block: Block) -> None:
         if isinstance(block, SetpointBlock):
             # A table that is held is on its way to no step.
@@ -350,11 +323,11 @@ class LiveSession:
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
         strange = isinstance(block, JointBlock) and not self._of_the_table(block)
         self.intakes[kind].note(block, strange=strange)
-        if self._calibrator is None:
-            self._held.append(block)
-            self._await_skew()
-        else:
-            self._calibrator.feed(block)
+        self._fail_if(self._feeding.feed(block, self.intakes))
+
+    def _fail_if(self, reason: str) -> None:
+        if reason:
+            self.fail(reason)
 
     def _of_the_plan(self, payload: bytes) -> bool:
         """Say whether a setpoint may be the leader's: those of another plan are a stranger's."""
@@ -367,53 +340,6 @@ class LiveSession:
         table = self.setup.table
         return table is None or block.of(table.names) is not None
 
-    def _await_skew(self) -> None:
-        """Decide whether there is a skewed gyro, as reprocessing will: by what has come of it."""
-        imu = self.intakes[Kind.IMU]
-        if self.intakes[Kind.SKEW].count:
-            self._begin(with_skew=True)
-        elif imu.oldest is not None and imu.newest is not None:
-            spanned = (imu.newest - imu.oldest) * 1e-9
-            if min(spanned, time.monotonic() - self._began) > _SKEW_AWAITED:
-                self._begin(with_skew=False)
-
-    def _begin(self, *, with_skew: bool) -> None:
-        """Begin to calibrate, first of all with what has come in before."""
-        self.without_skew = not with_skew
-        imu = self.setup.imu if with_skew else replace(self.setup.imu, skewed=None)
-        self._calibrator = calibrator_of(replace(self._solved, imu=imu))
-        held, self._held = self._held, []
-        for block in held:
-            self._calibrator.feed(block)
-        if held and self.without_skew and self.setup.method_name == 'skewed':
-            lost = ', '.join(p.name for p in skewed_parameters(1))
-            self.fail(
-                f'Nothing comes on {self.intakes[Kind.SKEW].topic}, while '
-                f'{self.intakes[Kind.IMU].topic} does: {lost} cannot be determined. Let the '
-                'driver publish it (imu_node: a device file with the field skew), and call ~/reset.'
-            )
-
-    def _was_set_back(self, intake: TopicIntake, blocks: Sequence[Block]) -> bool:
-        """Fail where stamps begin so far before the journal's last that steps would be lost.
-
-        Samples older than those before them are left out, one by one and until the old time is
-        reached: of a simulation that began anew that may be the whole session.
-        """
-        timed = [b for b in blocks if isinstance(b, ImuBlock | JointBlock) and len(b)]
-        last = self._left.pop(intake.kind, None) if timed else None
-        if last is None or (first := int(timed[0].stamp[0])) > last - _SET_BACK:
-            return False
-        self.fail(
-            f'Stamps on {intake.topic} begin at {at(first)}, {(last - first) * 1e-9:.0f} s before '
-            f'the end of the journal {self.journal.path}: the clock was set back, or a simulation '
-            'began anew. Up to then nothing could be used. Set the clock right, or give another '
-            'journal, and start again.',
-            finished=False,
-        )
-        return True
-
     def _name_the_gap(self, first: int) -> None:
-        """Say how long the session was interrupted, where the stream alone does not tell."""
-        if self._left_at is not None and first - self._left_at <= INTERRUPTION:
-            self.notes.append(f'{interruption(self._left_at, first)}.')
-        self._left_at = None
+        if self._former is not None and (words := self._former.gap(first)):
+            self.notes.append(words)

@@ -1,0 +1,60 @@
+"""Where the session before a crash ended, held against how this one begins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ..cdr import Kind
+from ..instants import at
+from ..segmentation.segmenter import INTERRUPTION, interruption
+from ..stream import Block, ImuBlock, JointBlock
+from .intake import TopicIntake
+
+_SET_BACK = 10_000_000_000
+"""ns that stamps may begin before a journal's last: less than the shortest step of the plans."""
+
+
+class Former:
+    """The last stamps of what a journal held, and what the first ones after it say.
+
+    Args:
+        journal: Its folder.
+        intakes: The topics after all of the journal was taken in.
+
+    """
+
+    def __init__(self, journal: Path, intakes: Mapping[Kind, TopicIntake]) -> None:
+        self._journal = journal
+        self._imu_left_at = intakes[Kind.IMU].newest
+        timed = {k: intakes[k].newest for k in (Kind.IMU, Kind.JOINTS) if k in intakes}
+        self._left = {k: newest for k, newest in timed.items() if newest is not None}
+
+    def set_back(self, intake: TopicIntake, blocks: Sequence[Block]) -> str:
+        """Say that stamps begin so far before the journal's last that steps would be lost.
+
+        Samples older than those before them are left out, one by one and until the old time is
+        reached: of a simulation that began anew that may be the whole session.
+        """
+        timed = [b for b in blocks if isinstance(b, ImuBlock | JointBlock) and len(b)]
+        last = self._left.pop(intake.kind, None) if timed else None
+        if last is None or (first := int(timed[0].stamp[0])) > last - _SET_BACK:
+            return ''
+        return (
+            f'Stamps on {intake.topic} begin at {at(first)}, {(last - first) * 1e-9:.0f} s before '
+            f'the end of the journal {self._journal}: the clock was set back, or a simulation '
+            'began anew. Up to then nothing could be used. Set the clock right, or give another '
+            'journal, and start again.'
+        )
+
+    def gap(self, first: int) -> str:
+        """Say how long the session was interrupted, where the stream alone does not tell.
+
+        Args:
+            first: Stamp of the first sample of the IMU after it, ns; later ones say nothing.
+
+        """
+        last, self._imu_left_at = self._imu_left_at, None
+        if last is None or first - last > INTERRUPTION:
+            return ''
+        return f'{interruption(last, first)}.'
