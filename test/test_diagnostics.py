@@ -37,7 +37,7 @@ def spoken():
     words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_words.py'
     parts = {
         ('calibrator_node', part)
-        for file in (words, words.with_name('unit_results.py'))
+        for file in (words, *map(words.with_name, ('unit_results.py', 'table_word.py')))
         for part in first_texts(file, 'report')
     }
     for taken in ('controller.py', 'calibrator_word.py'):

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-import math
 import time
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from .. import middleware as ros
-from ..bags import Journal
 from ..cdr import Kind
 from ..errors import InputError
-from ..metadata import mount_description, unit_description
 from ..middleware import messages
 from ..paths import user_path
 from . import qos
+from .beginning import Beginning
 from .declared import declare
 from .diagnostics import Diagnostics, Level
-from .done import DoneWord
 from .entry import entry_point
 from .hearing import Hearing, topics_of_table, topics_of_unit
 from .live import SessionPhase
-from .publishers import OnePublisher
 from .session_parameters import StatedUnit, declared_units
 from .session_words import journal_words, session_sentence
-from .sessions import LiveUnit, Sessions
+from .sessions import Sessions
 from .several_words import progress_of_all
+from .table_word import TableWord
 from .unit_results import UnitResults
 
 _TICK = 0.02
@@ -40,7 +37,6 @@ _LAST_TAKE = 1.0
 launcher kills five seconds after it, when the journal has to be closed."""
 _GLANCE = 0.25
 """s between two reviews of a session in the hand: a person who holds still waits for the answer."""
-_STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
 
 class CalibratorNode(ros.Node):
@@ -52,7 +48,7 @@ class CalibratorNode(ros.Node):
 
     def __init__(self) -> None:
         super().__init__('calibrator_node')
-        self._units, self._description = declared_units(self)
+        self._units, description = declared_units(self)
         # Plan, table and site are the same for all.
         self._setup = self._units[0].setup
         self._several = bool(self._units[0].name)
@@ -65,7 +61,7 @@ class CalibratorNode(ros.Node):
             'file that takes the result; of several units the folder, which gets SERIAL.yaml',
         )
         self._output = user_path(output)
-        self._journal_path = user_path(
+        journal = user_path(
             declare(self, 'journal', 'journal', 'folder of the recording; resumed if unfinished')
         )
         self._imu_timeout = declare(
@@ -83,12 +79,8 @@ class CalibratorNode(ros.Node):
         self._heard = [
             Hearing(self, topics_of_unit(unit.setup, unit.name, unit.topic)) for unit in self._units
         ]
-        self._state_topic = self.resolve_topic_name('turntable/state')
-        self._early_states: list[bytes] = []
         self._latest = 0
-        self._states = OnePublisher(self, self._state_topic)
-        self._done = DoneWord(plan.name, self._steps)
-        self._seconds_left = math.nan
+        self._word = TableWord(self, plan, self._steps, self._diagnostics)
         if self._setup.table is not None:
             self.create_subscription(
                 messages.TurntableState, 'turntable/state', self._on_state, qos.latched(), raw=True
@@ -96,7 +88,8 @@ class CalibratorNode(ros.Node):
         self.create_service(ros.Trigger, '~/solve', self._on_solve)
         self.create_service(ros.Trigger, '~/reset', self._on_reset)
         self.create_service(ros.Trigger, '~/save', self._on_save)
-        self._count = 0
+        state = None if table is None else self._word.topic
+        self._beginning = Beginning(self._units, description, journal, state)
         self._sessions = self._new_sessions()
         self.create_timer(_TICK, self._on_tick, clock=steady)
         self.create_timer(_SECOND, self._on_second, clock=steady)
@@ -142,32 +135,13 @@ class CalibratorNode(ros.Node):
 
     def _new_sessions(self) -> Sessions:
         """Begin a session, or go on with the one that the journal holds."""
-        path = self._journal_path
-        if self._count:
-            path = path.with_name(f'{path.name}_{self._count + 1}')
-        self._count += 1
-        common = self._hearing.topics
-        units = [
-            LiveUnit(unit.name, unit.setup, hearing.topics, unit.mount is not None)
-            for unit, hearing in zip(self._units, self._heard, strict=True)
-        ]
-        topics = {t: kind for kind, t in common.items()}
-        description = dict(self._description)
-        for unit, stated in zip(units, self._units, strict=True):
-            topics |= {t: kind for kind, t in unit.topics.items()}
-            if self._several:
-                serial, topic = stated.setup.serial_number, unit.topics[Kind.IMU]
-                description |= unit_description(topic, stated.imu, serial)
-                if stated.mount is not None:
-                    description |= mount_description(topic, stated.mount)
-        journal = Journal(path, description, topics)
-        if self._setup.table is not None:
-            journal.add_latched_topic(self._state_topic, _STATE_TYPE)
-        sessions = Sessions(units, journal, common)
+        of_units = [hearing.topics for hearing in self._heard]
+        sessions = self._beginning.begin(self._hearing.topics, of_units)
         for hearing, results in zip(self._heard, self._results, strict=True):
             hearing.begin()
             results.begin()
         held = sessions.held
+        path = sessions.journal.path
         resumed = f'The session goes on from {path}, which holds {held} messages.'
         if held:
             self._diagnostics.report('journal', Level.WARN, resumed)
@@ -205,9 +179,7 @@ class CalibratorNode(ros.Node):
         if now == 0:
             # A log time before the clock began would make a recording of decades.
             return False
-        for payload in self._early_states:
-            self._sessions.record(self._state_topic, _STATE_TYPE, payload, now)
-        self._early_states.clear()
+        self._word.record(self._sessions, now)
         came = False
         for kind, payloads in self._hearing.take():
             self._sessions.take_common(kind, payloads, now)
@@ -244,7 +216,7 @@ class CalibratorNode(ros.Node):
         for place, hearing in enumerate(self._heard):
             if hearing.two_devices_stay() and not self._sessions.all[place].over:
                 self._two_publishers(place)
-        self._states.look(time.monotonic())
+        self._word.look(time.monotonic())
         self._sessions.flush()
         self._sessions.solve()
         self._report()
@@ -258,42 +230,11 @@ class CalibratorNode(ros.Node):
 
     def _on_state(self, payload: bytes) -> None:
         state = ros.deserialize_message(payload, messages.TurntableState)
-        self._early_states.append(payload)
+        self._word.hear(payload)
         self._take_all()
-        if state.plan and state.plan != self._setup.plan.name:
-            for place, session in enumerate(self._sessions.all):
-                session.fail(
-                    f'The table runs plan {state.plan}, this calibrator expects '
-                    f'{self._setup.plan.name}.'
-                )
+        if self._word.take(state, self._sessions, time.monotonic()):
+            for place in range(len(self._units)):
                 self._publish(place)
-            return
-        self._seconds_left = float(state.seconds_left)
-        if state.phase != messages.TurntableState.DONE:
-            self._done.deny()
-            for session in self._sessions.all:
-                session.table_running()
-            return
-        doubt = self._done.doubt(
-            state.plan,
-            state.steps,
-            max(session.steps_seen for session in self._sessions.all),
-            alone=self._states.is_alone(time.monotonic()),
-        )
-        if not doubt and self._done.is_repeated:
-            stamp = state.header.stamp
-            for session in self._sessions.all:
-                session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
-        self._report_done(doubt)
-
-    def _report_done(self, doubt: str) -> None:
-        """Say why DONE does not end the session, where it does not."""
-        text = f'{self._state_topic} says DONE, which ends nothing: {doubt}.'
-        self._diagnostics.report(
-            'turntable state',
-            Level.WARN if doubt else Level.OK,
-            text if doubt else f'{self._state_topic} says DONE.',
-        )
 
     def _publish(self, place: int) -> None:
         """Publish a unit's calibration where there is news of it, and the progress."""
@@ -307,7 +248,7 @@ class CalibratorNode(ros.Node):
     def _publish_progress(self) -> None:
         sessions = self._sessions
         each = [
-            results.publish_progress(session, self._steps, self._seconds_left)
+            results.publish_progress(session, self._steps, self._word.seconds_left)
             for results, session in zip(self._results, sessions.all, strict=True)
         ]
         if self._of_all is not None:

@@ -1,0 +1,74 @@
+"""How the sessions of a calibrator begin: each time with a journal of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ..bags import Journal
+from ..cdr import Kind
+from ..metadata import mount_description, unit_description
+from .session_parameters import StatedUnit
+from .sessions import LiveUnit, Sessions
+from .table_word import STATE_TYPE
+
+
+class Beginning:
+    """Opens one journal after the other, and the sessions of all units with it.
+
+    Args:
+        units: What is calibrated.
+        description: Set-up that every journal carries.
+        journal: Folder of the first; those after it have a number at the end of their names.
+        state: Full name of turntable/state; None without a table.
+
+    """
+
+    def __init__(
+        self,
+        units: Sequence[StatedUnit],
+        description: Mapping[str, str],
+        journal: Path,
+        state: str | None,
+    ) -> None:
+        self._units = units
+        self._description = description
+        self._journal = journal
+        self._state = state
+        self._count = 0
+
+    def begin(self, common: Mapping[Kind, str], of_units: Sequence[Mapping[Kind, str]]) -> Sessions:
+        """Begin sessions, or go on with those that the journal holds.
+
+        Args:
+            common: Full topic names of the table by what they carry.
+            of_units: The same of each unit.
+
+        Raises:
+            InputError: The journal cannot be written, or holds another set-up.
+
+        """
+        path = self._journal
+        if self._count:
+            path = path.with_name(f'{path.name}_{self._count + 1}')
+        self._count += 1
+        kinds = {topic: kind for names in (common, *of_units) for kind, topic in names.items()}
+        journal = Journal(path, self._described(of_units), kinds)
+        if self._state is not None:
+            journal.add_latched_topic(self._state, STATE_TYPE)
+        units = [
+            LiveUnit(unit.name, unit.setup, dict(topics), unit.mount is not None)
+            for unit, topics in zip(self._units, of_units, strict=True)
+        ]
+        return Sessions(units, journal, dict(common))
+
+    def _described(self, of_units: Sequence[Mapping[Kind, str]]) -> dict[str, str]:
+        """Return the set-up, with that of each unit where there are several."""
+        description = dict(self._description)
+        for unit, topics in zip(self._units, of_units, strict=True):
+            if unit.name:
+                topic = topics[Kind.IMU]
+                description |= unit_description(topic, unit.imu, unit.setup.serial_number)
+                if unit.mount is not None:
+                    description |= mount_description(topic, unit.mount)
+        return description

@@ -1,0 +1,93 @@
+"""What the node that leads the table says, as the calibrator takes it: turntable/state."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ..middleware import Node, messages
+from ..plan import Plan
+from .diagnostics import Diagnostics, Level
+from .done import DoneWord
+from .publishers import OnePublisher
+from .sessions import Sessions
+
+STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
+
+
+class TableWord:
+    """Tells sessions whether the table runs, is done, or runs another plan; records what it says.
+
+    Args:
+        node: Whose topic it is.
+        plan: The one that is calibrated.
+        steps: How many steps it has.
+        diagnostics: Where it is reported why a DONE ends nothing.
+
+    Attributes:
+        topic: Full name.
+        seconds_left: That the table says the plan takes, s; NaN before it says anything.
+
+    """
+
+    def __init__(self, node: Node, plan: Plan, steps: int, diagnostics: Diagnostics) -> None:
+        self.topic = node.resolve_topic_name('turntable/state')
+        self.seconds_left = math.nan
+        self._plan = plan
+        self._diagnostics = diagnostics
+        self._publisher = OnePublisher(node, self.topic)
+        self._done = DoneWord(plan.name, steps)
+        self._unrecorded: list[bytes] = []
+
+    def hear(self, payload: bytes) -> None:
+        """Keep a serialised message to be recorded."""
+        self._unrecorded.append(payload)
+
+    def record(self, sessions: Sessions, now: int) -> None:
+        """Record what was heard since, at `now`, host time in ns."""
+        for payload in self._unrecorded:
+            sessions.record(self.topic, STATE_TYPE, payload, now)
+        self._unrecorded.clear()
+
+    def look(self, now: float) -> None:
+        """Look who publishes it, at a time of the steady clock, s."""
+        self._publisher.look(now)
+
+    def take(self, state: Any, sessions: Sessions, now: float) -> bool:
+        """Take a message after all that came before it; return whether it ended the sessions.
+
+        Args:
+            state: imu_calib_msgs/TurntableState.
+            sessions: Those that it is of.
+            now: Of the steady clock, s.
+
+        """
+        if state.plan and state.plan != self._plan.name:
+            for session in sessions.all:
+                session.fail(
+                    f'The table runs plan {state.plan}, this calibrator expects {self._plan.name}.'
+                )
+            return True
+        self.seconds_left = float(state.seconds_left)
+        if state.phase != messages.TurntableState.DONE:
+            self._done.deny()
+            for session in sessions.all:
+                session.table_running()
+            return False
+        doubt = self._done.doubt(
+            state.plan,
+            state.steps,
+            max(session.steps_seen for session in sessions.all),
+            alone=self._publisher.is_alone(now),
+        )
+        if not doubt and self._done.is_repeated:
+            stamp = state.header.stamp
+            for session in sessions.all:
+                session.table_done(stamp.sec * 1_000_000_000 + stamp.nanosec)
+        text = f'{self.topic} says DONE, which ends nothing: {doubt}.'
+        self._diagnostics.report(
+            'turntable state',
+            Level.WARN if doubt else Level.OK,
+            text if doubt else f'{self.topic} says DONE.',
+        )
+        return False
