@@ -107,7 +107,7 @@ def setpoint(stamp=0, step=3, mode=Mode.RATE):
 def imu_block(count=5, frame='imu_link'):
     rng = np.random.default_rng(1)
     gyro, accel = rng.normal(size=(2, count, 3))
-    return ImuBlock(1_700_000_000 * NS + np.arange(count) * 7, gyro, accel, frame)
+    return ImuBlock(1_700_000_000 * NS + np.arange(count) * 123_456_789, gyro, accel, frame)
 
 
 triples = st.tuples(numbers, numbers, numbers)
@@ -143,9 +143,10 @@ def test_one_by_one_gives_what_all_at_once_gives():
     assert malformed == expected_malformed
 
 
+@pytest.mark.parametrize('frame', ['', 'imu_link', 'the_frame_of_an_imu'])
 @pytest.mark.parametrize('count', [0, 1, 5])
-def test_rates_carry_their_covariances(count):
-    block, rng = imu_block(count), np.random.default_rng(2)
+def test_rates_carry_their_covariances(count, frame):
+    block, rng = imu_block(count, frame), np.random.default_rng(2)
     rate, force = rng.normal(size=(2, len(block), 9))
     payloads = encode_rates(block, rate, force).payloads()
     assert len(payloads) == count
@@ -153,7 +154,7 @@ def test_rates_carry_their_covariances(count):
     for k, payload in enumerate(payloads):
         message = STORE.deserialize_cdr(payload, Kind.IMU.type_name)
         assert message.orientation_covariance[0] == -1
-        assert message.header.frame_id == 'imu_link'
+        assert message.header.frame_id == frame
         assert message.angular_velocity.y == block.gyro[k, 1]
         assert np.array_equal(message.angular_velocity_covariance, rate[k])
         assert np.array_equal(message.linear_acceleration_covariance, force[k])
@@ -165,6 +166,14 @@ def test_pulses_are_no_rates_to_a_filter():
     assert message.orientation_covariance[0] == -1
     assert message.angular_velocity_covariance[0] == -1
     assert message.linear_acceleration_covariance[0] == -1
+
+
+def test_rates_without_a_covariance_are_known_all_the_same():
+    # REP 145: zeros say that the covariance is unknown, -1 that the quantity is.
+    message = STORE.deserialize_cdr(encode_imu(imu_block(1), RATES).payload(0), Kind.IMU.type_name)
+    assert message.orientation_covariance[0] == -1
+    assert message.angular_velocity_covariance[0] == 0
+    assert message.linear_acceleration_covariance[0] == 0
 
 
 @st.composite

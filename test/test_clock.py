@@ -206,7 +206,9 @@ def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_pat
         bench.tell(1)
         before = bench.node._sessions
         # What an earlier start of the node ended with.
-        finished = Journal(tmp_path / 'journal_2', bench.node._beginning._description, {TOPIC: Kind.IMU})
+        finished = Journal(
+            tmp_path / 'journal_2', bench.node._beginning._description, {TOPIC: Kind.IMU}
+        )
         finished.write(TOPIC, Kind.IMU.type_name, samples(EPOCH), EPOCH * NS)
         finished.close(finished=True)
         answer = bench.node._on_reset(None, ros.Trigger.Response())
