@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import sqlite3
+import struct
 import threading
 import tracemalloc
 from itertools import pairwise
@@ -364,6 +365,22 @@ def test_a_topic_of_two_publishers_is_one_topic(tmp_path, plugin):
     blocks, losses = read(tmp_path / 'bag', [IMU])
     assert_same(blocks, {IMU: SESSION[IMU]})
     assert losses == []
+
+
+def test_when_a_message_was_published_is_not_when_it_was_written(tmp_path):
+    """Neither rosbags nor we write an mcap in which the two differ: recorders of others do."""
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, MCAP)
+    file = storage_file(path)
+    content = file.read_bytes()
+    for stamp in {stamp for stamp, _, _ in ROWS}:
+        same, other = (struct.pack('<QQ', stamp, publish) for publish in (stamp, stamp - 9))
+        content = content.replace(same, other)
+    file.write_bytes(content)
+    with open_recording(path) as recording:
+        found = [times for _, _, times in recording.messages()]
+    log = np.concatenate([times.log for times in found])
+    assert sorted(log.tolist()) == sorted(stamp for stamp, _, _ in ROWS)
+    assert np.concatenate([times.publish for times in found]).tolist() == (log - 9).tolist()
 
 
 @pytest.mark.parametrize('latched', [False, True])

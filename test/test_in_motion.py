@@ -108,3 +108,21 @@ def test_the_noise_of_a_change_passes_through_places_and_delay() -> None:
     added = (found[0] - found[1]).reshape(3, 3, 3)
     wanted = twice[:, None, None] * np.diag(apart)
     assert added == pytest.approx(wanted, rel=1e-6, abs=1e-6 * wanted.max())
+
+
+def test_samples_across_a_gap_are_not_beside_each_other() -> None:
+    # One interval is missing: by how much the unit turned faster meanwhile nobody saw.
+    rng, half = np.random.default_rng(2), 20
+    number = np.arange(2 * half) + (np.arange(2 * half) >= half)
+    stamps = EPOCH * 10**9 + number * 10_000_000
+    outputs = np.cumsum(rng.integers(-99, 99, (2 * half, 6)), axis=0).astype(float)
+
+    def forces(rows: slice) -> np.ndarray:
+        compensator = Compensator(known(terms=True))
+        readings = compensator.take(ImuBlock(stamps[rows], outputs[rows, :3], outputs[rows, 3:]))
+        readings += compensator.finish()
+        return concatenated([r.values for r in readings]).force
+
+    whole = forces(slice(None))
+    apart = np.vstack([forces(slice(half)), forces(slice(half, None))])
+    assert whole == pytest.approx(apart, abs=1e-9)

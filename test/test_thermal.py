@@ -20,6 +20,7 @@ from imu_calib.errors import InputError
 from imu_calib.model import SensorModel, Triad
 from imu_calib.segmentation.thermometer import Thermometer
 from imu_calib.simulation import ThermalDrift, Warming
+from imu_calib.stamping import StampingClock
 from imu_calib.stream import TemperatureBlock
 from imu_calib.units import DEG_H, MICRO_G
 
@@ -134,6 +135,17 @@ def test_weights_and_variances_by_hand():
     # 3/4 of one and 1/4 of the other: (0.75 * 0.3)^2 + (0.25 * 0.4)^2.
     assert found.model.gyro.bias[0] == pytest.approx(1.25)
     assert found.covariance[9, 9] == pytest.approx(0.225**2 + 0.1**2)
+
+
+def test_the_clock_is_weighed_as_the_parameters_are():
+    clocks = [StampingClock('imu', 'table', f, s) for f, s in ((2e-5, 3e-6), (6e-5, 4e-6))]
+    timed = [
+        replace(point(t, 1.0), clock=clock) for t, clock in zip((0.0, 10.0), clocks, strict=True)
+    ]
+    found = combine(timed, ['a', 'b']).at(2.5).clock
+    assert found.faster == pytest.approx(0.75 * 2e-5 + 0.25 * 6e-5)
+    assert found.std == pytest.approx(np.hypot(0.75 * 3e-6, 0.25 * 4e-6))
+    assert (found.name, found.against) == ('imu', 'table')
 
 
 def test_a_bend_that_the_points_show_counts_as_doubt():
