@@ -41,7 +41,13 @@ TESTS = {
     'segmentation': ['one_motion', 'sample_grid', 'counter', 'segmentation'],
     'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'bags': ['codec', 'journal', 'mcap_writer', 'sqlite_pages', 'bags', 'damaged_bags'],
-    'methods': ['methods_positions', 'methods_gyro_only', 'methods_skewed', 'joint'],
+    'methods': [
+        'methods_positions',
+        'methods_gyro_only',
+        'methods_skewed',
+        'free_positions',
+        'joint',
+    ],
     'observation': ['remainders', 'information', 'arms', 'moves', 'methods_positions', 'joint'],
     'estimation': ['likelihood', 'converge', 'score', 'undecided', 'joint'],
 }
