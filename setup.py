@@ -104,7 +104,7 @@ setup(
             'imucal>=2.6',
             'jsonschema>=4',
             'lxml>=5',
-            'nbclient>=0.9',
+            'nbclient>=0.10',
             'ipykernel>=6.29',
             # Looks at pages in the Chromium that is installed; brings none itself.
             'playwright>=1.40',

@@ -55,6 +55,8 @@ def executed(name: str) -> NotebookNode:
             startup_timeout=_CELL_SECONDS,
             kernel_name='python3',
             record_timing=False,
+            # What a busy machine prints in two goes is one text.
+            coalesce_streams=True,
             resources={'metadata': {'path': str(work)}},
         ).execute(env=environment)
     return cleared(notebook)
