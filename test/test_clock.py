@@ -125,7 +125,7 @@ def test_nothing_is_recorded_before_the_clock_begins_and_nothing_is_lost(monkeyp
         bench.states.publish(M.TurntableState(plan='twelve_position'))
         all_came = bench.send(EPOCH)
         assert bench.until(lambda: 'Nothing has come on /clock yet' in bench.words.get('time', ''))
-        assert bench.until(lambda: bench.node._word._unrecorded)
+        assert bench.until(lambda: bench.node._turntable._unrecorded)
         assert bench.count == 0
         bench.tell(EPOCH)
         assert bench.until(all_came)
@@ -207,7 +207,7 @@ def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_pat
         before = bench.node._sessions
         # What an earlier start of the node ended with.
         finished = Journal(
-            tmp_path / 'journal_2', bench.node._beginning._description, {TOPIC: Kind.IMU}
+            tmp_path / 'journal_2', bench.node._factory._description, {TOPIC: Kind.IMU}
         )
         finished.write(TOPIC, Kind.IMU.type_name, samples(EPOCH), EPOCH * NS)
         finished.close(finished=True)

@@ -37,10 +37,10 @@ def spoken():
     words = CHECKOUT / 'imu_calib' / 'nodes' / 'session_words.py'
     parts = {
         ('calibrator_node', part)
-        for file in (words, *map(words.with_name, ('unit_results.py', 'table_word.py')))
+        for file in (words, *map(words.with_name, ('unit_results.py', 'turntable_state.py')))
         for part in first_texts(file, 'report')
     }
-    for taken in ('controller.py', 'calibrator_word.py'):
+    for taken in ('controller.py', 'calibrator_progress.py'):
         told = first_texts(words.with_name(taken), 'report')
         parts |= {('turntable_node', part) for part in told}
     for path in (CHECKOUT / 'imu_calib' / 'nodes').glob('*_node.py'):

@@ -14,7 +14,7 @@ from imu_calib.calibrator import Setup
 from imu_calib.cdr import Kind, encode_imu, encode_joints, encode_setpoints
 from imu_calib.imu import load_imu
 from imu_calib.metadata import describe
-from imu_calib.nodes import feeding
+from imu_calib.nodes import calibrator_feed
 from imu_calib.nodes.live import LiveSession, SessionPhase
 from imu_calib.plan import RateTest, load_plan
 from imu_calib.share import named_file
@@ -106,7 +106,7 @@ def test_an_interrupted_session_goes_on_with_its_skewed_gyro(tmp_path, wire):
 def test_a_skewed_gyro_that_nobody_publishes_ends_the_session_soon_and_by_name(
     tmp_path, wire, monkeypatch
 ):
-    monkeypatch.setattr(feeding, '_SKEW_AWAITED', 0.0)
+    monkeypatch.setattr(calibrator_feed, '_SKEW_AWAITED', 0.0)
     session = begin(tmp_path / 'journal')
     send(session, wire[:40], without={Kind.SKEW})
     assert session.phase is SessionPhase.FAILED
@@ -116,7 +116,7 @@ def test_a_skewed_gyro_that_nobody_publishes_ends_the_session_soon_and_by_name(
 
 
 def test_other_methods_go_on_without_it_and_take_it_no_more(tmp_path, wire, monkeypatch):
-    monkeypatch.setattr(feeding, '_SKEW_AWAITED', 0.0)
+    monkeypatch.setattr(calibrator_feed, '_SKEW_AWAITED', 0.0)
     session = begin(tmp_path / 'journal', replace(SETUP, method='twelve_position'))
     send(session, wire[:40], without={Kind.SKEW})
     assert session.without_skew

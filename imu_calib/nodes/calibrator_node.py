@@ -13,17 +13,17 @@ from ..errors import InputError
 from ..middleware import messages
 from ..paths import user_path
 from . import qos
-from .beginning import Beginning
 from .declared import declare
 from .diagnostics import Diagnostics, Level
 from .entry import entry_point
 from .hearing import Hearing, topics_of_table, topics_of_unit
 from .live import SessionPhase
+from .session_factory import SessionFactory
 from .session_parameters import StatedUnit, declared_units
 from .session_words import journal_words, session_sentence
 from .sessions import Sessions
 from .several_words import progress_of_all
-from .table_word import TableWord
+from .turntable_state import TurntableStateIntake
 from .unit_results import UnitResults
 
 _TICK = 0.02
@@ -80,7 +80,7 @@ class CalibratorNode(ros.Node):
             Hearing(self, topics_of_unit(unit.setup, unit.name, unit.topic)) for unit in self._units
         ]
         self._latest = 0
-        self._word = TableWord(self, plan, self._steps, self._diagnostics)
+        self._turntable = TurntableStateIntake(self, plan, self._steps, self._diagnostics)
         if self._setup.table is not None:
             self.create_subscription(
                 messages.TurntableState, 'turntable/state', self._on_state, qos.latched(), raw=True
@@ -88,8 +88,8 @@ class CalibratorNode(ros.Node):
         self.create_service(ros.Trigger, '~/solve', self._on_solve)
         self.create_service(ros.Trigger, '~/reset', self._on_reset)
         self.create_service(ros.Trigger, '~/save', self._on_save)
-        state = None if table is None else self._word.topic
-        self._beginning = Beginning(self._units, description, journal, state)
+        state = None if table is None else self._turntable.topic
+        self._factory = SessionFactory(self._units, description, journal, state)
         self._sessions = self._new_sessions()
         self.create_timer(_TICK, self._on_tick, clock=steady)
         self.create_timer(_SECOND, self._on_second, clock=steady)
@@ -136,7 +136,7 @@ class CalibratorNode(ros.Node):
     def _new_sessions(self) -> Sessions:
         """Begin a session, or go on with the one that the journal holds."""
         of_units = [hearing.topics for hearing in self._heard]
-        sessions = self._beginning.begin(self._hearing.topics, of_units)
+        sessions = self._factory.begin(self._hearing.topics, of_units)
         for hearing, results in zip(self._heard, self._results, strict=True):
             hearing.begin()
             results.begin()
@@ -179,7 +179,7 @@ class CalibratorNode(ros.Node):
         if now == 0:
             # A log time before the clock began would make a recording of decades.
             return False
-        self._word.record(self._sessions, now)
+        self._turntable.record(self._sessions, now)
         came = False
         for kind, payloads in self._hearing.take():
             self._sessions.take_common(kind, payloads, now)
@@ -216,7 +216,7 @@ class CalibratorNode(ros.Node):
         for place, hearing in enumerate(self._heard):
             if hearing.two_devices_stay() and not self._sessions.all[place].over:
                 self._two_publishers(place)
-        self._word.look(time.monotonic())
+        self._turntable.look(time.monotonic())
         self._sessions.flush()
         self._sessions.solve()
         self._report()
@@ -230,9 +230,9 @@ class CalibratorNode(ros.Node):
 
     def _on_state(self, payload: bytes) -> None:
         state = ros.deserialize_message(payload, messages.TurntableState)
-        self._word.hear(payload)
+        self._turntable.hear(payload)
         self._take_all()
-        if self._word.take(state, self._sessions, time.monotonic()):
+        if self._turntable.take(state, self._sessions, time.monotonic()):
             for place in range(len(self._units)):
                 self._publish(place)
 
@@ -248,7 +248,7 @@ class CalibratorNode(ros.Node):
     def _publish_progress(self) -> None:
         sessions = self._sessions
         each = [
-            results.publish_progress(session, self._steps, self._word.seconds_left)
+            results.publish_progress(session, self._steps, self._turntable.seconds_left)
             for results, session in zip(self._results, sessions.all, strict=True)
         ]
         if self._of_all is not None:

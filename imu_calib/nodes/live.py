@@ -20,10 +20,10 @@ from ..cdr import Kind, Malformed, Messages
 from ..errors import ImuCalibError
 from ..model import Parameter
 from ..stream import Block, ImuBlock, JointBlock, Mode, SetpointBlock
-from .feeding import Feeding
-from .former import Former
+from .calibrator_feed import CalibratorFeed
+from .former_session import FormerSession
 from .intake import TopicIntake
-from .keeping import Keeping
+from .journal_keeper import JournalKeeper
 from .shared import JournalPart, SolverPart
 from .solving import Solver
 
@@ -86,7 +86,7 @@ class LiveSession:
     ) -> None:
         self.setup = setup
         self._solved = solved or setup
-        self._keeping = Keeping(journal)
+        self._keeper = JournalKeeper(journal)
         now = time.monotonic()
         self.intakes = {k: TopicIntake(k, topic, Malformed(), now) for k, topic in topics.items()}
         self.phase = SessionPhase.WAITING
@@ -97,12 +97,12 @@ class LiveSession:
         self.worked_until = 0
         self.frame_id = ''
         self.steps_seen = 0
-        self._feeding = Feeding(self._solved, setup.imu, topics)
+        self._feed = CalibratorFeed(self._solved, topics)
         self._solver = solver or Solver()
         self._ending = False
         self._done_at: int | None = None
         self._done_heard = 0.0
-        self._former: Former | None = None
+        self._former: FormerSession | None = None
         kinds = {topic: kind for kind, topic in topics.items()}
         for topic, block in journal.replay():
             self.feed_former(kinds[topic], block)
@@ -112,17 +112,17 @@ class LiveSession:
     @property
     def journal(self) -> Journal | JournalPart:
         """The recording."""
-        return self._keeping.journal
+        return self._keeper.journal
 
     @property
     def trouble(self) -> str:
         """What is wrong with the journal at the moment, else empty."""
-        return self._keeping.trouble
+        return self._keeper.trouble
 
     @property
     def without_skew(self) -> bool:
         """Whether the session goes on without a skewed gyro."""
-        return self._feeding.without_skew
+        return self._feed.without_skew
 
     @property
     def over(self) -> bool:
@@ -175,27 +175,27 @@ class LiveSession:
         if self._former is not None and (why := self._former.set_back(intake, blocks)):
             self.fail(why, finished=False)
             return
-        self._keeping.write(intake.topic, kind.type_name, messages, now)
+        self._keeper.write(intake.topic, kind.type_name, messages, now)
         intake.heard = time.monotonic()
         for block in blocks:
             if isinstance(block, ImuBlock) and len(block):
                 self._name_the_gap(int(block.stamp[0]))
                 self.frame_id = block.frame_id
-            self._feed(kind, block)
+            self._take_in(kind, block)
 
     def feed_former(self, kind: Kind, block: Block) -> None:
         """Take in a block of what a session before a crash left."""
-        self._feed(kind, block)
+        self._take_in(kind, block)
 
     def go_on(self, losses: Sequence[str]) -> None:
         """Note that all of what was left has been taken in, and what of it could not be read."""
         self.notes += losses
-        self._former = Former(self.journal.path, self.intakes)
+        self._former = FormerSession(self.journal.path, self.intakes)
 
     def record(self, topic: str, type_name: str, payload: bytes, now: int) -> None:
         """Keep a message that is not calibrated from."""
         if not self._closed:
-            self._keeping.write(topic, type_name, Messages.join([payload]), now)
+            self._keeper.write(topic, type_name, Messages.join([payload]), now)
 
     def backwards(self, kind: Kind, payloads: Sequence[bytes]) -> bool:
         """Tell whether messages are older than what came in before: a second publisher's."""
@@ -207,7 +207,7 @@ class LiveSession:
 
     def flush(self) -> None:
         """Secure what came in, and try again what a full disk refused."""
-        if not self.over and not self._keeping.flush():
+        if not self.over and not self._keeper.flush():
             self.fail(f'{self.trouble} The memory takes no more either.')
 
     def table_done(self, stamp: int) -> None:
@@ -223,8 +223,8 @@ class LiveSession:
         """Solve for good with what is here."""
         if not self.over:
             self._ending = True
-            if self._feeding.calibrator is None:
-                self._fail_if(self._feeding.begin(with_skew=self.intakes[Kind.SKEW].count > 0))
+            if self._feed.calibrator is None:
+                self._fail_if(self._feed.begin(with_skew=self.intakes[Kind.SKEW].count > 0))
             self.solve()
 
     @property
@@ -234,7 +234,7 @@ class LiveSession:
 
     def solve(self) -> None:
         """Begin to solve with what is here, unless it is being done already."""
-        calibrator = self._feeding.calibrator
+        calibrator = self._feed.calibrator
         if not (self._solver.busy or self.over or calibrator is None):
             until = self._leader.newest or 0
             self._solver.begin(calibrator, until, final=self._ending)
@@ -267,13 +267,13 @@ class LiveSession:
         self.phase = SessionPhase.FAILED
         self.failure = reason
         self.calibration = None
-        self._keeping.close(finished=finished)
+        self._keeper.close(finished=finished)
 
     def close(self) -> None:
         """Leave the journal such that it can be gone on with."""
         self._solver.close()
         if not self.over:
-            self._keeping.close(finished=False)
+            self._keeper.close(finished=False)
 
     def _all_here(self, done_at: int) -> bool:
         """Say whether all data up to the table's last word has come in."""
@@ -304,7 +304,7 @@ class LiveSession:
     def _finish(self, review: Review) -> None:
         if review.result is None:
             self.fail(review.refusal)
-        elif self._keeping.close(finished=True):
+        elif self._keeper.close(finished=True):
             self.phase = SessionPhase.FINISHED
             self.calibration = self._with_notes(review.result.calibration)
         else:
@@ -315,7 +315,7 @@ class LiveSession:
         findings = (*calibration.findings, *self.notes)
         return replace(calibration, provenance=provenance, findings=findings)
 
-    def _feed(self, kind: Kind, block: Block) -> None:
+    def _take_in(self, kind: Kind, block: Block) -> None:
         if isinstance(block, SetpointBlock):
             # A table that is held is on its way to no step.
             name = self.setup.plan.name
@@ -323,7 +323,7 @@ class LiveSession:
             self.steps_seen = max([self.steps_seen, *(step + 1 for step in steps)])
         strange = isinstance(block, JointBlock) and not self._of_the_table(block)
         self.intakes[kind].note(block, strange=strange)
-        self._fail_if(self._feeding.feed(block, self.intakes))
+        self._fail_if(self._feed.feed(block, self.intakes))
 
     def _fail_if(self, reason: str) -> None:
         if reason:

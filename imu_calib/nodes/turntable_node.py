@@ -25,7 +25,7 @@ from ..sequencing import Sequencer, SequencerState
 from ..stream import Mode, Setpoint, SetpointBlock
 from ..turntable import load_table
 from . import qos
-from .calibrator_word import CalibratorWord
+from .calibrator_progress import CalibratorProgress
 from .controller import Controller
 from .convert import state_message
 from .declared import declare
@@ -134,7 +134,7 @@ class TurntableNode(Node):
         others = 'turntable/joint_states', 'calibration/progress', 'estop'
         self._own = OwnTopics(self, own, others, self._on_foreign)
         alone = partial(self._own.is_alone, 'calibration/progress')
-        self._calibrator = CalibratorWord(
+        self._calibrator = CalibratorProgress(
             self._sequencer, self._diagnostics, calibrator_timeout, alone
         )
         self._estop = EmergencyStop(self, state_folder(folder), self._on_estop)

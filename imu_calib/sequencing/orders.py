@@ -24,7 +24,7 @@ class Orders:
 
     Attributes:
         revision: Changes with the setpoint.
-        motion: The motion that was ordered; None while the table is to stand, or settles.
+        motion: The motion that was ordered last; None once the table was told to hold.
         turns_done: Turns at rate of the last motion, without sign.
         idle: What the table did while nobody led it.
 
@@ -53,7 +53,7 @@ class Orders:
         return held(current, angles, self._plan, self._table)
 
     def hold(self, current: Step | None, at: Feedback | None) -> None:
-        """Tell the table to hold; what it was watched for goes on.
+        """Tell the table to hold; who watches it, and for what, stays as it is.
 
         Args:
             current: The step that is interrupted, where there is one.
@@ -79,8 +79,14 @@ class Orders:
         self._watch = Standing(self._table, self._rules, at)
         self._watch.keep(goal)
 
-    def sent(self, stamp: int, at: Feedback | None) -> Setpoint | None:
-        """Return the setpoint with the stamp at which it is sent, ns; None before the first."""
+    def to_send(self, stamp: int, at: Feedback | None) -> Setpoint | None:
+        """Return the setpoint of the moment, None before the first; it counts as sent now.
+
+        Args:
+            stamp: When it is sent, ns.
+            at: The last joint state, where there is one: a motion is watched from there.
+
+        """
         if self._setpoint is None:
             return None
         if not self._sent:

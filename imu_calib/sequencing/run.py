@@ -106,7 +106,7 @@ class Run:
         return fault or self._go_on(now, there)
 
     def review(self, stamp: int, repeat_steps: Sequence[int], at: Feedback) -> str:
-        """Take the calibrator's word; return what goes wrong, in a sentence, else nothing.
+        """Take the calibrator's word in REVIEWING; return what goes wrong, in a sentence.
 
         Args:
             stamp: Up to when it has worked through the joint states, ns.
@@ -116,7 +116,7 @@ class Run:
         """
         # Nobody has worked through joint states that are yet to come.
         latest = at.stamp + self._rules.feedback_timeout * 1e9
-        if self.leg is not Leg.REVIEWING or not self._ended <= stamp <= latest:
+        if not self._ended <= stamp <= latest:
             return ''
         again = self.itinerary.repeat(repeat_steps)
         self._place_is_known = False

@@ -213,8 +213,8 @@ class Sequencer:
             self._remark(what, why)
 
     def fail(self, reason: str) -> None:
-        """Stop and pause, if the table is led and there is a reason."""
-        if self.running and reason:
+        """Stop and pause, if the table is led."""
+        if self.running:
             self._halt(_Stage.PAUSED, reason, fault=True)
 
     def lose_feedback(self, reason: str) -> None:
@@ -249,15 +249,17 @@ class Sequencer:
                 self._halt(_Stage.PAUSED, self._obstacles.feedback, fault=True)
 
     def review(self, stamp: int, repeat_steps: Sequence[int]) -> None:
-        """Take the calibrator's word.
+        """Take the calibrator's word; while nobody waits for it, it is let pass.
 
         Args:
             stamp: Up to when it has worked through the joint states, ns.
             repeat_steps: Indices of steps that left too little.
 
         """
-        if self.running and self._feedback is not None:
-            self.fail(self._run.review(stamp, repeat_steps, self._feedback))
+        if not self.reviewing or self._feedback is None:
+            return
+        if fault := self._run.review(stamp, repeat_steps, self._feedback):
+            self.fail(fault)
 
     def take(self, block: JointBlock) -> bool:
         """Take joint states; return whether their stamps advance."""
@@ -277,7 +279,7 @@ class Sequencer:
             stamp: When it is sent, ns.
 
         """
-        return self._run.orders.sent(stamp, self._feedback)
+        return self._run.orders.to_send(stamp, self._feedback)
 
     def hold(self, stamp: int) -> Setpoint:
         """Return the setpoint that stops the table, whatever else is going on."""

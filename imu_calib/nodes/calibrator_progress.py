@@ -13,7 +13,7 @@ _NS = 1_000_000_000
 """Of a second."""
 
 
-class CalibratorWord:
+class CalibratorProgress:
     """Takes progress in: the calibrator is there, cannot go on, or asks for steps again.
 
     Args:
@@ -79,8 +79,7 @@ class CalibratorWord:
         # rclpy's Time refuses what lies before 1970, where simulated time may begin.
         stamp = progress.header.stamp.sec * _NS + progress.header.stamp.nanosec
         repeat_steps = [int(step) for step in progress.repeat_steps]
-        if self._sequencer.reviewing:
-            self._sequencer.review(stamp, repeat_steps)
+        self._sequencer.review(stamp, repeat_steps)
         if stamp:
             self._sequencer.skip_done(int(progress.step), repeat_steps)
 

@@ -15,7 +15,7 @@ from .sessions import Sessions
 STATE_TYPE = 'imu_calib_msgs/msg/TurntableState'
 
 
-class TableWord:
+class TurntableStateIntake:
     """Tells sessions whether the table runs, is done, or runs another plan; records what it says.
 
     Args:

@@ -15,7 +15,7 @@ _SET_BACK = 10_000_000_000
 """ns that stamps may begin before a journal's last: less than the shortest step of the plans."""
 
 
-class Former:
+class FormerSession:
     """The last stamps of what a journal held, and what the first ones after it say.
 
     Args:

@@ -10,10 +10,10 @@ from ..cdr import Kind
 from ..metadata import mount_description, unit_description
 from .session_parameters import StatedUnit
 from .sessions import LiveUnit, Sessions
-from .table_word import STATE_TYPE
+from .turntable_state import STATE_TYPE
 
 
-class Beginning:
+class SessionFactory:
     """Opens one journal after the other, and the sessions of all units with it.
 
     Args:

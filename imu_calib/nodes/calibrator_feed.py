@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from ..calibrator import Calibrator, HandCalibrator, Setup, calibrator_of
 from ..cdr import Kind
-from ..imu import ImuSpec
 from ..model import skewed_parameters
 from ..stream import Block
 from .intake import TopicIntake
@@ -17,12 +16,11 @@ _SKEW_AWAITED = 10.0
 """How much the IMU may say while a skewed gyro says nothing: s by its stamps and by the clock."""
 
 
-class Feeding:
+class CalibratorFeed:
     """Holds blocks back until the calibrator can be made, and feeds it from then on.
 
     Args:
         setup: What is calibrated, and how.
-        imu: The unit as the stand has it.
         topics: Full topic names by what they carry; a skewed gyro is awaited where its topic is
             among them.
 
@@ -35,9 +33,8 @@ class Feeding:
 
     """
 
-    def __init__(self, setup: Setup, imu: ImuSpec, topics: Mapping[Kind, str]) -> None:
+    def __init__(self, setup: Setup, topics: Mapping[Kind, str]) -> None:
         self._setup = setup
-        self._imu = imu
         self._topics = topics
         self._began = time.monotonic()
         self._held: list[Block] = []
@@ -45,7 +42,7 @@ class Feeding:
         # A plan that its method cannot solve is refused now, whenever it is begun with.
         calibrator_of(setup)
         self.calibrator: Calibrator | HandCalibrator | None = None
-        if imu.skewed is None or Kind.SKEW not in topics:
+        if setup.imu.skewed is None or Kind.SKEW not in topics:
             self.begin(with_skew=False)
 
     def feed(self, block: Block, intakes: Mapping[Kind, TopicIntake]) -> str:
@@ -74,7 +71,7 @@ class Feeding:
 
         """
         self.without_skew = not with_skew
-        imu = self._imu if with_skew else replace(self._imu, skewed=None)
+        imu = self._setup.imu if with_skew else replace(self._setup.imu, skewed=None)
         self.calibrator = calibrator_of(replace(self._setup, imu=imu))
         held, self._held = self._held, []
         for block in held:

@@ -8,7 +8,7 @@ from ..errors import InputError
 from .shared import JournalPart
 
 
-class Keeping:
+class JournalKeeper:
     """Writes a journal; what a full disk refuses is held in memory and tried again.
 
     Attributes:
