@@ -2,6 +2,7 @@
 
 import re
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -956,6 +957,16 @@ def test_a_joint_state_of_a_fifth_of_a_second_still_says_where_the_table_is(age,
     last = at(rates=(60 * DEG, 0.0, 0.0), still=False, stamp=10**9 - round(age * 1e9))
     piece = lead.piece(setpoint(Mode.HOLD, stamp=10**9), last)
     assert piece.stamp == (0 if known else turn.stamp)
+
+
+def test_a_hold_without_joint_states_says_nothing_to_a_table_that_brakes_already():
+    lead = Lead(TABLE)
+    lead.piece(setpoint(Mode.RATE, rates=(60 * DEG, 0.0, 0.0)), at())
+    # The first piece ends after 3 s, from 0.1 s on.
+    for seconds, brakes in ((2.9, True), (3.2, False), (9.0, False)):
+        other = deepcopy(lead)
+        hold = setpoint(Mode.HOLD, stamp=round(seconds * 1e9))
+        assert (other.piece(hold, at(still=False)) is not None) == brakes
 
 
 class Controller:
