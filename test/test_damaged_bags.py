@@ -30,6 +30,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
+from imu_calib.api.looking import look_inside, topics
+from imu_calib.api.stated import Stated
 from imu_calib.bags import RecordingError, RecordingWriter, open_recording, sqlite_rows
 from imu_calib.bags.mcap_records import walk
 from imu_calib.cdr import part
@@ -376,6 +378,24 @@ def test_a_cut_sqlite_file_gives_the_rows_that_are_there(tmp_path):
     assert (np.diff(stamp) > 0).all()
     assert 'bag.db3 is cut off: ' in losses[0]
     assert any('cannot be read' in loss for loss in losses)
+
+
+def test_a_cut_sqlite_file_is_looked_at_for_what_is_there_and_what_is_not(tmp_path):
+    path = write_with_rosbags(tmp_path / 'bag', ROWS, SQLITE)
+    whole = topics(path)
+    cut(path, storage_file(path).stat().st_size // 2)
+    kept, losses = read(path, [IMU])
+    stamp = np.concatenate([b.stamp for b in kept[IMU]])
+    # metadata.yaml still counts and times what was cut off.
+    found = topics(path)
+    messages = {t.name: t.messages for t in found.topics}
+    assert messages[IMU] == len(stamp) < {t.name: t.messages for t in whole.topics}[IMU]
+    assert 0 < found.seconds < 0.7 * whole.seconds
+    assert found.lost == tuple(losses)
+    assert not whole.lost
+    looked = look_inside(found, Stated())
+    assert looked.inside is None
+    assert looked.lost == found.lost
 
 
 def test_a_damaged_page_of_a_sqlite_file_costs_its_own_rows(tmp_path):

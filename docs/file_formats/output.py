@@ -225,6 +225,7 @@ _INFO = [
     _key('files', whole(0), 'how many'),
     _key('compensated', _TEXT, 'calibration that it was compensated by; empty where it was not'),
     _key('topics', _rows(_TOPIC), 'all of them'),
+    _key('lost', _TEXTS, 'what is missing or broken, as far as the topics were looked at'),
     _key(
         'inside', _maybe(_below(_INSIDE)), 'the streams; `null` where it is not said what they mean'
     ),

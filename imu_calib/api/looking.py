@@ -39,6 +39,7 @@ class Look:
         files: How many.
         compensated: The calibration that it was compensated by; empty where it was not.
         topics: All of them.
+        lost: What is missing or broken, as far as the topics were looked at.
         inside: What the streams contain; None where nobody says how they are to be read.
         not_said: What would have to be said for that, in a sentence.
 
@@ -49,6 +50,7 @@ class Look:
     files: int
     compensated: str
     topics: tuple[Topic, ...]
+    lost: tuple[str, ...] = ()
     inside: Inside | None = None
     not_said: str = ''
 
@@ -76,10 +78,7 @@ def look(bag: Named, stated: Stated | None = None, progress: Progress = silent) 
 def topics(bag: Named, progress: Progress = silent) -> Look:
     """Look at the topics alone."""
     with open_recording(bag) as recording:
-        seconds = 0.0
-        if recording.start_ns is not None and recording.end_ns is not None:
-            seconds = (recording.end_ns - recording.start_ns) * 1e-9
-        counts = _counts(recording, progress)
+        counts, seconds = _extent(recording, progress)
         rows = tuple(
             Topic(
                 t.name,
@@ -90,7 +89,8 @@ def topics(bag: Named, progress: Progress = silent) -> Look:
             for t in recording.topics
         )
         by = recording.custom_data.get(COMPENSATED, '')
-        return Look(str(bag), seconds, len(recording.files), by, rows)
+        lost = tuple(recording.losses)
+        return Look(str(bag), seconds, len(recording.files), by, rows, lost)
 
 
 def look_inside(outside: Look, stated: Stated, progress: Progress = silent) -> Look:
@@ -105,16 +105,21 @@ def look_inside(outside: Look, stated: Stated, progress: Progress = silent) -> L
         return Look(**{**vars(outside), 'inside': inside(opened, progress)})
 
 
-def _counts(recording: Recording, progress: Progress) -> Counter[str]:
-    """Return how many messages each topic has: as the recording says, else by counting them.
+def _extent(recording: Recording, progress: Progress) -> tuple[Counter[str], float]:
+    """Return how many messages each topic has, and s from the first message to the last.
 
-    What was cut off has no summary, which its recorder would have written at the end.
+    A recording says both, but for what was cut off: its summary would have been written at the end.
+    Its messages are counted one by one.
     """
     counts = Counter({t.name: t.count for t in recording.topics if t.count is not None})
-    if len(counts) == len(recording.topics):
-        return counts
-    counts.clear()
-    with progress('counting') as show:
-        for topic, messages, _ in recording.messages(show):
-            counts[topic.name] += len(messages)
-    return counts
+    first, last = recording.start_ns, recording.end_ns
+    if len(counts) < len(recording.topics):
+        counts.clear()
+        first = last = None
+        with progress('counting') as show:
+            for topic, messages, times in recording.messages(show):
+                counts[topic.name] += len(messages)
+                begins, ends = int(times.log.min()), int(times.log.max())
+                first = begins if first is None else min(first, begins)
+                last = ends if last is None else max(last, ends)
+    return counts, 0.0 if first is None or last is None else (last - first) * 1e-9

@@ -110,7 +110,8 @@ class Recording:
         self.path = path
         self._sha256 = sha256
         self.files = found.paths
-        self.topics = _topics(storages, found.metadata.counts)
+        # What is lost was counted by who recorded it: the files alone know what is there.
+        self.topics = _topics(storages, {} if losses.sentences else found.metadata.counts)
         if not self.topics:
             sentences = ''.join(f' {sentence}' for sentence in losses.sentences)
             raise RecordingError(f'{path} holds no topics.{sentences}')

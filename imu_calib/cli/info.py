@@ -38,9 +38,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
     outside = topics(arguments.bag, progress_bar)
     _show_topics(outside)
     if arguments.topics:
+        sentence_list('Lost', outside.lost)
         return Outcome(outside.to_dict())
     found = look_inside(outside, options.stated(arguments), progress_bar)
     if found.inside is None:
+        sentence_list('Lost', outside.lost)
         OUTPUT.print(f'\nNot looked into: {found.not_said}', markup=False)
     else:
         _show(found.inside)
