@@ -48,7 +48,19 @@ TESTS = {
         'free_positions',
         'joint',
     ],
-    'observation': ['remainders', 'information', 'arms', 'moves', 'methods_positions', 'joint'],
+    'observation': [
+        'headings',
+        'courses',
+        'latitude_seen',
+        'common_rests',
+        'output_noise',
+        'remainders',
+        'information',
+        'arms',
+        'moves',
+        'methods_positions',
+        'joint',
+    ],
     'estimation': ['likelihood', 'converge', 'score', 'undecided', 'joint'],
 }
 # What is too slow for every mutant of a package, and by which modules it goes.
@@ -56,6 +68,15 @@ MORE = {
     'imu_calib/bags/mcap_chunk.py': ['remote'],
     'imu_calib/bags/remote.py': ['remote'],
     'imu_calib/segmentation/stillness.py': ['stillness'],
+    'imu_calib/observation/common_errors.py': ['units_shared'],
+    'imu_calib/observation/free.py': ['free_positions'],
+    'imu_calib/observation/ideal_moves.py': ['free_positions', 'prediction'],
+    'imu_calib/observation/lacking.py': ['planless'],
+    'imu_calib/observation/modulation.py': ['session_terms'],
+    'imu_calib/estimation/changing.py': ['session_terms'],
+    'imu_calib/estimation/outliers.py': ['budget'],
+    'imu_calib/estimation/several.py': ['units_shared'],
+    'imu_calib/estimation/temperature_change.py': ['session_terms'],
 }
 # A mutant gets this much longer than the tests take unchanged, and this many seconds more.
 SLOWER, MORE_S = 2.0, 5.0

@@ -13,7 +13,12 @@ from hypothesis import strategies as st
 from imu_calib.earth import Site, normal_gravity
 from imu_calib.model import PARAMETER_NAMES, SensorModel
 from imu_calib.observation.evidence import Evidence
-from imu_calib.observation.information import attainable_std, unobservable_in_words
+from imu_calib.observation.information import (
+    Information,
+    attainable_std,
+    log_determinant,
+    unobservable_in_words,
+)
 from imu_calib.plan import Plan, load_plan
 from imu_calib.segmentation.clock import ClockFit
 from imu_calib.segmentation.segment import Segment, Statistics, Turn
@@ -234,3 +239,42 @@ def test_every_pair_of_positions_is_judged_alike_whatever_its_order() -> None:
         forth = replace(evidence, segments=(evidence.segments[a], evidence.segments[b]))
         back = replace(evidence, segments=(evidence.segments[b], evidence.segments[a]))
         assert determined(forth) == determined(back)
+
+
+def test_equations_that_tell_nothing_of_a_direction_have_no_condition() -> None:
+    found = Information.of(np.array([[3.0, 0.0], [4.0, 0.0]]))
+    assert found.condition == np.inf
+    assert found.observed.tolist() == [True, False]
+    assert found.covariance[0, 0] == pytest.approx(1 / 25)
+    assert np.isnan(found.covariance[1]).all()
+    assert np.isnan(found.covariance[:, 1]).all()
+
+
+def test_the_inverse_is_that_of_the_normal_equations() -> None:
+    rows = np.array([[2.0, 1.0, 0.0], [0.0, 3.0, 1e-4], [1.0, 0.0, 2e-4], [0.5, 0.5, -1e-4]])
+    found = Information.of(rows)
+    wanted = np.linalg.inv(rows.T @ rows)
+    np.testing.assert_allclose(found.covariance, wanted, rtol=1e-9)
+    np.testing.assert_allclose(found.gain, wanted @ rows.T, rtol=1e-9, atol=1e-12)
+    # Of columns of length one: the units of a parameter are no matter of condition.
+    values = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
+    assert found.condition == pytest.approx(values[0] / values[-1])
+
+
+def test_two_that_are_only_seen_together_are_both_open() -> None:
+    found = Information.of(np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 1.0]]))
+    assert found.observed.tolist() == [False, False, True]
+    assert found.covariance[2, 2] == pytest.approx(1.0)
+    # Fewer equations than unknowns leave some open, too.
+    assert Information.of(np.array([[1.0, 0.0]])).observed.tolist() == [True, False]
+
+
+def test_what_is_not_wanted_is_taken_out_of_a_determinant() -> None:
+    rows = np.random.default_rng(3).standard_normal((9, 4)) * [1.0, 1e-5, 1e3, 1.0]
+    information = rows.T @ rows
+    covariance = np.linalg.inv(information)[:2, :2]
+    wanted = -np.log(np.linalg.det(covariance))
+    assert log_determinant(information, 2) == pytest.approx(wanted, rel=1e-9)
+    lacking = information.copy()
+    lacking[0], lacking[:, 0] = 0.0, 0.0
+    assert log_determinant(lacking, 2) == -np.inf

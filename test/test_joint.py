@@ -27,6 +27,7 @@ from test_information import SECOND, evidence_of
 from imu_calib.calibrator import Setup
 from imu_calib.errors import NotObservable
 from imu_calib.estimation.estimate import estimate
+from imu_calib.estimation.fit import fit, start
 from imu_calib.imu import ImuSpec, load_imu
 from imu_calib.methods import joint, six_position, twelve_position
 from imu_calib.methods.solution import Solution
@@ -111,6 +112,32 @@ def test_without_noise_the_truth_comes_out_at_any_azimuth(azimuth: float) -> Non
     found = estimate(evidence_of(model=truth().model, azimuth=azimuth))
     assert found.state[:24] == pytest.approx(truth().model.vector(), rel=1e-8, abs=1e-12)
     assert found.nuisance(Nuisance.AZIMUTH)[0] == pytest.approx(azimuth, abs=1e-7)
+
+
+@pytest.mark.parametrize('azimuth', [0.3, 1.9, -2.5])
+def test_the_start_is_near_at_any_azimuth(azimuth: float) -> None:
+    """Of eight headings all around the nearest is the best: no other is within 22.5 degrees."""
+    true = replace(truth().model, terms={})
+    equations = Equations(evidence_of(model=true, azimuth=azimuth))
+    found = start(equations)
+    off = (found[equations.sensors + Nuisance.AZIMUTH] - azimuth + np.pi) % (2 * np.pi) - np.pi
+    assert abs(off) < np.pi / 8 + 1e-9
+    # Accelerometers and scale factors know no heading.
+    assert found[:3] == pytest.approx(true.vector()[:3], abs=1e-4)
+    assert found[12:15] == pytest.approx(true.vector()[12:15], abs=1e-9)
+    assert found[21:24] == pytest.approx(true.vector()[21:24], abs=1e-8)
+
+
+@pytest.mark.parametrize(('azimuth', 'begun'), [(-3.0, 0.2), (3.0, -0.2)])
+def test_an_azimuth_found_beyond_half_a_turn_is_told_within(azimuth: float, begun: float) -> None:
+    equations = Equations(evidence_of(model=truth().model, azimuth=azimuth))
+    state = equations.nominal()
+    # The same heading, a turn further.
+    turn = 2 * np.pi if azimuth < 0 else -2 * np.pi
+    state[equations.sensors + Nuisance.AZIMUTH] = azimuth + turn + begun
+    found = fit(equations, state)
+    assert found[equations.sensors + Nuisance.AZIMUTH] == pytest.approx(azimuth, abs=1e-7)
+    assert found[:24] == pytest.approx(truth().model.vector(), rel=1e-6, abs=1e-10)
 
 
 def test_without_noise_all_33_come_out() -> None:

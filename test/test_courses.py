@@ -1,0 +1,151 @@
+"""What changes during a session: its mean over each part, against sums over a thousand instants."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imu_calib.errors import NotObservable
+from imu_calib.model import PARAMETERS
+from imu_calib.model.session_terms import Change, Course
+from imu_calib.observation.modulation import (
+    LEAST_RISE,
+    check_temperature,
+    columns,
+    courses,
+    rates,
+    reference,
+    slopes,
+    spans,
+    stated_changes,
+    temperatures,
+    warms,
+)
+from imu_calib.segmentation.thermometer import Temperature
+from imu_calib.stream import Floats
+
+NS = 10**9
+EPOCH = 1_700_000_000 * NS
+PARTS = [(0.0, 40.0), (50.0, 90.0), (100.0, 112.0), (40.0, 50.0)]
+"""Two rests, a turn and a move, s."""
+WHOLE = 112.0
+TAU = 0.25
+FINE = 100_000
+
+
+def course_of_temperature() -> Temperature:
+    """From 20 to 22 degrees within 60 s, then constant."""
+    points = np.array([[EPOCH, 20.0], [EPOCH + 60 * NS, 22.0], [EPOCH + 120 * NS, 22.0]])
+    return Temperature(21.5, 20.0, 22.0, points)
+
+
+def session(temperature: Temperature | None = None) -> Any:
+    first, second, turn, move = (
+        SimpleNamespace(start=EPOCH + round(a * NS), end=EPOCH + round(b * NS)) for a, b in PARTS
+    )
+    return SimpleNamespace(
+        segments=[first, second],
+        turns=[turn],
+        links=SimpleNamespace(links=[SimpleNamespace(move=move)]),
+        layout=SimpleNamespace(segment=np.array([0, 1, 1, 2, 3])),
+        temperature=temperature,
+    )
+
+
+def at(course: Course, seconds: Floats) -> Floats:
+    """The course itself, but for what is the same all along."""
+    if course is Course.TREND:
+        return seconds
+    if course is Course.WARM_UP:
+        return np.exp(-seconds / (TAU * WHOLE))
+    return np.interp(seconds, [0.0, 60.0], [20.0, 22.0])
+
+
+def instants(begin: float, end: float) -> Floats:
+    return begin + (np.arange(FINE) + 0.5) * (end - begin) / FINE
+
+
+def test_parts_are_timed_from_the_first() -> None:
+    starts, ends = spans(session())
+    assert starts.tolist() == [a for a, _ in PARTS]
+    assert ends.tolist() == [b for _, b in PARTS]
+
+
+@pytest.mark.parametrize('course', [Course.TREND, Course.WARM_UP])
+def test_a_course_is_its_mean_over_a_part_less_that_over_the_session(course: Course) -> None:
+    usual = at(course, instants(0.0, WHOLE)).mean()
+    wanted = [at(course, instants(*part)).mean() - usual for part in PARTS]
+    found = courses(session(), course, TAU)
+    np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-8)
+
+
+def test_a_temperature_counts_from_the_sessions_mean() -> None:
+    held = session(course_of_temperature())
+    means = [at(Course.THERMAL, instants(*part)).mean() for part in PARTS]
+    np.testing.assert_allclose(temperatures(held), means, rtol=1e-9)
+    assert reference(held) == 21.5
+    found = courses(held, Course.THERMAL, TAU)
+    np.testing.assert_allclose(found, np.array(means) - 21.5, atol=1e-8)
+
+
+def test_a_rate_is_by_how_much_a_course_rises_over_a_part() -> None:
+    held = session(course_of_temperature())
+    assert rates(held, Course.TREND, TAU).tolist() == [1.0] * 4
+    for k, (begin, end) in enumerate(PARTS):
+        first, last = at(Course.WARM_UP, np.array([begin, end]))
+        wanted = (last - first) / (end - begin)
+        assert rates(held, Course.WARM_UP, TAU)[k] == pytest.approx(wanted, rel=1e-12)
+        middle = (begin + end) / 2
+        early, late = (
+            at(Course.THERMAL, instants(*half)).mean() for half in ((begin, middle), (middle, end))
+        )
+        wanted = (late - early) / ((end - begin) / 2)
+        assert rates(held, Course.THERMAL, TAU)[k] == pytest.approx(wanted, abs=1e-8)
+
+
+def test_a_coefficient_acts_through_the_parameters_that_it_changes() -> None:
+    derivatives = np.arange(5.0 * len(PARAMETERS)).reshape(5, -1) ** 2
+    changes = [
+        Change(Course.TREND, 'first', (PARAMETERS[3],)),
+        Change(Course.WARM_UP, 'both', (PARAMETERS[0], PARAMETERS[7])),
+    ]
+    held = session()
+    for function, course in ((columns, courses), (slopes, rates)):
+        found = function(held, changes, derivatives, PARAMETERS, TAU)
+        for row, part in enumerate([0, 1, 1, 2, 3]):
+            trend = course(held, Course.TREND, TAU)[part] * derivatives[row, 3]
+            both = derivatives[row, 0] + derivatives[row, 7]
+            fading = course(held, Course.WARM_UP, TAU)[part] * both
+            assert found[row].tolist() == pytest.approx([trend, fading], rel=1e-14)
+
+
+def test_what_follows_a_temperature_needs_one_that_moves() -> None:
+    with pytest.raises(NotObservable, match='no temperature'):
+        temperatures(session())
+    assert not warms(session())
+    # Between the means of the parts: the first has 20.67 degrees, the last 22.
+    assert warms(session(course_of_temperature()))
+    check_temperature(session(course_of_temperature()))
+    points = np.array([[EPOCH, 20.0], [EPOCH + 112 * NS, 20.0 + LEAST_RISE]])
+    slow = session(Temperature(20.2, 20.0, 20.5, points))
+    assert not warms(slow)
+    with pytest.raises(
+        NotObservable, match=r'moves by 0\.38 K \(from 20\.09 to 20\.47 degC\), expected 0\.5 K'
+    ):
+        check_temperature(slow)
+    level = np.array([[EPOCH, 20.0], [EPOCH + 90 * NS, 20.0], [EPOCH + 90 * NS + 1, 20.5]])
+    assert warms(session(Temperature(20.2, 20.0, 20.5, level)))
+
+
+def test_each_scale_factor_and_bias_has_what_the_data_sheet_states_of_its_kind() -> None:
+    stated = np.array([[1e-5, 2e-7], [3e-5, 4e-4]])
+    changes, sizes = stated_changes(PARAMETERS, stated)
+    found = {change.name: size for change, size in zip(changes, sizes.tolist(), strict=True)}
+    wanted = {f'K_g{axis}': 1e-5 for axis in 'xyz'} | {f'D_g{axis}': 2e-7 for axis in 'xyz'}
+    wanted |= {f'K_a{axis}': 3e-5 for axis in 'xyz'} | {f'D_a{axis}': 4e-4 for axis in 'xyz'}
+    assert found == wanted
+    assert all(c.course is Course.THERMAL for c in changes)
+    assert [c.parameters[0].name for c in changes] == [c.name for c in changes]
