@@ -42,6 +42,8 @@ TESTS = {
     'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'bags': ['codec', 'journal', 'mcap_writer', 'sqlite_pages', 'bags', 'damaged_bags'],
     'methods': [
+        'checks',
+        'rate_equations',
         'methods_positions',
         'methods_gyro_only',
         'methods_skewed',
