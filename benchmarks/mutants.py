@@ -40,7 +40,16 @@ TESTS = {
     'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal', 'in_motion'],
     'segmentation': ['one_motion', 'sample_grid', 'counter', 'segmentation'],
     'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
-    'bags': ['codec', 'journal', 'mcap_writer', 'sqlite_pages', 'bags', 'damaged_bags'],
+    'bags': [
+        'record_walk',
+        'row_queries',
+        'codec',
+        'journal',
+        'mcap_writer',
+        'sqlite_pages',
+        'bags',
+        'damaged_bags',
+    ],
     'methods': [
         'checks',
         'rate_equations',
@@ -65,10 +74,10 @@ TESTS = {
     ],
     'estimation': ['likelihood', 'converge', 'score', 'undecided', 'joint'],
 }
-# What is too slow for every mutant of a package, and by which modules it goes.
+# What goes with some modules alone, and is too slow for every mutant of a package; it runs first.
 MORE = {
     'imu_calib/bags/mcap_chunk.py': ['remote'],
-    'imu_calib/bags/remote.py': ['remote'],
+    'imu_calib/bags/remote.py': ['remote_copy', 'remote'],
     'imu_calib/segmentation/stillness.py': ['stillness'],
     'imu_calib/observation/common_errors.py': ['units_shared'],
     'imu_calib/observation/free.py': ['free_positions'],
@@ -151,7 +160,7 @@ def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns('.git', '__pycache__'))
         unchanged = {}  # how long each list of tests takes, s
         for path, name, occurrence, line in share:
-            files = (*tests, *MORE.get(path, []))
+            files = (*MORE.get(path, []), *tests)
             if files not in unchanged:
                 sound, unchanged[files] = run_tests(copy, files, 600.0)
                 if not sound:

@@ -1,0 +1,166 @@
+"""Which rows of a sqlite3 file are asked for, and what is held of chunks meanwhile."""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from imu_calib.bags.sqlite_rows import LAST_ROW, RowQueries
+from imu_calib.bags.storage import Cache, Losses
+
+COMMON, RARE, NONE = 1, 2, 3
+ROWS = 300_000
+EVERY = 100
+
+
+class File:
+    """A file in memory of rows that it is told of, and the ranges of the queries that it got."""
+
+    def __init__(self, path: Path, rows: list[tuple[int, int, object, object]]) -> None:
+        self.path = path
+        with sqlite3.connect(path) as database:
+            database.execute(
+                'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, '
+                'timestamp INTEGER, data BLOB)'
+            )
+            database.executemany('INSERT INTO messages VALUES (?, ?, ?, ?)', rows)
+        database.close()
+        self.ranges: list[tuple[int, int]] = []
+        self.losses = Losses()
+
+    def connect(self) -> sqlite3.Connection:
+        connection = sqlite3.connect(self.path)
+        connection.set_trace_callback(self._note)
+        return connection
+
+    def _note(self, statement: str) -> None:
+        if found := re.search(r'id >= (\d+) AND id <= (\d+)', statement):
+            self.ranges.append((int(found[1]), int(found[2])))
+
+    def read(
+        self, topics: tuple[int, ...], first: int | None, last: int = LAST_ROW
+    ) -> list[tuple[int, int, int | None]]:
+        """First log time, number of messages, and where the next window begins, of each."""
+        queries = RowQueries('bag.db3', self.connect, None, self.losses)
+        return [
+            (int(log[0]), len(messages), following)
+            for messages, log, following in queries.read(topics, first, last)
+        ]
+
+
+@pytest.fixture(scope='module')
+def long(tmp_path_factory: pytest.TempPathFactory) -> File:
+    rows = [(k, RARE if k % EVERY == 0 else COMMON, 10 * k, b'') for k in range(1, ROWS + 1)]
+    return File(tmp_path_factory.mktemp('long') / 'bag.db3', rows)  # type: ignore[arg-type]
+
+
+def test_a_topic_that_is_everywhere_is_read_in_narrow_windows(long: File) -> None:
+    long.ranges.clear()
+    found = long.read((COMMON,), 1, 10_000)
+    assert long.ranges == [
+        (1, 2048),
+        (2049, 4096),
+        (4097, 6144),
+        (6145, 8192),
+        (8193, 10_000),
+    ]
+    assert [following for *_, following in found] == [2049, 4097, 6145, 8193, 10_001]
+    assert found[0][:2] == (10, 2048 - 20)
+    assert sum(count for _, count, _ in found) == 9900
+
+
+def test_a_rare_one_is_read_in_windows_that_grow_up_to_the_widest(long: File) -> None:
+    long.ranges.clear()
+    found = long.read((RARE,), 1, ROWS)
+    widths = [last - first + 1 for first, last in long.ranges]
+    assert widths == [2048, 4096, 8192, 16384, 32768, 65536, 65536, 65536, 39904]
+    assert [first for first, _ in long.ranges[1:]] == [last + 1 for _, last in long.ranges[:-1]]
+    assert sum(count for _, count, _ in found) == ROWS // EVERY
+
+
+def test_windows_shrink_again_where_a_topic_is_no_longer_rare(tmp_path: Path) -> None:
+    rows = [(k, RARE if k > 20_000 or k % EVERY == 0 else COMMON, k, b'') for k in range(1, 50_001)]
+    file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
+    file.read((RARE,), 1, 50_000)
+    widths = [last - first + 1 for first, last in file.ranges]
+    # At 14337 a wide window meets what is everywhere: each one after is half as wide.
+    assert widths == [2048, 4096, 8192, 16384, 8192, 4096, 2048, 2048, 2048, 848]
+
+
+def test_a_window_without_a_row_is_passed_over(tmp_path: Path) -> None:
+    rows = [(5, COMMON, 50, b''), (1_000_000, COMMON, 60, b'abc'), (1_000_001, RARE, 70, b'')]
+    file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
+    found = file.read((COMMON,), 5, 2_000_000)
+    assert [(log, count) for log, count, _ in found] == [(50, 1), (60, 1)]
+    # After the first window of 2048 comes an empty one of 4096: the next begins at a row.
+    assert file.ranges[:3] == [(5, 2052), (2053, 6148), (1_000_000, 1_008_191)]
+    assert file.read((NONE,), 5, 2_000_000) == []
+    assert file.read((COMMON,), None) == []
+    assert file.read((), 5) == []
+    assert file.read((COMMON,), 6, 999_999) == []
+
+
+def test_the_last_row_id_of_all_is_read(tmp_path: Path) -> None:
+    file = File(tmp_path / 'bag.db3', [(LAST_ROW, COMMON, 7, b'')])
+    assert file.read((COMMON,), LAST_ROW) == [(7, 1, None)]
+
+
+def test_foreign_values_are_a_message_of_no_bytes_at_the_time_of_the_first(tmp_path: Path) -> None:
+    rows = [(1, COMMON, 'soon', b'a'), (2, COMMON, 8, 'text'), (3, COMMON, None, b'bc')]
+    file = File(tmp_path / 'bag.db3', rows)  # type: ignore[arg-type]
+    ((messages, log, following),) = RowQueries('bag.db3', file.connect, 3, file.losses).read(
+        (COMMON,), 1, 3
+    )
+    assert messages.payloads() == [b'a', b'', b'bc']
+    assert log.tolist() == [8, 8, 8]
+    assert following == 4
+
+
+class Held:
+    """Content of a size, which says when it is loaded."""
+
+    def __init__(self, name: str, nbytes: int, loaded: list[str]) -> None:
+        self.nbytes = nbytes
+        loaded.append(name)
+
+
+def asked(limit: int, requests: str, users: int = 2, nbytes: int = 10) -> str:
+    """What is loaded of chunks that are asked for in turn."""
+    loaded: list[str] = []
+    cache = Cache(limit)
+    for name in requests:
+        cache.get(name, lambda name=name: Held(name, nbytes, loaded), users)  # type: ignore[misc]
+    return ''.join(loaded)
+
+
+def test_a_chunk_is_loaded_once_for_all_who_read_it() -> None:
+    assert asked(100, 'aabbcc') == 'abc'
+    assert asked(100, 'abcabc') == 'abc'
+    assert asked(100, 'aaaaaa', users=3) == 'aa'
+
+
+def test_it_goes_when_the_last_has_read_it() -> None:
+    assert asked(100, 'aaa') == 'aa'
+    assert asked(100, 'aaaa', users=1) == 'aaaa'
+
+
+def test_of_too_many_the_one_that_was_used_longest_ago_goes() -> None:
+    assert asked(30, 'abcabc') == 'abc'
+    assert asked(29, 'abcabc') == 'abcabc'
+    # Asked for again, a is used later than b.
+    assert asked(29, 'abacab', users=3) == 'abcb'
+    # One that is larger than the limit is held all the same.
+    assert asked(5, 'aabb') == 'ab'
+
+
+def test_what_was_read_by_all_no_longer_counts() -> None:
+    loaded: list[str] = []
+    cache = Cache(20)
+    for name in 'aabbccdd':
+        cache.get(name, lambda name=name: Held(name, 10, loaded), 2)  # type: ignore[misc]
+    for name in 'efef':
+        cache.get(name, lambda name=name: Held(name, 10, loaded), 2)  # type: ignore[misc]
+    assert loaded == list('abcdef')
