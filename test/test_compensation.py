@@ -8,7 +8,7 @@ import pytest
 from sessions import paper_imu, truth
 
 from imu_calib.calibration import Calibration
-from imu_calib.compensation.apply import Compensation
+from imu_calib.compensation.apply import Compensation, noise_gains
 from imu_calib.compensation.samples import Mark, concatenated
 from imu_calib.errors import NotObservable
 from imu_calib.imu import ImuSpec, TriadSpec
@@ -305,3 +305,16 @@ def test_gravity_of_the_paper_to_a_fraction_of_a_micro_g():
     counted = np.diff(np.floor(np.outer(np.arange(count + 1), accel * TAU / 0.01)), axis=0)
     result = Compensation(known()).apply(np.zeros((count, 3)), counted, np.full(count, TAU))
     assert np.abs(result.force.mean(axis=0) - force).max() < 0.01 / (count * TAU) * 1.2 + MICRO_G
+
+
+def test_noise_grows_by_the_longest_row_of_the_inverse() -> None:
+    """White noise of equal size in three outputs makes of (I + M)^-1 times them its rows' norms."""
+    gyro = np.array([[0.0, 0.5, 0.0], [0.0, -0.5, 0.0], [0.0, 0.0, 0.25]])
+    accel = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    found = noise_gains(SensorModel(Triad(gyro, np.zeros(3)), Triad(accel, np.zeros(3))))
+    # x is its output less that of y, which is twice as large as y's output.
+    wanted = max(np.hypot(1.0, 1.0), 2.0, 0.8), max(2.0, np.hypot(1.0, 1.0), 1.0)
+    assert found == pytest.approx(wanted)
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal((100_000, 3)) @ np.linalg.inv(np.eye(3) + accel).T
+    assert noise.std(axis=0).max() == pytest.approx(found[1], rel=0.01)

@@ -137,6 +137,18 @@ def test_weights_and_variances_by_hand():
     assert found.covariance[9, 9] == pytest.approx(0.225**2 + 0.1**2)
 
 
+def test_temperatures_may_be_half_a_kelvin_apart_and_no_closer():
+    assert combine([point(0.5, 1.0), point(0.0, 2.0)], ['a', 'b']).temperatures.tolist() == [0, 0.5]
+    with pytest.raises(InputError, match=r'Two calibrations at 0\.00 and 0\.49 degC'):
+        combine([point(0.49, 1.0), point(0.0, 2.0)], ['a', 'b'])
+
+
+def test_the_file_says_what_lies_in_between():
+    points = [point(0.0, 1.0), point(10.0, 2.0), point(20.0, 4.0)]
+    assert '\norder: lines\n' in combine(points, list('abc')).to_yaml()
+    assert '\norder: 2\n' in combine(points, list('abc'), 2).to_yaml()
+
+
 def test_the_clock_is_weighed_as_the_parameters_are():
     clocks = [StampingClock('imu', 'table', f, s) for f, s in ((2e-5, 3e-6), (6e-5, 4e-6))]
     timed = [

@@ -356,7 +356,7 @@ class Segmenter:
             if beside_unseen((segment.start + segment.end) / 2):
                 reason = (
                     'the gyros do not see the motion beside it that the joint states show '
-                    '(clocks that jump, or are more than a second apart)'
+                    '(clocks that jump, or are a second or so apart)'
                 )
                 self._rejected.append(Rejected(segment.start, segment.end, reason))
             else:
