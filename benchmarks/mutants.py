@@ -38,7 +38,7 @@ ROOT = Path(__file__).resolve().parent.parent
 TESTS = {
     'cdr': ['cdr'],
     'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal', 'in_motion'],
-    'segmentation': ['one_motion', 'sample_grid', 'counter', 'segmentation'],
+    'segmentation': ['statistics', 'one_motion', 'sample_grid', 'counter', 'segmentation'],
     'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'bags': [
         'record_walk',
