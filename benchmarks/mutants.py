@@ -78,7 +78,9 @@ TESTS = {
 MORE = {
     'imu_calib/bags/mcap_chunk.py': ['remote'],
     'imu_calib/bags/remote.py': ['remote_copy', 'remote'],
+    'imu_calib/segmentation/plateau.py': ['steady_rates'],
     'imu_calib/segmentation/stillness.py': ['stillness'],
+    'imu_calib/segmentation/turns.py': ['steady_rates'],
     'imu_calib/observation/common_errors.py': ['units_shared'],
     'imu_calib/observation/free.py': ['free_positions'],
     'imu_calib/observation/ideal_moves.py': ['free_positions', 'prediction'],

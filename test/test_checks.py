@@ -16,6 +16,7 @@ from imu_calib.methods.checks import (
     WrongLatitude,
     _azimuth_std,
     _by_up,
+    _fit,
     _off_positions,
     _outstanding,
     _scatter,
@@ -147,6 +148,9 @@ def test_what_is_seen_and_what_fits_is_said() -> None:
     assert 'It fits a latitude of 45.0 +- 0.1 deg.' in text
     assert refused.value.seen == pytest.approx(45 * DEG)
     assert refused.value.misfit == pytest.approx(0.0, abs=1e-3)
+    # The less known of the two level rates counts.
+    with pytest.raises(WrongLatitude, match=r'10\.64 \+- 0\.03 deg/h horizontal'):
+        check_latitude(at(40.0), turned, covariance[[1, 0, 2]][:, [1, 0, 2]])
 
 
 def test_a_rate_that_is_no_latitudes_is_said_to_be_none() -> None:
@@ -460,3 +464,29 @@ def test_moves_left_out_are_counted_and_the_first_are_named() -> None:
     )
     (many,) = said(9, 0)
     assert f' and {9 - joint._NAMED} more; ' in many
+
+
+def test_turns_by_hand_are_not_taken_for_a_table() -> None:
+    """In the hand each channel sees what its input axis has of a level rate from anywhere."""
+    north_rate, rests = 5e-5, 400
+    rng = np.random.default_rng(11)
+    attitudes = Rotation.random(rests, random_state=3).as_matrix()
+    level = rng.uniform(0, 2 * np.pi, rests)
+    rates = north_rate * np.column_stack([np.cos(level), np.sin(level), np.zeros(rests)])
+    response = np.array([[1.1, 0.1, 0.0], [0.0, 0.9, 0.2], [-0.1, 0.0, 1.0]])
+    outputs = np.einsum('ij,skj,sk->si', response, attitudes, rates)
+    held: Any = SimpleNamespace(
+        outputs=lambda: np.hstack([outputs, outputs]),
+        variances=lambda: np.full((rests, 6), 1e-14),
+        attitudes=lambda: attitudes,
+        positioning=0.0,
+        plan=SimpleNamespace(by_hand=True),
+        site=SimpleNamespace(north_rate=north_rate),
+    )
+    model = SensorModel(Triad(response - np.eye(3), np.zeros(3)))
+    found = _fit(held, model, slice(0, 3), 6)
+    # Nothing is the same at all rests, and what differs is what was allowed for.
+    assert np.abs(found.vector[:2]).max() < 5 * north_rate / np.sqrt(2 * rests)
+    assert not found.significant
+    held.plan.by_hand = False
+    assert _fit(held, model, slice(0, 3), 6).significant
