@@ -72,7 +72,7 @@ TESTS = {
         'methods_positions',
         'joint',
     ],
-    'estimation': ['likelihood', 'converge', 'score', 'undecided', 'joint'],
+    'estimation': ['whitened_residuals', 'likelihood', 'converge', 'score', 'undecided', 'joint'],
 }
 # What goes with some modules alone, and is too slow for every mutant of a package; it runs first.
 MORE = {
