@@ -60,6 +60,7 @@ TESTS = {
         'joint',
     ],
     'observation': [
+        'rows',
         'headings',
         'courses',
         'latitude_seen',

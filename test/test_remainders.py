@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from imu_calib.observation.remainders import remainder_covariance
+from imu_calib.model import SensorModel, Triad
+from imu_calib.observation.remainders import RoughAnswers, remainder_covariance
 from imu_calib.stream import Floats
 
 PERIOD, PULSE = 0.02, 0.01
@@ -88,3 +93,53 @@ def test_what_is_no_counter_holds_nothing_back() -> None:
     found = remainder_covariance(turned, np.full(100, PERIOD), outputs, np.zeros(3), pulses)
     assert found[0, 0] > 0
     assert not found[1:].any()
+
+
+MODEL = SensorModel(
+    Triad(np.array([[0.01, 0.02, 0.0], [0.0, -0.03, 0.01], [0.005, 0.0, 0.02]]), np.full(3, 3e-3)),
+    Triad(np.array([[0.02, 0.0, 0.01], [-0.01, 0.01, 0.0], [0.0, 0.03, -0.02]]), np.full(3, 0.2)),
+)
+OWN = np.array([1e-6, 4e-6, 9e-6])
+
+
+def roughly(ups: Floats, axes: list[int]) -> RoughAnswers:
+    """What rests with these ups and turns about these axes tell, without noise."""
+    forces = 9.8 * ups
+    segments: list[Any] = [
+        SimpleNamespace(
+            statistics=SimpleNamespace(
+                mean=np.concatenate(MODEL.predict(np.zeros(3), force)),
+                variance=lambda walk: np.append(walk[:3], OWN),
+            )
+        )
+        for force in forces
+    ]
+    turns: list[Any] = []
+    for axis in axes:
+        for rate in (0.5, -0.5):
+            up = np.eye(3)[axis]
+            mean = np.concatenate(MODEL.predict(rate * up, 9.8 * up))
+            statistics = SimpleNamespace(mean=mean)
+            turns.append(SimpleNamespace(up=up, rate=lambda rate=rate: rate, statistics=statistics))
+    return RoughAnswers.of(segments, turns, forces, np.zeros(6))
+
+
+def test_rests_and_turns_all_around_tell_what_the_sensors_answer() -> None:
+    ups = Rotation.random(8, random_state=1).as_matrix()[:, 2]
+    found = roughly(ups, [0, 1, 2])
+    np.testing.assert_allclose(found.model.vector(), MODEL.vector(), atol=1e-12)
+    # Four unknowns of eight rests: half of the variance of one.
+    assert found.doubt == pytest.approx(np.sqrt(OWN * 4 / 8))
+
+
+def test_where_no_turn_shows_the_gyros_their_misalignment_is_in_doubt() -> None:
+    ups = np.vstack([np.eye(3), -np.eye(3)])
+    found = roughly(ups, [0])
+    np.testing.assert_allclose(found.model.accel.vector(), MODEL.accel.vector(), atol=1e-12)
+    # Of the gyros the bias and what turned: what did not is taken for ideal.
+    response = np.eye(3)
+    response[:, 0] = MODEL.gyro.response[:, 0]
+    np.testing.assert_allclose(found.model.gyro.response, response, atol=1e-12)
+    np.testing.assert_allclose(found.model.gyro.bias, MODEL.gyro.bias, atol=1e-12)
+    # A milliradian of gravity.
+    assert found.doubt == pytest.approx(np.sqrt(OWN * 4 / 6 + (1e-3 * 9.8) ** 2))

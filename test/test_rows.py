@@ -40,9 +40,9 @@ def test_gyros_and_accelerometers_share_out_all_outputs() -> None:
 
 
 def test_each_output_is_of_one_rest_turn_or_move() -> None:
-    rows = OutputLayout(4, 3, 2, (0, 2), (1,))
-    assert rows.segment[rows.rest].tolist() == [[k] * 6 for k in range(4)]
-    assert rows.segment[rows.turn].tolist() == [[k] * 3 for k in (4, 5, 6)]
-    assert rows.segment[rows.move].tolist() == [[k] * 3 for k in (7, 8)]
-    assert rows.segment[rows.turn_accels].tolist() == [[k] * 3 for k in (4, 6)]
-    assert rows.segment[rows.velocity].tolist() == [[8] * 3]
+    rows = OutputLayout(3, 3, 2, (0, 2), (1,))
+    assert rows.segment[rows.rest].tolist() == [[k] * 6 for k in range(3)]
+    assert rows.segment[rows.turn].tolist() == [[k] * 3 for k in (3, 4, 5)]
+    assert rows.segment[rows.move].tolist() == [[k] * 3 for k in (6, 7)]
+    assert rows.segment[rows.turn_accels].tolist() == [[k] * 3 for k in (3, 5)]
+    assert rows.segment[rows.velocity].tolist() == [[7] * 3]
