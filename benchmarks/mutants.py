@@ -53,6 +53,7 @@ TESTS = {
     'methods': [
         'checks',
         'rate_equations',
+        'closed_forms',
         'methods_positions',
         'methods_gyro_only',
         'methods_skewed',
