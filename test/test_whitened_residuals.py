@@ -162,6 +162,7 @@ class Turning:
 
     left: Floats
     inflation: Floats | None = None
+    taken: Floats | None = None
 
     @property
     def outputs(self) -> Floats:
@@ -178,10 +179,10 @@ class Turning:
         return SimpleNamespace(turns=turns, layout=OutputLayout(0, 8), segments=[], links=links)
 
     def whitened(self, _: Floats) -> tuple[Floats, Floats]:
-        # One unknown takes a share of the first output.
+        # One unknown takes up the first output, unless others are told.
         jacobian = np.zeros((24, 2))
         jacobian[0, 0] = 7.0
-        return jacobian, self.left
+        return jacobian if self.taken is None else self.taken, self.left
 
 
 def test_turns_that_scatter_weigh_less_by_axis_and_channel() -> None:
@@ -203,6 +204,18 @@ def test_what_is_taken_up_leaves_a_degree_less() -> None:
     left[[0, 3, 6, 18, 21]] = [0.0, 6.0, 6.0, 6.0, 6.0]
     _, largest = turns_weighed_down(Turning(left), np.zeros(2))  # type: ignore[arg-type]
     assert largest == pytest.approx(4 * 36.0 / 4)
+
+
+def test_less_than_one_degree_tells_nothing() -> None:
+    left = np.zeros(24)
+    left[22] = 50.0
+    taken = np.zeros((24, 5))
+    # Four of five outputs, and half of the fifth.
+    taken[[1, 4, 7, 19], range(4)] = 1.0
+    taken[[22, 2], 4] = 1.0
+    found, largest = turns_weighed_down(Turning(left, taken=taken), np.zeros(5))  # type: ignore[arg-type]
+    assert found.inflation is None
+    assert largest == 1.0
 
 
 @pytest.mark.parametrize(('times', 'weighs'), [(0.99, False), (1.01, True)])
