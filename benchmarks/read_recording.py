@@ -45,8 +45,10 @@ class Case:
     promised: float
 
 
+# The loop takes the interpreter's time, the columns that of the memory: two machines gave 44 and 70
+# times for mcap, 28 and 40 with zstd, 21 and 28 for sqlite3. Promised is what both of them keep.
 CASES = (
-    Case('mcap', StoragePlugin.MCAP, CompressionMode.NONE, 60.0),
+    Case('mcap', StoragePlugin.MCAP, CompressionMode.NONE, 40.0),
     Case('mcap, zstd chunks', StoragePlugin.MCAP, CompressionMode.STORAGE, 25.0),
     Case('sqlite3', StoragePlugin.SQLITE3, CompressionMode.NONE, 20.0),
 )
