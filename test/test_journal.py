@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from imu_calib.bags import open_recording
+from imu_calib.bags import RecordingWriter, open_recording
 from imu_calib.bags.journal import FINISHED, Journal
 from imu_calib.cdr import Kind, Messages, encode_imu
 from imu_calib.errors import InputError
@@ -139,3 +140,21 @@ def test_a_journal_in_which_nothing_came_begins_anew(tmp_path: Path) -> None:
     again = Journal(tmp_path / 'one', SESSION, NAMES)
     assert list(again.replay()) == []
     again.close(finished=False)
+
+
+@pytest.mark.parametrize(
+    'times', [[EPOCH] * 4, [EPOCH] * 6, [[EPOCH] * 5], [EPOCH, EPOCH, -1, EPOCH, EPOCH]]
+)
+def test_messages_need_as_many_log_times_as_there_are(tmp_path: Path, times: list[int]) -> None:
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        with pytest.raises(ValueError, match='5 messages need as many log times, none negative'):
+            writer.write(IMU, Kind.IMU.type_name, samples(0), np.array(times))
+        writer.write(IMU, Kind.IMU.type_name, samples(0), np.zeros(5, np.int64))
+
+
+def test_a_recording_without_messages_begins_and_ends_at_zero(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / 'bag') as writer:
+        writer.add_topic(IMU, Kind.IMU.type_name)
+    text = (tmp_path / 'bag' / 'metadata.yaml').read_text(encoding='utf-8')
+    assert re.search(r'starting_time:\s*\{?\s*nanoseconds_since_epoch: 0\b', text), text
+    assert re.search(r'duration:\s*\{?\s*nanoseconds: 0\b', text), text
