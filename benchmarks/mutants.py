@@ -38,7 +38,16 @@ ROOT = Path(__file__).resolve().parent.parent
 TESTS = {
     'cdr': ['cdr'],
     'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal', 'in_motion'],
-    'segmentation': ['statistics', 'one_motion', 'sample_grid', 'counter', 'segmentation'],
+    'segmentation': [
+        'statistics',
+        'labelling',
+        'names_by_order',
+        'one_motion',
+        'sample_grid',
+        'counter',
+        'segmentation',
+        'segmented_sessions',
+    ],
     'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'bags': [
         'record_walk',
