@@ -45,6 +45,7 @@ TESTS = {
         'mcap_records',
         'chunk_summary',
         'mcap_scan',
+        'mcap_storage',
         'row_queries',
         'codec',
         'journal',

@@ -61,7 +61,7 @@ def two() -> Chunked:
 
 def found_in(file: Chunked) -> list[Chunk]:
     """The two chunks, as they are to be found."""
-    (a, a_end, _), (b, b_end, _) = file.places
+    (a, a_end, _), (b, b_end, _) = file.places[:2]
     ends = [(a, a_end, 10 * NS, 12 * NS), (b, b_end, 13 * NS, 14 * NS)]
     indexes = [{1: (a_end + 15, 2), 2: (a_end + 15 + 32 + 15, 1)}, {2: (b_end + 15, 2)}]
     return [
@@ -168,6 +168,19 @@ def test_a_damaged_index_is_looked_at_no_further(scanned: Scanned) -> None:
     assert losses == [
         f'a.mcap holds no valid record at byte {end}: {second.start - end} bytes cannot be read.'
     ]
+
+
+def test_the_index_before_damage_is_not_trusted_and_others_are(scanned: Scanned) -> None:
+    file = two().add((1, 15 * NS, b'c'))
+    first, second = found_in(file)
+    found, _ = scanned(damaged(file.summed_up(), file.places[2][0], b'\0'))
+    assert found.chunks == [first, without_index(second)]
+
+
+def test_of_a_long_chunk_that_was_cut_all_is_kept_that_is_there(scanned: Scanned) -> None:
+    file = Chunked().describe().add((1, 15 * NS, bytes(5000)))
+    found, _ = scanned(file.content[:4000])
+    assert [one.end for one in found.chunks] == [4000]
 
 
 def test_without_a_summary_nobody_knows_where_to_go_on(scanned: Scanned) -> None:
@@ -294,6 +307,16 @@ def test_of_a_broken_summary_nothing_is_taken(scanned: Scanned) -> None:
     assert losses == []
 
 
+def test_a_record_of_a_summary_ends_where_it_says(scanned: Scanned) -> None:
+    # Behind the schema, which has no definition, 128 bytes look like one.
+    cut_short = record(SCHEMA, schema(2, 'B')[9:-4])
+    broken = cut_short + record(0x80) + record(0x80, bytes(150))
+    data = MAGIC + schema(1, 'A') + record(DATA_END, bytes(4))
+    found, losses = scanned(data + broken + footer(len(data)))
+    assert list(found.catalogue.schemas) == [1]
+    assert losses == []
+
+
 def test_a_file_that_ends_with_the_magic_alone_was_not_finished(scanned: Scanned) -> None:
     found, losses = scanned(MAGIC + schema(1, 'A') + record(0x80, bytes(12)) + MAGIC)
     assert list(found.catalogue.schemas) == [1]
@@ -409,6 +432,13 @@ def test_messages_without_a_chunk_are_as_one_of_their_own(scanned: Scanned) -> N
     assert found.chunks[2] == replace(last, start_ns=11, counts={1: 3, 2: 2})
     assert len(found.chunks) == 3
     assert {key: one.topic for key, one in found.catalogue.channels.items()} == {1: '/a', 2: '/b'}
+    assert losses == []
+
+
+def test_messages_end_where_the_summary_begins(scanned: Scanned) -> None:
+    head, messages = flat()
+    found, losses = scanned(head + messages + schema(2, 'B') + footer(len(head + messages)))
+    assert [(one.start, one.end) for one in found.chunks] == [(len(head), len(head + messages))]
     assert losses == []
 
 
