@@ -47,6 +47,7 @@ TESTS = {
         'mcap_scan',
         'mcap_storage',
         'row_queries',
+        'sqlite_bytes',
         'codec',
         'journal',
         'mcap_writer',
