@@ -221,7 +221,7 @@ def test_a_compression_that_is_no_text_is_no_chunk(scanned: Scanned) -> None:
     [
         (record(INDEX, struct.pack('<HI', 7, 0)), {7: 0}),
         (index(7, [(1, 2)]), {7: 1}),
-        (index(7, [(1, 2), (3, 4)]), {7: 2}),
+        (index(7, [(1, 2)] * 30), {7: 30}),
         # Entries of another length than the record, and of a broken one.
         (record(INDEX, struct.pack('<HI', 7, 16) + bytes(15)), None),
         (record(INDEX, struct.pack('<HI', 7, 16) + bytes(17)), None),
@@ -395,9 +395,26 @@ def test_a_summary_that_leaves_a_chunk_out_is_walked_past(
 ) -> None:
     file = two()
     file.entries.pop()
-    found, _, losses = ranges_read(tmp_path / 'a.mcap', file.summed_up(), monkeypatch)
+    found, read, losses = ranges_read(tmp_path / 'a.mcap', file.summed_up(), monkeypatch)
     assert found.chunks == found_in(file)
+    # A record's head, and as much as tells what a chunk holds.
+    assert read[3] == (len(MAGIC), 9 + 56)
     assert losses == []
+
+
+def test_a_chunk_that_the_summary_sees_behind_itself_is_none(scanned: Scanned) -> None:
+    file = two()
+    _, second = found_in(file)
+    far = Chunked(bytes(10**6)).add((1, 5, b''))
+    content = file.summed_up(far.entries[0])
+    _, losses = scanned(damaged(content, second.start, b'\0'))
+    assert losses[0].endswith('the rest cannot be read.')
+
+
+def test_a_chunk_too_short_for_its_fields_is_no_record(scanned: Scanned) -> None:
+    for content in (MAGIC + record(CHUNK, bytes(10)), MAGIC + record(CHUNK, bytes(10)) + MAGIC):
+        _, losses = scanned(content)
+        assert losses[0] == 'a.mcap holds no valid record at byte 8: the rest cannot be read.'
 
 
 MESSAGES = [(1, 13, b'abc'), (2, 12, b''), (1, 14, bytes(40)), (1, 11, b'x'), (2, 15, b'yy')]
@@ -440,6 +457,16 @@ def test_messages_end_where_the_summary_begins(scanned: Scanned) -> None:
     found, losses = scanned(head + messages + schema(2, 'B') + footer(len(head + messages)))
     assert [(one.start, one.end) for one in found.chunks] == [(len(head), len(head + messages))]
     assert losses == []
+
+
+def test_messages_without_a_chunk_are_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    messages = flat()[1]
+    content = MAGIC + messages + record(DATA_END, bytes(4)) + footer(0)
+    _, read, _ = ranges_read(tmp_path / 'a.mcap', content, monkeypatch)
+    end = 8 + len(messages)
+    assert read[2:] == [(8, 65), (9, 8), (8, len(messages) + 13), (end, 65)]
 
 
 @pytest.mark.parametrize('window', [1, 40, 66, 67, 68, 110, 300])
