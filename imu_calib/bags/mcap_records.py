@@ -53,7 +53,7 @@ class Channel:
     topic: str
     type: str
     encoding: str
-    described: Described = field(default_factory=Described, compare=False)
+    described: Described = field(default_factory=Described)
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def walk(buffer: Bytes, start: int = 0) -> tuple[Indices, int]:
             continue
         run = _run(buffer, position, length)
         parts += [np.array(single, np.int64), run]
-        single, streak = [], 0
+        single = []
         position = int(run[-1]) + RECORD_HEAD + length
     parts.append(np.array(single, np.int64))
     return np.concatenate(parts), position

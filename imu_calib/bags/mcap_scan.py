@@ -12,6 +12,7 @@ from .mcap_chunk import INDEX_HEAD, LONGEST_HEAD, Chunk, chunk_at, chunks_of
 from .mcap_records import (
     FOOTER_SIZE,
     MAGIC,
+    MESSAGE_HEAD,
     RECORD_HEAD,
     Catalogue,
     Op,
@@ -237,6 +238,8 @@ class _Scanner:
     def _unchunked(self, position: int) -> int | None:
         """Take in messages that lie in the file without a chunk around them."""
         (length,) = struct.unpack('<Q', self._read(position + 1, 8))
+        if length < MESSAGE_HEAD:
+            return None
         window = max(_WINDOW, RECORD_HEAD + length)
         buffer = np.frombuffer(self._read(position, min(window, self.end - position)), np.uint8)
         offsets, _ = walk(buffer)

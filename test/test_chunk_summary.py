@@ -1,0 +1,137 @@
+"""Chunks by what the summary of an mcap file says of them: exactly, or not at all."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from mcap_bytes import CHUNK, chunk, record, text
+
+from imu_calib.bags.mcap_chunk import CHUNK_FIELDS, LONGEST_HEAD, Chunk, chunk_at, chunks_of
+from imu_calib.bags.mcap_records import Catalogue, Channel, ChunkIndex
+
+FIRST, STORED = 100, 300
+DATA = FIRST + 9 + 40
+INDEX_1, INDEX_2 = DATA + STORED, DATA + STORED + 9 + 6 + 3 * 16
+END = INDEX_2 + 9 + 6 + 5 * 16
+"""A chunk, with three messages of channel 1 and five of channel 2 in the index behind it."""
+SUMMARY = 5000
+
+
+def entry(start: int = FIRST, index: dict[int, int] | None = None, **other: int) -> ChunkIndex:
+    move = start - FIRST
+    index = {2: INDEX_2 + move, 1: INDEX_1 + move} if index is None else index
+    length = other.get('length', DATA + STORED - FIRST)
+    behind = other.get('behind', END - INDEX_1)
+    return ChunkIndex((7, 9), start, length, index, behind, '', (STORED, 900))
+
+
+def catalogue(*entries: ChunkIndex, counts: dict[int, int], **other: object) -> Catalogue:
+    channels = {k: Channel(k, f'/{k}', 'A', 'cdr') for k in (1, 2)}
+    found = Catalogue(channels=channels, counts=counts, chunks=list(entries))
+    found.totals = 0, len(entries)
+    for name, value in other.items():
+        setattr(found, name, value)
+    return found
+
+
+def test_a_chunk_is_described_by_its_entry_alone() -> None:
+    (found,) = chunks_of(catalogue(entry(), counts={1: 3, 2: 5}), SUMMARY) or ()
+    assert found == Chunk(
+        start=FIRST,
+        data=DATA,
+        stored=STORED,
+        size=900,
+        compression='',
+        crc=None,
+        start_ns=7,
+        end_ns=9,
+        index={1: (INDEX_1 + 15, 3), 2: (INDEX_2 + 15, 5)},
+        counts={1: 3, 2: 5},
+        cut=False,
+    )
+    assert found.end == DATA + STORED
+    assert str(found) == f'the chunk at byte {FIRST} (log time 0.000 s to 0.000 s)'
+
+
+def test_chunks_come_in_the_order_of_the_file() -> None:
+    second, third = entry(END), entry(END + 1000)
+    found = chunks_of(catalogue(third, entry(), second, counts={1: 9, 2: 15}), SUMMARY)
+    assert found is not None
+    assert [one.start for one in found] == [FIRST, END, END + 1000]
+
+
+def test_chunks_may_touch_each_other_and_the_summary() -> None:
+    two = catalogue(entry(), entry(END), counts={1: 6, 2: 10})
+    end = 2 * END - FIRST
+    assert chunks_of(two, end) is not None
+    assert chunks_of(two, end - 1) is None
+    one_less = catalogue(entry(), entry(END - 1), counts={1: 6, 2: 10})
+    assert chunks_of(one_less, SUMMARY) is None
+
+
+def test_a_file_without_a_message_has_no_chunk() -> None:
+    assert chunks_of(catalogue(counts={1: 0}), SUMMARY) == []
+
+
+@pytest.mark.parametrize(
+    'change',
+    [
+        {'totals': None},
+        {'totals': (0, 2)},
+        {'totals': (0, 0)},
+        {'totals': (1, 1)},
+        {'metadata_at': [(10, 20)]},
+        {'counts': None},
+        {'counts': {1: 3, 2: 6}},
+        {'counts': {1: 3}},
+        {'counts': {1: 3, 2: 5, 3: 1}},
+        {'channels': {1: Channel(1, '/1', 'A', 'cdr')}},
+    ],
+)
+def test_a_summary_that_leaves_anything_out_is_not_used(change: dict[str, object]) -> None:
+    counts = {1: 3, 2: 5}
+    assert chunks_of(catalogue(entry(), **{'counts': counts, **change}), SUMMARY) is None  # type: ignore[arg-type]
+
+
+def test_channels_without_messages_do_no_harm() -> None:
+    assert chunks_of(catalogue(entry(), counts={1: 3, 2: 5, 9: 0}), SUMMARY) is not None
+    known = catalogue(entry(), counts={1: 3, 2: 5}, totals=(1, 1), metadata_at=[(10, 20)])
+    assert chunks_of(known, SUMMARY) is not None
+
+
+def test_an_index_too_short_for_an_entry_has_none() -> None:
+    """The three messages of channel 1 are in the second chunk."""
+    first = entry(index={1: INDEX_1, 2: INDEX_1}, behind=15 + 16)
+    second = entry(1000, index={1: 1000 + INDEX_1 - FIRST}, behind=15 + 3 * 16 + 15)
+    found = chunks_of(catalogue(first, second, counts={1: 3, 2: 1}), SUMMARY)
+    assert found is not None
+    assert found[0].counts == {1: 0, 2: 1}
+    assert found[1].counts == {1: 3}
+
+
+@pytest.mark.parametrize('compression', ['', 'lz4', 'sixteen letters.'])
+def test_a_chunk_is_read_from_its_own_head(compression: str) -> None:
+    content = struct.pack('<QQQI', 2**40, 2**41, 900, 77) + text(compression)
+    content += struct.pack('<Q', STORED)
+    assert CHUNK_FIELDS + len(compression) == len(content)
+    assert (len(content) == LONGEST_HEAD) is (len(compression) == 16)
+    found, least = chunk_at(FIRST, content + b'what follows')
+    assert found == Chunk(
+        FIRST, FIRST + 9 + len(content), STORED, 900, compression, 77, 2**40, 2**41
+    )
+    assert least == len(content) + STORED
+    for short in range(len(content)):
+        with pytest.raises(struct.error):
+            chunk_at(FIRST, content[:short])
+
+
+def test_a_compression_that_is_no_text_is_no_chunk() -> None:
+    with pytest.raises(UnicodeDecodeError):
+        chunk_at(FIRST, bytes(28) + struct.pack('<I', 1) + b'\xff' + bytes(8))
+
+
+def test_a_chunk_says_when_it_was_recorded() -> None:
+    one, _ = chunk_at(8, chunk(b'', (1_500_000_000, 2_250_000_000))[9:])
+    assert str(one) == 'the chunk at byte 8 (log time 1.500 s to 2.250 s)'
+    assert record(CHUNK, bytes(40)) == chunk(b'', crc=0)
