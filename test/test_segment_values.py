@@ -16,7 +16,7 @@ from imu_calib.segmentation.segment import Segment, Statistics, Turn
 from imu_calib.segmentation.segmented import Move, VelocitySteps
 from imu_calib.stream import Floats
 
-WALK = np.array([1e-3, 2e-3, 3e-3, 0.1, 0.2, 0.3])
+WALK = np.arange(1.0, 7.0)
 MEAN = np.array([0.1, -0.2, 0.3, 1.0, -2.0, 9.0])
 LEANING = rotation(np.array([0.6, 0.0, 0.8]), 0.7)
 
@@ -24,7 +24,7 @@ LEANING = rotation(np.array([0.6, 0.0, 0.8]), 0.7)
 def statistics(**more: Any) -> Statistics:
     return replace(
         mean_of(MEAN, 20.0),
-        quantisation_variance=np.arange(1.0, 7.0) * 1e-6,
+        quantisation_variance=np.arange(1.0, 7.0),
         end_points=2 * MEAN,
         blocks=tuple(np.array([[c, 0.5, 0.25, 5.0]]) for c in range(1, 7)),
         **more,
@@ -37,7 +37,7 @@ def pace(period: float, std: float) -> Any:
 
 def own(walk: Floats = WALK, time_error: float = 0.0) -> list[float]:
     """Of each channel: noise over 20 s, rounding, and the clock."""
-    return [walk[c] ** 2 / 20.0 + (c + 1) * 1e-6 + (time_error * MEAN[c]) ** 2 for c in range(6)]
+    return [walk[c] ** 2 / 20.0 + (c + 1) + (time_error * MEAN[c]) ** 2 for c in range(6)]
 
 
 # Statistics
@@ -52,7 +52,7 @@ def test_a_scale_goes_on_the_mean_and_on_what_rounding_leaves() -> None:
     factors = np.array([2.0, 1.0, 3.0, 0.5, 1.0, -1.0])
     found = statistics().scaled(factors)
     assert found.mean == pytest.approx([factors[c] * MEAN[c] for c in range(6)])
-    wanted = [factors[c] ** 2 * (c + 1) * 1e-6 for c in range(6)]
+    wanted = [factors[c] ** 2 * (c + 1) for c in range(6)]
     assert found.quantisation_variance == pytest.approx(wanted)
     assert found.walk_gain.tolist() == [1 / 20] * 6
     assert found.duration == 20.0
@@ -77,8 +77,8 @@ def test_another_interval_makes_rates_larger_and_times_shorter() -> None:
 
 
 def test_what_encoders_do_not_tell_leans_the_force() -> None:
-    rest = Segment(0, 1, statistics(), LEANING, attitude_error=1e-3)
-    wanted = [(9.8 * 1e-3) ** 2 * (1 - LEANING[2, axis] ** 2) for axis in range(3)]
+    rest = Segment(0, 1, statistics(), LEANING, attitude_error=0.1)
+    wanted = [(9.8 * 0.1) ** 2 * (1 - LEANING[2, axis] ** 2) for axis in range(3)]
     assert rest.encoder_variance(9.8) == pytest.approx([0.0, 0.0, 0.0, *wanted])
     total = [a + b for a, b in zip(own(), [0.0, 0.0, 0.0, *wanted], strict=True)]
     assert rest.variance(WALK, 9.8) == pytest.approx(total)
@@ -94,24 +94,24 @@ RESPONSE = np.array([[1.1, 0.02, 0.0], [-0.03, 0.9, 0.01], [0.0, 0.04, 1.2]])
 
 
 def turn(**more: Any) -> Turn:
-    return Turn(0, 1, statistics(), -12.0, 4.0, UP, level=0.01, up_error=1e-3, **more)
+    return Turn(0, 1, statistics(), -12.0, 4.0, UP, level=0.5, up_error=0.1, **more)
 
 
 @pytest.mark.parametrize('response', [None, RESPONSE])
 def test_what_lies_across_the_axis_of_a_turn_counts(response: Floats | None) -> None:
     rows = np.eye(3) if response is None else response
     across = [sum(v * v for v in row) - float(row @ UP) ** 2 for row in rows]
-    level = [(0.01 * 5e-5) ** 2 / 2 * a for a in across]
-    encoder = [(1e-3 * 3.0) ** 2 * a for a in across]
+    level = [(0.5 * 2.0) ** 2 / 2 * a for a in across]
+    encoder = [(0.1 * 3.0) ** 2 * a for a in across]
     assert turn().rate() == -3.0
-    assert turn().level_variance(5e-5, response) == pytest.approx(level)
+    assert turn().level_variance(2.0, response) == pytest.approx(level)
     assert turn().encoder_variance(response) == pytest.approx(encoder)
     total = [own()[c] + level[c] + encoder[c] for c in range(3)]
-    assert turn().variance(WALK, 5e-5, response) == pytest.approx(total)
+    assert turn().variance(WALK, 2.0, response) == pytest.approx(total)
 
 
 def test_a_leaning_axis_shows_in_the_force() -> None:
-    wanted = [(1e-3 * 9.8) ** 2 * (1 - u * u) for u in UP]
+    wanted = [(0.1 * 9.8) ** 2 * (1 - u * u) for u in UP]
     assert turn().lean_variance(9.8) == pytest.approx(wanted)
 
 
