@@ -48,6 +48,8 @@ TESTS = {
         'lost_samples',
         'joint_tracker',
         'intake',
+        'moves_joined',
+        'rest_read',
         'one_motion',
         'statistics',
         'one_stand',
