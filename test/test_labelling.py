@@ -270,7 +270,7 @@ def test_rests_between_turns_have_no_name_of_the_plan() -> None:
     rests = [rest(5, leaning), rest(35, leaning)]
     found = label(session(*rests, setpoints=setpoints), plan(), TABLE)
     assert all(str(name).startswith('Y +45') for name in names(found))
-    turned = label(session(turns=(turn(6, Y),), setpoints=setpoints), plan(turns='b'), TABLE)
+    turned = label(session(turns=(turn(20, Y),), setpoints=setpoints), plan(turns='b'), TABLE)
     assert [t.position for t in turned.turns] == ['c']
 
 
@@ -330,6 +330,9 @@ def test_turns_and_positions_count_for_a_mount() -> None:
     assert [s.start // NS for s in found.segments] == [60]
     assert len(found.turns) == 2
     assert found.notes[0].startswith('The unit shifted in its mount (by 0.250 deg at position a): ')
+    # Three positions, and a position and two turns: the first of equals.
+    many = [rest(0, UPS['a']), rest(15, UPS['b']), rest(30, UPS['c']), rest(60, UPS['b'])]
+    assert len(label(session(*many, turns=turns, slips=slips), plan(), TABLE).segments) == 3
     before = label(session(*rests, turns=turns, slips=(MountShift(85 * NS, 1.0),)), plan(), TABLE)
     assert len(before.segments) == 3
     assert len(before.turns) == 1

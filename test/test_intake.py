@@ -1,0 +1,418 @@
+"""Streams as they come in: rows in order, what is dropped, temperatures and the ends of ranges."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.segmentation.buffer import RowBuffer
+from imu_calib.segmentation.intake import StreamBuffer
+from imu_calib.segmentation.order import StampOrder
+from imu_calib.segmentation.repeated_samples import repeating_a_turn, repeating_samples
+from imu_calib.segmentation.sensor import Sensor
+from imu_calib.segmentation.statistics import Samples
+from imu_calib.segmentation.thermometer import Temperature, Thermometer
+from imu_calib.stream import (
+    Floats,
+    ImuBlock,
+    JointBlock,
+    Mode,
+    Setpoint,
+    SetpointBlock,
+    SkewBlock,
+    TemperatureBlock,
+    Units,
+)
+from imu_calib.turntable import Joint, Table
+from imu_calib.units import DEG
+
+NS = 10**9
+
+
+def rows(*stamps: int) -> tuple[Any, Floats]:
+    return np.array(stamps, dtype=np.int64), np.array(stamps, dtype=float)[:, None]
+
+
+# Rows in memory
+
+
+def test_rows_are_first_in_first_out() -> None:
+    buffer = RowBuffer(1)
+    assert len(buffer) == 0
+    for k in range(0, 5000, 7):
+        buffer.append(*rows(*range(k, k + 7)))
+        buffer.drop_until(k - 10)
+        first = max(0, k - 9)
+        assert len(buffer) == k + 7 - first
+        assert buffer.stamp.tolist() == list(range(first, k + 7))
+        assert buffer.values[:, 0].tolist() == list(range(first, k + 7))
+
+
+def test_rows_between_are_after_the_first_and_up_to_the_last() -> None:
+    buffer = RowBuffer(1)
+    buffer.append(*rows(1, 3, 5, 7))
+    stamp, values = buffer.between(3, 7)
+    assert stamp.tolist() == [5, 7]
+    assert values.tolist() == [[5.0], [7.0]]
+    for part in (stamp, values):
+        with pytest.raises(ValueError, match='read-only'):
+            part[0] = 0
+    assert buffer.between(0, 0)[0].tolist() == []
+    assert buffer.drop(-3) == 0
+    assert buffer.drop(2) == 2
+    assert buffer.stamp.tolist() == [5, 7]
+    buffer.drop_until(5)
+    assert buffer.stamp.tolist() == [7]
+
+
+def test_a_copy_goes_on_by_itself() -> None:
+    buffer = RowBuffer(1)
+    buffer.append(*rows(*range(3000)))
+    buffer.drop(2990)
+    other = copy.deepcopy(buffer)
+    assert other.stamp.tolist() == list(range(2990, 3000))
+    assert len(other._stamp) == 10 + 1024
+    other.append(*rows(5000))
+    assert buffer.stamp.tolist() == list(range(2990, 3000))
+    assert other.values[-1].tolist() == [5000.0]
+
+
+def test_memory_is_twice_what_is_needed() -> None:
+    buffer = RowBuffer(1)
+    assert len(buffer._stamp) == 1024
+    buffer.append(*rows(*range(1000)))
+    buffer.append(*rows(*range(1000, 1024)))
+    assert len(buffer._stamp) == 1024
+    buffer.append(*rows(1024))
+    assert len(buffer._stamp) == 2 * 1025
+    buffer.drop(1020)
+    buffer.append(*rows(*range(1025, 2060)))
+    # 1040 rows are in it: they fit behind no others.
+    assert len(buffer._stamp) == 2 * 1040
+    assert buffer.stamp.tolist() == list(range(1020, 2060))
+    few = RowBuffer(1)
+    few.append(*rows(*range(1024)))
+    few.drop(1020)
+    few.append(*rows(*range(1024, 1030)))
+    assert len(few._stamp) == 1024
+
+
+# Their order
+
+
+def test_what_is_dropped_is_told_by_its_stamp() -> None:
+    order = StampOrder(1)
+    one = order.take(*rows(5, 6, 900, 7, 8))
+    assert one.stamp.tolist() == [5, 6, 7]
+    assert one.values[:, 0].tolist() == [5.0, 6.0, 7.0]
+    assert one.lost.tolist() == [900]
+    other = order.take(*rows(8, 9, 3, 10))
+    assert (other.stamp.tolist(), other.lost.tolist()) == ([8, 9], [8, 3])
+    last = order.finish()
+    assert (last.stamp.tolist(), last.lost.tolist()) == ([10], [])
+    assert order.finish().stamp.tolist() == []
+    again = order.take(*rows(9, 11))
+    assert (again.stamp.tolist(), again.lost.tolist()) == ([], [9])
+
+
+# Streams
+
+TABLE = Table('bench', (Joint('a', (0.0, 0.0, 1.0)), Joint('b', (1.0, 0.0, 0.0))))
+
+
+def imu(*seconds: float, value: float | None = None) -> ImuBlock:
+    stamp = np.rint(np.array(seconds) * 1e9).astype(np.int64)
+    values = np.arange(len(stamp) * 3.0).reshape(-1, 3) if value is None else value
+    return ImuBlock(stamp, np.zeros((len(stamp), 3)) + values, np.ones((len(stamp), 3)))
+
+
+def joints(seconds: list[float], names: tuple[str, ...] = ('a', 'b')) -> JointBlock:
+    stamp = np.rint(np.array(seconds) * 1e9).astype(np.int64)
+    angles = np.tile(np.arange(1.0, len(names) + 1), (len(stamp), 1))
+    return JointBlock(stamp, names, angles, np.zeros_like(angles))
+
+
+def test_samples_wait_until_they_are_dropped() -> None:
+    intake = StreamBuffer(TABLE, skewed=False)
+    assert (intake.duration, intake.first_stamp, intake.last_stamp) == (0.0, None, None)
+    assert not intake.all_here(0)
+    intake.take_imu(imu(1, 2, 3))
+    assert intake.samples == 3
+    # The last one waits for the next.
+    assert (intake.first_stamp, intake.last_stamp) == (NS, 2 * NS)
+    assert intake.duration == 1.0
+    assert intake.all_here(2 * NS)
+    assert not intake.all_here(2 * NS + 1)
+    assert intake.imu.values.tolist() == [[0, 1, 2, 1, 1, 1], [3, 4, 5, 1, 1, 1]]
+    intake.take_imu(imu(4))
+    intake.finish()
+    assert (intake.samples, intake.last_stamp, intake.duration) == (4, 4 * NS, 3.0)
+    intake.drop_until(2 * NS)
+    assert intake.imu.stamp.tolist() == [3 * NS, 4 * NS]
+    assert intake.losses() == []
+
+
+def test_a_skewed_gyro_is_awaited() -> None:
+    intake = StreamBuffer(TABLE, skewed=True)
+    assert intake.skew is not None
+    intake.take_imu(imu(1, 2, 3, 4))
+    assert not intake.all_here(NS)
+    stamp = np.array([1, 2, 3]) * NS
+    intake.take_skew(SkewBlock(stamp, np.array([7.0, np.nan, 9.0])))
+    assert intake.all_here(NS)
+    assert not intake.all_here(2 * NS)
+    assert intake.skew.values.tolist() == [[7.0, 0, 0, 0, 0, 0]]
+    intake.take_skew(SkewBlock(stamp[:1], np.array([7.0])))
+    intake.finish()
+    assert intake.skew.stamp.tolist() == [NS, 3 * NS]
+    intake.drop_until(NS)
+    assert intake.skew.stamp.tolist() == [3 * NS]
+    assert intake.losses() == [
+        '1 samples left out for values of the skewed gyro that are no numbers, the first at '
+        '2.000 s',
+        '1 samples left out for stamps of the skewed gyro that jump or stand still, the first at '
+        '1.000 s',
+    ]
+    plain = StreamBuffer(TABLE, skewed=False)
+    plain.take_skew(SkewBlock(stamp, np.ones(3)))
+    assert plain.skew is None
+
+
+def test_rows_that_came_twice_are_counted_across_blocks() -> None:
+    intake = StreamBuffer(None, skewed=False)
+    intake.take_imu(imu(1, 2, value=5.0))
+    intake.take_imu(imu(2, 3, 3, value=5.0))
+    intake.take_imu(imu(3, 4, value=6.0))
+    intake.take_imu(imu())
+    assert intake.losses() == [
+        '2 samples left out for having come twice, the first at 2.000 s',
+        '1 samples left out for stamps that jump or stand still, the first at 3.000 s',
+    ]
+    intake.finish()
+    assert intake.imu.stamp.tolist() == [NS, 2 * NS, 3 * NS, 4 * NS]
+    # The first sample of all is none twice, whatever its stamp.
+    assert intake.samples == 8 - 1
+
+
+def test_joints_come_in_the_order_of_the_table() -> None:
+    intake = StreamBuffer(TABLE, skewed=False)
+    found = intake.take_joints(joints([1, 2, 3], ('b', 'q', 'a')))
+    assert found.stamp.tolist() == [NS, 2 * NS]
+    assert found.values.tolist() == [[3.0, 1.0]] * 2
+    assert intake.take_joints(joints([9], ('a',))).stamp.tolist() == []
+    assert intake.take_joints(joints([9, 10], ())).stamp.tolist() == []
+    assert intake.finish().values.tolist() == [[3.0, 1.0]]
+    assert intake.strangers == ''
+    expected = 'not all joints of table bench (a, b)'
+    assert intake.losses() == [
+        f'1 joint states left out: they name a, {expected}',
+        f'2 joint states left out: they name no joint, {expected}',
+        'The joint states name further joints (q), which are not of table bench: they are ignored',
+    ]
+    other = StreamBuffer(TABLE, skewed=False)
+    other.take_joints(joints([1], ('x', 'y')))
+    other.take_joints(joints([2], ('z',)))
+    assert other.strangers == 'The joint states name x, y; z; table bench has a, b.'
+    alone = StreamBuffer(None, skewed=False)
+    assert alone.take_joints(joints([1, 2])).stamp.tolist() == []
+    assert (alone.strangers, alone.losses()) == ('', [])
+
+
+@pytest.mark.parametrize(
+    ('states', 'words'),
+    [
+        ([3.0, 4.0, 5.0], ''),
+        ([20.0, 21.0], 'The IMU is stamped from 1.000 s to 9.000 s, the table from 20.000 s to '),
+        ([0.1, 0.9], 'The IMU is stamped from 1.000 s to 9.000 s, the table from 0.100 s to '),
+        ([9.0, 19.0], ''),
+        ([9.0, 19.1], 'The joint states go on for 10.1 s after the last IMU sample, 9.000 s: '),
+        ([0.5, 1.0], ''),
+    ],
+)
+def test_table_and_unit_are_heard_at_the_same_time(states: list[float], words: str) -> None:
+    intake = StreamBuffer(TABLE, skewed=False)
+    intake.take_imu(imu(1, 5, 9))
+    intake.take_joints(joints(states))
+    intake.finish()
+    assert [line.startswith(words) for line in intake.losses()] == ([True] if words else [])
+
+
+def test_the_first_of_equal_setpoints_is_kept() -> None:
+    def asked(stamp: int, step: int, position: str = 'a', mode: Mode = Mode.RATE) -> Setpoint:
+        return Setpoint(stamp, 'p', step, position, mode, (), (), (), 1, 0.0)
+
+    intake = StreamBuffer(TABLE, skewed=False)
+    intake.take_setpoints(SetpointBlock((asked(1, 0), asked(2, 0), asked(3, 1))))
+    intake.take_setpoints(SetpointBlock((asked(4, 1), asked(5, 1, 'b'), asked(6, 1, 'b'))))
+    intake.take_setpoints(SetpointBlock((asked(7, 1, 'b', Mode.HOLD), asked(8, 0))))
+    assert [s.stamp for s in intake.setpoints] == [1, 3, 5, 7, 8]
+
+
+# Temperatures
+
+
+def shown(*points: tuple[float, float]) -> TemperatureBlock:
+    stamp = np.array([round(t * NS) for t, _ in points], dtype=np.int64)
+    return TemperatureBlock(stamp, np.array([c for _, c in points]))
+
+
+def test_a_course_has_the_means_of_ten_seconds() -> None:
+    thermometer = Thermometer()
+    assert thermometer.temperature is None
+    thermometer.feed(shown((31, 30.0), (2, 20.0), (8, 21.0), (9.5, 25.0)))
+    thermometer.feed(shown((15, 22.0), (3, 20.5), (16, np.nan), (17, -274.0), (18, 1001.0)))
+    thermometer.feed(shown((5, np.inf)))
+    found = thermometer.temperature
+    assert found is not None
+    assert found.mean == pytest.approx((30 + 20 + 21 + 25 + 22 + 20.5) / 6)
+    assert (found.lowest, found.highest) == (20.0, 30.0)
+    wanted = [[22.5 / 4 * NS, 86.5 / 4], [15 * NS, 22.0], [31 * NS, 30.0]]
+    assert found.course == pytest.approx(np.array(wanted))
+    cold = Thermometer()
+    cold.feed(shown((1, -273.15), (2, 1000.0)))
+    assert cold.temperature is not None
+    assert (cold.temperature.lowest, cold.temperature.highest) == (-273.15, 1000.0)
+
+
+def test_between_its_points_a_course_is_linear() -> None:
+    course = np.array([[100.0 * NS, 20.0], [110.0 * NS, 30.0], [130.0 * NS, 10.0]])
+    found = Temperature(1.0, 10.0, 30.0, course)
+    spans = [
+        (100, 110),
+        (105, 110),
+        (108, 112),
+        (90, 100),
+        (140, 150),
+        (104, 104),
+        (110, 130),
+        (95, 105),
+    ]
+    fine = 200_001
+    wanted = []
+    for a, b in spans:
+        at = a + (np.arange(fine) + 0.5) / fine * (b - a)
+        wanted.append(np.interp(at, [100, 110, 130], [20, 30, 10]).mean())
+    starts, ends = (np.array([s[k] for s in spans]) * NS for k in (0, 1))
+    assert found.over(starts, ends) == pytest.approx(wanted, rel=1e-6)
+    assert Temperature(5.0, 1.0, 9.0).over(starts[:2], ends[:2]).tolist() == [5.0, 5.0]
+
+
+# What a sensor is
+
+
+def spec(units: Units, **more: float) -> ImuSpec:
+    return ImuSpec('any', units, None, TriadSpec(0.5, **more), TriadSpec(0.25, **more))
+
+
+def test_the_walk_is_the_data_sheets_or_a_twentieth_of_a_pulse() -> None:
+    walk = Sensor.of(spec(Units.PULSES)).walk
+    assert walk.tolist() == [pytest.approx(0.05 * s) for s in (0.5, 0.5, 0.5, 0.25, 0.25, 0.25)]
+    assert Sensor.of(spec(Units.SI)).walk.tolist() == [0.0] * 6
+    assert Sensor.of(spec(Units.PULSES, random_walk=0.7)).walk.tolist() == [0.7] * 6
+
+
+def test_a_mean_goes_on_by_a_count() -> None:
+    assert Sensor.of(spec(Units.PULSES)).step(0.1) == pytest.approx([5.0, 2.5])
+    assert Sensor.of(spec(Units.COUNTS)).step(0.1) == pytest.approx([0.5, 0.25])
+    assert Sensor.of(spec(Units.SI)).step(0.1) == pytest.approx([0.0, 0.0])
+    assert Sensor.of(spec(Units.SI, pulse=0.2)).step(0.1) == pytest.approx([2.0, 2.0])
+    counted = [Sensor.of(spec(units)).counted for units in (Units.PULSES, Units.COUNTS, Units.SI)]
+    assert counted == [True, False, False]
+
+
+def held(increments: Floats, pulse: float = 0.0, period: float = 0.01) -> Samples:
+    stamp = np.arange(1, len(increments) + 1) * 10_000_000
+    return Samples(stamp, increments, np.full(6, pulse), period, np.zeros(6))
+
+
+@pytest.mark.parametrize('channel', range(6))
+def test_a_reading_within_a_thousandth_of_the_range_is_at_its_end(channel: int) -> None:
+    sensor = Sensor.of(ImuSpec('r', Units.SI, None, TriadSpec(range=4.0), TriadSpec(range=40.0)))
+    limit = 4.0 if channel < 3 else 40.0
+    rates = np.zeros((5, 6))
+    rates[1:, channel] = np.array([0.9989, 0.9991, -0.9991, 1.2]) * limit
+    found = sensor.saturated(rates, held(rates * 0.01))
+    assert found.tolist() == [False, False, True, True, True]
+
+
+def test_the_largest_count_is_the_end_of_a_range() -> None:
+    values = np.zeros((8, 6))
+    values[range(7), 2] = [32767, -32768, 32766, 8388607, -2147483648, 32769, 2147483647]
+    found = Sensor.of(spec(Units.COUNTS)).saturated(values, held(values))
+    assert found.tolist() == [True, True, False, True, True, False, True, False]
+    assert not Sensor.of(spec(Units.SI)).saturated(values, held(values)).any()
+
+
+def test_few_pulses_at_the_end_of_a_range_are_added_up() -> None:
+    # 0.999 of the range is 2.5 pulses a sample: forty samples make a hundred.
+    limit = 2.5 / 0.999 / 0.01
+    sensor = Sensor.of(ImuSpec('r', Units.PULSES, None, TriadSpec(range=limit), TriadSpec()))
+    increments = np.zeros((200, 6))
+    increments[50:90, 1] = np.tile([2.0, 3.0], 20)
+    assert np.flatnonzero(sensor.saturated(increments, held(increments, 1.0))).tolist() == list(
+        range(50, 90)
+    )
+    # A pulse less may be the remainder; two are not.
+    increments[60, 1] -= 1
+    assert sensor.saturated(increments, held(increments, 1.0)).sum() == 40
+    increments[60, 1] -= 1
+    assert not sensor.saturated(increments, held(increments, 1.0)).any()
+    assert not sensor.saturated(increments[:39] + 3, held(increments[:39] + 3, 1.0)).any()
+
+
+# Frozen samples
+
+
+def noisy(count: int, seed: int = 0) -> Floats:
+    return np.rint(20 * np.random.default_rng(seed).standard_normal((count, 6)))
+
+
+@pytest.mark.parametrize(('times', 'frozen'), [(7, False), (8, True)])
+def test_eight_repetitions_are_frozen(times: int, frozen: bool) -> None:
+    values = noisy(1000)
+    values[500 : 501 + times] = values[500]
+    for counted in (False, True):
+        found = np.flatnonzero(repeating_samples(values, counted=counted)).tolist()
+        # The first of them is a sample.
+        assert found == (list(range(501, 501 + times)) if frozen else [])
+
+
+def test_of_few_samples_and_of_many_repetitions_nothing_tells() -> None:
+    values = noisy(40)
+    values[20:29] = values[20]
+    assert repeating_samples(values, counted=True).sum() == 8
+    assert not repeating_samples(values[14:29], counted=True).any()
+    values[5:31] = values[5]
+    assert not repeating_samples(values, counted=True).any()
+
+
+def test_what_repeats_itself_often_does_so_by_chance() -> None:
+    values = np.zeros((1000, 6))
+    values[::3] = 1.0  # a third of all steps is none
+    values[500:512] = 0.0
+    # 1000 * (1 / 3)^12 is 2e-3.
+    assert not repeating_samples(values, counted=True).any()
+    values[500:530] = 0.0
+    assert repeating_samples(values, counted=True).sum() >= 28
+
+
+def test_codes_between_two_edges_are_not_frozen() -> None:
+    for codes, frozen in ((3, False), (4, True)):
+        values = np.zeros((400, 6))
+        values[:, 0] = np.arange(400) % codes
+        values[200:230] = values[200]
+        assert bool(repeating_samples(values, counted=False).any()) is frozen
+        assert repeating_samples(values, counted=True).any()
+
+
+def test_a_dwell_does_not_repeat_a_turn() -> None:
+    values = noisy(20)
+    values[5:8] = values[5]
+    rates = np.zeros((20, 3))
+    for rate, frozen in ((9.9, []), (10.1, [5, 6, 7])):
+        rates[:, 1] = rate * DEG
+        assert np.flatnonzero(repeating_a_turn(values, rates)).tolist() == frozen
