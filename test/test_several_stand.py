@@ -33,6 +33,9 @@ from imu_calib.turntable import load_table
 SERIALS = {'unit_A1': 'A1', 'unit_B_2': 'B-2', 'unit_C3': 'C3'}
 UNITS = [{'serial_number': serial, 'imu': 'fog_medium'} for serial in SERIALS.values()]
 DEVICES = [f'{name}/imu_node' for name in SERIALS]
+# s: holds a whole dwell or turn wherever within the plan it begins. The longest way to the end of one
+# is 9 s: from the middle of a dwell over the way to a turn (2.3 s) to the end of that (5.2 s).
+LOSS = 12.0
 VALID, REFUSED = messages.ImuCalibration.VALID, messages.ImuCalibration.REFUSED
 
 
@@ -59,8 +62,8 @@ def stood(tmp_path_factory):
         seen.before, seen.refused = stand.state.phase, stand.call('turntable_node/start')
         stand.start(DEVICES[2])
         assert stand.reaches(State.DWELLING, step=2), (stand.state, stand.words[-9:])
-        stand.fault('unit_A1 silence 4.0')
-        stand.fault('unit_B_2 freeze 4.0')
+        stand.fault(f'unit_A1 silence {LOSS}')
+        stand.fault(f'unit_B_2 freeze {LOSS}')
         assert stand.reaches(State.DWELLING, step=5), stand.state
         stand.kill(DEVICES[2])
         seen.silent = stand.wait(lambda: waits_for(stand, 'C3'), patience(60))
