@@ -69,7 +69,7 @@ def run_all(
         jobs: Processes of this machine; 1 for this one alone, None for one a core. It does not
             count beside a scheduler.
         scheduler: Address of a Dask scheduler whose workers do the work (tcp://host:8786).
-        ended: Told of each result, in the order of the tasks.
+        ended: Called with each result, in the order of the tasks.
 
     Raises:
         InputError: No scheduler answers, Dask is not installed, or what a task raises.

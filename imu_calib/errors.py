@@ -14,7 +14,7 @@ class InputError(ImuCalibError):
 
 
 class NotStated(InputError):
-    """Nobody says what a recording means: nothing is wrong with it, and more is to be told."""
+    """Nobody says what a recording means: nothing is wrong with it, and more must be stated."""
 
 
 class NotObservable(ImuCalibError):

@@ -26,7 +26,7 @@ class Study:
     """What is repeated.
 
     Attributes:
-        setup: What the calibrator is told.
+        setup: What is stated to the calibrator.
         truth: What the sensors are.
         options: What is wrong with the hardware.
         azimuth: True heading of the table's zero, rad; None draws another for each run.

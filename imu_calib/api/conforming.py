@@ -73,7 +73,7 @@ def conformity(
         calibration: calibration.yaml, what was read from one, or what `calibrate` returned. Of one
             that combines several temperatures, each parameter counts where it takes most of its
             limit.
-        imu: The unit's file; None takes what `calibrate` was told.
+        imu: The unit's file; None takes what was stated to `calibrate`.
 
     Raises:
         InputError: The unit's file states no specification.

@@ -94,7 +94,7 @@ def convert(
 ) -> Converted:
     """Write a recording of rosbag2 (mcap) from what others recorded.
 
-    A text file needs to be told what its columns are: 'NAME,NAME,NAME:UNIT', each NAME as in its
+    The columns of a text file must be stated: 'NAME,NAME,NAME:UNIT', each NAME as in its
     heading or a place counted from 1. A bag of ROS 1 needs nothing. Gyros and accelerometers that
     come on topics of their own (`gyro_topic`, `accel_topic`) become one: the accelerometers are
     read at the stamps of the gyros, by straight lines between their samples.

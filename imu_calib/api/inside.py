@@ -79,7 +79,7 @@ class Inside:
         turns: Whole turns.
         plan: Name; empty without one.
         missing: What of the plan is not there; None where no plan has to be kept to.
-        told: Whether all parameters are determined, in a sentence.
+        summary: Whether all parameters are determined, in a sentence.
         latitude: Seen by the gyros, and its standard deviation, deg; None where they do not tell.
         contradictions: What does not go with the latitude, the plan or the description of the IMU.
         left_out: What is not used, and why.
@@ -91,7 +91,7 @@ class Inside:
     turns: tuple[Turned, ...]
     plan: str
     missing: tuple[str, ...] | None
-    told: str
+    summary: str
     latitude: tuple[float, float] | None
     contradictions: tuple[str, ...]
     left_out: tuple[str, ...]

@@ -168,7 +168,7 @@ def optimise(
         height_std: m.
         gravity: As measured, m/s^2.
         gravity_std: m/s^2.
-        progress: Told how far it is.
+        progress: Called with how far it is.
 
     Returns:
         The plan, and its information on the 24 parameters.

@@ -133,9 +133,9 @@ def _refuse_with_combined(
 
 def _terms(calibration: Calibration) -> str:
     """Return what --terms was for a calibration: what it did not find itself."""
-    told = calibration.provenance.get('terms') or []
+    asked = calibration.provenance.get('terms') or []
     names = [term.name for term in terms_of(calibration.parameters)]
-    names += [name for name in told if name.partition(':')[0] in SESSION_TERMS]
+    names += [name for name in asked if name.partition(':')[0] in SESSION_TERMS]
     if calibration.provenance.get('terms_looked_for'):
         tests = calibration.provenance.get('tests_of_terms', {})
         states = {n: tests.get(n.partition(':')[0], {}).get('state') for n in names}
@@ -152,13 +152,13 @@ def _recalibrate(
         InputError: It is another recording, or does not give the same numbers.
 
     """
-    told = calibration.provenance
-    method = told.get('method') if stated.method is None else stated.method
+    origin = calibration.provenance
+    method = origin.get('method') if stated.method is None else stated.method
     terms = _terms(calibration) if stated.terms is None and method in JOINT else stated.terms
-    plan = NO_PLAN if stated.plan is None and told.get('plan', '') is None else stated.plan
+    plan = NO_PLAN if stated.plan is None and origin.get('plan', '') is None else stated.plan
     opened = open_session(bag, replace(stated, method=method, terms=terms, plan=plan))
     with opened.recording as recording:
-        expected, found = told.get('sha256'), recording.sha256()
+        expected, found = origin.get('sha256'), recording.sha256()
         if expected is not None and expected != found:
             raise InputError(
                 f'{recording.path}: is not the recording that {name} was made '

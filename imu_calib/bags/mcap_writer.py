@@ -120,7 +120,7 @@ class McapWriter:
         log_time: Indices,
         publish_time: Indices | None = None,
     ) -> None:
-        """Append messages, closing chunks as they fill; published when logged if not told.
+        """Append messages, closing chunks as they fill; published when logged unless stated.
 
         Raises:
             OSError: The disk takes no more; the messages are held, and `flush` tries again.

@@ -1,7 +1,7 @@
 """Blocks of several topics in step with each other, however they interleave in the file.
 
 Within a topic the order of the file is kept. Between topics, none runs ahead of the others by
-more than a stretch of time, so that who pairs them up need not hold much.
+more than a bounded time, so that a reader that pairs them needs little memory.
 """
 
 from __future__ import annotations

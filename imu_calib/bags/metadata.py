@@ -48,7 +48,7 @@ def read_metadata(folder: AnyPath) -> Metadata:
         folder: Folder of the recording.
 
     Returns:
-        The metadata; a missing or broken file is told in `problem`.
+        The metadata; `problem` names a missing or broken file.
 
     Raises:
         OSError: The file is there but cannot be read.

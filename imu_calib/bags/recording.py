@@ -45,7 +45,7 @@ def open_recording(path: str | AnyPath, sha256: str | None = None) -> Recording:
         sha256: Of the storage files, where it is known already.
 
     Returns:
-        The recording. What is missing or broken in it is told in `losses`.
+        The recording. `losses` names what is missing or broken in it.
 
     Raises:
         InputError: Nothing of it can be read.

@@ -29,7 +29,7 @@ _GYRO_BIAS_WIDTH = 1.0 * DEG
 _ACCEL_BIAS_WIDTH = 0.5
 """m/s^2, likewise."""
 _TOLD = 0.5
-"""Share of what was known beforehand below which a session has told something."""
+"""Share of what was known beforehand below which a session has determined it."""
 
 _CHECKED = 2 * FEWEST
 """Fewest holds that are enough: as many again as gravity has to tell, so that one that was no

@@ -73,7 +73,7 @@ def _show(inside: Inside) -> None:
     else:
         OUTPUT.print('\nno whole turns')
     plan = f'plan {inside.plan}' if inside.plan else 'no plan'
-    sentence = inside.told
+    sentence = inside.summary
     if inside.missing is not None:
         missing = ', '.join(inside.missing)
         sentence = f'missing of {plan}: {missing}' if missing else 'complete'

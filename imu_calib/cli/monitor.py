@@ -115,7 +115,7 @@ class Monitor:
 
     @property
     def worked(self) -> float:
-        """Between the first and the last data that progress was told of, s."""
+        """Between the first and the last data that progress reports, s."""
         return self._span[1] - self._span[0]
 
     def solve(self) -> None:

@@ -1,6 +1,6 @@
 """What places and delay of the accelerometers make of samples is taken off.
 
-How fast a rate and a force change is told by the samples before and after: each waits for the next
+The samples before and after give how fast a rate and a force change: each waits for the next
 one, and where there is none at one side the other tells.
 
 Source: docs/mathematics.md, 'Terms of motion'.

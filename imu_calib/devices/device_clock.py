@@ -92,7 +92,7 @@ class DeviceClock:
     - More of it, in every sample for a while: samples are missing, or a clock was set. Where there
       is a counter and no clock, whole turns of the counter are put in and counted after a tenth
       of a second, and stamps are exact again: a gap of any length, if a turn is longer than twice
-      the tolerance. What is not whole turns within an eighth of one cannot be told: after a
+      the tolerance. What is not whole turns within an eighth of one is undecided: after a
       second the line begins anew at the least delay. So it does without a counter.
     - Where clock and counter agree, no sample is missing, and only the host's clock can have been
       set: with a steady clock ten seconds count (a host that was suspended), else the tolerance.
@@ -160,7 +160,7 @@ class DeviceClock:
 
     @property
     def drift(self) -> Drift | None:
-        """Of the device against the host; None until it can be told."""
+        """Of the device against the host; None until it is known."""
         return self._line.drift() if self._live else None
 
     @property

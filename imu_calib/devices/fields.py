@@ -148,7 +148,7 @@ class FrameCounter:
 
     @property
     def tells_direction(self) -> bool:
-        """Whether a step back is told from a long gap."""
+        """Whether a step back can be distinguished from a long gap."""
         return self.modulus >= 2**16
 
 

@@ -10,7 +10,7 @@ from ..units import STANDARD_GRAVITY
 
 _SPAN_NS = 500_000_000
 """What is looked at: the first half second. A judgement: five pieces, of which two may be shocks,
-and a person who waits at the screen is told before anything moves."""
+and a person who waits at the screen learns it before anything moves."""
 
 _PIECE_NS = 100_000_000
 """Averaged piece by piece: a table at 400 deg/s turns by 40 deg in one, which takes 2 % off the

@@ -27,7 +27,7 @@ prior, which pulls nowhere, holds every step back."""
 _SLIGHT = 0.1
 """Standard deviations, all outputs together, of a full step that does not matter: it would lower
 chi-square by a hundredth. Where chi-square grows by more than one instead, it is not resolved any
-finer (sessions without noise): the state is as good as it can be told."""
+finer (sessions without noise): the state is as good as it can be determined."""
 
 _UPHILL = 1e-3
 """Relative growth of chi-square that is no way uphill: weights follow the state, and change it. A

@@ -1,11 +1,11 @@
 """What scatters beyond random walk and quantisation: biases that drift, positioning errors.
 
 Both are estimated from the session itself by restricted maximum likelihood (Patterson and Thompson
-1971, Biometrika 58, 545): the likelihood of what the parameters cannot explain. A bias drifts as
-a first-order Gauss-Markov process, variance s^2 and correlation time tau, seen between the
-segments by their means and within them by their slopes; gyros and accelerometers see the same
-positioning errors. Correlation times reach to three lengths of the session: what is slower yet is
-no other than a bias. Either counts where the likelihood asks for it, so that a session of pure
+1971, Biometrika 58, 545): the likelihood of what the parameters cannot explain. A bias drifts as a
+first-order Gauss-Markov process, variance s^2 and correlation time tau, seen between the segments
+by their means and within them by their slopes; gyros and accelerometers see the same positioning
+errors. Correlation times reach to three lengths of the session: a slower drift cannot be
+distinguished from a bias. Either counts where the likelihood asks for it, so that a session of pure
 noise keeps the weights that suit it. One session tells neither s nor tau well, nor the positioning
 errors of a dozen stops: the covariance that then counts is the mean of the posterior over a grid,
 not the most likely one, which would be too sure of itself.
@@ -44,7 +44,8 @@ from .likelihood import (
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 """Correlation times of drift that are tried, in lengths of the session: half decades. What is
-slower than the last is no other than a bias; the first is about one rest of a usual plan."""
+slower than the last cannot be distinguished from a bias; the first is about one rest of a usual
+plan."""
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
 """Variances of drift that are tried, over the usual variance of a rest's mean: half decades, from
 what no session shows to standard deviations ten thousand times the noise."""

@@ -203,7 +203,7 @@ def stepped(equations: Equations, state: Floats) -> Floats:
 
 
 def families(equations: Equations) -> tuple[Family, ...]:
-    """Return all that is off and can be told of at all."""
+    """Return all terms that are off and that the session can determine at all."""
     on = terms_of(equations.parameters)
     found = [Family(term.name, term) for term in TERMS if term not in on]
     if not equations.layout.moves_with_accels:

@@ -78,7 +78,7 @@ class TableSeen:
     """What several units found of their table.
 
     Attributes:
-        names: Of the k unknowns that are told.
+        names: Of the k unknowns that are determined.
         values: (k,) rad.
         std: (k,) standard deviations, rad.
         prior: (k,) those beforehand, rad.
@@ -446,8 +446,8 @@ class _System:
         others = [self._information_on_common(j) for j in range(len(self._units)) if j != k]
         found[Source.OTHER_UNITS] += [
             (by_common @ information @ by_common.T, freedom)
-            for told in others
-            for information, freedom in told
+            for estimates in others
+            for information, freedom in estimates
         ]
         sources = [Source.AZIMUTH, Source.TILT, Source.TILT, *self._errors.sources]
         spread = by_common * np.sqrt(np.diag(self._prior))

@@ -164,7 +164,7 @@ def _vector(name: str, values: Floats, comment: str) -> str:
 
 
 def _by_clock(calibration: Calibration) -> str:
-    """Say by which clock the interval is, where the session told."""
+    """Say by which clock the interval is, where the session compared two."""
     clock = calibration.clock
     if clock is None:
         return ''

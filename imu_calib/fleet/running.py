@@ -117,7 +117,7 @@ def batch(
         memory: Of each worker that is started here ('2GiB').
         retry: Do again what failed.
         progress: Shows how far it is.
-        connected: Told the address of Dask's dashboard when work begins.
+        connected: Called with the address of Dask's dashboard when work begins.
 
     Returns:
         What it came to.

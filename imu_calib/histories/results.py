@@ -463,7 +463,7 @@ class Stands:
         std: (m, 24) their standard deviations.
         reproducibility: (24,) standard deviation between stands, by restricted maximum likelihood.
         shifts: Stands that are off.
-        findings: What a person should know, sentences: what cannot be told apart, too.
+        findings: What a person should know, sentences: what cannot be separated, too.
 
     """
 

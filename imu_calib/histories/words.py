@@ -144,7 +144,7 @@ def _few(unit: UnitHistory) -> Iterator[str]:
     elif len(np.unique(unit.date)) == 1:
         yield f'All {count} sessions have one date: nothing tells a trend.'
     elif count == 2 and np.isnan(unit.trend.slope).all():
-        yield 'Two sessions: a trend of this unit cannot be told from their scatter.'
+        yield 'Two sessions: a trend of this unit cannot be distinguished from their scatter.'
 
 
 def stand_sentence(shift: StandShift) -> str:

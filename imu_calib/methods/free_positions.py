@@ -1,9 +1,8 @@
 """Sensors from holds in unknown attitudes: gravity has one length, and turns lead it on.
 
 The equations are those of every session (`observation/free.py`), in attitudes that are sought. All
-is one weighted least squares, so that what the accelerometers do not know of a direction counts in
-what the gyros learn from it. How much of specific force the gyros feel is unknown too, where the
-session shows that they do.
+is one weighted least squares: the uncertainty of a direction by the accelerometers counts in the
+parameters of the gyros. G-sensitivity of the gyros is estimated too, where the session shows it.
 
 The frame is that of the accelerometers, as in imu_tk: X along the input axis of channel x, the
 input axis of channel y in the plane of X and Y, so that E_axy = E_axz = E_ayz = 0.

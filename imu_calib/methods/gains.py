@@ -178,7 +178,7 @@ def inverse(design: Floats, names: Sequence[str], what: str) -> tuple[Floats, fl
         what: Where the rows come from, for the message.
 
     Raises:
-        NotObservable: Columns that cannot be told apart; names their parameters.
+        NotObservable: Columns that cannot be separated; names their parameters.
 
     """
     rows = np.vstack([design, np.zeros((max(0, design.shape[1] - len(design)), design.shape[1]))])

@@ -1,6 +1,6 @@
 """What only motion shows of accelerometers: that they are apart, and that they answer late.
 
-Accelerometer i is at r_i and feels, beyond the specific force f at the point where r_i is zero,
+Accelerometer i is at r_i and measures, beyond the specific force f at the point where r_i is zero,
 
     a_i = ([dw/dt] + [w][w]) r_i,      n_i(t) = [(I + M) (f + a_i)]_i (t - T) + d_i
 

@@ -148,7 +148,7 @@ class Triad:
 class Skewed:
     """Gyros whose input axes lie askew to X, Y and Z: n_s = response w + bias.
 
-    Scale factor and direction are not told apart, so no small angle is needed (CN103697918A).
+    Scale factor and direction are not separated, so no small angle is needed (CN103697918A).
 
     Attributes:
         response: (k, 3) to rates about the body axes.

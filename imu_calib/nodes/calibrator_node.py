@@ -193,7 +193,7 @@ class CalibratorNode(ros.Node):
         session, came = self._sessions.all[place], False
         for kind, payloads in hearing.take():
             came = True
-            # Samples of a second device cannot be told from those of the first.
+            # Samples of a second device cannot be distinguished from those of the first.
             two = kind is Kind.IMU and not session.over and hearing.two_devices
             if two and session.backwards(kind, payloads):
                 self._two_publishers(place)

@@ -19,7 +19,7 @@ _M_ARENA_MAX = -8
 def entry_point(node: Callable[[], Any]) -> int:
     """Run a node until a signal ends it; return the exit code.
 
-    What a person did wrong is told in a sentence: 2 for wrong usage or unreadable input.
+    A person's mistake is reported in a sentence: 2 for wrong usage or unreadable input.
     """
     share_one_heap()
     end_with_parent()

@@ -103,7 +103,7 @@ class RunAction:
         return self._goal is None
 
     def _begin(self, goal: Any) -> None:
-        """Start; a refusal is told in the result, because a rejection has no words."""
+        """Start; a refusal is a result, because a rejection carries no text."""
         self._goal, self._since, self._refused = goal, math.nan, ''
         self._calibrations.clear()
         try:

@@ -68,7 +68,7 @@ class UnitResults:
                 self._setup.imu, self._setup.plan.name, session.failure, session.frame_id, now
             )
             if self._stand is not None:
-                # Several units are told apart by it.
+                # It distinguishes several units.
                 message.serial_number = self._setup.serial_number
             self.result.publish(message)
             return message

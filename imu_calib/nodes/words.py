@@ -20,7 +20,7 @@ def sentence(state: SequencerState) -> str:
 
 def figures(state: SequencerState, joints: tuple[str, ...]) -> dict[str, str]:
     """Return what a person wants to see of a state, with units."""
-    told = {
+    described = {
         'plan': state.plan,
         'phase': state.phase.name,
         'step': f'{state.step + 1} of {state.steps}' if state.steps else 'none',
@@ -28,5 +28,5 @@ def figures(state: SequencerState, joints: tuple[str, ...]) -> dict[str, str]:
         'time left': f'{state.seconds_left:.0f} s',
     }
     for name, angle, rate in zip(joints, state.angles, state.rates, strict=False):
-        told[f'joint {name}'] = f'{angle / DEG:.4f} deg, {rate / DEG:.3f} deg/s'
-    return told
+        described[f'joint {name}'] = f'{angle / DEG:.4f} deg, {rate / DEG:.3f} deg/s'
+    return described

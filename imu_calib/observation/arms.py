@@ -1,9 +1,10 @@
 """Accelerometers in whole turns: gravity along the axis, biases, and the lever arm.
 
-A point at p from the axis u of a turn at w feels w x (w x p) = -w^2 p, p at right angles to u, on
-top of gravity. Joint axes that miss each other make p another for each attitude in which the unit
-is turned: its two components are unknowns. The accelerometers of a unit are not in one place (size
-effect): of what they differ by that which the two do not take up is a third, along the axis.
+A point at p from the axis u of a turn at w accelerates by w x (w x p) = -w^2 p, p at right angles
+to u, on top of gravity. Joint axes that miss each other make p another for each attitude in which
+the unit is turned: its two components are unknowns. The accelerometers of a unit are not in one
+place (size effect): of what they differ by that which the two do not take up is a third, along the
+axis.
 
 Source: docs/mathematics.md, 'Accelerometers in turns'.
 """

@@ -48,7 +48,7 @@ class CommonErrors:
 
     Attributes:
         sources: Of each of k errors, whose prior deviation is one.
-        names: Of each, for a person; empty for one that is not told by itself.
+        names: Of each, for a person; empty for one that is not determined by itself.
         sizes: (k,) what a deviation of one is of those with a name, rad.
         columns: For each unit (m, k) what one deviation does to its outputs.
 

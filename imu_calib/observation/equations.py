@@ -70,7 +70,7 @@ class Equations(SessionModel):
         evidence = self.evidence
         azimuth = GIVEN_AZIMUTH if self.north_known else ANY_AZIMUTH
         clock_std = evidence.clock_rate()[1]
-        # A clock that has no say still needs a width above zero to be whitened by.
+        # Whitening divides by each deviation: one of zero is replaced by 1e-15.
         level = evidence.levelling if self.levelled is None else self.levelled
         deviations = [azimuth, level, level, max(clock_std, 1e-15), *evidence.arms.deviations]
         return np.zeros(self.nuisances), np.array(deviations)

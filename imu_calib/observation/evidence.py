@@ -326,7 +326,7 @@ class Evidence:
 
     @property
     def turns_clock_std(self) -> float:
-        """Standard deviation of the clocks' rate, as far as responses to turns feel it.
+        """Standard deviation of the clocks' rate, as far as it enters responses to turns.
 
         Pulses are counted over seconds of the one clock and turns timed by the other; counts and SI
         values are rates by themselves.

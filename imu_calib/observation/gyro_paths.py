@@ -48,8 +48,8 @@ class GyroPath:
     ) -> GyroPath:
         """Lead on through intervals.
 
-        What gyros feel of gravity on the way is told by where the path itself says that up was,
-        not by accelerometers that a hand or a joint pushes.
+        The effect of gravity on the gyros is computed from the attitudes of the path itself: the
+        accelerometers also measure the accelerations of the hand or the joint.
 
         Args:
             turned: (n, 3) rotation vectors of the intervals as the gyros gave them, rad.

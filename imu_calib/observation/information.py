@@ -1,7 +1,7 @@
 """What a session, whole or partial, tells about the parameters before anything is solved.
 
 The Fisher information of the equations (docs/mathematics.md, 'Joint estimate') and its null space:
-what the singular vectors of the column-scaled system say cannot be told apart.
+what the singular vectors of the column-scaled system say cannot be separated.
 """
 
 from __future__ import annotations
@@ -165,10 +165,10 @@ def _without_strays(directions: Floats) -> Floats:
 def determined(
     information: Information, parameters: tuple[Parameter, ...] = PARAMETERS
 ) -> NDArray[np.bool_]:
-    """Say of the parameters whether they are observed to any use.
+    """Return the mask of parameters whose standard deviation is below the useful limit.
 
-    A scale factor or a misalignment is of none that is known no better than to a tenth, nor is a
-    coefficient of a term that is known no better than to a fiftieth of what any IMU may have.
+    The limit is a tenth for scale factors and misalignments, and a fiftieth of the largest
+    plausible value for the coefficients of terms.
     """
     deviations = _deviations(information, parameters)
     limits = np.array([useful_limit(p) for p in parameters])
@@ -177,7 +177,7 @@ def determined(
 
 
 def useful_limit(parameter: Parameter) -> float:
-    """Return the standard deviation, SI, beyond which a parameter is of no use."""
+    """Return the largest standard deviation, SI, of a parameter that counts as determined."""
     if parameter.kind is ParameterKind.BIAS:
         return np.inf
     limit = parameter.unit.limit

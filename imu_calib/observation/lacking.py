@@ -113,7 +113,7 @@ def _additions(evidence: Evidence) -> list[Addition]:
             found.append((f'a static dwell with {attitude_words(attitude)}', rest))
     seconds = like.statistics.duration
     for axis in np.eye(3):
-        # By no table: what accelerometers in turns tell of gravity is better told at rest.
+        # No table needs it: static dwells measure gravity better than turns do.
         turn = Turn(like.start, like.end, like.statistics, _RATE * seconds, None, axis)
         found.append((f'whole turns at a steady rate with {up_words(axis)}', turn))
     return found

@@ -326,7 +326,7 @@ class Moves:
         earth_rate: Floats,
         known: AbstractSet[ParameterKind] = frozenset(),
     ) -> tuple[Floats, Floats]:
-        """Return what velocities feel that no parameter takes up, and that many move alike.
+        """Return the errors of velocities beyond the parameters, which many moves share.
 
         Args:
             model: The sensors.

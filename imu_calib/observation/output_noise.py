@@ -95,7 +95,7 @@ def encoder_rates(
         evidence: The session.
         rates: (t,) of the turns, rad/s.
         response: (3, 3) of the gyros.
-        pulled: (f, 3) what the square of the rate makes accelerometers that count feel, m/s^2.
+        pulled: (f, 3) what the square of the rate adds to accelerometers that count, m/s^2.
 
     """
     found = []

@@ -130,7 +130,7 @@ class VelocityIncrement:
         """Return the derivatives of v, less half of what the rotation at the end makes of it.
 
         A rotation of the axes at step i turns what was gained before; one of half of all by half of
-        the whole rotation is taken off: v is told in axes half way between those that the ends
+        the whole rotation is taken off: v is given in axes half way between those that the ends
         show.
 
         Args:

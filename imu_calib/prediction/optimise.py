@@ -151,7 +151,7 @@ def optimise(
         rate: Fastest rate of turning, rad/s.
         sizes: Numbers of positions to try.
         turns: Whole turns in each sense to try.
-        show: Told how many of how many trials are done.
+        show: Called with how many of how many trials are done.
 
     Raises:
         InputError: The table reaches too few attitudes, or the time is too short for any.

@@ -16,7 +16,7 @@ _NEWS = 0.01
 """Share by which a deviation changes before it is a point of its course. A judgement: a pixel."""
 _THERE = 1.1
 """Times the prediction at which it counts as reached. A judgement: 10 % of a standard deviation
-takes 50 degrees of freedom to be told."""
+takes 50 degrees of freedom to be determined."""
 
 
 @dataclass(frozen=True)

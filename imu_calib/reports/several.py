@@ -14,7 +14,7 @@ from ..units import ARCSEC, DEG
 from .parameter_table import decimals, engineering
 
 _COARSE = 60 * ARCSEC
-"""Standard deviation from which on an angle is told in degrees."""
+"""Standard deviation from which on an angle is given in degrees."""
 _ANY = 90 * DEG
 """Prior deviation of a heading that may be any."""
 _AT_ONCE = 8

@@ -89,7 +89,7 @@ def sound_samples(samples: Samples, walk: Floats, spoilt: NDArray[np.bool_] | No
         return Sound(everything, ())
     used = samples.increments[: count * length].reshape(count, length, 6)
     means = _Means.of(used.sum(axis=1), walk * np.sqrt(length * samples.period))
-    # A channel of little noise may wander from one step of its ADC to the next within a dwell.
+    # A channel of little noise may drift from one step of its ADC to the next within a dwell.
     pulses = samples.pulse + samples.carried
     bad = means.outlying(_PULSES * pulses + samples.grid * length)
     bad |= _outlying_spreads(used, pulses + samples.grid)

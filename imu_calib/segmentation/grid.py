@@ -70,13 +70,13 @@ _LAYINGS = 3
 
 _TAIL = 32
 """Samples at the end of a segment that comes in bunches: the last bunch is cut off, and what of it
-is late is not told from what is missing."""
+is late cannot be distinguished from what is missing."""
 
 _FEWEST = 3
 """Fewest stamps of a line whose scatter is known."""
 
 _OUTLYING = 4.0
-"""Robust standard deviations off the line beyond which a stamp has no say in it."""
+"""Robust standard deviations off the line beyond which a stamp gets no weight."""
 
 _ROUNDS = 5
 """A cap."""

@@ -1,4 +1,4 @@
-"""What the gyros read while the unit stands still: told from the session, whatever it is."""
+"""What the gyros read while the unit stands still, estimated from the session."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ within ten seconds at rest."""
 
 FELT = 0.3 * DEG
 """By how much a gyro at rest may read another rate after it was turned over, where the session does
-not show it yet, rad/s: gyros of MEMS feel 0.1 deg/s per g (published sessions: up to 0.16)."""
+not show it yet, rad/s: gyros of MEMS read 0.1 deg/s per g (published sessions: up to 0.16)."""
 
 _ATTITUDES = 5
 """Ways up from which on their median tells by how much the rate at rest goes with them. A

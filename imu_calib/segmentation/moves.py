@@ -233,11 +233,11 @@ def _left_by_filling(samples: Samples, triad: slice) -> float:
     """Return the variance of a sum by gaps that a line from one side to the other fills, SI^2.
 
     Of the angle or the velocity of a triad. Over h intervals the trapezium leaves f'' h^3 / 12
-    (Davis and Rabinowitz 1984, section 2.1); how the rate bends is told by the second differences
-    of the samples beside the gap. A joint that starts or stops within it bends a rate at once,
-    which no sample beside shows: slopes that differ by s leave s c (h - c) / 2 of a corner at c, in
-    the mean square s^2 h^4 / 120. The force off its axis jumps: by j beyond what the slopes beside
-    the gap explain, which leaves j (c - h / 2), in the mean square j^2 h^2 / 12.
+    (Davis and Rabinowitz 1984, section 2.1); the curvature of the rate is estimated by the second
+    differences of the samples beside the gap. A joint that starts or stops within it bends a rate
+    at once, which no sample beside shows: slopes that differ by s leave s c (h - c) / 2 of a corner
+    at c, in the mean square s^2 h^4 / 120. The force off its axis jumps: by j beyond what the
+    slopes beside the gap explain, which leaves j (c - h / 2), in the mean square j^2 h^2 / 12.
     """
     if samples.filled is None or not samples.filled.any():
         return 0.0

@@ -1,9 +1,9 @@
 """How long a sample interval is, by the stamps of a whole session rather than of one segment.
 
-The device's clock is one throughout. Segments a minute apart tell its interval a hundred times
-better than one of them does, where stamps jitter; where the clock that stamps them wanders, the
-segments do not lie on a line, and then each is timed by its own stamps. The two are averaged by
-their variances (docs/mathematics.md, 'Stamps and lost samples').
+The device has one clock. Where stamps jitter, segments a minute apart determine its interval a
+hundred times better than one of them. Where the stamping clock drifts, the segments do not lie on a
+line, and each is timed by its own stamps. The two estimates are averaged by their variances
+(docs/mathematics.md, 'Stamps and lost samples').
 """
 
 from __future__ import annotations

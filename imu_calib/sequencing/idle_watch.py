@@ -9,7 +9,7 @@ from .rules import Rules
 from .watch import Standing
 
 _NEWS = 2.0
-"""A way is worth a new sentence when it has grown by this factor: a long turn is told in a few."""
+"""A way is worth a new sentence when it has grown by this factor: a long turn takes a few."""
 
 
 class IdleWatch:
@@ -17,7 +17,7 @@ class IdleWatch:
 
     The table may take the time that its limits allow to come to rest. From then on a joint that
     strays further than `Standing` allows (five times the arrival tolerance, at most the overshoot
-    tolerance) moves without having been told to. It stands again with a joint state that shows no
+    tolerance) moves without a command. It stands again with a joint state that shows no
     way since the one before, nor a rate: less than the arrival tolerance within `encoders.WINDOW`.
 
     Args:
@@ -50,7 +50,7 @@ class IdleWatch:
         self.rate = 0.0
 
     def look(self, now: Feedback) -> bool:
-        """Take a joint state; return whether there is something new to be told."""
+        """Take a joint state; return whether there is something new to report."""
         last, self._last = self._last, now.angles
         if self._standing.rest is None and not 0 < now.gap <= self._rules.feedback_timeout:
             # What it did meanwhile nobody saw.

@@ -1,4 +1,4 @@
-"""What the table is told at the moment, and whether it does that."""
+"""The present command to the table, and whether the table follows it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Orders:
 
     Attributes:
         revision: Changes with the setpoint.
-        motion: The motion that was ordered last; None once the table was told to hold.
+        motion: The motion that was ordered last; None once the table was commanded to hold.
         turns_done: Turns at rate of the last motion, without sign.
         idle: What the table did while nobody led it.
 
@@ -44,7 +44,7 @@ class Orders:
 
     @property
     def holds(self) -> bool:
-        """Whether the table was told to hold last."""
+        """Whether the last command was to hold."""
         return self._setpoint is not None and self._setpoint.mode is Mode.HOLD
 
     def to_hold(self, current: Step | None, at: Feedback | None) -> Setpoint:
@@ -101,7 +101,7 @@ class Orders:
         return self._sent
 
     def look(self, now: Feedback) -> tuple[bool, str]:
-        """Return whether the table has done what it was told, and what is wrong, in a sentence."""
+        """Return whether the motion is complete, and what is wrong, in a sentence."""
         there, fault = self._watch.look(now)
         if isinstance(self._watch, Watch):
             self.turns_done = self._watch.turns_done

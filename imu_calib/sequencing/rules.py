@@ -1,4 +1,4 @@
-"""What a sequencer is told beforehand, and what it says of itself."""
+"""Tolerances and times of a sequencer, and the phases that it reports."""
 
 from __future__ import annotations
 

@@ -53,9 +53,9 @@ class Run:
 
     Attributes:
         itinerary: The steps, and which comes next.
-        orders: What the table is told.
+        orders: What the table is commanded.
         leg: Where within the plan it is; while it is not led, STOPPING.
-        remark: What a person is told of how the plan ended, else empty.
+        remark: How the plan ended, a sentence for a person; else empty.
 
     """
 

@@ -1,4 +1,4 @@
-"""Does the table do what it was told? One object per motion, fed with joint states."""
+"""Compares the table with its command: one object per motion, fed with joint states."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ class Standing:
     """Watches that a table comes to rest, and stays there.
 
     Args:
-        table: The table that was told to hold.
+        table: The table that was commanded to hold.
         rules: Tolerances.
         at: The last joint state before the command, None if there is none.
         led: Whether it was on a motion until then: what was still before it set out is no rest.

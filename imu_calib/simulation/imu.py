@@ -93,13 +93,13 @@ class _Channels:
 class SimulatedImu:
     """An IMU that samples in its own clock, whatever the table does.
 
-    Each sample is the integral of the true motion over its interval, for accelerometers where and
-    when each of them feels it, taken through the sensor model, drifted with temperature, disturbed,
-    limited to the range (mean rate of the interval) and counted. Random walk adds a normal number
-    of standard deviation walk * sqrt(interval) to each increment. Bias instability is a first-order
-    Gauss-Markov process whose standard deviation is the data sheet's figure; its Allan deviation
-    peaks at 0.62 of that. Every source of randomness has a stream of its own: switching one off
-    leaves the others as they were.
+    Each sample is the integral of the true motion over its interval, for accelerometers at the
+    place and with the delay of each, taken through the sensor model, drifted with temperature,
+    disturbed, limited to the range (mean rate of the interval) and counted. Random walk adds a
+    normal number of standard deviation walk * sqrt(interval) to each increment. Bias instability is
+    a first-order Gauss-Markov process whose standard deviation is the data sheet's figure; its
+    Allan deviation peaks at 0.62 of that. Every source of randomness has a stream of its own:
+    switching one off leaves the others as they were.
 
     """
 
@@ -225,7 +225,7 @@ class SimulatedImu:
 
         Args:
             motion: What the table does.
-            edges: (n + 1,) of the intervals as accelerometers feel them, s.
+            edges: (n + 1,) of the intervals as the delay of the accelerometers shifts them, s.
             rate: (n, 3) of the gyros, rad/s.
 
         """

@@ -1,4 +1,4 @@
-"""What a unit on a moving table truly turns and feels: integrals over sample intervals."""
+"""True rotation and specific force of a unit on a moving table, integrated over intervals."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ _HALF = 0.5
 _FAR = 0.05
 """Share by which a scale is another unit of measurement; sensors drift by far less."""
 _DETERMINED = 0.3
-"""Of what was known beforehand: the session has told something, ten times in variance."""
+"""Of what was known beforehand: the session determines it, ten times in variance."""
 _LARGEST_ROTATION = 3 * DEG
 """rad: the equations are linear, and leave out half the square of it, a thousandth."""
 _NO_SENSE = 1.0 * DEG

@@ -262,7 +262,7 @@ class Board:
             message.DETERMINED,
         }
         if over:
-            # The calibrator was told to begin anew.
+            # The calibrator was reset.
             self._state = replace(
                 self._state, outcome=Outcome.OPEN, outcome_text='', report='', report_text=''
             )

@@ -27,7 +27,7 @@ from .words import headline, joint_words, time_left
 
 _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
 _SIGNS = {Severity.OK: '\u2713', Severity.WARN: '!', Severity.ERROR: '\u2715'}
-"""A state is told by its sign too, not by colour alone."""
+"""Each state has a sign too: colour alone is not enough."""
 _WIDTH, _HEIGHT = 120.0, 30.0
 _EDGE = 4.0
 """px between the frame of a course and what is drawn in it."""

@@ -97,7 +97,7 @@ class Guard:
         if not reason:
             await self._app(scope, receive, _with_headers(send))
         elif scope['type'] == 'websocket':
-            # Before it is accepted: the browser is told 403.
+            # Before it is accepted: the browser receives 403.
             await send({'type': 'websocket.close', 'code': 1008, 'reason': reason})
         else:
             plain = [(b'content-type', b'text/plain; charset=utf-8'), *_HEADERS]

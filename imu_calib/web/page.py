@@ -32,7 +32,7 @@ _KEY = (
     'far off</span></div>'
 )
 _FPS = 10
-"""Pictures of the table in a second: as often as its joints are told."""
+"""Pictures of the table in a second: as often as joint states are published."""
 _HEIGHT = 340
 """px of the table's picture."""
 

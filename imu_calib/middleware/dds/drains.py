@@ -77,7 +77,7 @@ def drain_sources(subscription: Subscription) -> list[tuple[bytes, bytes]]:
         subscription: One of `open_drain`.
 
     Returns:
-        Oldest first; of a publisher that cannot be told, the second is empty (not on this runtime).
+        Oldest first; the second is empty where the publisher is unknown (not on this runtime).
 
     """
     return subscription.reader.drain_sources()

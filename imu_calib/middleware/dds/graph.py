@@ -1,4 +1,4 @@
-"""Who is there: the nodes of this process told to the others, and theirs to us."""
+"""Which nodes exist: those of this process are announced, those of others are listed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ALIVE = 16
 """DDS_ALIVE_INSTANCE_STATE."""
 
 UNKNOWN_NAME, UNKNOWN_NAMESPACE = '_NODE_NAME_UNKNOWN_', '_NODE_NAMESPACE_UNKNOWN_'
-"""What ROS calls a node that an endpoint is seen of, and that has not been told yet."""
+"""What ROS calls the node of an endpoint before the node is announced."""
 
 
 @dataclass(frozen=True)

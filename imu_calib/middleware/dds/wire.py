@@ -175,7 +175,7 @@ class Reader(Endpoint):
         while most is None or len(payloads) < most:
             room = _BULK if most is None else min(_BULK, most - len(payloads))
             taken = self._taken(room)
-            # A writer that leaves is told by a sample without data.
+            # A sample without data reports a writer that leaves.
             payloads += [payload for payload, info in taken if info.valid_data]
             if len(taken) < room:
                 break
