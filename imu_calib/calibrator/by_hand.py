@@ -10,9 +10,10 @@ import numpy as np
 
 from ..budget import Budget
 from ..calibration import Calibration, ResidualRow
-from ..errors import NotObservable
+from ..errors import InputError, NotObservable
 from ..gravity import gravity_covariance, with_gravity
 from ..methods import estimated_parameters
+from ..methods.checks import far_scales
 from ..methods.free_positions import (
     FEWEST,
     FREE,
@@ -86,6 +87,7 @@ class HandCalibrator:
         """End of the session: solve.
 
         Raises:
+            InputError: The outputs are not in the units that the IMU's description states.
             NotObservable: The data cannot give all parameters; says which and why.
 
         """
@@ -100,7 +102,7 @@ class HandCalibrator:
         try:
             if not (session.segments and is_clear(self.evidence(session))):
                 self._solve(session)
-        except NotObservable as error:
+        except (InputError, NotObservable) as error:
             return str(error)
         return ''
 
@@ -154,7 +156,8 @@ class HandCalibrator:
         result, refusal = None, ''
         try:
             result = self._solve(session)
-        except NotObservable as error:
+        except (InputError, NotObservable) as error:
+            # A part of a session may look like other units.
             refusal = str(error)
         # Further holds gain nothing on the doubt of gravity: guidance counts noise alone.
         reached = None if result is None else result.solution.std[: len(PARAMETERS)][FREE]
@@ -241,7 +244,7 @@ class HandCalibrator:
             Residual(str(s.position), s.start, value, deviation)
             for s, value, deviation in zip(segments, fit.residuals, std, strict=True)
         )
-        findings = [_FRAME, *term_words(fit), *scatter_words(fit.scatter)]
+        findings = [_FRAME, *far_scales(fit.model), *term_words(fit), *scatter_words(fit.scatter)]
         if turns < len(segments) - 1:
             findings.append(f'{len(segments) - 1 - turns} turns are lost (gaps, saturation).')
         if fit.rejected_moves:

@@ -11,7 +11,7 @@ from ..calibration import Calibration
 from ..estimation.term_tests import summary
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
-from ..model import Parameter
+from ..model import Parameter, terms_of
 from ..segmentation.labelling import Labelled
 from ..segmentation.segmented import Segmented
 from ..stream import Floats
@@ -44,7 +44,10 @@ class Result:
     @property
     def terms(self) -> tuple[str, ...]:
         """Sentences on each term, estimated or off, and from which size on it would be found."""
-        return tuple(summary(self.solution.tests))
+        if self.solution.tests:
+            return tuple(summary(self.solution.tests))
+        names = ', '.join(term.name for term in terms_of(self.solution.parameters))
+        return (f'terms: {names or "none"}',)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units, by the keys of docs/files/output.md.

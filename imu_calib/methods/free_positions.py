@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from ..budget import Share, Shares
-from ..errors import NotObservable
+from ..errors import InputError, NotObservable
 from ..estimation.converge import least_squares
 from ..estimation.estimate import shares
 from ..model import (
@@ -37,6 +37,8 @@ from ..observation.information import Information
 from ..observation.layout import Indices
 from ..stream import Floats
 from ..units import DEG, STANDARD_GRAVITY
+from .checks import check_axes
+from .free_checks import check_turns, doubts_latitude, other_latitudes, wrong_latitude
 from .solution import Solution
 
 NAME = 'free_positions'
@@ -76,6 +78,10 @@ alone. A judgement: the steps after it change standard deviations and residuals 
 _STRAIGHT = 0.1
 """Largest first step, of ratios and rotations (rad), within which the equations are as good as
 linear: what is left is of its square, 1 %."""
+_LIKELIER = 2 * np.log(1000)
+"""By how much chi-square must fall at another latitude for that to be meant: odds of a thousand."""
+_ACCELS = ('accelerometers', 'gravity')
+"""Whose response is checked, and to what."""
 _GROUPS = ('the accelerometers at rest', 'the gyros at rest', 'the turns')
 
 
@@ -175,7 +181,9 @@ def solve(evidence: Evidence) -> FreeFit:
         evidence: Rests in at least nine attitudes that nobody knows, and the moves between them.
 
     Raises:
-        NotObservable: Too few holds, or attitudes that leave parameters open; names them.
+        InputError: The outputs are not in the units that the IMU's description states.
+        NotObservable: Too few holds, or attitudes that leave parameters open; names them. Or the
+            data contradicts itself, or the latitude.
 
     """
     if len(evidence.segments) < FEWEST:
@@ -184,13 +192,18 @@ def solve(evidence: Evidence) -> FreeFit:
             'different attitudes to determine the accelerometers, 20 or more for a good result.'
         )
     start = _State(*initial_equations(evidence), np.ones(3))
+    model = start.equations.model(start.values)
+    check_axes(model.accel.response, *_ACCELS)
+    check_turns(start.equations.evidence, model)
     _check_observable(start)
     state = _weighed(start)
     chance = _chance(state, G_SENSITIVITY)
     if chance < _SHOWN:
+        _check_latitude(state)
         state = _weighed(start.with_terms((G_SENSITIVITY,)))
     _check_observable(state)
     equations, values = state.equations, state.values
+    check_axes(equations.model(values).gyro.response, 'gyros', 'the turns between holds')
     information = Information.of(state.rows()[0])
     parameters = tuple(dict.fromkeys((*PARAMETERS, *equations.parameters)))
     own = [parameters.index(p) for p in equations.parameters]
@@ -218,6 +231,29 @@ def solve(evidence: Evidence) -> FreeFit:
     )
 
 
+def _check_latitude(state: _State) -> None:
+    """Refuse a latitude in place of which another explains what a term would.
+
+    Raises:
+        Contradiction: Names the latitude that fits.
+
+    """
+    evidence = state.equations.evidence
+    misfit = _square(state)
+    for latitude in other_latitudes(evidence):
+        site = replace(evidence.site, latitude=latitude)
+        equations = replace(state.equations, evidence=replace(evidence, site=site))
+        elsewhere = replace(state, equations=equations).settled()
+        if misfit - _square(elsewhere) > _LIKELIER and _chance(elsewhere, G_SENSITIVITY) >= _SHOWN:
+            raise wrong_latitude(evidence, latitude)
+
+
+def _square(state: _State) -> float:
+    """Return the chi-square of what is left."""
+    left = state.rows()[1]
+    return float(left @ left)
+
+
 def is_clear(evidence: Evidence) -> bool:
     """Say whether it is clear by one linear step that `solve` refuses nothing; False in doubt.
 
@@ -235,9 +271,10 @@ def is_clear(evidence: Evidence) -> bool:
         return False
     try:
         state = _State(*initial_equations(evidence), np.ones(3))
-    except NotObservable:
+        equations, values = state.equations, state.values
+        check_axes(equations.model(values).accel.response, *_ACCELS)
+    except (InputError, NotObservable):
         return False
-    equations, values = state.equations, state.values
     jacobian, left = equations.jacobian(values), equations.outputs - equations.predict(values)
     # Not `whitened`, whose triangular solver takes longer to load than all of this takes.
     root = np.linalg.cholesky(equations.covariance(values))
@@ -248,7 +285,7 @@ def is_clear(evidence: Evidence) -> bool:
         return False
     step = information.gain @ rows[:, -1]
     rest = rows[:, -1] - rows[:, :-1] @ step
-    if _largest(step, equations) > _STRAIGHT:
+    if _largest(step, equations) > _STRAIGHT or doubts_latitude(equations.evidence):
         return False
     if _outstanding_turn(state, rest, _OUTLYING / 2) is not None:
         return False
@@ -319,7 +356,7 @@ def _chance(state: _State, term: Term) -> float:
     except NotObservable:
         return 1.0
     jacobian, left = found.rows()
-    before, after = (float(r @ r) for r in (state.rows()[1], left))
+    before, after = _square(state), float(left @ left)
     count, freedom = len(term.parameters), len(left) - jacobian.shape[1]
     if freedom < 1 or after >= before:
         return 1.0

@@ -1,0 +1,150 @@
+"""What contradicts a session in the hand: units, exchanged axes, a latitude that is not the site's.
+
+Free positions have no plan to be compared with, but three facts remain: gravity has one known
+length, the gyros must turn gravity from hold to hold as the accelerometers see it, and the Earth
+turns at the rate of the site.
+
+Source: docs/mathematics.md, 'Free positions'.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+
+from ..errors import Contradiction, InputError
+from ..model import AXES, SensorModel, Triad
+from ..observation.earth_seen import latitude_seen, up_rate_seen
+from ..observation.evidence import Evidence
+from ..stream import Floats
+from ..units import DEG
+
+_ASTRAY = 10 * DEG
+"""rad, root mean square over the turns: gravity led on by the gyros misses the next hold by more
+only where channels or units are wrong. Scale factors and misalignments of percents leave a few
+degrees of half a turn."""
+_BETTER = 3.0
+"""Times by which exchanged axes or other units must fit better to be named. A judgement: what is
+named leaves the few degrees of `_ASTRAY`, what is wrong some ninety."""
+_DOUBT = 3.0
+"""Standard deviations: three sessions in a thousand are solved in full before they are clear."""
+_UNITS = (1.0, 1 / DEG, DEG)
+"""Responses of gyros in rad/s, and where deg/s are stated as rad/s or rad/s as deg/s."""
+
+
+def check_turns(evidence: Evidence, model: SensorModel) -> None:
+    """Refuse gyros that turn gravity elsewhere than the accelerometers at the next hold see it.
+
+    All exchanges and signs of axes, in rad/s and in deg/s, are tried; that with the fewest changes
+    of those that fit is named. Where none fits nothing is refused here.
+
+    Args:
+        evidence: In attitudes whose ups are those of the accelerometers.
+        model: Its biases of the gyros count.
+
+    Raises:
+        InputError: Units or scale factor of the gyros are not those of the recording.
+        Contradiction: Axes are exchanged or mirrored; says which.
+
+    """
+    if not len(evidence.links):
+        return
+    astray = _astray(evidence, model, np.eye(3))
+    if astray < _ASTRAY:
+        return
+    responses = [scale * axes for scale in _UNITS for axes in _signed_axes()]
+    misses = np.array([_astray(evidence, model, response) for response in responses])
+    if misses.min() * _BETTER > astray:
+        return
+    response = responses[int(np.argmax(misses <= misses.min() * _BETTER))]
+    scale = float(np.abs(response).max())
+    if scale != 1.0:
+        raise InputError(
+            f'The gyros turn gravity {scale:.3g} times as far as the accelerometers do: units or '
+            "scale factor of the IMU's description are not those of the recording."
+        )
+    raise Contradiction(
+        f'The gyros contradict the accelerometers: from hold to hold {_in_words(response)}. '
+        'Channels are exchanged or have a wrong sign: correct the driver or the columns of the '
+        'recording.'
+    )
+
+
+def other_latitudes(evidence: Evidence) -> tuple[float, ...]:
+    """Return latitudes, rad, that may be meant: of the other hemisphere, and as the gyros see it.
+
+    Args:
+        evidence: In the attitudes of a solution.
+
+    """
+    seen = up_rate_seen(evidence.segments)
+    found = None if seen is None else latitude_seen(*seen)
+    stated = evidence.site.latitude
+    return (-stated,) if found is None else (-stated, found[0])
+
+
+def doubts_latitude(evidence: Evidence) -> bool:
+    """Say whether the gyros at rest see the Earth turn otherwise than at the stated latitude.
+
+    By three standard deviations: a doubt, no contradiction.
+
+    Args:
+        evidence: In attitudes whose ups are those of the accelerometers.
+
+    """
+    seen = up_rate_seen(evidence.segments)
+    return seen is not None and abs(seen[0] - evidence.site.up_rate) > _DOUBT * seen[1]
+
+
+def wrong_latitude(evidence: Evidence, latitude: float) -> Contradiction:
+    """Return what is said of a latitude (rad) that fits in place of the stated one."""
+    return Contradiction(
+        f'The data contradicts the latitude {evidence.site.latitude / DEG:.2f} deg: the gyros fit '
+        f'a latitude of {latitude / DEG:.2f} deg, with odds of more than a thousand to one. State '
+        'the latitude of the site, negative in the south.'
+    )
+
+
+def _signed_axes() -> list[Floats]:
+    """Return the 48 ways in which three channels can be exchanged or mirrored, few changes first.
+
+    Returns:
+        (3, 3) each: row i the channel, column j the axis that it answers to.
+
+    """
+    found = [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+    ]
+    return sorted(found, key=lambda axes: int(np.count_nonzero(axes != np.eye(3))))
+
+
+def _astray(evidence: Evidence, model: SensorModel, response: Floats) -> float:
+    """Return by how much gravity led on by gyros of a response (3, 3) misses, rad, mean square."""
+    tried = SensorModel(Triad(response - np.eye(3), model.gyro.bias), model.accel)
+    links, ups = evidence.links, evidence.attitudes()[:, 2]
+    led = np.array(
+        [
+            path.rotation @ ups[link.first]
+            for path, link in zip(links.paths(tried), links.links, strict=True)
+        ]
+    )
+    cosines = np.einsum('ij,ij->i', led, ups[[link.second for link in links.links]])
+    missed = np.arccos(np.clip(cosines, -1.0, 1.0))
+    return float(np.sqrt(np.mean(missed**2)))
+
+
+def _in_words(response: Floats) -> str:
+    """Say to which axis each channel answers, of those that answer to another than their own."""
+    words = []
+    for channel, row in zip(AXES, response, strict=True):
+        axis = int(np.argmax(np.abs(row)))
+        sign = '-' if row[axis] < 0 else ''
+        if sign or AXES[axis] != channel:
+            words.append(f'gyro {channel} answers to {sign}{AXES[axis].upper()}')
+    text = ', '.join(words)
+    alone = np.flatnonzero(np.diag(response) > 0)
+    if np.linalg.det(response) > 0 and len(words) == 2 and len(alone) == 1:
+        text += f' (accelerometer {AXES[alone[0]]} with a wrong sign looks the same)'
+    return text
