@@ -662,9 +662,9 @@ def test_the_plan_of_another_session(cli: CommandLine, recorded: Path) -> None:
     columns = {t: b for t, b in good().columns.items() if t != SETPOINTS}
     silent = write(cli.folder / 'silent', columns)
     options = ('--plan', 'six_position')
-    sentence = 'Missing .*x_up.* Static dwells that fit no position .* leaves them out'
+    sentence = 'Missing .*x_up.* Static dwells that count as no position .* leaves them out'
     cli.refuses(1, sentence, silent, *options, '--method', 'six_position')
-    sentence = 'Static dwells that fit no position of plan six_position: X up, heading'
+    sentence = 'Static dwells that count as no position of plan six_position: X up, heading'
     cli.uses_the_rest(sentence, silent, *options)
 
 

@@ -21,9 +21,15 @@ from test_exports import PROGRAM
 from test_information import CLOCK, SECOND, WALK, statistics
 
 from imu_calib.calibration import Calibration
+from imu_calib.changes import Changes
 from imu_calib.compensation.apply import Compensation
 from imu_calib.compensation.samples import Mark, concatenated
-from imu_calib.compensation.thermal import combine, load_calibration
+from imu_calib.compensation.thermal import (
+    ThermalCalibration,
+    by_temperature,
+    combine,
+    load_calibration,
+)
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.estimation.estimate import estimate
 from imu_calib.estimation.fit import check_observable
@@ -42,6 +48,7 @@ from imu_calib.model import (
     Term,
     parameters_of,
 )
+from imu_calib.model.session_terms import Course, change
 from imu_calib.nodes.convert import calibration_message, calibration_of
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
@@ -358,6 +365,56 @@ def test_a_message_keeps_every_parameter(terms: tuple[Term, ...]) -> None:
             calibration_of(message)
 
 
+@pytest.mark.parametrize('course', Course)
+def test_a_message_keeps_what_follows_time_or_temperature(course: Course) -> None:
+    model = unit(())
+    changes = (change(course, 'K_gx'), change(course, 'D_az'))
+    cross = np.arange(48.0).reshape(24, 2) * 1e-9
+    covariance = np.array([[4.0, 1.0], [1.0, 9.0]]) * 1e-10
+    calibration = replace(
+        known(model, spread_of(model), **provenance()),
+        changes=Changes(changes, np.array([2e-5, -3e-4]), covariance, cross, 120.0),
+    )
+    message = calibration_message(calibration, 0, 'imu_link', Time(nanoseconds=1).to_msg())
+    found = calibration_of(message).changes
+    assert found is not None
+    assert found.changes == changes
+    assert found.values.tolist() == [2e-5, -3e-4]
+    assert found.covariance.tolist() == covariance.tolist()
+    assert found.cross.tolist() == cross.tolist()
+    assert found.time_constant == 120.0
+    for field, value, words in (
+        ('change_units', ['furlong', *message.change_units[1:]], 'furlong'),
+        ('change_cross_covariance', message.change_cross_covariance[:-1], r'2, 2, 4, 47\] numbers'),
+        ('change_terms', ['tide', 'tide'], "found 'tide', expected trend, warm_up, thermal"),
+        ('change_of', ['Z_gx', 'D_az'], 'Z_gx'),
+    ):
+        kept = getattr(message, field)
+        setattr(message, field, value)
+        with pytest.raises(InputError, match=words):
+            calibration_of(message)
+        setattr(message, field, kept)
+
+
+def test_a_calibration_by_message_follows_the_temperature_as_its_file_does() -> None:
+    model = unit(())
+    kelvin = Changes(
+        (change(Course.THERMAL, 'K_gx'),), np.array([2e-5]), np.eye(1), np.zeros((24, 1))
+    )
+    seen = {'mean': 25.0, 'lowest': 15.0, 'highest': 35.0}
+    calibration = replace(
+        known(model, spread_of(model), **{**provenance(), 'temperature': seen}), changes=kelvin
+    )
+    message = calibration_message(calibration, 0, 'imu_link', Time(nanoseconds=1).to_msg())
+    ready = by_temperature(calibration_of(message), 'topic')
+    assert isinstance(ready, ThermalCalibration)
+    at, index = ready.at(30.0), calibration.parameters.index(PARAMETERS[0])
+    assert at.values[index] == pytest.approx(calibration.values[index] + 5 * 2e-5, rel=1e-12)
+    message.reference_temperature = float('nan')
+    with pytest.raises(InputError, match='topic: provenance: temperature: found None'):
+        by_temperature(calibration_of(message), 'topic')
+
+
 @of_sets
 def test_temperature_interpolates_every_parameter(terms: tuple[Term, ...], tmp_path: Path) -> None:
     model = unit(terms)
@@ -416,6 +473,10 @@ def test_in_another_scale_the_unit_reads_the_same_numbers(terms: tuple[Term, ...
     assert found[1] == pytest.approx(4 * accel, rel=1e-12)
     table = comparison_table(side_by_side([calibration, seen]), ['a', 'b'])
     assert list(table.columns[1].cells)[24:] == [p.name for p in model.parameters[24:]]
+    # Lengths and times do not double with the outputs.
+    for parameter in model.parameters:
+        if parameter.unit.si in {'m', 's'}:
+            assert seen.model.values((parameter,)) == model.values((parameter,))
 
 
 @of_sets

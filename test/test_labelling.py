@@ -336,3 +336,14 @@ def test_turns_and_positions_count_for_a_mount() -> None:
     before = label(session(*rests, turns=turns, slips=(MountShift(85 * NS, 1.0),)), plan(), TABLE)
     assert len(before.segments) == 3
     assert len(before.turns) == 1
+
+
+def test_rests_too_short_for_their_position_say_so_where_it_has_no_other() -> None:
+    rests = [rest(0, UPS['a'], 2.0), rest(20, UPS['b'], 2.0), rest(40, UPS['b'], 2.6)]
+    found = label(session(*rests), plan('a', 'b'), TABLE).segments
+    assert [segment.notes for segment in found] == [
+        ('too short for position a of the plan, 2 s of 10 s',),
+        (),
+        (),
+    ]
+    assert found[2].position == 'b'

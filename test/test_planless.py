@@ -136,7 +136,7 @@ def test_rests_at_other_headings_than_the_plan_has_count() -> None:
     findings = ' '.join(result.calibration.findings)
     assert 'Missing from the recording: position 5, 6, 7, 8.' in findings
     place = 'of plan twelve_position: Y up, heading 180 deg'
-    assert f'Static dwells that fit no position {place}' in findings
+    assert f'Static dwells that count as no position {place}' in findings
     assert 'joint uses them all the same' in findings
     again = calibrate(turned_about_y(), UNPLANNED)
     assert np.array_equal(result.calibration.values, again.calibration.values)
@@ -242,7 +242,7 @@ def test_setpoints_that_the_plan_does_not_name_lead_to_rests_that_count() -> Non
     assert len(result.labelled.segments) == 12
     findings = ' '.join(result.calibration.findings)
     place = 'of plan twelve_position: Y down, heading 0 deg'
-    assert f'Static dwells that fit no position {place}' in findings
+    assert f'Static dwells that count as no position {place}' in findings
     assert 'Position Y down, heading 0 deg: plan twelve_position has no position 7.' in findings
     assert np.abs(errors(result)).max() < 4.5
 

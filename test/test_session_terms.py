@@ -228,7 +228,7 @@ def test_what_is_kept_for_the_file_is_applied_at_every_temperature(drifting: Evi
         changes=solution.changes,
     )
     read = Calibration.from_yaml(calibration.to_yaml(), 'calibration.yaml')
-    ready = by_temperature(read)
+    ready = by_temperature(read, 'calibration.yaml')
     assert isinstance(ready, ThermalCalibration)
     first, last = ends(drifting)
     for seconds in (first + 5.0, last - 5.0):

@@ -76,7 +76,8 @@ def as_applied(calibration: Result | AnyCalibration | Named) -> tuple[AnyCalibra
     if isinstance(calibration, ThermalCalibration):
         loaded: AnyCalibration = calibration
     else:
-        loaded = by_temperature(as_calibration(calibration))
+        single = as_calibration(calibration)
+        loaded = by_temperature(single, f'calibration of {single.imu.id}')
     return loaded, f'calibration of {first_of(loaded).imu.id}'
 
 

@@ -71,7 +71,7 @@ def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
     becomes = f'{setup.method_name} uses them all the same'
     if setup.plan_alone:
         becomes = f"{setup.method_name}, which uses the plan's positions alone, leaves them out"
-    fit = f'Static dwells that fit no position of plan {setup.plan.name}'
+    fit = f'Static dwells that count as no position of plan {setup.plan.name}'
     return [f'{fit}: {"; ".join(names)}: {becomes}.']
 
 

@@ -236,9 +236,7 @@ def read_calibration(section: Section) -> AnyCalibration:
     """
     if not section.has('calibrations'):
         calibration = Calibration.read(section)
-        if calibration.changes is not None and calibration.changes.follows_temperature:
-            _check_temperature(calibration, section.where)
-        return by_temperature(calibration)
+        return by_temperature(calibration, section.where)
     version = section.number('format')
     if version != _FORMAT:
         raise InputError(f'{section.key("format")}: found {version:g}, expected {_FORMAT}.')
@@ -254,10 +252,20 @@ def read_calibration(section: Section) -> AnyCalibration:
     return combine([Calibration.read(part) for part in parts], names, order, where)
 
 
-def by_temperature(calibration: Calibration) -> AnyCalibration:
-    """Return a calibration as it is to be applied: with the temperature, where it follows it."""
+def by_temperature(calibration: Calibration, name: str) -> AnyCalibration:
+    """Return a calibration as it is to be applied: with the temperature, where it follows it.
+
+    Args:
+        calibration: Of one session.
+        name: Its file or topic, for the message.
+
+    Raises:
+        InputError: It follows the temperature and does not state that of its session.
+
+    """
     if calibration.changes is None or not calibration.changes.follows_temperature:
         return calibration
+    _check_temperature(calibration, name)
     return ThermalCalibration((calibration,))
 
 

@@ -15,6 +15,7 @@ from ..compensation.samples import Mark
 from ..compensation.thermal import (
     AnyCalibration,
     ThermalCalibration,
+    by_temperature,
     check_same_unit,
     first_of,
     load_calibration,
@@ -225,7 +226,7 @@ class CompensatorNode(ros.ManagedNode):
             return
         stamp = message.header.stamp
         try:
-            calibration = calibration_of(message)
+            calibration = by_temperature(calibration_of(message), topic)
             self._check(calibration, topic)
             self._use(calibration, topic, stamp.sec + stamp.nanosec * 1e-9)
         except ImuCalibError as error:

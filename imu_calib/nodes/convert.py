@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration
+from ..changes import Changes
 from ..errors import InputError
 from ..imu import ImuSpec, TriadSpec
 from ..middleware import Time, messages
@@ -23,6 +24,7 @@ from ..model import (
     parameters_of,
     terms_of,
 )
+from ..model.session_terms import Course, change
 from ..plausibility import check_plausible
 from ..sequencing import SequencerState
 from ..sequencing.trajectory import Piece
@@ -94,6 +96,7 @@ def calibration_message(calibration: Calibration, status: int, frame_id: str, st
         message.reference_temperature = float(where['temperature']['mean'])
         message.lowest_temperature = float(where['temperature']['lowest'])
         message.highest_temperature = float(where['temperature']['highest'])
+    _add_changes(message, calibration.changes)
     if calibration.clock is not None:
         message.clock, message.clock_against = calibration.clock.name, calibration.clock.against
         message.clock_faster = float(calibration.clock.faster)
@@ -144,6 +147,7 @@ def calibration_of(message: Any) -> Calibration:
         provenance=_provenance(message),
         serial_number=message.serial_number,
         parameters=parameters,
+        changes=_changes(message),
         clock=_clock(message),
     )
     check_plausible(calibration, f'The calibration of {message.imu_id or "no name"}')
@@ -215,6 +219,63 @@ def _provenance(message: Any) -> dict[str, Any]:
     }
 
 
+def _add_changes(message: Any, changes: Changes | None) -> None:
+    """State how parameters changed during the session."""
+    if changes is None:
+        return
+    message.change_terms = [one.course.value for one in changes.changes]
+    message.change_of = [one.name for one in changes.changes]
+    message.change_values = changes.values.tolist()
+    message.change_units = [one.si for one in changes.changes]
+    message.change_covariance = changes.covariance.ravel().tolist()
+    message.change_cross_covariance = changes.cross.ravel().tolist()
+    message.change_time_constant = float(changes.time_constant)
+
+
+def _changes(message: Any) -> Changes | None:
+    """Return how parameters changed during the session; None where the message states nothing.
+
+    Raises:
+        InputError: A coefficient that this version does not know, in another unit, or numbers that
+            do not belong together.
+
+    """
+    if not message.change_terms:
+        return None
+    name = f'The calibration of {message.imu_id or "no name"}'
+    courses = {course.value: course for course in Course}
+    found = []
+    for term, of in zip(message.change_terms, message.change_of, strict=False):
+        if term not in courses:
+            raise InputError(
+                f'{name}: change_terms: found {term!r}, expected {", ".join(courses)}.'
+            )
+        found.append(change(courses[term], of))
+    count, size = len(message.change_terms), len(message.parameter_names)
+    units = [one.si for one in found]
+    sizes = [
+        len(numbers)
+        for numbers in (
+            message.change_of,
+            message.change_values,
+            message.change_covariance,
+            message.change_cross_covariance,
+        )
+    ]
+    if list(message.change_units) != units or sizes != [count, count, count**2, size * count]:
+        raise InputError(
+            f'{name}: changes: found {sizes} numbers in {", ".join(message.change_units)}, '
+            f'expected {[count, count, count**2, size * count]} in {", ".join(units)}.'
+        )
+    return Changes(
+        tuple(found),
+        np.array(message.change_values, dtype=float),
+        np.array(message.change_covariance, dtype=float).reshape(count, count),
+        np.array(message.change_cross_covariance, dtype=float).reshape(size, count),
+        float(message.change_time_constant),
+    )
+
+
 def _clock(message: Any) -> StampingClock | None:
     if not message.clock_against:
         return None
@@ -261,7 +322,7 @@ def _empty(imu: ImuSpec, status: int, text: str, frame_id: str, stamp: Any) -> A
     message.random_walk = [math.nan] * 6
     for name in ('reference', 'lowest', 'highest'):
         setattr(message, f'{name}_temperature', math.nan)
-    message.highest_rate = math.nan
+    message.highest_rate = message.change_time_constant = math.nan
     return message
 
 

@@ -12,6 +12,7 @@ from ..agreement import Agreement, agreement
 from ..calibration import Calibration
 from ..errors import InputError
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind
+from ..model.motion import OF_MOTION
 from ..stream import Floats, Units
 from ..units import ARCSEC, PPM, STANDARD_GRAVITY
 from .parameter_table import Shown, decimals, engineering, section_of
@@ -165,6 +166,12 @@ def in_scale_of(calibration: Calibration, other: Calibration) -> Calibration:
 
 
 def _factor_of(parameter: Parameter, triads: Mapping[str, float], askew: float) -> float:
+    """Return what a parameter is multiplied by where its triad's nominal scale factor changes.
+
+    Places and delays are lengths and times, whatever the outputs are in.
+    """
+    if parameter.kind in OF_MOTION:
+        return 1.0
     return askew if parameter.row >= len(AXES) else triads[parameter.triad]
 
 

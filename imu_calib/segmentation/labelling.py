@@ -320,13 +320,27 @@ def _off_setpoint(segment: Segment, setpoint: Setpoint, table: Table | None) -> 
 
 
 def _by_attitude(segments: Sequence[Segment], plan: Plan) -> list[Segment]:
-    """Name the rests that stand at a position long enough; the others stay without one."""
-    named = []
+    """Name the rests that stand at a position long enough; the others stay without one.
+
+    Where a position has short ones alone, they say so.
+    """
+    named, short = [], []
     for segment in segments:
         position = min(plan.positions, key=lambda p, s=segment: _apart(s.attitude, p.attitude))  # type: ignore[misc]
         near = _apart(segment.attitude, position.attitude) <= _ATTITUDE_TOLERANCE
-        enough = segment.statistics.duration >= SHORT_DWELL * position.dwell
+        seconds = segment.statistics.duration
+        enough = seconds >= SHORT_DWELL * position.dwell
+        if near and not enough:
+            note = (
+                f'too short for position {position.id} of the plan, {seconds:.0f} s of '
+                f'{position.dwell:.0f} s'
+            )
+            short.append((len(named), position.id, note))
         named.append(replace(segment, position=position.id) if near and enough else segment)
+    found = {segment.position for segment in named}
+    for k, name, note in short:
+        if name not in found:
+            named[k] = replace(named[k], notes=(*named[k].notes, note))
     return named
 
 
