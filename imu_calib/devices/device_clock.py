@@ -23,7 +23,7 @@ _LONGEST_SETTLING = 2 * _NS
 _CATCH_UP = _NS // 10
 """A host that was busy reads what waits for it much faster than it came: by then it has."""
 _LONG_CATCH_UP = _NS
-"""The same where nothing else says that time was lost: being late is likelier then."""
+"""The same without other evidence of lost time: a late read is then more probable."""
 _READS = 3
 """One late read proves nothing of the line."""
 _PART_OF_A_TURN = 8
@@ -63,7 +63,7 @@ class Jump:
 
 @dataclass
 class _Late:
-    """Samples that all came late: since when, ns, the least delay, ns, and in how many reads."""
+    """A run of late samples: since when, ns, the least delay, ns, and in how many reads."""
 
     since: int
     least: int

@@ -1,4 +1,4 @@
-"""What scatters beyond random walk and quantisation: biases that drift, positioning errors.
+"""Scatter beyond random walk and quantisation: bias drift and positioning errors.
 
 Both are estimated from the session itself by restricted maximum likelihood (Patterson and Thompson
 1971, Biometrika 58, 545): the likelihood of what the parameters cannot explain. A bias drifts as a
@@ -70,7 +70,7 @@ _ODDS_BESIDE_OUTLIERS = 10.0
 """The same where an outlier is held against what the others scatter: drift that is stated, and is
 not there, would hide it. A judgement."""
 _UNLIKELY = 1e-3
-"""Of a case that is as good as none: it moves variances by less than their own spread by far."""
+"""Weight below which a hypothesis is dropped: it changes variances far less than their spread."""
 
 _BLOCKS_FOR_A_SLOPE = 4
 """Fewest blocks of 10 s that a slope is taken from: a line has two unknowns, and two degrees of
@@ -79,7 +79,7 @@ freedom are left for its standard deviation."""
 
 @dataclass(frozen=True, eq=False)
 class _Triad:
-    """What three channels of a kind leave that no parameter takes up, in units of its noise.
+    """Whitened residuals of one triad, orthogonal to the parameters.
 
     In these r coordinates the noise has the covariance 1 and a scatter that the outputs share the
     covariance given here: the likelihood of what is left is the restricted one.
@@ -142,7 +142,7 @@ class _Triad:
     def by_noise(self, drift: Floats, joints: float = 0.0, stops: float = 0.0) -> float:
         """Return what the log likelihood gains beside a drift (r, r) and positioning errors, rad^2.
 
-        By the size of the noise, which blocks at rest tell no better than they are many.
+        The variance of the noise is marginalised; the number of blocks states how well it is known.
         """
         return gained_by_noise(
             self.positioning_covariance(joints, stops) + drift, self.residuals, self.noise
@@ -207,7 +207,7 @@ def excess(
 
     What is known beforehand stands unless the likelihood rises by the factor exp(`_CALLED_FOR`)
     without it. Then the other cases share the weight: a few positioning errors and a bias that
-    drifts slowly look alike, and do unlike harm.
+    drifts slowly are hard to separate, but affect the parameters differently.
 
     Args:
         equations: The session, any earlier excess is ignored.
@@ -242,7 +242,7 @@ def excess(
 
 @dataclass(frozen=True, eq=False)
 class _Drift:
-    """How likely drifts are: (shares,) of what is stated, (taus, ratios) of what is beyond.
+    """Log likelihoods of drifts: (shares,) of the stated one, (taus, ratios) beyond it.
 
     Attributes:
         calm: Log likelihoods with the odds of the data sheet.
@@ -344,8 +344,8 @@ def _positioning(
         its.append(weight + triad.lines(drift, variances))
     found = _pooled(lines)
     known = sum(drift.known for drift in still)
-    # Drifts of gyros and accelerometers are asked for one by one: half of the cause in each is
-    # none.
+    # Drifts of gyros and accelerometers are tested separately: half of the evidence in each is not
+    # enough.
     asked_for = any(drift.called_for for drift in still)
     if asked_for or float(found.max()) >= known + _CALLED_FOR:
         found += _by_noise(triads, hypotheses, lines, variances)
@@ -528,7 +528,7 @@ def _triad(
 def _restricted(
     jacobian: Floats, left: Floats, covariance: Floats, prior: Floats
 ) -> tuple[Floats, Floats]:
-    """Return what of outputs no parameter takes up, in units of their noise.
+    """Project outputs onto the complement of the parameters, in units of their noise.
 
     Args:
         jacobian: (k, p) of the outputs.

@@ -1,4 +1,4 @@
-"""The search for what is missing: terms of the sensors, and errors of the table.
+"""Stepwise selection of sensor terms and of errors of the table.
 
 Scatter and terms compete. A term that is missing makes positioning errors, drift and outliers that
 are not there, and scatter that is estimated without it hides it. So every family is tested under
@@ -81,7 +81,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """An estimate with all that was found, and what is said of the rest.
+    """An estimate with the families selected, and the scores of the others.
 
     Attributes:
         estimate: The last.
@@ -122,7 +122,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """What is on: parameters of sensors and session, doubts, the table's errors in the evidence."""
+    """What is estimated: parameters, doubts, and errors of the table (in the evidence)."""
 
     evidence: Evidence
     parameters: tuple[Parameter, ...]
@@ -150,7 +150,7 @@ class _Model:
         return model
 
     def without(self, family: Family) -> _Model:
-        """Return what is on but a term."""
+        """Return the model without one family."""
         if family.course is not None:
             return replace(self, changes=())
         terms = [term for term in terms_of(self.parameters) if term != family.term]
@@ -385,7 +385,7 @@ def _size(
 def _concluded(
     current: Estimate, found: tuple[Found, ...], plain: Estimate, *, weigh: bool
 ) -> Search:
-    """Say what is left to be said of what is off, under the weights that count.
+    """Score the families that are off under the final weights.
 
     Args:
         current: The last estimate.

@@ -19,7 +19,7 @@ from .prior import Prior
 FEWEST = 4
 """Sessions of a parameter among which steps are looked for: a line and a step are three numbers."""
 _MOST = 5
-"""Steps of one parameter, beyond which it is not steps that it does."""
+"""Most steps of one parameter: more are another course than steps."""
 _DISTINCT = 1e-6
 """Share of a step that line and steps leave, below which it is one of them."""
 

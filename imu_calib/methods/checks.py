@@ -1,4 +1,4 @@
-"""A solution against the data that it came from: residuals, contradictions, honest deviations."""
+"""A solution against its data: residuals, contradictions, widened standard deviations."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _ON_TURNS = {ParameterKind.SCALE_FACTOR_ERROR, ParameterKind.MISALIGNMENT}
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """What the static dwells say of the world, the sensors given.
+    """Fit of Earth rate or gravity to the static dwells, for given sensors.
 
     Attributes:
         vector: (3,) Earth rate or specific force in the frame of the attitudes.
@@ -88,7 +88,7 @@ def conclude(
     north_known: bool,
     accelerometers: Accelerometers | None = None,
 ) -> Solution:
-    """Check a solution against its data and widen what the data does not bear out.
+    """Check a solution against its data and widen covariances by the scatter of residuals.
 
     Args:
         evidence: The session.
@@ -353,7 +353,7 @@ def _by_up(evidence: Evidence) -> NDArray[np.intp]:
 def _scatter(
     left: Floats, variances: Floats, groups: NDArray[np.intp], estimated: int
 ) -> tuple[float, bool, int]:
-    """Return chi-square per degree of freedom of groups' means, whether it is plain, and these."""
+    """Return chi-square per degree of freedom of groups' means, its significance, and freedom."""
     square, count = 0.0, 0
     for group in np.unique(groups):
         mine = groups == group

@@ -320,7 +320,7 @@ class Evidence:
 
     @property
     def clocks_compared(self) -> bool:
-        """Whether motions of a table tell how fast the clock is that stamps the samples."""
+        """Whether motions of a table determine the rate of the clock that stamps the samples."""
         timed = any(turn.seconds is not None for turn in self.turns)
         return timed and bool(np.isfinite(self.clock.rate_std))
 
@@ -342,7 +342,7 @@ class Evidence:
         return max(1.0, float(self.clock.motions - 2 - len(self.clock.jumps)))
 
     def missing_positions(self) -> list[str]:
-        """Name the positions of the plan that no sound segment stands for."""
+        """Name the positions of the plan without a usable segment."""
         found = {s.position for s in self.segments}
         return [p.id for p in self.plan.positions if p.dwell > 0 and p.id not in found]
 

@@ -1,4 +1,4 @@
-"""Moves as observations: gyros and accelerometers led from one rest of the table to the next.
+"""Moves as observations: gyros and accelerometers integrated between two static dwells.
 
 With C the rotation that the gyros of a model saw from rest a to rest b, of what stands still in
 inertial space, v what its accelerometers gained (`thrust`), f the specific force of gravity and T
@@ -7,8 +7,8 @@ the time,
     e = log( C (R_b^T exp(-[w_ie] T) R_a)^T ) = noise,    three equations in the body axes at rest b
     z = exp(-[R_b e] / 2) R_b v - f T = noise,            three in the frame of the attitudes
 
-Half of what the rotation is off is taken off the velocity, which the attitudes of both ends then
-tell alike: what the gyros' noise does to either is independent.
+Half of the rotation error is removed from the velocity. The attitudes of both ends then enter it
+alike, and the noise of the gyros enters the two equations independently.
 
 Source: docs/mathematics.md, 'Moves' and 'Velocities of moves'; the strapdown equations of Savage
 1998.

@@ -42,9 +42,9 @@ _SHORTEST_DWELL = 20.0
 _LONGEST = 24 * 3600.0
 """s: a longer session is a slip of the keyboard."""
 _SWEEPS = 20
-"""Rounds of exchanges; a cap."""
+"""Most rounds of exchanges."""
 _GAINED = 1e-9
-"""Of a logarithm: less is rounding."""
+"""Least gain of the logarithm of the determinant that counts: less is rounding."""
 
 
 @dataclass(frozen=True, eq=False)

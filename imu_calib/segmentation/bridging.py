@@ -1,4 +1,4 @@
-"""Samples that were lost on their way: what they counted, read from those around them.
+"""Lost samples of counters: their counts, reconstructed from the samples around them.
 
 A counter counts on while a message is lost. Lines of one slope through the counts before and after
 tell what it gained between them, to a fraction of a pulse as long as the rate is the same; and what
@@ -328,7 +328,7 @@ def _likely(pulses: float, variance: float, expected: float, walked: float) -> t
     likely = np.maximum(0.0, 1 - np.abs(whole[:, None] - nodes)) @ _WEIGHTS
     likely += _NEVER
     if variance < _UNKNOWN:
-        # Counts that pass no pulse know nothing of the gap, whatever they make of it.
+        # Where the counter passes no pulse its phase is unknown: the line is given no weight.
         likely *= np.exp(-((whole - pulses) ** 2 - ((whole - pulses) ** 2).min()) / (2 * variance))
     likely /= likely.sum()
     mean = float(likely @ whole)

@@ -95,8 +95,8 @@ _SMOOTHED_SECONDS = 0.1
 judgement: a ramp of 20 deg/s^2 leaves by 0.1 deg in it."""
 
 _WELL_OFF = 8.0
-"""Departure in units of that at which a line is left, beyond which the way back to the beginning
-of a ramp is known: t grows by 8^(1/2) = 2.8 while it grows with the square, by 8^(1/3) = 2 with
+"""Departure, in units of that at which a line is left, beyond which the beginning of a ramp can be
+extrapolated: t grows by 8^(1/2) = 2.8 while it grows with the square, by 8^(1/3) = 2 with
 the cubic part (docs/mathematics.md, 'Rate test')."""
 
 _ROUNDS = 60

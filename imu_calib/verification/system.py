@@ -215,7 +215,7 @@ class TriadSystem:
         return np.asarray(found * self._widened[::3, None, None] ** 2)
 
     def predicted(self, values: Floats) -> Floats:
-        """Return what they should read (s + t + m, 3), the table as it is described."""
+        """Return the predicted outputs (s + t + m, 3), the table as it is described."""
         state = np.append(values, self._known)
         return self.equations.predict(state)[self._mine].reshape(-1, 3)
 
