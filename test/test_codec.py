@@ -17,7 +17,9 @@ PACKAGES = [name for name in ('backports.zstd', 'zstandard') if importlib.util.f
 @pytest.fixture(params=PACKAGES)
 def package(request, monkeypatch):
     monkeypatch.setattr(codec, '_ZSTD_MODULES', (request.param,))
-    return request.param
+    codec._errors.cache_clear()
+    yield request.param
+    codec._errors.cache_clear()
 
 
 def test_blocks_survive_the_round_trip(package):

@@ -122,9 +122,13 @@ class _FrameStream:
 
 def _zstandard_decompress(module: Any) -> Callable[[bytes | memoryview], bytes]:
     def decompress(data: bytes | memoryview) -> bytes:
+        content: bytes
+        if module.frame_content_size(data) > 0:
+            content = module.ZstdDecompressor().decompress(data)
+            return content
         # A frame need not state its size, which the one-shot call of this package insists on.
         frame = module.ZstdDecompressor().decompressobj()
-        content: bytes = frame.decompress(data)
+        content = frame.decompress(data)
         if not frame.eof:
             raise CodecError('the zstd frame is cut off')
         return content
@@ -152,7 +156,9 @@ def _errors() -> tuple[type[Exception], ...]:
     return (RuntimeError, ValueError, EOFError, MemoryError, *own)
 
 
+@cache
 def _optional(name: str) -> Any:
+    """Import a package; None where it is missing, which Python would look for anew each time."""
     try:
         return importlib.import_module(name)
     except ImportError:
