@@ -148,7 +148,7 @@ def _leave_out(reason: str, malformed: Malformed | None) -> None:
 def _decode(
     messages: Messages,
     parse: Callable[[bytes], Layout],
-    build: Callable[[Layout, Bytes], Columns],
+    build: Callable[[Layout, Messages, Bytes], Columns],
     malformed: Malformed | None,
 ) -> list[Columns]:
     """Decode each layout's messages at once, then put them back into the order of the stream."""
@@ -166,12 +166,12 @@ def _decode(
             pending = pending[1:]
             continue
         candidates = pending[messages.size[pending] == layout.size]
-        rows = messages.select(candidates).rows(layout.size)
+        rows = messages.select(candidates).rows(layout.head)
         same = layout.holds(rows)
         if not same.all():
             candidates, rows = candidates[same], rows[same]
         label[candidates] = len(blocks)
-        blocks.append(build(layout, rows))
+        blocks.append(build(layout, messages.select(candidates), rows))
         pending = pending[label[pending] < 0] if len(candidates) < len(pending) else pending[:0]
     return _in_order(label[label >= 0], blocks)
 
@@ -179,7 +179,7 @@ def _decode(
 def _decode_alike(
     messages: Messages,
     parse: Callable[[bytes], Layout],
-    build: Callable[[Layout, Bytes], Columns],
+    build: Callable[[Layout, Messages, Bytes], Columns],
 ) -> Columns | None:
     """Decode messages that all have the layout of the first; None where they do not."""
     if len(messages) == 0 or (messages.size != messages.size[0]).any():
@@ -191,8 +191,8 @@ def _decode_alike(
             layout = _LAST[parse] = parse(first)
         except CdrError:
             return None
-    rows = messages.rows(layout.size)
-    return build(layout, rows) if layout.holds(rows).all() else None
+    rows = messages.rows(layout.head)
+    return build(layout, messages, rows) if layout.holds(rows).all() else None
 
 
 def _in_order(label: Indices, blocks: list[Columns]) -> list[Columns]:
@@ -226,11 +226,11 @@ def _imu_layout(payload: bytes) -> Layout:
     return reader.finish()
 
 
-def _imu_block(layout: Layout, rows: Bytes) -> ImuBlock:
+def _imu_block(layout: Layout, messages: Messages, rows: Bytes) -> ImuBlock:
     return ImuBlock(
         stamp=layout.stamps(rows),
-        gyro=layout.column(rows, 'angular_velocity'),
-        accel=layout.column(rows, 'linear_acceleration'),
+        gyro=layout.column(messages, 'angular_velocity'),
+        accel=layout.column(messages, 'linear_acceleration'),
         frame_id=layout.names[0],
     )
 
@@ -247,20 +247,20 @@ def _joint_layout(payload: bytes) -> Layout:
     return reader.layout()
 
 
-def _joint_block(layout: Layout, rows: Bytes) -> JointBlock:
+def _joint_block(layout: Layout, messages: Messages, rows: Bytes) -> JointBlock:
     names = layout.names[1:]
     return JointBlock(
         stamp=layout.stamps(rows),
         names=names,
-        position=_joint_column(layout, rows, 'position', len(names)),
-        velocity=_joint_column(layout, rows, 'velocity', len(names)),
+        position=_joint_column(layout, messages, 'position', len(names)),
+        velocity=_joint_column(layout, messages, 'velocity', len(names)),
     )
 
 
-def _joint_column(layout: Layout, rows: Bytes, name: str, width: int) -> Floats:
+def _joint_column(layout: Layout, messages: Messages, name: str, width: int) -> Floats:
     if layout.columns[name][1] == 0:
-        return np.full((len(rows), width), np.nan)
-    return layout.column(rows, name)
+        return np.full((len(messages), width), np.nan)
+    return layout.column(messages, name)
 
 
 def _temperature_layout(payload: bytes) -> Layout:
@@ -270,8 +270,8 @@ def _temperature_layout(payload: bytes) -> Layout:
     return reader.finish()
 
 
-def _temperature_block(layout: Layout, rows: Bytes) -> TemperatureBlock:
-    return TemperatureBlock(layout.stamps(rows), layout.column(rows, 'temperature')[:, 0])
+def _temperature_block(layout: Layout, messages: Messages, rows: Bytes) -> TemperatureBlock:
+    return TemperatureBlock(layout.stamps(rows), layout.column(messages, 'temperature')[:, 0])
 
 
 @lru_cache(maxsize=_CONTENTS)

@@ -18,7 +18,7 @@ from .messages import CdrError
 
 if TYPE_CHECKING:
     from ..stream import Floats, Stamps
-    from .messages import Bytes
+    from .messages import Bytes, Messages
 
 ENCAPSULATION = 4
 """Bytes of the header that says in which order bytes are (RTPS 2.5, section 10.2)."""
@@ -48,6 +48,11 @@ class Layout:
     columns: dict[str, tuple[int, int]]
     names: tuple[str, ...]
 
+    @cached_property
+    def head(self) -> int:
+        """Bytes up to the end of the last one that is fixed or of the stamp."""
+        return max(self.stamp + 8, *(start + len(content) for start, content in self.fixed))
+
     def fits(self, payload: bytes) -> bool:
         """Tell whether one message has this layout."""
         return len(payload) == self.size and all(
@@ -58,7 +63,7 @@ class Layout:
         """Tell which messages have this layout.
 
         Args:
-            rows: (n, size) bytes of messages of the right size.
+            rows: (n, head) first bytes of messages of the right size.
 
         Returns:
             (n,) true where all fixed bytes agree.
@@ -66,7 +71,7 @@ class Layout:
         """
         same = np.ones(len(rows), np.bool_)
         for start, kind, value in self._words:
-            same &= np.ndarray((len(rows),), kind, rows, start, (self.size,)) == value
+            same &= np.ndarray((len(rows),), kind, rows, start, (self.head,)) == value
         return same
 
     @cached_property
@@ -82,8 +87,8 @@ class Layout:
         return words
 
     def stamps(self, rows: Bytes) -> Stamps:
-        """Return the (n,) header stamps in ns."""
-        shape, strides = (len(rows),), (self.size,)
+        """Return the (n,) header stamps in ns, of the same bytes as `holds`."""
+        shape, strides = (len(rows),), (self.head,)
         sec = np.ndarray(shape, f'{self.order}i4', rows, self.stamp, strides)
         nanosec = np.ndarray(shape, f'{self.order}u4', rows, self.stamp + 4, strides)
         stamp: Stamps = sec.astype(np.int64) * NS + nanosec
@@ -99,12 +104,11 @@ class Layout:
         offset, width = self.columns[name]
         return np.array([struct.unpack_from(f'{self.order}{width}d', payload, offset)])
 
-    def column(self, rows: Bytes, name: str) -> Floats:
+    def column(self, messages: Messages, name: str) -> Floats:
         """Return the (n, k) numbers of a column, in a memory of their own."""
         offset, width = self.columns[name]
-        shape, strides = (len(rows), width), (self.size, 8)
-        stored = np.ndarray(shape, f'{self.order}f8', rows, offset, strides)
-        return stored.astype(np.float64)
+        stored = messages.gather(offset, 8 * width).view(f'{self.order}f8')
+        return stored.astype(np.float64, copy=False)
 
 
 class LayoutReader:

@@ -96,17 +96,35 @@ class Messages:
             (n, size) bytes, contiguous; the buffer's own where it holds nothing in between.
 
         """
+        if self._is_matrix(size):
+            start = int(self.offset[0])
+            return self.buffer[start : start + len(self) * size].reshape(-1, size)
+        return self.gather(0, size)
+
+    def _is_matrix(self, size: int) -> bool:
+        """Tell whether messages of a size lie one after the other, as `join` lays them."""
+        if len(self) == 0 or int(self.offset[-1] - self.offset[0]) != (len(self) - 1) * size:
+            return False
+        return bool((self.offset[1:] - self.offset[:-1] == size).all())
+
+    def gather(self, start: int, size: int) -> Bytes:
+        """Copy the same bytes of every message; no message may be shorter.
+
+        Args:
+            start: First byte, counted from the start of a message.
+            size: Bytes to take.
+
+        Returns:
+            (n, size) bytes in a memory of their own.
+
+        """
         if len(self) == 0:
             return np.empty((0, size), np.uint8)
-        first, end = int(self.offset[0]), int(self.offset[-1]) + size
-        if end - first == len(self) * size and (self.offset[1:] - self.offset[:-1] == size).all():
-            # One after the other, as `join` lays them: they are the matrix already.
-            return self.buffer[first:end].reshape(-1, size)
+        # Every possible position is one element of this overlapping view, so that one indexed copy
+        # gathers them all, whatever lies between them.
         last = len(self.buffer) - size + 1
-        # Every possible position of a message is one element of this overlapping view, so that
-        # one indexed copy gathers them all, whatever lies between them.
         anywhere = np.ndarray((last,), f'V{size}', buffer=self.buffer, strides=(1,))
-        gathered: Bytes = anywhere[self.offset].view(np.uint8).reshape(-1, size)
+        gathered: Bytes = anywhere[self.offset + start].view(np.uint8).reshape(-1, size)
         return gathered
 
 
