@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,10 +61,6 @@ _WIDE = 2.0
 
 _NEVER = 1e-9
 """Least weight of any whole number: rates may change."""
-
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
-"""Of the quadrature over a normal law by Gauss and Hermite: exact for polynomials up to degree
-13."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,9 +319,10 @@ def _likely(pulses: float, variance: float, expected: float, walked: float) -> t
         own, other = 1 / variance, 1 / (walked + 2 * _READING_VARIANCE)
         return (own * pulses + other * expected) / (own + other), 1 / (own + other)
     whole = round(expected) + np.arange(-8.0, 9.0)
-    nodes = expected + math.sqrt(walked) * _NODES
+    standard, weights = _quadrature()
+    nodes = expected + math.sqrt(walked) * standard
     # Of a counter whose phase is anywhere, x pulses are n with a chance of 1 - |x - n|.
-    likely = np.maximum(0.0, 1 - np.abs(whole[:, None] - nodes)) @ _WEIGHTS
+    likely = np.maximum(0.0, 1 - np.abs(whole[:, None] - nodes)) @ weights
     likely += _NEVER
     if variance < _UNKNOWN:
         # Where the counter passes no pulse its phase is unknown: the line is given no weight.
@@ -333,3 +330,10 @@ def _likely(pulses: float, variance: float, expected: float, walked: float) -> t
     likely /= likely.sum()
     mean = float(likely @ whole)
     return mean, float(likely @ (whole - mean) ** 2)
+
+
+@cache
+def _quadrature() -> tuple[Floats, Floats]:
+    """Return nodes and weights over the normal law: exact for polynomials up to degree 13."""
+    # Few recordings need it, and numpy loads its polynomials when it is asked for them.
+    return np.polynomial.hermite_e.hermegauss(7)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from ..stream import Floats
@@ -266,7 +265,7 @@ def _bends(
         for v in (time, angle)
     )
     x = (2 * x - x[:, :1] - x[:, -1:]) / (x[:, -1:] - x[:, :1])
-    design = legendre.legvander(x, _DEGREE)
+    design = np.polynomial.legendre.legvander(x, _DEGREE)
     basis, triangle = np.linalg.qr(design)
     inverse = np.linalg.inv(triangle) @ basis.swapaxes(1, 2)
     parts = np.einsum('ijk,ik->ij', inverse, y)
