@@ -387,10 +387,19 @@ def session() -> Equations:
         )
         end = segment.start + 120 * second
         segments.append(replace(segment, statistics=there, end=end))
+    # The second turn is one by hand, whose accelerometers do not count.
+    by_hand = replace(evidence.turns[1], seconds=None)
+    turns = (evidence.turns[0], by_hand, *evidence.turns[2:])
     instability = np.repeat([2e-7, 3e-5], 3)
     freedom = np.array([11.0, 12, 13, 14, 15, 16])
     return Equations(
-        replace(evidence, segments=tuple(segments), instability=instability, walk_freedom=freedom)
+        replace(
+            evidence,
+            segments=tuple(segments),
+            turns=turns,
+            instability=instability,
+            walk_freedom=freedom,
+        )
     )
 
 
