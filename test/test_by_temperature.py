@@ -44,7 +44,7 @@ def point(celsius: float, bias: float = 0.0, std: float = 0.0, **more: Any) -> C
 
 
 def points(*celsius: float, order: int | None = None) -> ThermalCalibration:
-    return combine([point(t) for t in celsius], [f'{t:g}.yaml' for t in celsius], order)
+    return combine([point(float(t)) for t in celsius], [f'{t:g}.yaml' for t in celsius], order)
 
 
 @pytest.mark.parametrize(
@@ -56,10 +56,10 @@ def test_lines_weigh_the_neighbours_and_hold_at_the_ends(celsius: float, weights
 
 
 def test_a_parabola_through_three_points_weighs_them_as_lagrange_did() -> None:
-    weights = points(0, 10, 30, order=2).weights(20.0)
-    # (20 - 10) (20 - 30) / ((0 - 10) (0 - 30)), and so on.
+    weights = points(5, 15, 35, order=2).weights(25.0)
+    # (25 - 15) (25 - 35) / ((5 - 15) (5 - 35)), and so on.
     assert weights == pytest.approx([-100 / 300, -200 / -200, 200 / 600])
-    assert points(0, 10, 30, order=2).weights(31.0) == pytest.approx([0, 0, 1], abs=1e-12)
+    assert points(5, 15, 35, order=2).weights(36.0) == pytest.approx([0, 0, 1], abs=1e-12)
     # A line of least squares through four: the mean, and the slope about it.
     off = np.array([-15.0, -5.0, 5.0, 15.0])
     assert points(0, 10, 20, 30, order=1).weights(25.0) == pytest.approx(1 / 4 + 10 * off / 500)
@@ -180,6 +180,7 @@ def test_a_file_of_several_is_read_as_it_was_written(tmp_path: Any) -> None:
     for change_of, sentence in (
         (('format: 1', 'format: 2'), f'{name}: format: found 2, expected 1.'),
         (('order: 2', 'order: 5'), f'{name}: order: found 5, expected'),
+        (('order: 2', 'order: 0'), f'{name}: order: found 0, expected'),
         (('order: 2', 'ordre: 2'), f"{name}: unknown key 'ordre'"),
     ):
         (tmp_path / 'old.yaml').write_text(text.replace(*change_of, 1))
