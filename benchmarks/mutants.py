@@ -113,6 +113,7 @@ TESTS = {
         'excess_scatter',
         'arrowhead',
         'converge',
+        'fit_steps',
     ],
 }
 # What goes with some modules alone, and is too slow for every mutant of a package; it runs first.

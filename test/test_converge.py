@@ -98,3 +98,101 @@ def test_steps_that_shrink_slowly_and_matter_are_refused() -> None:
 
     with pytest.raises(NotObservable, match='did not converge in 30 steps'):
         solved(flat, 100.0)
+
+
+def walked(lefts: list[float], outputs: int = 1) -> tuple[int, list[float]]:
+    """Where it ends, and the steps that are tried, of residuals that are given one by one.
+
+    The derivative is one: a full step is as long as the residual, a damped one by 1 + damping less.
+    """
+    steps: list[float] = []
+
+    def system(state: int) -> tuple[Floats, Floats]:
+        return np.ones((outputs, 1)), np.full(outputs, float(lefts[state]))
+
+    def moved(_: int, step: Floats) -> int:
+        steps.append(float(step[0]))
+        return len(steps)
+
+    return least_squares(0, system, moved, 50), steps
+
+
+def test_a_straight_way_takes_one_step() -> None:
+    assert walked([3.0, 0.0, 0.0]) == (1, [3.0, 0.0])
+
+
+@pytest.mark.parametrize('outputs', [1, 4])
+def test_it_ends_where_a_step_moves_outputs_by_a_billionth(outputs: int) -> None:
+    assert walked([0.9e-9, 0.0], outputs)[0] == 0
+    assert walked([1.1e-9, 0.0, 0.0], outputs)[0] == 1
+
+
+def test_uphill_is_what_chi_square_grows_by_more_than_one_and_a_thousandth() -> None:
+    # 100 may become 101.1, the square of 10.0548.
+    assert walked([10.0, 10.054, 0.0, 0.0])[1] == pytest.approx([10.0, 10.054, 0.0])
+    assert walked([10.0, 10.056, 0.0, 0.0])[1] == pytest.approx([10.0, 10 / 1.001, 0.0])
+    for beyond in (np.inf, np.nan):
+        assert walked([10.0, beyond, 0.0, 0.0])[1] == pytest.approx([10.0, 10 / 1.001, 0.0])
+
+
+def test_damping_grows_tenfold_uphill_and_falls_tenfold_downhill() -> None:
+    end, steps = walked([10.0, 1000.0, 1000.0, 1000.0, 9.0, 5.0, 2.0, 0.0, 0.0])
+    wanted = [10, 10 / 1.001, 10 / 1.01, 10 / 1.1, 9 / 1.01, 5 / 1.001, 2, 0]
+    assert steps == pytest.approx(wanted)
+    assert end == 7
+
+
+def test_a_way_that_leads_uphill_whatever_the_damping_is_refused() -> None:
+    with pytest.raises(NotObservable) as refused:
+        walked([10.0] + [1000.0] * 40)
+    # From a thousandth to 1e12 the last of the steps is 10 / 1e12.
+    assert str(refused.value) == (
+        'The least squares did not converge in 50 steps (the last would still move the outputs by '
+        '1e-11 of their standard deviations): no parameter can be stated. The data contradicts the '
+        'model, or starts too far from it: check scale factors and units of '
+        "the IMU's description, the attitudes of the plan and the axes, and look at the residuals "
+        "of a calibration by the plan's own method."
+    )
+
+
+def test_a_full_step_that_hardly_matters_and_leads_uphill_ends_it() -> None:
+    assert walked([0.099, 5.0]) == (0, [0.099])
+    assert walked([0.101, 5.0, 0.0, 0.0])[1] == pytest.approx([0.101, 0.101 / 1.001, 0.0])
+
+
+def test_small_steps_that_do_not_halve_any_more_have_settled() -> None:
+    assert walked([1.0, 0.0199, 0.015, 9.0]) == (3, [1.0, 0.0199, 0.015])
+    assert walked([1.0, 0.0199, 0.0099, 0.0, 0.0]) == (3, [1.0, 0.0199, 0.0099, 0.0])
+    # Those of more than a fiftieth go on.
+    assert walked([1.0, 0.0201, 0.0201, 0.0, 0.0])[1] == [1.0, 0.0201, 0.0201, 0.0]
+
+
+def test_steps_that_gain_nothing_are_halved_once_they_are_as_long_as_before() -> None:
+    assert walked([1.0, 0.95, 0.95, 0.0, 0.0])[1] == pytest.approx([1.0, 0.95, 0.475, 0.0])
+    assert walked([1.0, 0.89, 0.89, 0.0, 0.0])[1] == pytest.approx([1.0, 0.89, 0.89, 0.0])
+    # A thousandth of what the derivatives promise is enough: 0.95 to 0.9494 gains 0.0011.
+    assert walked([1.0, 0.95, 0.9494, 0.0, 0.0])[1] == pytest.approx([1.0, 0.95, 0.9494, 0.0])
+
+
+def test_the_least_damped_step_that_gains_nothing_ends_it() -> None:
+    better, worse, far = np.sqrt([100 - 5e-5, 100 + 5e-5, 100 - 2e-4]).tolist()
+    assert walked([10.0, 1000.0, better, 0.0])[0] == 2
+    assert walked([10.0, 1000.0, worse, 0.0])[0] == 0
+    assert walked([10.0, 1000.0, far, 0.0, 0.0])[0] == 3
+
+
+def test_rounding_ends_it_where_columns_are_long() -> None:
+    # Of a column of 1e9 four roundings of 2.2e-16 are 8.9e-7 deviations.
+    for left, end in ((8e-7, 1), (1e-6, 2)):
+        lefts = [left, 0.0, 0.0]
+        states: list[int] = []
+
+        def system(state: int, lefts: list[float] = lefts) -> tuple[Floats, Floats]:
+            return np.array([[1e9]]), np.array([lefts[state]])
+
+        def moved(_: int, step: Floats, states: list[int] = states) -> int:
+            states.append(0)
+            return len(states)
+
+        assert least_squares(0, system, moved, 9) == 1
+        assert len(states) == end
