@@ -66,6 +66,7 @@ TESTS = {
     ],
     'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'bags': [
+        'merged_topics',
         'record_walk',
         'mcap_records',
         'chunk_summary',
