@@ -119,7 +119,6 @@ TESTS = {
 }
 # What goes with some modules alone, and is too slow for every mutant of a package; it runs first.
 MORE = {
-    'imu_calib/bags/mcap_chunk.py': ['remote'],
     'imu_calib/bags/remote.py': ['remote_copy', 'remote'],
     'imu_calib/segmentation/plateau.py': ['steady_rates'],
     'imu_calib/segmentation/stillness.py': ['stillness'],

@@ -105,18 +105,18 @@ def test_a_session_without_a_clock_goes_by_the_stamps_own() -> None:
 @pytest.mark.parametrize(
     ('celsius', 'doubt'),
     [
-        # Slopes of 1, 3 and 0 per K: second differences (3 - 1) / 20 and (0 - 3) / 30.
-        (5.0, 0.1 * 5 * 5),
-        (15.0, 0.1 * 5 * 5),
-        # 10 to 20 has both beside it, of which the second is the smaller; 20 to 40 has one.
+        # Slopes of 1, 3 and 1 per K: second differences (3 - 1) / 20 and (1 - 3) / 30.
+        (5.0, 5 * 5 / 10),
+        # From 10 to 20 both are beside it, from 20 to 40 the second alone.
+        (15.0, 5 * 5 / 10),
         (10.0, 0.0),
-        (30.0, 0.1 * 10 * 10),
+        (30.0, 10 * 10 / 15),
         (-5.0, 0.0),
         (45.0, 0.0),
     ],
 )
 def test_chords_are_doubted_by_the_larger_bend_beside_them(celsius: float, doubt: float) -> None:
-    bends = [point(t, b) for t, b in ((0.0, 0.0), (10.0, 10.0), (20.0, 40.0), (40.0, 40.0))]
+    bends = [point(t, b) for t, b in ((0.0, 0.0), (10.0, 10.0), (20.0, 40.0), (40.0, 60.0))]
     found = combine(bends, list('abcd')).at(celsius)
     assert found.std[BIAS] == pytest.approx(doubt, abs=1e-12)
     # Of two points nobody knows how much they bend.

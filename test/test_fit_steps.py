@@ -425,3 +425,69 @@ def test_shares_by_source_add_up_to_the_covariance_and_name_each_prior() -> None
     between = np.arange(found.equations.size**2, dtype=float).reshape(found.equations.size, -1)
     doubted = replace(found, between=between).shares()[Source.TIME_CONSTANT]
     assert doubted.covariance.tolist() == between[:24, :24].tolist()
+
+
+def weighed(
+    monkeypatch: pytest.MonkeyPatch, squares: list[float], *, shown: bool, turns: bool = True
+) -> tuple[Any, list[Any]]:
+    """Weigh down what is found one after the other; return the estimate and what was asked."""
+    asked: list[Any] = []
+    left = list(squares)
+
+    def scattering(equations: Any, state: Any, **more: Any) -> Any:
+        asked.append(('scatter', equations.inflation is None, more))
+        positioning = PositioningErrors(1e-5 if more else 2e-5, 0.0)
+        return ExcessScatter(positioning, np.zeros(6), (), (), 0.5 if shown else 0.0)
+
+    def finding(views: Any, candidates: Any) -> Any:
+        (plain, _), (with_scatter, _) = views
+        asked.append(
+            ('find', plain.positioning.joints, with_scatter.positioning.joints, candidates)
+        )
+        rows = np.arange(3) + 6 * len(left)
+        return outliers.Outlier(f'{len(left)}', rows, left.pop(0)) if left else None
+
+    monkeypatch.setattr(estimate, 'excess', scattering)
+    monkeypatch.setattr(estimate, 'find_outlier', finding)
+    monkeypatch.setattr(estimate, 'candidates', lambda _, turns: turns)
+    monkeypatch.setattr(estimate, 'fit', lambda _, state: state)
+    equations = session()
+    return estimate._without_outliers(equations, equations.nominal(), turns=turns), asked
+
+
+def test_what_does_not_fit_counts_for_less_by_its_chi_square(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found, asked = weighed(monkeypatch, [99.0, 50.0], shown=True)
+    assert [one.name for one in found.outliers] == ['2', '1']
+    inflation = found.equations.inflation
+    assert inflation[12:15].tolist() == [100.0] * 3
+    assert inflation[6:9].tolist() == [51.0] * 3
+    assert inflation.sum() == len(inflation) + 3 * 99 + 3 * 50
+    # The scatter is that without them, and last of all with the noise in doubt.
+    looked = ('find', 0.0, 2e-5, True)
+    assert asked == [
+        ('scatter', True, {}),
+        looked,
+        ('scatter', False, {}),
+        looked,
+        ('scatter', False, {}),
+        looked,
+        ('scatter', False, {'doubted': True}),
+    ]
+    assert found.equations.positioning.joints == found.scatter.positioning.joints == 1e-5
+
+
+def test_scatter_that_is_not_shown_leaves_the_noise_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found, asked = weighed(monkeypatch, [], shown=False, turns=False)
+    assert asked == [('scatter', True, {}), ('find', 0.0, 2e-5, False)]
+    assert (found.outliers, found.equations.inflation) == ((), None)
+    assert found.equations.positioning.joints == 2e-5
+
+
+def test_no_more_than_a_third_of_the_rests_falls_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A third of twelve, and one more by which it shows that there are too many.
+    found, _ = weighed(monkeypatch, [30.0] * 9, shown=False)
+    assert len(found.outliers) == 5

@@ -12,13 +12,14 @@ from test_by_temperature import UNIT, point
 from test_compensation import known, with_skew
 
 from imu_calib.compensation import compensator as module
+from imu_calib.compensation.apply import Compensation
 from imu_calib.compensation.compensator import Compensator
 from imu_calib.compensation.sample_clock import SampleClock
 from imu_calib.compensation.samples import Mark
 from imu_calib.compensation.thermal import combine
 from imu_calib.errors import NotObservable
 from imu_calib.model import SensorModel, Triad
-from imu_calib.stream import ImuBlock, SkewBlock, TemperatureBlock
+from imu_calib.stream import ImuBlock, SkewBlock, TemperatureBlock, Units
 
 MS = 1_000_000
 START = 1_700_000_000_000 * MS
@@ -158,6 +159,19 @@ def test_a_calibration_that_cannot_be_applied_leaves_the_one_before() -> None:
     compensator.replace(combine([point(0.0, 0.0), point(100.0, 100.0)], ['a', 'b']))
     assert not compensator.waits_for_temperature
     assert rates(compensator.take(samples(601, 602))) == pytest.approx([-30.0])
+
+
+@pytest.mark.parametrize('interval', [0.0, -0.001])
+def test_a_sample_without_an_interval_is_alone_as_it_is_among_many(interval: float) -> None:
+    spec = replace(UNIT, units=Units.PULSES)
+    compensation = Compensation(known(spec, SensorModel(), random_walk=[1e-3] * 6))
+    gyro, accel, tau = np.ones((2, 3)), np.ones((2, 3)), np.full(2, interval)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        alone = compensation.apply(gyro[:1], accel[:1], tau[:1])
+        whole = compensation.apply(gyro, accel, tau)
+    for name in ('rate', 'force', 'rate_covariance', 'force_covariance', 'marks'):
+        assert np.array_equal(getattr(alone, name), getattr(whole, name)[:1], equal_nan=True)
+    assert bool(alone.marks & Mark.NO_NUMBER) is (interval == 0)
 
 
 def plainly(stamps: Any) -> tuple[list[float], int, int]:

@@ -531,3 +531,46 @@ def test_what_rivals_and_drifts_would_make_is_a_share_of_its_own() -> None:
     assert both[Source.NOISE] is known
     none = replace(search, doubt=np.zeros((2, 2)))
     assert none.shares() == {Source.TERMS: known, Source.NOISE: known}
+
+
+def test_of_what_is_off_it_is_said_what_it_would_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    equations = stated(TableErrors(zeros=1e-4))
+    state = equations.nominal()
+    jacobian, _ = equations.whitened(state)
+    absent = ('absent',)
+    scatter: Any = ExcessScatter(PositioningErrors(0, 0), np.zeros(6), (), absent)  # type: ignore[arg-type]
+    current: Any = SimpleNamespace(
+        equations=equations, state=state, scatter=scatter, gain=np.linalg.pinv(jacobian)
+    )
+    every = (CUBIC, TREND, WOBBLE)
+    monkeypatch.setattr(module, 'families', lambda _: (*every, SENSES))
+    beside: list[Any] = []
+    plain = scores_module.WhitenedResiduals.of(equations, state)
+
+    def residuals(of: Any, _: Any) -> Any:
+        beside.append(of.extra)
+        return plain
+
+    monkeypatch.setattr(module, 'WhitenedResiduals', SimpleNamespace(of=residuals))
+    found = module._concluded(current, (Found(SENSES, -9.0),), current, weigh=True)
+    # Drifts are tested beside what seems absent; what was found is no more off.
+    assert beside == [(), absent]
+    assert list(found.scores) == list(every)
+    assert found.alpha == pytest.approx(1e-3 / 3)
+    assert (found.estimate, found.before_search) == (current, current)
+    patterns = columns_of(every, equations, state)
+    for family in (CUBIC, TREND):
+        ((columns, sizes),) = patterns[family]
+        # By how much the least squares move per SI unit of a coefficient.
+        white = np.linalg.solve(np.linalg.cholesky(equations.covariance(state)), columns / sizes)
+        wanted = (current.gain[:, : len(white)] @ white)[:24]
+        assert found.leverage[family] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+    assert WOBBLE not in found.leverage
+    assert list(found.probability) == [TREND]
+    drifts = module.undecided({TREND: [(found.scores[TREND], found.leverage[TREND])]}, 24)
+    assert found.by_drifts == pytest.approx(drifts.doubt)
+    assert found.doubt == pytest.approx(drifts.doubt)
+    none = module._concluded(current, (), current, weigh=False)
+    assert none.probability == {}
+    assert not none.by_drifts.any()
+    assert list(none.scores) == [*every, SENSES]
