@@ -32,6 +32,7 @@ from imu_calib.estimation.excess_scatter import (
     _variances,
     excess,
 )
+from imu_calib.model.session_terms import session_term
 from imu_calib.observation.components import Component, Dense
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
@@ -435,6 +436,20 @@ def test_gyros_and_accelerometers_are_cut_out_with_their_slopes_and_their_noise(
         # six turns, 100 s from one to the next.
         assert found.bias_drift.nodes.min() == pytest.approx(36 / 16)
         assert found.bias_drift.nodes[0] == pytest.approx(600 + 120 * (np.arange(8) + 0.5) / 8)
+
+
+def test_slopes_are_what_is_left_of_drifts_that_are_estimated() -> None:
+    equations = replace(session(), changes=session_term('trend'))
+    state = np.append(session().nominal(), np.zeros(8))
+    gyros, _ = _triads(equations, state, 1000.0)
+    state[-7] = 3e-9
+    drifting, _ = _triads(equations, state, 1000.0)
+    # The bias of y rises by 3e-9 rad/s each second: by so much each of eleven slopes is too high.
+    off = (gyros.residuals - drifting.residuals)[-33:].reshape(11, 3)
+    left = gyros.residuals[-33:].reshape(11, 3)
+    drift = equations.evidence.segments[0].statistics.drift[1]
+    assert off[:, 1] == pytest.approx(np.full(11, 3e-9 * left[0, 1] / drift), rel=1e-6)
+    assert off[:, [0, 2]] == pytest.approx(np.zeros((11, 2)), abs=1e-9)
 
 
 def test_scatter_of_a_session_is_that_of_both_triads_and_their_positions(

@@ -19,7 +19,7 @@ from imu_calib.estimation.excess_scatter import ExcessScatter
 from imu_calib.estimation.temperature_change import temperature_finding
 from imu_calib.model import PARAMETERS, SensorModel, Triad
 from imu_calib.model.session_terms import Course, change, session_term
-from imu_calib.model.terms import ACCEL_CUBIC
+from imu_calib.model.terms import ACCEL_CUBIC, GYRO_CUBIC
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.positioning_errors import NO_POSITIONING_ERRORS, PositioningErrors
@@ -118,6 +118,13 @@ def test_terms_that_a_session_leaves_open_are_refused_with_what_would_do() -> No
     open_ones = replace(session(), parameters=(*PARAMETERS, *ACCEL_CUBIC.parameters))
     with pytest.raises(NotObservable, match=r'accel_cubic.*45 degrees off the vertical'):
         fit.check_observable(open_ones)
+    # Of two terms the one that is left open is named.
+    both = replace(
+        session(), parameters=(*PARAMETERS, *GYRO_CUBIC.parameters, *ACCEL_CUBIC.parameters)
+    )
+    with pytest.raises(NotObservable) as refused:
+        fit.check_observable(both)
+    assert 'gyro_cubic' not in str(refused.value)
     fit.check_observable(session())
     few = replace(session().evidence, segments=session().evidence.segments[:4], turns=())
     with pytest.raises(NotObservable, match='turn'):

@@ -111,6 +111,17 @@ def test_stamps_that_stand_still_are_dropped_and_the_rest_goes_on() -> None:
     assert compensator.odd_steps == 0
 
 
+def test_of_a_block_some_are_dropped_and_the_rest_waits() -> None:
+    compensator = Compensator(point(20.0))
+    assert compensator.take(replace(samples(0, 40), stamp=np.full(40, START))) == []
+    assert (compensator.dropped, compensator.waiting) == (33, 7)
+    # With 60 more there are steps to learn from, among them six that stand still.
+    out = compensator.take(samples(1, 61))
+    assert [len(one) for one in out] == [7, 60]
+    assert out[1].stamp.tolist() == samples(1, 61).stamp.tolist()
+    assert compensator.odd_steps == 6
+
+
 def skewed(*milliseconds: float) -> SkewBlock:
     return SkewBlock(at(*milliseconds), np.full(len(milliseconds), 1.0))
 

@@ -164,3 +164,67 @@ def test_what_was_read_by_all_no_longer_counts() -> None:
     for name in 'efef':
         cache.get(name, lambda name=name: Held(name, 10, loaded), 2)  # type: ignore[misc]
     assert loaded == list('abcdef')
+
+
+class Damaged:
+    """A database of rows 1 to 5000, some of which cannot be read."""
+
+    def __init__(self, *ids: int) -> None:
+        self.damaged = frozenset(ids)
+
+    def execute(self, query: str, values: tuple[int, ...]) -> Damaged:
+        start, one = values[0], 'LIMIT 1' in query
+        stop = start + 1 if one else min(values[1], 5000) + 1
+        self.found = [(k, COMMON, 10 * k, b'') for k in range(start, min(stop, 5001))]
+        if self.damaged & {row[0] for row in self.found}:
+            raise sqlite3.DatabaseError('malformed')
+        return self
+
+    def fetchone(self) -> object:
+        return self.found[0] if self.found else None
+
+    def fetchall(self) -> list[object]:
+        return [row[2:] for row in self.found]
+
+    def close(self) -> None:
+        pass
+
+
+def past(*damaged: int, end: int = LAST_ROW) -> tuple[list[tuple[int, int, int | None]], list[str]]:
+    """First log time, number of messages and what follows of each window; what is said."""
+    losses = Losses()
+    queries = RowQueries('bag.db3', lambda: Damaged(*damaged), 5000, losses)  # type: ignore[arg-type,return-value]
+    found = [(int(log[0]), len(log), then) for _, log, then in queries.read((COMMON,), 1, end)]
+    return found, losses.sentences
+
+
+def test_what_cannot_be_read_is_passed_over_in_growing_steps() -> None:
+    windows, told = past(3000, 3001, 3002)
+    # After one, two and four rows: 3003 lies in between, and nobody looks at it.
+    assert windows == [(10, 2048, 2049), (20490, 951, 3004), (30040, 1997, 5052)]
+    assert told == ['bag.db3: rows 3000 to 3003 cannot be read (malformed).']
+
+
+def test_where_nothing_follows_that_can_be_read_it_is_said_once() -> None:
+    windows, told = past(*range(3000, 5001))
+    assert windows == [(10, 2048, 2049), (20490, 951, None)]
+    assert told == ['bag.db3: the rows after 2999 cannot be read (malformed).']
+    # Up to the end of a window only, the next begins behind it.
+    windows, told = past(*range(3000, 5001), end=4000)
+    assert windows == [(10, 2048, 2049), (20490, 951, 4001)]
+    assert told == ['bag.db3: rows 3000 to 4000 cannot be read (malformed).']
+
+
+def test_before_damage_rows_come_in_windows_too() -> None:
+    losses = Losses()
+    queries = RowQueries('bag.db3', Damaged, None, losses)  # type: ignore[arg-type,return-value]
+    error = sqlite3.DatabaseError('malformed')
+    rows, following = queries._load_damaged(Damaged(4000), (COMMON,), 1, LAST_ROW, error)  # type: ignore[arg-type]
+    assert (len(rows), rows[-1][0], following) == (2048, 20480, 2049)
+    rows, following = queries._load_damaged(Damaged(), (COMMON,), 4001, LAST_ROW, error)  # type: ignore[arg-type]
+    assert (len(rows), following) == (1000, None)
+    assert losses.sentences == []
+    # Of a file whose last row nobody knows nothing is looked for behind damage.
+    rows, following = queries._load_damaged(Damaged(4000), (RARE,), 3001, LAST_ROW, error)  # type: ignore[arg-type]
+    assert (rows, following) == ([], None)
+    assert losses.sentences == ['bag.db3: the rows after 3999 cannot be read (malformed).']
