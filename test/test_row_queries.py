@@ -219,8 +219,8 @@ def test_before_damage_rows_come_in_windows_too() -> None:
     losses = Losses()
     queries = RowQueries('bag.db3', Damaged, None, losses)  # type: ignore[arg-type,return-value]
     error = sqlite3.DatabaseError('malformed')
-    rows, following = queries._load_damaged(Damaged(4000), (COMMON,), 1, LAST_ROW, error)  # type: ignore[arg-type]
-    assert (len(rows), rows[-1][0], following) == (2048, 20480, 2049)
+    rows, following = queries._load_damaged(Damaged(4000), (COMMON,), 2, LAST_ROW, error)  # type: ignore[arg-type]
+    assert (len(rows), rows[-1][0], following) == (2048, 20490, 2050)
     rows, following = queries._load_damaged(Damaged(), (COMMON,), 4001, LAST_ROW, error)  # type: ignore[arg-type]
     assert (len(rows), following) == (1000, None)
     assert losses.sentences == []
