@@ -198,6 +198,8 @@ def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
 
 def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
     """Test mutants in a copy of the tree, one after the other."""
+    # As test/conftest.py has it, which comes too late here: threads that wait for each other spin.
+    os.environ.setdefault('OMP_NUM_THREADS', '1')
     for module in ('linalg', 'optimize', 'signal', 'stats'):
         importlib.import_module(f'scipy.{module}')
     with tempfile.TemporaryDirectory() as folder:
