@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from extent import ALL
 from other_world import DEG, Stop, Terms, Unit, World
-from scipy.stats import f as f_distribution
 from sessions import SITE, truth
 from test_other_world import MEDIUM, MICRO_G, NAVIGATION, fed, stop, true_vector
 
@@ -19,7 +18,7 @@ from imu_calib.budget import Source, total
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
 from imu_calib.estimation.fit import fit
-from imu_calib.estimation.score import Family, Score, WhitenedResiduals, columns_of, log_f, times_of
+from imu_calib.estimation.score import Family, Score, WhitenedResiduals, columns_of, times_of
 from imu_calib.estimation.term_tests import TermState, summary
 from imu_calib.imu import load_imu
 from imu_calib.methods.joint import solve
@@ -167,16 +166,6 @@ def test_looking_for_terms_changes_nothing_where_there_are_none() -> None:
     assert (plain.solution.covariance + drifts).tobytes() == look.solution.covariance.tobytes()
     # Where no drift shows deviations grow by some hundredths, those of K_az most.
     assert (look.solution.covariance.diagonal() < 1.4 * plain.solution.covariance.diagonal()).all()
-
-
-def test_the_tail_of_f_is_exact_where_numbers_end() -> None:
-    for first, second in ((3, 19), (9, 95), (1, 4), (12, 7.5)):
-        for value in (0.3, 2.0, 40.0):
-            exact = f_distribution.logsf(value, first, second)
-            assert log_f(value, first, second) == pytest.approx(exact, rel=1e-9)
-    # With two degrees of freedom in the numerator the tail is a power (Abramowitz 26.6.4).
-    for value in (1e3, 1e9):
-        assert log_f(value, 2, 400) == pytest.approx(-200 * np.log1p(value / 200), rel=1e-12)
 
 
 @cache

@@ -23,6 +23,7 @@ from imu_calib.estimation.score import (
     Score,
     columns_of,
     families,
+    log_f,
     most_significant,
     times_of,
     with_parameters,
@@ -75,6 +76,16 @@ def test_a_score_is_as_likely_as_f_says_each_of_its_tries_by_chance() -> None:
         assert there.tested is tested
         assert (there.log_p < 0) is tested
         assert np.isfinite(there.smallest(1e-4)).all() == tested
+
+
+def test_the_tail_of_f_is_exact_where_numbers_end() -> None:
+    for first, second in ((3, 19), (9, 95), (1, 4), (12, 7.5)):
+        for value in (0.3, 2.0, 40.0):
+            exact = f_distribution.logsf(value, first, second)
+            assert log_f(value, first, second) == pytest.approx(exact, rel=1e-9)
+    # With two degrees of freedom in the numerator the tail is a power (Abramowitz 26.6.4).
+    for value in (1e3, 1e9):
+        assert log_f(value, 2, 400) == pytest.approx(-200 * np.log1p(value / 200), rel=1e-12)
 
 
 def test_what_is_found_nine_times_in_ten_is_a_tenth_above_the_limit() -> None:
