@@ -291,6 +291,9 @@ def test_the_unit_that_contradicts_the_others_most_goes_first(
 def test_nothing_contradicts_that_tells_nothing() -> None:
     given: Any = Given('ab', 'small', {'a': (900.0, 0), 'b': (30.0, 3)})
     assert _worst(given, [0, 1]) is None
+    # What follows it is looked at all the same.
+    given.squares['b'] = (31.0, 3)
+    assert _worst(given, [4, 7]) == Contradicting(7, 31.0, 3)
 
 
 def test_what_was_found_of_the_table_is_kept_by_name() -> None:
