@@ -129,7 +129,7 @@ def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients() 
     cross[BIAS, 0] = -0.02
     known_by = Changes(terms, np.array([0.5, 2e-3]), np.diag([0.01, 1e-8]), cross)
     single = replace(point(20.0, 1.0, 0.3), changes=known_by)
-    thermal = by_temperature(single)
+    thermal = by_temperature(single, 'file')
     assert isinstance(thermal, ThermalCalibration)
     assert thermal.calibrations == (single,)
     found = thermal.at(21.5)
@@ -144,10 +144,10 @@ def test_a_session_that_follows_its_temperature_is_led_along_its_coefficients() 
     assert thermal.at(99.0).values[BIAS] == pytest.approx(1.0 + 2 * 0.5)
     assert thermal.at(-99.0).values[BIAS] == pytest.approx(1.0 - 0.5)
     plain = point(20.0)
-    assert by_temperature(plain) is plain
+    assert by_temperature(plain, 'file') is plain
     drifting = replace(known_by, changes=tuple(change(Course.TREND, n) for n in ('D_gx', 'K_a')))
     trend = replace(single, changes=drifting)
-    assert by_temperature(trend) is trend
+    assert by_temperature(trend, 'file') is trend
 
 
 def test_a_calibration_counts_within_what_it_saw() -> None:
