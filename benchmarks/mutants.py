@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import compileall
 import contextlib
 import importlib
 import multiprocessing
@@ -27,6 +28,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from py_compile import PycInvalidationMode
 
 import pytest
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -155,13 +157,14 @@ def run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> tuple[bool, f
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 1))
         os.chdir(copy)
         sys.path[:0] = [str(copy), str(copy / 'test')]
-        # What a test starts runs the copy too, and leaves no compiled files of this mutant.
+        # What a test starts runs the copy too.
         others = os.environ.get('PYTHONPATH', '').split(os.pathsep)
         os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, [str(copy), *others]))
-        os.environ['PYTHONDONTWRITEBYTECODE'] = '1'
         files = [f'test/test_{name}.py' for name in tests]
         # What waits uses no processor time: the session's own limit ends it.
         options = ['-x', '-q', '-p', 'no:cacheprovider', '-o', f'timeout={10 * int(limit_s)}']
+        # Words for what fails would be made of every test file again for each mutant.
+        options.append('--assert=plain')
         os._exit(int(pytest.main([*options, *files])))
     _, status, used = os.wait4(child, 0)
     with contextlib.suppress(ProcessLookupError):
@@ -179,12 +182,15 @@ def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
 
 def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
     """Test mutants in a copy of the tree, one after the other."""
-    for module in ('linalg', 'optimize', 'signal', 'stats'):
+    for module in ('linalg', 'optimize', 'signal', 'spatial.transform', 'special', 'stats'):
         importlib.import_module(f'scipy.{module}')
-    sys.dont_write_bytecode = True  # compiled files are told apart by the second only
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / 'tree'
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns('.git', '__pycache__'))
+        left_out = shutil.ignore_patterns('.git', '.venv', '__pycache__')
+        shutil.copytree(ROOT, copy, ignore=left_out)
+        # By their contents: otherwise compiled files are told apart by the second only.
+        by_hash = PycInvalidationMode.CHECKED_HASH
+        compileall.compile_dir(copy, quiet=2, invalidation_mode=by_hash)
         unchanged = {}  # how long each list of tests takes, s
         for path, name, occurrence, line in share:
             files = (*MORE.get(path, []), *tests)
