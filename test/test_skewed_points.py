@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,6 +19,7 @@ from imu_calib.methods.skewed import (
     _parity,
     gauss_markov_bound,
     parity,
+    solve,
     variance_by_weights,
 )
 from imu_calib.model import parameters_of
@@ -338,6 +339,9 @@ class Turned:
     turns: Any
     layout: OutputLayout
     moves: tuple[()] = ()
+    site: Any = None
+    walk: Floats = field(default_factory=lambda: WALK)
+    turns_clock_std: float = 0.0
 
 
 def test_derivatives_are_by_the_turns_that_it_saw() -> None:
@@ -355,3 +359,28 @@ def test_derivatives_are_by_the_turns_that_it_saw() -> None:
     row[[21, 22]] = weights[3, 1]
     assert found[NAMES.index('R_gsy')].tolist() == row.tolist()
     assert not found[12:24].any()
+
+
+def test_turns_without_noise_give_the_sixteen_numbers() -> None:
+    rng = np.random.default_rng(1)
+    turns = [turn(axis, rate) for axis in range(3) for rate in (0.5, -0.5, 1.5, -1.5)]
+    site = SimpleNamespace(up_rate=UP_RATE)
+    held: Any = Turned(turns, OutputLayout(0, 12), site=site, turns_clock_std=7e-6)
+    found = solve(held)
+    assert found.model.gyro.response == pytest.approx(COUPLINGS[:3, :3], abs=1e-12)
+    assert found.model.gyro.bias == pytest.approx(COUPLINGS[:3, 3], abs=1e-12)
+    assert found.model.skewed is not None
+    assert found.model.skewed.response[0] == pytest.approx(COUPLINGS[3, :3], abs=1e-12)
+    assert found.model.skewed.bias == pytest.approx(COUPLINGS[3, 3], abs=1e-12)
+    assert found.condition == RatePoints.of(held).weights()[1]
+    assert [sentence.split(' ')[0] for sentence in found.findings] == ['The', 'Parity', 'The']
+    assert 'known to 7 ppm only' in found.findings[2]
+    assert np.isnan([found.azimuth, found.azimuth_std, found.earth_up, found.earth_up_std]).all()
+    # Points that agree by chance are no better known than their noise leaves them.
+    them = RatePoints.of(held)
+    wanted = normal(them.inputs, them.own[:, 0])[1]
+    assert found.covariance[9, 9] == pytest.approx(wanted[3, 3], rel=1e-9)
+    assert found.covariance[0, 0] == pytest.approx(wanted[0, 0] + (1.01 * 7e-6) ** 2, rel=1e-9)
+    for one in turns:
+        one.statistics.mean[:3] += 1e-4 * rng.standard_normal(3)
+    assert solve(held).covariance[9, 9] > 100 * wanted[3, 3]
