@@ -12,11 +12,16 @@ from test_information import GYRO_WALK, SITE, evidence_of, statistics
 
 from imu_calib.budget import Source
 from imu_calib.earth import EARTH_RATE, Site
-from imu_calib.errors import NotObservable
+from imu_calib.errors import InputError, NotObservable
 from imu_calib.methods import (
     check_plan,
+    closed_form_beside,
+    default_method,
+    estimated_parameters,
+    method,
     n_positions,
     off_axis_four,
+    provisional,
     rate_24,
     six_position,
     static_six,
@@ -30,9 +35,10 @@ from imu_calib.methods.gains import (
     rate_test_weights,
 )
 from imu_calib.methods.n_positions import force_weights
-from imu_calib.model import PARAMETERS, SensorModel
+from imu_calib.model import G_SENSITIVITY, PARAMETERS, SensorModel
+from imu_calib.model.session_terms import session_term
 from imu_calib.observation.evidence import Evidence
-from imu_calib.plan import load_plan
+from imu_calib.plan import UNPLANNED, load_plan
 from imu_calib.stream import Floats
 from imu_calib.units import DEG, DEG_H
 
@@ -506,3 +512,73 @@ def test_six_dwells_of_uneven_length_count_alike() -> None:
     np.testing.assert_allclose(equation.mean_input, mean, atol=1e-20)
     found = six_position.solve(replace(evidence, segments=long))
     assert found.model.vector() == pytest.approx(TRUE.vector(), abs=1e-9)
+
+
+# By name
+
+
+def test_methods_are_found_by_name_and_others_are_listed() -> None:
+    with pytest.raises(
+        InputError, match=r"called 'twelve'; there are: free_positions, joint, joint"
+    ):
+        method('twelve')
+    trend = session_term('trend')
+    for terms, changes, words in (
+        ((G_SENSITIVITY,), (), 'g_sensitivity'),
+        ((), trend, 'trend.*'),
+        ((G_SENSITIVITY,), trend, 'g_sensitivity, trend.*'),
+    ):
+        with pytest.raises(
+            InputError, match=rf'no further terms \({words}\); joint and joint_33 do'
+        ):
+            method('rate_24', terms, changes)
+    with pytest.raises(NotObservable, match='Six positions need north'):
+        provisional('six_position')(evidence_of('six_position'))
+
+
+def test_joint_estimates_begin_with_their_own_terms() -> None:
+    assert len(estimated_parameters('joint')) == 24
+    assert len(estimated_parameters('joint_33')) == 33
+    assert estimated_parameters('joint', (G_SENSITIVITY,)) == estimated_parameters('joint_33')
+    assert len(estimated_parameters('static_six')) == 12
+    evidence = evidence_of(model=FELT)
+    assert len(provisional('joint_33')(evidence).parameters) == 33
+    assert len(method('joint_33')(evidence).parameters) == 33
+
+
+def test_the_estimator_of_a_plan_is_joint_where_it_solves_the_same() -> None:
+    asked = {
+        'twelve_position': 'joint',
+        'eight_position': 'joint_33',
+        'skewed': 'skewed',
+        'static_six': 'static_six',
+        'six_position_by_hand': 'six_position',
+    }
+    for name, wanted in asked.items():
+        assert default_method(load_plan(name)) == wanted
+    twelve = load_plan('twelve_position')
+    assert closed_form_beside('joint', twelve) == 'twelve_position'
+    assert closed_form_beside('twelve_position', twelve) is None
+    assert closed_form_beside('joint', load_plan('skewed')) is None
+
+
+def test_a_plan_is_held_to_its_method_and_to_the_closed_form_beside() -> None:
+    with pytest.raises(InputError, match='needs the plan that was run'):
+        check_plan('six_position', UNPLANNED, SITE)
+    check_plan('joint', UNPLANNED, SITE)
+    plan = load_plan('eight_position')
+    short = replace(plan, positions=plan.positions[:3])
+    for name in ('n_positions', 'joint_33'):
+        with pytest.raises(NotObservable, match='The 3 positions of plan'):
+            check_plan(name, short, SITE)
+    fewer = load_plan('rate_24')
+    kept = tuple(p for p in fewer.positions if p.rate_test or abs(p.up[2]) < 0.5)
+    with pytest.raises(NotObservable, match='cannot tell apart'):
+        check_plan('joint', replace(fewer, positions=kept), SITE)
+    with pytest.raises(NotObservable, match='no rate test about X'):
+        check_plan('skewed', load_plan('static_six'), SITE)
+    with pytest.raises(NotObservable, match='near the equator'):
+        check_plan('off_axis_four', load_plan('off_axis_four'), off_axis(0.0))
+    with pytest.raises(NotObservable, match=r'The 2 positions of plan static_six'):
+        six = load_plan('static_six')
+        check_plan('static_six', replace(six, positions=six.positions[:2]), SITE)
