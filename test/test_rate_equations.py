@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from imu_calib.errors import NotObservable
-from imu_calib.methods.linear import BIAS, ChannelSystem
+from imu_calib.methods.linear import BIAS, ChannelSystem, solve_triad
 from imu_calib.methods.rate_test import RateTestEquations
 from imu_calib.stream import Floats
 
@@ -155,7 +155,7 @@ def test_four_equations_are_solved_and_conditioned_by_columns_of_one_length() ->
     # Lengths of the columns: the root of 8, 30, 4 and 2.
     alike = matrix / [np.sqrt(8), 30.0, 4.0, 2.0]
     assert condition == pytest.approx(np.linalg.cond(alike))
-    with pytest.raises(NotObservable, match='^3 equations for the 4 unknowns of a channel'):
+    with pytest.raises(NotObservable, match=r'^3 equations for the 4 unknowns of a channel'):
         channel(matrix[:3]).solve()
 
 
