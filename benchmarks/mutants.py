@@ -90,6 +90,7 @@ TESTS = {
         'courses',
         'latitude_seen',
         'common_rests',
+        'common_table',
         'output_noise',
         'remainders',
         'arms',
