@@ -257,7 +257,10 @@ def test_what_two_tell_together_is_said_together() -> None:
             return np.zeros(24)
 
         def whitened(self, _: Floats) -> tuple[Floats, Floats]:
-            return np.eye(24) * (1 + len(self.had)), np.zeros(24)
+            # The last parameter shows in nothing.
+            columns = np.eye(24) * (1 + len(self.had))
+            columns[23, 23] = 0.0
+            return columns, np.zeros(24)
 
     def added(equations: Any, thing: Any) -> Any:
         return Having(had=[*equations.had, thing], evidence=equations.evidence)
@@ -269,7 +272,9 @@ def test_what_two_tell_together_is_said_together() -> None:
         order = iter(['b', 'a', 'c'])
         wanted: dict[int, str] = {}
 
-        def told(equations: Any, _: Any) -> float:
+        def told(equations: Any, scale: Floats) -> float:
+            # By what all three together make of each parameter.
+            assert scale.tolist() == [4.0] * 23 + [1.0]
             n = len(equations.had)
             if n not in wanted:
                 wanted[n] = next(order)
