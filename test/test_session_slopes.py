@@ -275,3 +275,11 @@ def test_a_table_that_leaves_something_open_leans() -> None:
     assert np.linalg.norm(lean) > 1e-5
     assert columns[:6, 0] == pytest.approx(seen - clean, abs=SITE.gravity * float(lean @ lean))
     assert at(some())[0].by_table(state).shape == (len(at(some())[0].outputs), 0)
+
+
+@pytest.mark.parametrize(('above', 'least'), [(5e-10, True), (5e-9, False)])
+def test_what_rounds_above_the_smallest_variance_is_it(above: float, least: bool) -> None:
+    walk = np.full(6, np.sqrt(1e-24 * (1 + above) * 120))
+    found = Equations(replace(some(), walk=walk)).own_variances[0]
+    assert bool(found == 1e-24) is least
+    assert found == pytest.approx(1e-24, rel=1e-8, abs=0.0)
