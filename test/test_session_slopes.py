@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from imu_calib.model import G_SENSITIVITY, SensorModel, Triad, parameters_of
 from imu_calib.observation.equations import ANY_AZIMUTH, GIVEN_AZIMUTH, Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.positioning_errors import PositioningErrors
-from imu_calib.observation.session_model import Nuisance
+from imu_calib.observation.session_model import Nuisance, SessionModel
 from imu_calib.observation.surroundings import Surroundings
 from imu_calib.stream import Floats, Units
 from imu_calib.table_errors import TableErrors
@@ -283,3 +284,33 @@ def test_what_rounds_above_the_smallest_variance_is_it(above: float, least: bool
     found = Equations(replace(some(), walk=walk)).own_variances[0]
     assert bool(found == 1e-24) is least
     assert found == pytest.approx(1e-24, rel=1e-8, abs=0.0)
+
+
+class Led:
+    """Three moves that say how they were asked."""
+
+    def __len__(self) -> int:
+        return 3
+
+    def by_clock(self, model: Any, force: Any, *, counted: bool) -> Floats:
+        assert (model, force) == ('model', 'force')
+        return np.full((3, 6), 1.0 + counted)
+
+
+@pytest.mark.parametrize(
+    ('units', 'compared', 'wanted'),
+    [
+        (Units.PULSES, True, 2.0),
+        (Units.PULSES, False, 0.0),
+        (Units.SI, True, 1.0),
+        (Units.SI, False, 1.0),
+    ],
+)
+def test_moves_feel_a_clock_but_where_pulses_are_compared_with_none(
+    units: Units, compared: bool, wanted: float
+) -> None:
+    evidence = SimpleNamespace(units=units, clocks_compared=compared, links=Led())
+    session: Any = SimpleNamespace(evidence=evidence)
+    around: Any = SimpleNamespace(force='force')
+    model: Any = 'model'
+    assert (SessionModel._led_by_clock(session, model, around) == np.full((3, 6), wanted)).all()
