@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import compileall
 import contextlib
 import importlib
 import multiprocessing
@@ -27,6 +28,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from py_compile import PycInvalidationMode
 
 import pytest
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -83,13 +85,12 @@ TESTS = {
     ],
     'methods': [
         'checks',
+        'conclude',
+        'gains',
         'rate_equations',
+        'skewed_points',
         'closed_forms',
-        'methods_positions',
-        'methods_gyro_only',
-        'methods_skewed',
-        'free_positions',
-        'joint',
+        'joint_words',
     ],
     'observation': [
         'rows',
@@ -97,13 +98,16 @@ TESTS = {
         'courses',
         'latitude_seen',
         'common_rests',
+        'common_table',
         'output_noise',
         'remainders',
+        'evidence_values',
+        'led_moves',
+        'session_slopes',
+        'ideal_ways',
         'information',
-        'arms',
-        'moves',
-        'methods_positions',
-        'joint',
+        'conclude',
+        'closed_forms',
     ],
     'estimation': [
         'term_sentences',
@@ -123,11 +127,9 @@ MORE = {
     'imu_calib/segmentation/plateau.py': ['steady_rates'],
     'imu_calib/segmentation/stillness.py': ['stillness'],
     'imu_calib/segmentation/turns.py': ['steady_rates'],
-    'imu_calib/observation/common_errors.py': ['units_shared'],
-    'imu_calib/observation/free.py': ['free_positions'],
-    'imu_calib/observation/ideal_moves.py': ['free_positions', 'prediction'],
-    'imu_calib/observation/lacking.py': ['planless'],
-    'imu_calib/observation/modulation.py': ['session_terms'],
+    'imu_calib/methods/free_positions.py': ['free_fit'],
+    'imu_calib/observation/arms.py': ['arms'],
+    'imu_calib/observation/free.py': ['free_fit'],
 }
 # A mutant gets this much longer than the tests take unchanged, and this many seconds more.
 SLOWER, MORE_S = 2.0, 5.0
@@ -158,29 +160,24 @@ def mutants(package: str) -> list[tuple[str, str, int, int]]:
     return found
 
 
-def run_tests(
-    copy: Path, tests: Sequence[str], limit_s: float, *, keep: bool = False
-) -> tuple[bool, float]:
-    """Return whether the tests pass in a fork, and its processor time in s.
-
-    Compiled files may be kept of what is unchanged: a mutant is younger than what it was made of.
-    """
+def run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> tuple[bool, float]:
+    """Return whether the tests pass in a fork, and its processor time in s."""
     child = os.fork()
     if not child:
         os.setsid()
-        sys.dont_write_bytecode = not keep
         quiet = os.open(os.devnull, os.O_WRONLY)
         os.dup2(quiet, 1), os.dup2(quiet, 2)
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 1))
         os.chdir(copy)
         sys.path[:0] = [str(copy), str(copy / 'test')]
-        # What a test starts runs the copy too, and leaves no compiled files of this mutant.
+        # What a test starts runs the copy too.
         others = os.environ.get('PYTHONPATH', '').split(os.pathsep)
         os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, [str(copy), *others]))
-        os.environ['PYTHONDONTWRITEBYTECODE'] = '1'
         files = [f'test/test_{name}.py' for name in tests]
         # What waits uses no processor time: the session's own limit ends it.
         options = ['-x', '-q', '-p', 'no:cacheprovider', '-o', f'timeout={10 * int(limit_s)}']
+        # Words for what fails would be made of every test file again for each mutant.
+        options.append('--assert=plain')
         os._exit(int(pytest.main([*options, *files])))
     _, status, used = os.wait4(child, 0)
     with contextlib.suppress(ProcessLookupError):
@@ -199,18 +196,20 @@ def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
 def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
     """Test mutants in a copy of the tree, one after the other."""
     # As test/conftest.py has it, which comes too late here: threads that wait for each other spin.
-    os.environ.setdefault('OMP_NUM_THREADS', '1')
-    for module in ('linalg', 'optimize', 'signal', 'stats'):
+    os.environ['OMP_NUM_THREADS'] = '1'
+    for module in ('linalg', 'optimize', 'signal', 'spatial.transform', 'special', 'stats'):
         importlib.import_module(f'scipy.{module}')
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / 'tree'
         left_out = shutil.ignore_patterns('.git', '.venv', '__pycache__')
         shutil.copytree(ROOT, copy, ignore=left_out)
+        # By their contents: otherwise compiled files are told apart by the second only.
+        by_hash = PycInvalidationMode.CHECKED_HASH
+        compileall.compile_dir(copy, quiet=2, invalidation_mode=by_hash)
         unchanged = {}  # how long each list of tests takes, s
         for path, name, occurrence, line in share:
             files = (*MORE.get(path, []), *tests)
             if files not in unchanged:
-                run_tests(copy, files, 600.0, keep=True)
                 sound, unchanged[files] = run_tests(copy, files, 600.0)
                 if not sound:
                     print('The tests fail before anything is changed.', flush=True)

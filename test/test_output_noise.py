@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from test_session_slopes import some
 
-from imu_calib.observation.components import Component
+from imu_calib.budget import Source
+from imu_calib.observation.components import Component, Diagonal
+from imu_calib.observation.evidence import Evidence
 from imu_calib.observation.layout import OutputLayout
 from imu_calib.observation.output_noise import (
     encoder_rate_errors,
     encoder_rates,
     level_gravity,
+    own_parts,
     unknown_north,
 )
 from imu_calib.stream import Floats
@@ -104,3 +109,89 @@ def test_a_level_rate_from_anywhere_has_half_its_square_along_each_level_axis(
             wanted[start : start + 3, start : start + 3] += np.outer(seen, seen)
     found = covariance(unknown_north(held, ups, RESPONSE))
     np.testing.assert_allclose(found, wanted, atol=1e-22)
+
+
+# Noise of each output by itself
+
+
+def held() -> Evidence:
+    """Four rests and three turns with pulses and encoders that scatter."""
+    evidence, pulse = some(), np.arange(1.0, 7.0) * 1e-16
+    segments = tuple(
+        replace(
+            s,
+            statistics=replace(s.statistics, quantisation_variance=pulse * (k + 1)),
+            attitude_error=1e-6 * k,
+        )
+        for k, s in enumerate(evidence.segments)
+    )
+    turns = tuple(
+        replace(
+            t,
+            statistics=replace(t.statistics, quantisation_variance=pulse * (k + 5)),
+            up_error=2e-6 * (k + 1),
+        )
+        for k, t in enumerate(evidence.turns)
+    )
+    freedom = np.arange(10.0, 16.0)
+    return replace(evidence, segments=segments, turns=turns, walk_freedom=freedom)
+
+
+def summed(evidence: Evidence, source: Source, inflation: Floats | None = None) -> Floats:
+    total = np.zeros((len(evidence.layout),) * 2)
+    for component in own_parts(evidence, inflation):
+        if component.source is source:
+            component.part.add_to(total)
+    return np.diag(total)
+
+
+def test_each_output_has_walk_pulses_and_encoders_of_its_own() -> None:
+    evidence = held()
+    layout, walk, gravity = evidence.layout, evidence.walk, evidence.site.gravity
+    noise, pulses = summed(evidence, Source.NOISE), summed(evidence, Source.QUANTISATION)
+    encoders = summed(evidence, Source.ENCODER_NOISE)
+    for k, s in enumerate(evidence.segments):
+        np.testing.assert_allclose(noise[layout.rest[k]], walk**2 / 120)
+        np.testing.assert_allclose(pulses[layout.rest[k]], np.arange(1.0, 7) * 1e-16 * (k + 1))
+        across = (gravity * 1e-6 * k) ** 2 * (1 - s.attitude[2] ** 2)  # type: ignore[index]
+        np.testing.assert_allclose(encoders[layout.rest[k]], [0, 0, 0, *across], atol=1e-30)
+    for k, t in enumerate(evidence.turns):
+        both = np.append(layout.turn[k], layout.turn_accels[k])
+        np.testing.assert_allclose(noise[both], walk**2 / t.statistics.duration)
+        np.testing.assert_allclose(pulses[both], np.arange(1.0, 7) * 1e-16 * (k + 5))
+        level = (2e-6 * (k + 1)) ** 2 * (1 - t.up**2)
+        wanted = [*level * t.rate() ** 2, *level * gravity**2]
+        np.testing.assert_allclose(encoders[both], wanted, atol=1e-30)
+
+
+def test_noise_is_as_sure_as_the_walk_of_its_channel() -> None:
+    evidence = held()
+    channels = evidence.layout.channels
+    noises = [c for c in own_parts(evidence, None) if c.source is Source.NOISE]
+    assert [c.freedom for c in noises] == [10, 11, 12, 13, 14, 15, 33]
+    for channel, component in enumerate(noises[:6]):
+        assert isinstance(component.part, Diagonal)
+        np.testing.assert_array_equal(component.part.variances > 0, channels == channel)
+
+
+def test_what_has_no_noise_keeps_the_smallest_variance() -> None:
+    evidence = replace(some(), walk=np.zeros(6))
+    np.testing.assert_allclose(summed(evidence, Source.QUANTISATION), 1e-24)
+    assert not summed(evidence, Source.NOISE).any()
+
+
+def test_inflation_is_scatter_by_channels() -> None:
+    evidence = held()
+    inflation = np.ones(len(evidence.layout))
+    inflation[evidence.layout.rest[:, 1]] = 5.0
+    inflation[evidence.layout.rest[0, 3]] = 3.0
+    own = sum(
+        summed(evidence, source)
+        for source in (Source.NOISE, Source.QUANTISATION, Source.ENCODER_NOISE)
+    )
+    found = summed(evidence, Source.SCATTER, inflation)
+    np.testing.assert_allclose(found, own * (inflation - 1), rtol=1e-12)
+    scatter = [c for c in own_parts(evidence, inflation) if c.source is Source.SCATTER]
+    # Four outputs of one channel less a line's two unknowns, and of the others one at least.
+    assert [c.freedom for c in scatter] == [1, 2, 1, 1, 1, 1]
+    assert Source.SCATTER not in {c.source for c in own_parts(evidence, None)}

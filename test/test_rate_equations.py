@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from imu_calib.errors import NotObservable
-from imu_calib.methods.linear import BIAS, ChannelSystem
+from imu_calib.methods.linear import BIAS, ChannelSystem, solve_triad
 from imu_calib.methods.rate_test import RateTestEquations
 from imu_calib.stream import Floats
 
@@ -138,3 +138,32 @@ def test_several_rates_are_a_slope_and_one_is_an_output_less_the_bias() -> None:
     # A spread of a fifth of the largest rate is a slope.
     assert added([1.0, 0.59])[0] == [0.0, 1.0, 0.0, 0.0]
     assert added([1.0, 0.61])[0] != [0.0, 1.0, 0.0, 0.0]
+
+
+def channel(matrix: Floats) -> ChannelSystem:
+    """Equations of which each has an output of its own."""
+    system = ChannelSystem(len(matrix))
+    for row, weights in zip(matrix, np.eye(len(matrix)), strict=True):
+        system.add(row, weights)
+    return system
+
+
+def test_four_equations_are_solved_and_conditioned_by_columns_of_one_length() -> None:
+    matrix = np.array([[2.0, 0, 0, 1], [0, 30.0, 0, 1], [0, 0, 4.0, 1], [-2.0, 0, 0, 1]])
+    weights, condition = channel(matrix).solve()
+    np.testing.assert_allclose(weights, np.linalg.inv(matrix), atol=1e-12)
+    # Lengths of the columns: the root of 8, 30, 4 and 2.
+    alike = matrix / [np.sqrt(8), 30.0, 4.0, 2.0]
+    assert condition == pytest.approx(np.linalg.cond(alike))
+    with pytest.raises(NotObservable, match=r'^3 equations for the 4 unknowns of a channel'):
+        channel(matrix[:3]).solve()
+
+
+def test_a_triad_is_as_ill_conditioned_as_its_worst_channel() -> None:
+    good, poor = np.eye(4), np.eye(4) + 5 * np.eye(4, k=1)
+    outputs = np.arange(12.0).reshape(4, 3)
+    found = solve_triad([channel(good), channel(poor), channel(good)], outputs)
+    assert found.condition == pytest.approx(channel(poor).solve()[1])
+    np.testing.assert_allclose(found.triad.response[0], outputs[:3, 0])
+    assert found.triad.bias[2] == outputs[3, 2]
+    np.testing.assert_allclose(found.triad.response[1], np.linalg.solve(poor, outputs[:, 1])[:3])

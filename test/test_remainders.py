@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imu_calib.model import SensorModel, Triad
-from imu_calib.observation.remainders import RoughAnswers, remainder_covariance
+from imu_calib.observation.remainders import RoughAnswers, _line, remainder_covariance
 from imu_calib.stream import Floats
 
 PERIOD, PULSE = 0.02, 0.01
@@ -143,3 +143,14 @@ def test_where_no_turn_shows_the_gyros_their_misalignment_is_in_doubt() -> None:
     np.testing.assert_allclose(found.model.gyro.bias, MODEL.gyro.bias, atol=1e-12)
     # A milliradian of gravity.
     assert found.doubt == pytest.approx(np.sqrt(OWN * 4 / 6 + (1e-3 * 9.8) ** 2))
+
+
+@pytest.mark.parametrize(('small', 'seen'), [(1.6e-3, 3), (1.9e-3, 4)])
+def test_a_direction_that_hardly_turned_is_left_out(small: float, seen: int) -> None:
+    # Singular values: the root of six for the bias, and of two for a direction of length one.
+    inputs = np.vstack([np.diag([1.0, 1.0, small]), -np.diag([1.0, 1.0, small])])
+    outputs = inputs @ MODEL.gyro.response.T + MODEL.gyro.bias
+    found, known = _line(inputs, outputs)
+    assert known == seen
+    assert found.response[2, 2] == pytest.approx(1.02 if seen == 4 else 1.0)
+    assert found.bias == pytest.approx(MODEL.gyro.bias)
