@@ -52,6 +52,9 @@ class Linear:
     north = slice(21, 23)
     evidence = SimpleNamespace(segments=(0,) * 12, links=(0,) * 11)
 
+    def model(self, _: Floats) -> SensorModel:
+        return SensorModel()
+
     def jacobian(self, _: Floats) -> Floats:
         return self.jac
 
@@ -252,6 +255,8 @@ def clear(
     at_rest: float = 0.0,
     noise: float = 1.0,
     lost: int | None = None,
+    *,
+    doubted: bool = False,
 ) -> bool:
     """Ask of a linear system whose outputs see one unknown each, and the last turn none.
 
@@ -285,7 +290,12 @@ def clear(
     given: Any = SimpleNamespace(segments=(0,) * 9)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(free_positions, 'initial_equations', lambda _: (equations, np.zeros(26)))
+        patch.setattr(free_positions, 'doubts_latitude', lambda _: doubted)
         return is_clear(given)
+
+
+def test_a_doubted_latitude_is_not_clear() -> None:
+    assert not clear(doubted=True)
 
 
 def test_a_step_that_is_straight_leaves_it_clear() -> None:
