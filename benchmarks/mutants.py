@@ -44,6 +44,8 @@ TESTS = {
         'segment_values',
         'cleaning',
         'rest_tolerance',
+        'stamp_lines',
+        'straight_lines',
         'counter_sums',
         'lost_samples',
         'joint_tracker',
