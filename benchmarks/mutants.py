@@ -39,21 +39,22 @@ TESTS = {
     'cdr': ['cdr'],
     'compensation': ['sample_clock', 'compensation', 'compensator', 'thermal', 'in_motion'],
     'segmentation': [
+        'counter_sums',
+        'straight_lines',
+        'stamp_lines',
+        'clock_lines',
+        'cleaning',
+        'lost_samples',
+        'statistics',
+        'moves_joined',
+        'joint_tracker',
         'names_by_order',
         'labelling',
         'segment_values',
-        'cleaning',
         'rest_tolerance',
-        'stamp_lines',
-        'straight_lines',
-        'counter_sums',
-        'lost_samples',
-        'joint_tracker',
         'intake',
-        'moves_joined',
         'rest_read',
         'one_motion',
-        'statistics',
         'one_stand',
         'sample_grid',
         'segmentation',
@@ -105,9 +106,9 @@ TESTS = {
 MORE = {
     'imu_calib/bags/mcap_chunk.py': ['remote'],
     'imu_calib/bags/remote.py': ['remote_copy', 'remote'],
-    'imu_calib/segmentation/plateau.py': ['steady_rates'],
-    'imu_calib/segmentation/stillness.py': ['stillness'],
-    'imu_calib/segmentation/turns.py': ['steady_rates'],
+    'imu_calib/segmentation/plateau.py': ['straight_lines', 'one_stand', 'steady_rates'],
+    'imu_calib/segmentation/stillness.py': ['rest_tolerance', 'one_stand', 'stillness'],
+    'imu_calib/segmentation/turns.py': ['statistics', 'one_stand', 'steady_rates'],
     'imu_calib/observation/common_errors.py': ['units_shared'],
     'imu_calib/observation/free.py': ['free_positions'],
     'imu_calib/observation/ideal_moves.py': ['free_positions', 'prediction'],
@@ -186,7 +187,7 @@ def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
     sys.dont_write_bytecode = True  # compiled files are told apart by the second only
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / 'tree'
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns('.git', '__pycache__'))
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns('.git', '.venv', '__pycache__'))
         unchanged = {}  # how long each list of tests takes, s
         for path, name, occurrence, line in share:
             files = (*MORE.get(path, []), *tests)

@@ -310,7 +310,7 @@ def test_turns_lie_in_the_middle_of_what_is_sure(sense: int) -> None:
     assert found is not None
     # 21 s at 40 deg/s are 840 deg: two turns of 9 s each, 1.5 s after it begins.
     assert found.joint == 2
-    assert found.start == pytest.approx(7e9 + 5.5e9)
+    assert found.start == pytest.approx(12.5e9, abs=1.0)
     assert found.seconds == pytest.approx(18.0)
     assert found.angle == pytest.approx(sense * 4 * np.pi)
     assert found.rate_error == pytest.approx(1e-6 / 40)
@@ -344,6 +344,19 @@ def test_turns_are_those_of_the_joint_that_turns_most() -> None:
     (other,) = find_turns(swapped)
     assert (other.joint, other.angle) == (0, pytest.approx(-4 * np.pi))
     assert find_turns(replace(motion, stamp=motion.stamp[:0], position=motion.position[:0])) == []
+
+
+def test_a_plateau_may_fill_the_motion() -> None:
+    whole = trapezoid(40.0, 1.0, 20.0)
+    within = slice(310, 2290)
+    found = find_plateaus(
+        replace(whole, stamp=whole.stamp[within], position=whole.position[within])
+    )
+    assert [plateau.rate for plateau in found] == pytest.approx([40.0 * DEG])
+    # Nothing is off the line: nothing is cut away from it.
+    (plateau,) = found
+    assert (plateau.start, plateau.end) == (0.0, pytest.approx(19.79))
+    assert (plateau.before, plateau.after) == (0.0, 0.0)
 
 
 def joined(*motions: Motion) -> Motion:
