@@ -45,8 +45,10 @@ TESTS = {
         'clock_lines',
         'cleaning',
         'lost_samples',
+        'gaps_of_counters',
         'statistics',
         'moves_joined',
+        'one_turn',
         'joint_tracker',
         'names_by_order',
         'labelling',
@@ -58,7 +60,6 @@ TESTS = {
         'one_stand',
         'sample_grid',
         'segmentation',
-        'counter',
     ],
     'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'bags': [
@@ -106,9 +107,6 @@ TESTS = {
 MORE = {
     'imu_calib/bags/mcap_chunk.py': ['remote'],
     'imu_calib/bags/remote.py': ['remote_copy', 'remote'],
-    'imu_calib/segmentation/plateau.py': ['straight_lines', 'one_stand', 'steady_rates'],
-    'imu_calib/segmentation/stillness.py': ['rest_tolerance', 'one_stand', 'stillness'],
-    'imu_calib/segmentation/turns.py': ['statistics', 'one_stand', 'steady_rates'],
     'imu_calib/observation/common_errors.py': ['units_shared'],
     'imu_calib/observation/free.py': ['free_positions'],
     'imu_calib/observation/ideal_moves.py': ['free_positions', 'prediction'],
