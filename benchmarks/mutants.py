@@ -44,6 +44,7 @@ TESTS = {
         'stamp_lines',
         'clock_lines',
         'cleaning',
+        'shocks',
         'lost_samples',
         'gaps_of_counters',
         'statistics',
