@@ -49,11 +49,11 @@ def test_an_interruption_is_told_by_its_length_and_its_beginning() -> None:
 
 def test_lost_samples_are_told_by_their_share() -> None:
     held = reader()
-    held._intake.samples, held._lost = 197, 3
+    held._intake.samples, held._lost = 17, 3
     held._off_grid = {START + 9 * NS, START + 2 * NS}
     held._interruptions = [(START, START + 2 * NS)]
     assert held._losses() == (
-        '3 IMU samples are missing (1.5 %), a few at a time: what they counted is read from those '
+        '3 IMU samples are missing (15 %), a few at a time: what they counted is read from those '
         'around them',
         'The stamps of the IMU go on off their grid 2 time(s), first at 2023-11-14 22:13:22.000 '
         'UTC: its clock was set, or it began to sample anew; what is before and after counts by '
