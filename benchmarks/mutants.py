@@ -48,23 +48,29 @@ TESTS = {
         'in_motion',
     ],
     'segmentation': [
+        'counter_sums',
+        'straight_lines',
+        'stamp_lines',
+        'clock_lines',
+        'cleaning',
+        'shocks',
+        'lost_samples',
+        'gaps_of_counters',
+        'statistics',
+        'moves_joined',
+        'one_turn',
+        'between_streams',
+        'joint_tracker',
         'names_by_order',
         'labelling',
         'segment_values',
-        'cleaning',
         'rest_tolerance',
-        'counter_sums',
-        'lost_samples',
-        'joint_tracker',
         'intake',
-        'moves_joined',
         'rest_read',
         'one_motion',
-        'statistics',
         'one_stand',
         'sample_grid',
         'segmentation',
-        'counter',
     ],
     'sequencing': ['steps', 'encoders', 'watch', 'idle_watch', 'sequencer'],
     'bags': [
@@ -124,9 +130,6 @@ TESTS = {
 # What goes with some modules alone, and is too slow for every mutant of a package; it runs first.
 MORE = {
     'imu_calib/bags/remote.py': ['remote_copy', 'remote'],
-    'imu_calib/segmentation/plateau.py': ['steady_rates'],
-    'imu_calib/segmentation/stillness.py': ['stillness'],
-    'imu_calib/segmentation/turns.py': ['steady_rates'],
     'imu_calib/methods/free_positions.py': ['free_fit'],
     'imu_calib/observation/arms.py': ['arms'],
     'imu_calib/observation/free.py': ['free_fit'],
@@ -185,6 +188,12 @@ def run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> tuple[bool, f
     return status == 0, used.ru_utime + used.ru_stime
 
 
+def naming_first(copy: Path, path: str, tests: Sequence[str]) -> list[str]:
+    """Return the tests in their order, but those that name a module before all others."""
+    module = path.removesuffix('.py').replace('/', '.')
+    return sorted(tests, key=lambda name: module not in (copy / f'test/test_{name}.py').read_text())
+
+
 def work(share: list, tests: list[str], ends: float, answers: multiprocessing.Queue) -> None:
     """Test a share of the mutants; None ends the answers, whatever happens."""
     try:
@@ -206,11 +215,12 @@ def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
         # By their contents: otherwise compiled files are told apart by the second only.
         by_hash = PycInvalidationMode.CHECKED_HASH
         compileall.compile_dir(copy, quiet=2, invalidation_mode=by_hash)
-        unchanged = {}  # how long each list of tests takes, s
+        unchanged = {}  # how long each set of tests takes, s
         for path, name, occurrence, line in share:
-            files = (*MORE.get(path, []), *tests)
-            if files not in unchanged:
-                sound, unchanged[files] = run_tests(copy, files, 600.0)
+            files = naming_first(copy, path, [*MORE.get(path, []), *tests])
+            alike = frozenset(files)
+            if alike not in unchanged:
+                sound, unchanged[alike] = run_tests(copy, files, 600.0)
                 if not sound:
                     print('The tests fail before anything is changed.', flush=True)
                     break
@@ -222,7 +232,7 @@ def test(share: list, tests: list[str], ends: float, answers: multiprocessing.Qu
             except AttributeError:
                 continue  # the name of an exception that has a dot in it
             (copy / path).write_text(changed)
-            lives, _ = run_tests(copy, files, SLOWER * unchanged[files] + MORE_S)
+            lives, _ = run_tests(copy, files, SLOWER * unchanged[alike] + MORE_S)
             (copy / path).write_text(source)
             text = changed.splitlines()[line - 1].strip()
             answers.put((lives, f'{path}:{line} {name.split("/")[1]}: {text}'))

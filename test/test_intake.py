@@ -400,6 +400,53 @@ def test_what_repeats_itself_often_does_so_by_chance() -> None:
     assert repeating_samples(values, counted=True).sum() >= 28
 
 
+def repeating(count: int, pairs: int, *runs: int) -> Floats:
+    """No two samples in a row are the same, but for so many pairs, and runs of repetitions."""
+    values = np.repeat(np.arange(float(count))[:, None], 6, axis=1)
+    for k in range(pairs):
+        values[2 * k + 1] = values[2 * k]
+    at = 2 * pairs + 1
+    for times in runs:
+        values[at : at + times + 1] = values[at]
+        at += times + 2
+    return values
+
+
+@pytest.mark.parametrize(('pairs', 'times'), [(0, 8), (5, 8), (6, 9)])
+def test_by_chance_samples_repeat_themselves_once_in_1e9_segments(pairs: int, times: int) -> None:
+    told = []
+    for count in range(24, 400):
+        found = repeating_samples(repeating(count, pairs, times), counted=True)
+        # Of the steps beside the run one more than its pairs, and two more than there are.
+        chance = (pairs + 1) / (count - 1 - times + 2)
+        frozen = count * chance**times <= 1e-9
+        assert found.sum() == (times if frozen else 0)
+        told.append(frozen)
+    assert set(told) == {True, False}
+
+
+def test_runs_are_judged_without_those_that_are_longer() -> None:
+    # Nine beside forty might be chance; without these they are not.
+    for runs in ((9, 40), (40, 9)):
+        assert repeating_samples(repeating(100, 0, *runs), counted=True).sum() == 49
+    # At least as many samples as repeat themselves do not.
+    for count, frozen in ((60, 0), (61, 30)):
+        assert repeating_samples(repeating(count, 0, 30), counted=True).sum() == frozen
+
+
+@pytest.mark.parametrize(('away', 'noisy'), [(32, True), (33, False)])
+def test_noise_is_looked_for_in_32_samples_before_and_after(away: int, noisy: bool) -> None:
+    for side in (-1, 1):
+        values = np.zeros((400, 6))
+        values[:, 0] = np.arange(400) % 2
+        values[200:231] = 5.0
+        # With 0, 1 and the other one four codes.
+        values[[200 - away, 199] if side < 0 else [231, 230 + away], 3] = [2.0, 3.0]
+        values[190 if side < 0 else 240, 3] = 4.0
+        assert repeating_samples(values, counted=True).sum() == 30
+        assert bool(repeating_samples(values, counted=False).any()) is noisy
+
+
 def test_codes_between_two_edges_are_not_frozen() -> None:
     for codes, frozen in ((3, False), (4, True)):
         values = np.zeros((400, 6))

@@ -205,6 +205,14 @@ def test_turns_have_the_name_of_the_position_whose_axis_is_up() -> None:
     assert [t.position for t in found.turns] != ['b']
 
 
+def test_turns_have_the_name_of_the_setpoint_in_their_middle() -> None:
+    # Each lasts two seconds.
+    setpoints = tuple(asked(t, n, Mode.RATE) for t, n in ((1, 'a'), (20.5, 'c'), (30.5, 'b')))
+    turns = tuple(turn(t, Y) for t in (18.0, 19.4, 19.6, 29.6))
+    found = label(session(turns=turns, setpoints=setpoints), plan(turns='b'), TABLE)
+    assert [t.position for t in found.turns] == ['a', 'a', 'c', 'b']
+
+
 def test_turns_at_one_rate_about_one_axis_are_numbered() -> None:
     turns = (turn(0, Z), turn(5, Z, 2.0), turn(9, Z), turn(12, -Z), turn(15, Z, -1.0))
     found = label(session(turns=turns), plan(), TABLE)

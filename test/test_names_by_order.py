@@ -158,6 +158,12 @@ def test_pieces_of_a_turn_are_one() -> None:
     assert [m.turned[0] for m in again] == [7.0]
 
 
+def test_a_piece_is_joined_to_the_last_turn() -> None:
+    pieces = [motion(0, 4.0 * X), motion(20, 2.0 * Y), motion(40, 1.0 * Y), motion(60, 3.0 * X)]
+    turned = [m.turned.tolist() for m in join_motions(pieces, [])]
+    assert turned == [[4.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 0.0, 0.0]]
+
+
 @pytest.mark.parametrize(
     ('start', 'parted'), [(9, False), (10, True), (15, True), (20, True), (21, False)]
 )

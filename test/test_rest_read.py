@@ -149,6 +149,21 @@ def test_a_step_leaves_the_longer_part(first: int) -> None:
     assert found.statistics.mean == pytest.approx(rows[used].mean(axis=0))
 
 
+@pytest.mark.parametrize(('burst', 'enough'), [(19, False), (20, True)])
+def test_a_second_is_left_beside_a_step(burst: int, enough: bool) -> None:
+    # Eight bursts, a quarter of a second apart: five lie before those beside the step.
+    kept = np.concatenate([k * (burst + 25) + np.arange(burst) for k in range(8)])
+    rows = rates(8 * burst)
+    rows[6 * burst :, 0] += 0.1
+    (found,) = read(rows, kept)
+    if enough:
+        assert isinstance(found, Segment)
+        assert found.statistics.samples == 5 * burst
+    else:
+        assert isinstance(found, Rejected)
+        assert found.reason.startswith('the unit was moved: the mean of gx steps by ')
+
+
 def test_a_shift_in_the_mount_parts_a_dwell() -> None:
     rows = rates(4000)
     rows[2000:2010, 2] += 0.5 * DEG / 0.1

@@ -110,6 +110,20 @@ def test_runs_between_gaps_count_by_their_variances() -> None:
     )
 
 
+def test_a_run_counts_by_its_noise_and_by_what_its_ends_leave() -> None:
+    increments, carried = noise(900), np.full(6, 2e-3)
+    rows = np.concatenate([np.arange(300), np.arange(400, 1000)])
+    found = statistics_at_rest(samples(increments, rows, carried=carried), WALK)
+    # 15 s and 30 s; a sixth of a pulse squared at the ends of each.
+    ends = np.array([1 / 15, 1 / 30]) ** 2 * 2e-3**2 / 6
+    precision = 1 / (np.outer(WALK**2, [1 / 15, 1 / 30]) + ends)
+    weights = precision / precision.sum(axis=1, keepdims=True)
+    means = [increments[:300].sum(axis=0) / 15, increments[300:].sum(axis=0) / 30]
+    assert found.mean == pytest.approx(weights[:, 0] * means[0] + weights[:, 1] * means[1])
+    assert found.walk_gain == pytest.approx(weights**2 @ [1 / 15, 1 / 30])
+    assert found.quantisation_variance == pytest.approx(weights**2 @ ends)
+
+
 def test_runs_shorter_than_half_a_block_say_nothing_of_the_noise() -> None:
     rows = np.concatenate([np.arange(900), np.arange(1000, 1099)])
     found = statistics_at_rest(samples(noise(999), rows), WALK)

@@ -330,8 +330,8 @@ def _largest_step(blocks: Floats, walk: float) -> _Step | None:
     difference = (total - sums) / after - sums / before
     score = np.abs(difference) / (np.sqrt(excess * (1 / before + 1 / after)) + _TINY)
     cut = int(np.argmax(score))
-    levels = np.where(np.arange(len(row)) <= cut, sums[cut] / before[cut], 0.0)
-    levels[cut + 1 :] = (total - sums[cut]) / after[cut]
+    first, second = sums[cut] / before[cut], (total - sums[cut]) / after[cut]
+    levels = np.where(np.arange(len(row)) <= cut, first, second)
     centred = middle - weights @ middle / weights.sum()
     line = total / weights.sum() + centred * (weights * centred @ row / (weights @ centred**2))
     return _Step(

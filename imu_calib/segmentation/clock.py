@@ -221,7 +221,7 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
 
     """
     if not samples:
-        return ClockFit(0.0, 0.0, float('nan'), 0.0, float('nan'), 0)
+        return NO_CLOCK
     time = np.array([s.time for s in samples])
     offset = np.array([s.offset for s in samples])
     pieces = _pieces(time, offset) + np.searchsorted(np.asarray(interruptions), time)
@@ -236,7 +236,7 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
     means = np.array([[x[pieces == p].mean() for p in range(k)] for x in (seconds, offset)])
     centred = seconds - means[0][pieces]
     spread = float(centred @ centred)
-    if n < _MOTIONS_FOR_RATE - 1 + k or spread == 0:
+    if n < _MOTIONS_FOR_RATE - 1 + k:
         std = float(np.std(offset, ddof=1) / np.sqrt(n)) if n > 1 else float('nan')
         return ClockFit(epoch, float(offset.mean()), std, 0.0, float('nan'), n)
     rate = float(centred @ offset) / spread

@@ -294,9 +294,7 @@ def rate_between(pulses: Floats, period: float, first: float, last: float, walk:
 
 def _faded(kappa: float, left: Floats) -> Floats:
     """Return sinh(kappa left) exp(-kappa left), and what is proportional to it without a walk."""
-    if kappa == 0:
-        return np.maximum(left, 0.0)
-    return np.asarray(-np.expm1(-2 * kappa * np.maximum(left, 0.0)))
+    return np.asarray(-np.expm1(-2 * kappa * left) if kappa > 0 else left)
 
 
 def _window_error(window: Floats, step: float, growth: float) -> float:

@@ -1,0 +1,183 @@
+"""What a session makes of motions, clocks and lost samples, one decision at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ideal import mean_of
+
+from imu_calib.imu import ImuSpec, TriadSpec
+from imu_calib.segmentation.bridging import Bridged
+from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, ShareSeen
+from imu_calib.segmentation.motion import Motion
+from imu_calib.segmentation.segment import Segment
+from imu_calib.segmentation.segmented import MountShift
+from imu_calib.segmentation.segmenter import Segmenter, clock_jumps, interruption
+from imu_calib.segmentation.statistics import Samples
+from imu_calib.stream import Floats, Units
+from imu_calib.turntable import Joint, Table
+
+START = 1_700_000_000 * 10**9  # 2023-11-14 22:13:20
+NS = 10**9
+SPEC = ImuSpec('any', Units.SI, None, TriadSpec(), TriadSpec())
+TABLE = Table('bench', (Joint('a', (1.0, 0.0, 0.0)), Joint('b', (0.0, 0.0, 1.0))))
+NONE = np.zeros(6)
+
+
+def reader() -> Segmenter:
+    return Segmenter(SPEC, TABLE)
+
+
+# Sentences
+
+
+def test_a_jump_is_said_that_is_a_tenth_of_a_millisecond_at_least() -> None:
+    jumps, least = (0.0502, -0.3, 0.002, 0.001), (0.99e-4, 1.01e-4, 0.0, 2e-4)
+    fit = ClockFit(0.0, 0.0, 0.0, 0.0, 0.0, 9, jumps, least)
+    assert clock_jumps(fit) == [
+        'The clocks of IMU and table jump by -0.3000 s against each other',
+        'The clocks of IMU and table jump by +0.0010 s against each other',
+    ]
+    assert clock_jumps(NO_CLOCK) == []
+
+
+def test_an_interruption_is_told_by_its_length_and_its_beginning() -> None:
+    assert interruption(START + 5 * NS, START + 7 * NS + 340_000_000) == (
+        'The IMU stream was interrupted: 2.3 s are missing, from 2023-11-14 22:13:25.000 UTC'
+    )
+
+
+def test_lost_samples_are_told_by_their_share() -> None:
+    held = reader()
+    held._intake.samples, held._lost = 17, 3
+    held._off_grid = {START + 9 * NS, START + 2 * NS}
+    held._interruptions = [(START, START + 2 * NS)]
+    assert held._losses() == (
+        '3 IMU samples are missing (15 %), a few at a time: what they counted is read from those '
+        'around them',
+        'The stamps of the IMU go on off their grid 2 time(s), first at 2023-11-14 22:13:22.000 '
+        'UTC: its clock was set, or it began to sample anew; what is before and after counts by '
+        'itself',
+        'The IMU stream was interrupted: 2.0 s are missing, from 2023-11-14 22:13:20.000 UTC',
+        'There are no joint states of table bench',
+    )
+
+
+def test_what_is_lost_counts_after_the_beginning_and_up_to_the_end() -> None:
+    stamp = np.arange(1, 9) * 100
+    samples = Samples(stamp, np.zeros((8, 6)), NONE, 1e-7, NONE)
+    whole = Bridged(samples, np.array([-1, 0, -1, -1, 1, 2, -1, -1]))
+    for start, end, lost in ((0, 900, 5), (100, 900, 4), (99, 700, 4), (100, 699, 2)):
+        held = reader()
+        held._note_lost(whole, start, end)
+        held._note_lost(whole, start, end)
+        assert held._lost == 2 * lost
+
+
+# Motions that the gyros did not see
+
+
+def beside(angles: list[float], times: list[float]) -> list[float]:
+    """Rests, each with a shock, around motions at 10, 20 and 30 s: the middles that are kept."""
+    held = reader()
+    held._seen_motions = [
+        (10.0 * NS * (k + 1), ShareSeen(*share))
+        for k, share in enumerate(zip(angles, times, strict=True))
+    ]
+    # The middle is what counts: each ends within a motion.
+    middles = [5, 15, 25, 35]
+    held._segments = [Segment((m - 6) * NS, (m + 6) * NS, mean_of(NONE)) for m in middles]
+    held._slips = [MountShift(m * NS, 0.1) for m in middles]
+    held._drop_unseen()
+    kept = [(s.start + s.end) / 2 / NS for s in held._segments]
+    assert [slip.instant / NS for slip in held._slips] == kept
+    gone = [(r.start // NS, r.end // NS) for r in held._rejected]
+    assert gone == [(m - 6, m + 6) for m in middles if m not in kept]
+    reason = (
+        'the gyros do not see the motion beside it that the joint states show '
+        '(clocks that jump, or are a second or so apart)'
+    )
+    assert {r.reason for r in held._rejected} <= {reason}
+    return kept
+
+
+@pytest.mark.parametrize(
+    ('angles', 'times', 'kept'),
+    [
+        ([1.2, 0.74, 1.2], [0.0, 0.74, 0.0], [5, 35]),
+        ([0.1, 1.2, 1.2], [0.0, 0.0, 0.0], [25, 35]),
+        ([1.2, 1.2, 0.1], [0.0, 0.0, 0.0], [5, 15]),
+        # Three quarters of the angle or of the time are seen.
+        ([1.2, 0.76, 1.2], [0.0, 0.0, 0.0], [5, 15, 25, 35]),
+        ([1.2, 0.1, 1.2], [0.0, 0.76, 0.0], [5, 15, 25, 35]),
+        # Where all are alike within a half, it is the scale factor.
+        ([1.0, 0.67, 1.0], [0.0, 0.0, 0.0], [5, 15, 25, 35]),
+        ([1.0, 0.66, 1.0], [0.0, 0.0, 0.0], [5, 35]),
+        ([0.1, 0.1, 0.1], [0.0, 0.0, 0.0], [5, 15, 25, 35]),
+        ([], [], [5, 15, 25, 35]),
+    ],
+)
+def test_rests_beside_a_motion_that_was_not_seen_do_not_count(
+    angles: list[float], times: list[float], kept: list[float]
+) -> None:
+    assert beside(angles, times) == kept
+
+
+# A motion during which the clock was set
+
+
+def left_out(period_ms: int, at: int, count: int = 100) -> list[int]:
+    """Rows that are left out where stamps go on 0.4 intervals late."""
+    late = np.where(np.arange(count) >= at, 0.4, 0.0)
+    stamp = START + np.rint((np.arange(count) + late) * period_ms * 1e6).astype(np.int64)
+    held = reader()
+    kept, values = held._apart_at_steps(stamp, np.arange(6.0 * count).reshape(count, 6))
+    gone = np.flatnonzero(~np.isin(stamp, kept)).tolist()
+    assert values[:, 0].tolist() == [6.0 * k for k in range(count) if k not in gone]
+    assert held._off_grid == ({int(stamp[at])} if gone else set())
+    return gone
+
+
+def test_around_a_step_of_the_clock_more_is_left_out_than_gaps_that_are_filled() -> None:
+    # Gaps of a tenth of a second are filled: half of it and one on either side.
+    assert left_out(10, 50) == list(range(44, 56))
+    assert left_out(20, 50) == list(range(47, 53))
+    assert left_out(10, 4) == list(range(10))
+    assert left_out(10, 100) == []
+
+
+# The clocks of table and IMU
+
+
+def compared(other: float, joint: int) -> Segmenter:
+    """A joint that turns by 1 rad within 2 s, and another one that turns by `other`."""
+    states = np.arange(0.0, 2.001, 0.02)
+    time = np.arange(-1.0, 3.0, 0.01)
+
+    def smooth(t: Floats) -> Floats:
+        part = np.clip(t / 2, 0, 1)
+        return np.asarray(part - np.sin(2 * np.pi * part) / (2 * np.pi))
+
+    position = np.zeros((len(states), 2))
+    position[:, joint], position[:, 1 - joint] = smooth(states), other * smooth(states)
+    stamp = START + np.rint(states * 1e9).astype(np.int64)
+    # The IMU's clock is 3 ms ahead.
+    imu = START + np.rint((time + 0.003) * 1e9).astype(np.int64)
+    rows = np.zeros((len(time), 6))
+    rows[:, 2 * joint] = np.diff(smooth(time), prepend=0.0)
+    held = reader()
+    motion = Motion(int(stamp[0]), int(stamp[-1]), stamp, position)
+    held._compare_clocks(motion, Samples(imu, rows, NONE, 0.01, NONE), TABLE)
+    return held
+
+
+@pytest.mark.parametrize('joint', [0, 1])
+def test_motions_of_one_joint_tell_how_far_clocks_are_apart(joint: int) -> None:
+    held = compared(0.0, joint)
+    (found,) = held._clock
+    assert found.offset == pytest.approx(0.003, abs=1e-5)
+    assert held._offset_ns == round(found.offset * 1e9)
+    # Of the others a hundredth of its travel.
+    assert len(compared(0.0099, joint)._clock) == 1
+    assert compared(0.0101, joint)._clock == []
+    assert compared(0.0101, joint)._offset_ns == 0

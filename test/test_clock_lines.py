@@ -1,0 +1,238 @@
+"""Offsets of two clocks by motions: lines with jumps, windows, and what gyros saw by cells."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import pytest
+
+from imu_calib.rotations import rotation
+from imu_calib.segmentation.clock import (
+    ClockSample,
+    ShareSeen,
+    _windows,
+    clock_sample,
+    fit_clock,
+    seen_by_gyros,
+)
+from imu_calib.segmentation.statistics import Samples
+from imu_calib.stream import Floats
+from imu_calib.units import DEG
+
+START = 1_700_000_000_000_000_000
+
+
+def motions(times: Floats, offsets: Floats) -> list[ClockSample]:
+    """One after the other: at s after the start, offsets in s."""
+    return [
+        ClockSample(START + 1e9 * time, offset) for time, offset in zip(times, offsets, strict=True)
+    ]
+
+
+# A line through the offsets
+
+
+TIMES = np.array([0.0, 50, 130, 200, 260, 350, 400, 470])
+OFF = 1e-3 * np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.0, 0.2, -0.1])
+
+
+def test_offsets_lie_on_a_line() -> None:
+    found = fit_clock(motions(TIMES, 0.02 + 2e-5 * TIMES + OFF))
+    # The stamps of today resolve 256 ns as doubles.
+    assert found.epoch == pytest.approx(START + 1e9 * TIMES.mean(), abs=300)
+    slope, level = np.polyfit(TIMES - TIMES.mean(), 0.02 + 2e-5 * TIMES + OFF, 1)
+    left = OFF - np.polyval(np.polyfit(TIMES, OFF, 1), TIMES)
+    scatter = sqrt(left @ left / 6)
+    assert found.motions == 8
+    assert found.offset == pytest.approx(level)
+    assert found.offset_std == pytest.approx(scatter / sqrt(8), rel=1e-6)
+    assert found.rate == pytest.approx(slope, rel=1e-6)
+    spread = ((TIMES - TIMES.mean()) ** 2).sum()
+    assert found.rate_std == pytest.approx(scatter / sqrt(spread), rel=1e-6)
+    assert (found.jumps, found.least_jumps) == ((), ())
+
+
+def test_where_offsets_jump_the_pieces_are_parallel() -> None:
+    piece = np.array([0, 0, 0, 1, 1, 1, 2, 2])
+    offsets = 0.02 + 2e-5 * TIMES + OFF + np.array([0.0, 0.5, 0.1])[piece]
+    found = fit_clock(motions(TIMES, offsets))
+    seconds = TIMES - TIMES.mean()
+    design = np.column_stack([*(piece == k for k in range(3)), seconds]).astype(float)
+    *levels, rate = np.linalg.solve(design.T @ design, design.T @ offsets)
+    left = offsets - design @ [*levels, rate]
+    scatter = sqrt(left @ left / (8 - 4))
+    assert found.rate == pytest.approx(rate, rel=1e-6)
+    assert found.offset == pytest.approx(offsets.mean())
+    assert found.offset_std == pytest.approx(scatter / sqrt(8), rel=1e-5)
+    covariance = scatter**2 * np.linalg.inv(design.T @ design)
+    assert found.rate_std == pytest.approx(sqrt(covariance[3, 3]), rel=1e-5)
+    assert found.jumps == pytest.approx(np.diff(levels))
+    # Student's law with four degrees of freedom passes 8.610 in one case of a thousand.
+    within = [
+        8.6103 * sqrt(covariance[k, k] + covariance[k + 1, k + 1] - 2 * covariance[k, k + 1])
+        for k in range(2)
+    ]
+    assert found.least_jumps == pytest.approx(np.abs(np.diff(levels)) - within, rel=1e-4)
+
+
+def test_a_jump_that_may_be_none_is_zero_at_least() -> None:
+    # An interruption parts the line where nothing jumps.
+    found = fit_clock(motions(TIMES, 0.02 + OFF), [START + 230 * 10**9])
+    (jump,) = found.jumps
+    assert 0 < abs(jump) < 2e-3
+    assert found.least_jumps == (0.0,)
+    twice = fit_clock(motions(TIMES, 0.02 + OFF), [START + t * 10**9 for t in (100, 300)])
+    assert len(twice.jumps) == 2
+    assert fit_clock(motions(TIMES, 0.02 + OFF), [START - 1, START + 471 * 10**9]).jumps == ()
+
+
+def test_as_many_motions_as_a_line_and_its_jumps_have_leave_no_rate() -> None:
+    two = fit_clock(motions(TIMES[:2], np.array([0.01, 0.03])), [START + 20 * 10**9])
+    assert (two.motions, two.rate) == (2, 0.0)
+    assert np.isnan(two.rate_std)
+    assert two.offset == pytest.approx(0.02)
+    assert two.offset_std == pytest.approx(0.02 / sqrt(2) / sqrt(2))
+    # The third stands alone behind an interruption: two are left.
+    at = [START + 90 * 10**9]
+    three = fit_clock(motions(TIMES[:3], np.array([0.01, 0.03, 0.05])), at)
+    assert (three.motions, three.rate) == (2, 0.0)
+    # Two pieces of two are three coefficients.
+    assert fit_clock(motions(TIMES[:4], np.array([0.01, 0.03, 0.05, 0.06])), at).rate != 0.0
+    assert fit_clock(motions(TIMES[:3], np.array([0.01, 0.011, 0.01]))).rate != 0.0
+    assert fit_clock([]).motions == 0
+
+
+@pytest.mark.parametrize(
+    ('offsets', 'jump', 'jumps'),
+    [
+        # Five milliseconds, where nothing scatters.
+        ([0.0] * 8, 0.0049, 0),
+        ([0.0] * 8, 0.0051, 1),
+        ([0.0] * 8, -0.0051, 1),
+        # To and fro by 1 ms: 12 * 1.4826 of it more.
+        ([0, 1, 0, -1, -1, 0, -1, 0, -1], 0.0227, 0),
+        ([0, 1, 0, -1, -1, 0, -1, 0, -1], 0.0229, 1),
+    ],
+)
+def test_a_jump_is_twelve_deviations_and_five_milliseconds(
+    offsets: list[float], jump: float, jumps: int
+) -> None:
+    times = 100.0 * np.arange(len(offsets))
+    behind = np.where(np.arange(len(offsets)) >= 4, jump, 0.0)
+    found = fit_clock(motions(times, 1e-3 * np.array(offsets) + behind))
+    assert len(found.jumps) == jumps
+
+
+def test_the_rate_between_motions_is_that_of_far_ones() -> None:
+    # A rate of 1e-4 goes on by 10 ms in 100 s; of motions a second apart scatter makes what it may.
+    times = np.array([0.0, 100, 101, 200, 201, 300, 301, 400])
+    offsets = 1e-4 * times
+    offsets[[2, 4, 6]] += 2e-3
+    assert fit_clock(motions(times, offsets)).jumps == ()
+    offsets[4:] += 0.08
+    assert len(fit_clock(motions(times, offsets)).jumps) == 1
+
+
+# Which samples of a motion tell the offset
+
+
+def test_of_a_long_motion_two_seconds_at_either_end_are_used() -> None:
+    time = np.arange(-3000, 13_000) / 1000
+
+    def used(duration: float) -> list[tuple[float, float]]:
+        return [(time[index[0]], time[index[-1]]) for index in _windows(time, duration)]
+
+    assert used(5.599) == [(-0.8, 6.399)]
+    assert used(5.7) == [(-0.8, 2.0), (3.7, 6.5)]
+    assert used(8.0) == [(-0.8, 2.0), (6.0, 8.8)]
+    # Four thousand are enough; two of an end are none.
+    (whole,) = _windows(time, 2.5)
+    assert np.diff(whole).tolist() == [1] * 4100
+    (half,) = _windows(np.arange(-3000, 13_000) / 2000, 2.5)
+    assert set(np.diff(half)) == {2}
+    assert len(_windows(np.arange(-3, 3) * 0.8, 8.0)) == 1
+    assert len(_windows(np.arange(-3, 11) * 0.8, 8.0)) == 2
+    assert len(_windows(np.arange(-3, 10) * 0.8, 8.0)) == 1
+
+
+def test_gyros_may_leave_a_fiftieth_of_a_motion() -> None:
+    time = np.arange(-1.0, 3.0, 0.01)
+    stamp = START + np.rint(time * 1e9).astype(np.int64)
+    joint = np.arange(0.0, 2.001, 0.02)
+    joint_stamp = START + np.rint(joint * 1e9).astype(np.int64)
+
+    def smooth(t: Floats) -> Floats:
+        part = np.clip(t / 2, 0, 1)
+        return np.asarray(part - np.sin(2 * np.pi * part) / (2 * np.pi))
+
+    # To and fro from one sample to the next, which no motion is.
+    own = smooth(time[(time >= -0.8) & (time <= 2.8)])
+    for share, told in ((0.0195, True), (0.0205, False)):
+        noise = share * np.std(own) * np.resize([1.0, -1.0], len(time))
+        found = clock_sample(stamp, smooth(time) + noise, joint_stamp, smooth(joint))
+        assert (found is not None) is told
+
+
+# How much of a motion the gyros saw
+
+
+def seen(ways: list[float], by_gyros: list[float], late: float = 0.0) -> ShareSeen | None:
+    """What is seen of a motion of these degrees in each tenth of a second, and by the gyros."""
+    joint = np.arange(2 * len(ways) + 1) * 0.05
+    angle = np.interp(joint, 0.1 * np.arange(len(ways) + 1), np.cumsum([0, *ways]))
+    attitudes = np.array([rotation(np.array([0.0, 1.0, 0.0]), a * DEG) for a in angle])
+    # Samples of 10 ms from 3 s before to 3 s after it.
+    increments = np.zeros((600 + 10 * len(ways), 6))
+    first = 300 + round(100 * late)
+    increments[first : first + 10 * len(ways), 2] = np.repeat(by_gyros, 10) * DEG / 10
+    time = 0.01 * np.arange(1, len(increments) + 1) - 3.0
+    stamp = START + np.rint(time * 1e9).astype(np.int64)
+    samples = Samples(stamp, increments, np.zeros(6), 0.01, np.zeros(6))
+    joint_stamp = START + np.rint(joint * 1e9).astype(np.int64)
+    return seen_by_gyros(samples, joint_stamp, attitudes)
+
+
+def test_shares_are_by_angle_and_by_cells() -> None:
+    found = seen([1.0] * 20, [1.0] * 5 + [0.0] * 5 + [1.0] * 10)
+    assert found is not None
+    # Gyros are read at the ends of cells that begin with their first sample.
+    assert found.angle == pytest.approx(0.75, abs=0.01)
+    assert found.time == pytest.approx(0.75, abs=0.051)
+
+
+@pytest.mark.parametrize(
+    ('way', 'seen_of_it', 'moving'),
+    [
+        # A quarter of the way or a degree per second, whichever is less.
+        (1.0, 0.08, False),
+        (1.0, 0.12, True),
+        (0.3, 0.070, False),
+        (0.3, 0.080, True),
+    ],
+)
+def test_gyros_see_a_cell_where_they_turn(way: float, seen_of_it: float, moving: bool) -> None:
+    found = seen([way] * 40, [seen_of_it] * 40)
+    assert found is not None
+    assert found.angle == pytest.approx(seen_of_it / way, abs=0.01)
+    # Where cells begin with the first sample, one lies at the end.
+    assert found.time == (pytest.approx(1.0, abs=0.051) if moving else 0.0)
+
+
+@pytest.mark.parametrize(('slow', 'share'), [(0.23, 1.0), (0.27, 0.5)])
+def test_cells_with_a_quarter_of_the_largest_way_count(slow: float, share: float) -> None:
+    found = seen([1.0] * 10 + [slow] * 10, [1.0] * 10 + [0.0] * 10)
+    assert found is not None
+    assert found.time == pytest.approx(share, abs=0.06)
+
+
+@pytest.mark.parametrize(('late', 'share'), [(1.0, 1.0), (-1.0, 1.0), (1.6, 0.7), (-1.6, 0.7)])
+def test_clocks_may_be_a_second_apart(late: float, share: float) -> None:
+    found = seen([1.0] * 20, [1.0] * 20, late)
+    assert found is not None
+    assert found.angle == pytest.approx(share, abs=0.01)
+
+
+def test_a_motion_of_a_tenth_of_a_radian_is_the_least() -> None:
+    assert seen([0.57] * 10, [0.57] * 10) is None
+    assert seen([0.58] * 10, [0.58] * 10) is not None

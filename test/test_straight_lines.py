@@ -1,0 +1,388 @@
+"""Plateaus by lines through encoder angles: each figure of a line against sums over its angles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imu_calib.segmentation.motion import Motion
+from imu_calib.segmentation.plateau import (
+    Plateau,
+    _bends,
+    _half_turns,
+    _Line,
+    _seeds,
+    _step,
+    _trimmed,
+    _variance,
+    _whole_turns,
+    find_plateaus,
+    find_turns,
+    why_none,
+)
+from imu_calib.stream import Floats
+from imu_calib.units import DEG
+
+LEAST = 1e-3 * DEG
+"""Departure that counts at least, rad."""
+
+
+# A line
+
+
+def test_a_line_is_the_one_of_least_squares() -> None:
+    time, angle = np.array([1.0, 2.0, 4.0, 5.0]), np.array([10.0, 13.0, 17.0, 20.0])
+    # About 3 s and 15 rad: -2, -1, 1, 2 s and -5, -2, 2, 5 rad; 24 rad s over 10 s^2.
+    line = _Line.through(time, angle, 0.0)
+    assert (line.count, line.time, line.spread, line.angle) == (4, 3.0, 10.0, 15.0)
+    assert line.slope == pytest.approx(2.4)
+    # It leaves -0.2, 0.4, -0.4, 0.2, of which two degrees of freedom remain.
+    assert line.noise == pytest.approx(sqrt(0.4 / 2))
+    assert line.slope_std == pytest.approx(sqrt(0.4 / 2 / 10))
+
+
+def test_two_angles_leave_nothing() -> None:
+    line = _Line.through(np.array([0.0, 2.0]), np.array([1.0, 2.0]), 0.0)
+    assert (line.slope, line.noise, line.slope_std, line.smoothed) == (0.5, 0.0, 0.0, 1)
+
+
+def zigzag(count: int, hz: float, noise: float) -> tuple[Floats, Floats]:
+    """Angles that stand, to and fro: their scatter is `noise` to a part in their number."""
+    return np.arange(count) / hz, noise * np.tile([1.0, -1.0], count // 2)
+
+
+@pytest.mark.parametrize(
+    ('hz', 'departures', 'step', 'smoothed'),
+    [
+        # So many that six times the noise of their mean is what counts, within 0.1 s.
+        (1000.0, 0.1, 0.0, 1),
+        (1000.0, 0.5, 0.0, 9),
+        (1000.0, 1.0, 0.0, 36),
+        (1000.0, 1.0, 2 * LEAST, 9),
+        (1000.0, 1.0, LEAST / 2, 36),
+        (1000.0, 3.0, 0.0, 100),
+        (100.0, 3.0, 0.0, 10),
+        (5.0, 3.0, 0.0, 1),
+    ],
+)
+def test_departures_are_averaged_until_the_noise_is_small(
+    hz: float, departures: float, step: float, smoothed: int
+) -> None:
+    line = _Line.through(*zigzag(10_000, hz, 1.0001 * departures * LEAST), step)
+    assert line.smoothed == smoothed
+
+
+@pytest.mark.parametrize(('share', 'in_time'), [(0.19, True), (0.21, False)])
+def test_a_line_in_time_with_the_steps_is_off_by_two_of_their_errors(
+    share: float, in_time: bool
+) -> None:
+    step = 1e-3
+    time, angle = zigzag(1000, 100.0, share * step)
+    found = _Line.through(time, angle, step)
+    white = _Line.through(time, angle, 0.0).slope_std
+    # Two of 1 / sqrt(12) of a step, over 9.99 s.
+    assert found.slope_std == pytest.approx(step / sqrt(6) / 9.99 if in_time else white)
+    assert white < 0.5 * step / sqrt(6) / 9.99
+
+
+LINE = _Line(9, 10.0, 50.0, 1.0, 0.5, 0.0, 0.0, 2e-3, 1)
+
+
+@pytest.mark.parametrize(('step', 'least'), [(0.0, LEAST), (LEAST / 2, LEAST), (1e-3, 1e-3)])
+@pytest.mark.parametrize('smoothed', [1, 4])
+def test_what_may_lie_off_by_chance_is_six_deviations_and_a_step(
+    step: float, least: float, smoothed: int
+) -> None:
+    line = replace(LINE, step=step, smoothed=smoothed)
+    found = line.limit(np.array([10.0, 15.0]))
+    # Noise of the angles, of the line's level, and of its slope 5 s away.
+    here, there = 1 / smoothed + 1 / 9, 1 / smoothed + 1 / 9 + 25 / 50
+    assert found == pytest.approx([0.012 * sqrt(part) + least for part in (here, there)])
+
+
+def test_a_departure_is_counted_in_limits() -> None:
+    time = np.array([8.0, 10.0, 12.0, 14.0])
+    off = np.array([0.03, -0.02, 0.0, 0.08])
+    found = LINE.departure(time, 1.0 + 0.5 * (time - 10.0) + off)
+    assert found == pytest.approx(np.abs(off) / LINE.limit(time))
+    # The mean of three, of two at either end.
+    three = replace(LINE, smoothed=3)
+    means = np.array([0.01 / 2, 0.01 / 3, 0.06 / 3, 0.08 / 2])
+    found = three.departure(time, 1.0 + 0.5 * (time - 10.0) + off)
+    assert found == pytest.approx(means / three.limit(time))
+
+
+def test_angles_whose_blocks_scatter_together_count_by_their_blocks() -> None:
+    # 16 blocks of 10: to and fro by 1 within, and their means to and fro by `common`.
+    def left(common: float, count: int = 165) -> Floats:
+        return np.resize([1.0, -1.0], count) + common * np.resize([1.0] * 10 + [-1.0] * 10, count)
+
+    # Ten times the mean square of 16 means, over 14 degrees of freedom.
+    assert _variance(left(1.0), 1.0) == pytest.approx(10 * 16 / 14)
+    # The chance of chi-square of 14 above 36.12 is a thousandth.
+    limit = sqrt(36.12 / 160)
+    assert _variance(left(limit * 1.001), 1.0) == pytest.approx(36.12 / 14, rel=3e-3)
+    assert _variance(left(limit * 0.999), 1.0) == 1.0
+    assert _variance(left(limit * 0.999), 0.9) > 2.5
+    # Two in a block at least, and noise at all.
+    assert _variance(np.full(31, 3.0), 1.0) == 1.0
+    assert _variance(np.full(32, 3.0), 1.0) == pytest.approx(2 * 9 * 16 / 14)
+    assert _variance(np.full(32, 3.0), 0.0) == 0.0
+
+
+# The step of an encoder
+
+
+@pytest.mark.parametrize(
+    ('angles', 'step'),
+    [
+        # Whole steps of 0.005 deg; six differences are enough, five are not.
+        ([0, 1, 2, 4, 7, 8, 10], 1.0),
+        ([0, 1, 2, 4, 7, 8], 0.0),
+        # The least difference may be two or three steps.
+        ([0, 2, 5, 7, 10, 12, 15], 1.0),
+        ([0, 3, 7, 10, 14, 17, 21], 1.0),
+        ([0, 4, 9, 13, 18, 22, 27], 0.0),
+        # Within a tenth of a step.
+        ([0, 1, 2, 4.09, 7, 8, 10], 1.0),
+        ([0, 1, 2, 4.2, 7, 8, 10], 0.0),
+        # Twenty times the least is not held against steps.
+        ([0, 1, 2, 4, 7, 8, 10, 31.5], 1.0),
+        ([0, 1, 2, 4, 7, 8, 10, 29.25], 0.0),
+        # The same reading again.
+        ([0, 1, 1 + 1e-5, 2, 4, 7, 8, 10], 1.0),
+        ([0, 1, 1 + 1.3e-5, 2, 4, 7, 8, 10], 0.0),
+    ],
+)
+def test_the_step_of_an_encoder_is_what_close_readings_differ_by(
+    angles: list[float], step: float
+) -> None:
+    found = _step(0.005 * DEG * np.array(angles)[::-1])
+    assert found == pytest.approx(0.005 * DEG * step, rel=2e-5)
+
+
+def test_a_step_is_smaller_than_0_02_degrees() -> None:
+    assert _step(0.0199 * DEG * np.arange(9)) == pytest.approx(0.0199 * DEG)
+    assert _step(0.0201 * DEG * np.arange(9)) == 0.0
+    assert _step(np.zeros(9)) == 0.0
+    assert _step(np.zeros(0)) == 0.0
+
+
+# Half turns
+
+
+def test_half_a_turn_is_looked_at_from_150_instants() -> None:
+    # A degree each: half a turn is 180 of them, from as many places as there are.
+    few = _half_turns(np.arange(301.0) * DEG * (1 + 1e-9))
+    first = np.unique((np.arange(150) * 300 / 149).astype(int))
+    assert few[:, 0].tolist() == [k for k in first if k + 180 <= 300]
+    assert (few[:, 1] - few[:, 0]).tolist() == [180] * len(few)
+    # The other way round, too.
+    assert _half_turns(-np.arange(301.0) * DEG * (1 + 1e-9)).tolist() == few.tolist()
+
+
+def test_where_angles_come_slowly_it_is_six_of_them() -> None:
+    found = _half_turns(np.arange(9.0) * 90.0 * DEG)
+    assert found.tolist() == [[0, 6], [1, 7], [2, 8], [3, 9]]
+    assert _half_turns(np.zeros(50)).shape == (0, 2)
+    assert _half_turns(np.arange(50) * DEG).shape == (0, 2)
+
+
+def legendre(x: Floats) -> Floats:
+    return np.column_stack([x**0, x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2])
+
+
+def test_a_bend_is_what_a_square_and_a_cube_have() -> None:
+    # Nine angles in as many cells, at times from 5 to 7 s; both parts of a polynomial.
+    x = np.linspace(-1.0, 1.0, 9)
+    angle = legendre(x) @ [3.0, 1.6, 0.03, 0.04]
+    scatter = np.random.default_rng(3).normal(0, 1e-3, 9)
+    time = np.concatenate([np.zeros(2), 6 + x])
+    ranges = np.array([[2, 11]])
+    clean, least = _bends(time, np.append([7.0, 9.0], angle), ranges, 9)
+    assert clean == pytest.approx([0.05])
+    assert least == pytest.approx([1e-4 * np.pi])
+    noisy, limit = _bends(time, np.append([7.0, 9.0], angle + scatter), ranges, 9)
+    design = legendre(x)
+    found = np.linalg.solve(design.T @ design, design.T @ (angle + scatter))
+    left = angle + scatter - design @ found
+    variances = np.diag(np.linalg.inv(design.T @ design))
+    assert noisy == pytest.approx([np.hypot(found[2], found[3])])
+    # Nine less four degrees of freedom.
+    std = sqrt(left @ left / 5) * sqrt(variances[2] + variances[3])
+    assert limit == pytest.approx([5 * std + 1e-4 * np.pi])
+
+
+def test_angles_are_averaged_in_cells() -> None:
+    # 20 angles in 8 cells, which begin at 0, 2, 5, 7, 10, 12, 15 and 17 of them.
+    rng = np.random.default_rng(4)
+    time, angle = np.arange(30.0) + rng.uniform(0, 0.5, 30), rng.uniform(0, 1, 30)
+    edges = [0, 2, 5, 7, 10, 12, 15, 17, 20]
+    both = []
+    for begin in (3, 10):
+        means = [
+            np.array([v[begin + a : begin + b].mean() for a, b in zip(edges, edges[1:])])  # noqa: B905, RUF007
+            for v in (time, angle)
+        ]
+        both.append(_bends(*means, np.array([[0, 8]]), 8))
+    found = _bends(time, angle, np.array([[3, 23], [10, 30]]), 8)
+    assert found[0] == pytest.approx([both[0][0][0], both[1][0][0]])
+    assert found[1] == pytest.approx([both[0][1][0], both[1][1][0]])
+
+
+def test_straight_half_turns_come_first_the_straightest_before_all() -> None:
+    # A degree at each instant, then slower and slower: the straight ones are listed by their bend.
+    time = np.arange(400.0)
+    angle = (time - np.where(time > 200, (time - 200) ** 2 / 1e3, 0.0)) * DEG
+    found = _seeds(time, angle)
+    assert found
+    bends = [float(_bends(time, angle, np.array([seed]), 64)[0][0]) for seed in found]
+    assert bends == sorted(bends)
+    # Of those before the bend all, of those behind it none.
+    assert {(k, k + 180) for k in range(20)} & {tuple(r) for r in _half_turns(angle).tolist()} <= {
+        *found
+    }
+    assert all(first < 200 for first, _ in found)
+
+
+# Plateaus
+
+
+def trapezoid(rate: float, ramp: float, steady: float, hz: float = 100.0) -> Motion:
+    """Two seconds at rest, `ramp` s to `rate` (deg/s), `steady` s at it, and to rest again."""
+    time = np.arange(0.0, 4.0 + 2 * ramp + steady, 1 / hz)
+    speed = rate * np.interp(
+        time, [2, 2 + ramp, 2 + ramp + steady, 2 + 2 * ramp + steady], [0, 1, 1, 0]
+    )
+    angle = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 / hz)]) * DEG
+    stamp = np.rint(time * 1e9).astype(np.int64) + 10**18
+    return Motion(0, 0, stamp, np.column_stack([0.1 * angle, angle]))
+
+
+def test_a_plateau_is_cut_where_a_ramp_would_not_show() -> None:
+    motion = trapezoid(30.0, 1.5, 20.0)
+    (found,) = find_plateaus(motion)
+    assert found.rate == pytest.approx(30.0 * DEG, rel=1e-7)
+    # A ramp of 20 deg/s^2 is off by 10 t^2 deg: by 0.001 deg after 0.01 s, by eight times as much
+    # after 0.028 s; as far back as from one to the other it is sure.
+    assert found.start == pytest.approx(3.5, abs=0.04)
+    assert found.end == pytest.approx(23.5, abs=0.04)
+    assert LEAST <= found.unseen < 1.3 * LEAST
+    assert 0 <= found.before <= 0.04
+    assert 0 <= found.after <= 0.04
+    assert found.turned == pytest.approx(
+        found.rate * (found.end - found.start + found.before + found.after)
+    )
+
+
+def test_what_leaves_a_line_is_cut_back_as_far_as_from_there_to_eight_limits() -> None:
+    # Off a line of rate 1 by more than one limit up to 4 s, and by more than eight up to 3 s;
+    # likewise from 16 s on and from 18 s on.
+    time = np.arange(0.0, 20.25, 0.5)
+    off = np.select([time <= 3, time <= 4, time < 16, time < 18], [9.5, 2.0, 0.0, 2.0], 9.5)
+    line = replace(LINE, count=1000, time=10.0, spread=1e9, angle=10.0, slope=1.0, noise=0.0)
+    angle = time + off * LEAST
+    first, last = int(np.searchsorted(time, 4.5)), int(np.searchsorted(time, 16.0))
+    found = _trimmed(line, time, angle, first, last)
+    assert found is not None
+    # From 4.5 s 1.5 s back to 3 s, from 15.5 s 2.5 s on to 18 s.
+    assert (found.before, found.after) == (1.5, 2.5)
+    assert (found.start, found.end) == (6.0, 13.0)
+    assert found.rate == pytest.approx(1.0)
+    assert found.unseen == pytest.approx(LEAST)
+    # No more than a quarter of it, where nothing near is so far off.
+    near = _trimmed(line, time, time, first, last)
+    assert near is not None
+    assert (near.before, near.after) == (11 / 4, 11 / 4)
+    # Six angles at least are left of it.
+    for count, told in ((10, False), (11, False), (12, True)):
+        assert (_trimmed(line, time, time, 8, 8 + count) is not None) is told
+
+
+@pytest.mark.parametrize('sense', [1, -1])
+def test_turns_lie_in_the_middle_of_what_is_sure(sense: int) -> None:
+    plateau = Plateau(4.0, 25.0, sense * 40 * DEG, 1e-6 * DEG, 0.5, 0.25, 1e-5)
+    found = _whole_turns(plateau, 2, 7e9)
+    assert found is not None
+    # 21 s at 40 deg/s are 840 deg: two turns of 9 s each, 1.5 s after it begins.
+    assert found.joint == 2
+    assert found.start == pytest.approx(12.5e9, abs=1.0)
+    assert found.seconds == pytest.approx(18.0)
+    assert found.angle == pytest.approx(sense * 4 * np.pi)
+    assert found.rate_error == pytest.approx(1e-6 / 40)
+    # Four fifths of the time beside them, less what clocks may be apart by.
+    assert found.spare == pytest.approx(0.8 * 1.5 - 0.05)
+
+
+def test_a_turn_that_fits_only_with_what_may_be_hidden_counts_by_it() -> None:
+    plateau = Plateau(4.0, 12.4, 40 * DEG, 3e-6 * DEG, 0.6, 0.4, 1e-4)
+    found = _whole_turns(plateau, 0, 0.0)
+    assert found is not None
+    # 8.4 of the 9 s: 0.6 of the second beside it, which is hidden by the square of that.
+    assert found.seconds == pytest.approx(9.0)
+    assert found.start == pytest.approx((4.0 - 0.6 * 0.6) * 1e9)
+    hidden = 2 * 1e-4 * 0.6**2 / (2 * np.pi)
+    assert found.rate_error == pytest.approx(np.hypot(3e-6 / 40, hidden))
+    assert found.spare == 0.0
+    # Beyond all that shows no departure there is none.
+    assert _whole_turns(replace(plateau, end=11.9), 0, 0.0) is None
+
+
+# Motions
+
+
+def test_turns_are_those_of_the_joint_that_turns_most() -> None:
+    motion = trapezoid(40.0, 1.0, 20.0)
+    (found,) = find_turns(motion)
+    assert (found.joint, found.angle) == (1, pytest.approx(4 * np.pi))
+    assert found.start == pytest.approx(1e18 + 4e9, abs=5e7)
+    swapped = replace(motion, position=-motion.position[:, ::-1])
+    (other,) = find_turns(swapped)
+    assert (other.joint, other.angle) == (0, pytest.approx(-4 * np.pi))
+    assert find_turns(replace(motion, stamp=motion.stamp[:0], position=motion.position[:0])) == []
+
+
+def test_a_plateau_may_fill_the_motion() -> None:
+    whole = trapezoid(40.0, 1.0, 20.0)
+    within = slice(310, 2290)
+    found = find_plateaus(
+        replace(whole, stamp=whole.stamp[within], position=whole.position[within])
+    )
+    assert [plateau.rate for plateau in found] == pytest.approx([40.0 * DEG])
+    # Nothing is off the line: nothing is cut away from it.
+    (plateau,) = found
+    assert (plateau.start, plateau.end) == (0.0, pytest.approx(19.79))
+    assert (plateau.before, plateau.after) == (0.0, 0.0)
+
+
+def joined(*motions: Motion) -> Motion:
+    """One after the other, each from where the one before has ended."""
+    stamp: list[Any] = [motions[0].stamp]
+    position: list[Any] = [motions[0].position]
+    for motion in motions[1:]:
+        stamp.append(motion.stamp - motion.stamp[0] + stamp[-1][-1] + 10_000_000)
+        position.append(motion.position + position[-1][-1])
+    return Motion(0, 0, np.concatenate(stamp), np.vstack(position))
+
+
+def test_plateaus_are_listed_as_they_follow_each_other() -> None:
+    both = joined(trapezoid(20.0, 1.0, 20.0), trapezoid(-60.0, 1.0, 8.0))
+    rates = [plateau.rate / DEG for plateau in find_plateaus(both)]
+    assert rates == pytest.approx([20.0, -60.0], rel=1e-6)
+
+
+def test_a_motion_without_a_turn_says_what_it_shows() -> None:
+    assert why_none(trapezoid(40.0, 5.0, 0.0)) == 'the joint states show no constant rate'
+    # Of two plateaus the one that turned further, however short it was: 250 deg and what of its
+    # ramps cannot be told from it.
+    two = joined(trapezoid(-50.0, 0.5, 5.0), trapezoid(20.0, 0.5, 10.0))
+    longest = max(plateau.turned for plateau in find_plateaus(two)) / DEG
+    assert longest == pytest.approx(250.0, abs=4.0)
+    assert why_none(two) == (
+        f'the joint states show 50 deg/s for {longest:.0f} deg, less than a whole turn: ramps '
+        'take the rest (more turns, a slower rate or faster ramps leave one)'
+    )
