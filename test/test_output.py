@@ -99,6 +99,23 @@ def test_a_calibration_is_a_document_and_people_read_stderr(
     assert again['parameters'] == result['parameters']
 
 
+def test_a_calibration_that_nobody_named_is_not_overwritten(
+    program: Program, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / 'calibration.yaml'
+    assert program('calibrate', folder / 'one')['result']['file'] == file.name
+    before = file.read_bytes()
+    said = program('calibrate', folder / 'two', code=2)['error']['message']
+    assert said == (
+        'calibration.yaml exists already: name another with -o, or give -o calibration.yaml to '
+        'overwrite it.'
+    )
+    assert file.read_bytes() == before
+    program('calibrate', folder / 'two', '-o', file.name)
+    assert file.read_bytes() != before
+
+
 def test_without_json_people_read_stdout(
     program: Program, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
