@@ -178,13 +178,13 @@ def test_a_ctrl_c_while_a_module_makes_its_dataclasses_is_exit_code_130(
 ) -> None:
     (tmp_path / 'interrupted_one.py').write_text("""
 import signal, sys
-from imu_calib.cli import info, main
+from imu_calib.cli import dispatch, info, main
 
 def interrupted(*_):
     exec('signal.raise_signal(signal.SIGINT)')
 
 # What a message needs is loaded: no module is loaded after the interruption.
-main.ERRORS.print('')
+dispatch.ERRORS.print('')
 info.topics = interrupted
 sys.exit(main.main(sys.argv[1:]))
 """)
@@ -259,3 +259,57 @@ def test_a_look_is_a_document(program: Program, folder: Path) -> None:
     assert [t['name'] for t in result['topics']] == ['/imu/pulses']
     assert len(result['inside']['rests']) == 30
     assert result['inside']['missing'] is None
+
+
+SHELL = ['-c', 'import sys; from imu_calib.cli.main import main; sys.exit(main())']
+"""A console script, as pip writes it."""
+
+
+@pytest.mark.parametrize('words', [['-m', 'imu_calib.cli.main'], SHELL])
+@pytest.mark.parametrize('module', ['argparse', 'rich.console', 'numpy', 'imu_calib.cli.info'])
+def test_a_ctrl_c_while_modules_load_is_a_sentence(
+    tmp_path: Path, words: list[str], module: str
+) -> None:
+    (tmp_path / 'sitecustomize.py').write_text(f"""
+import signal, sys
+
+class Interrupting:
+    @staticmethod
+    def find_spec(name, *_):
+        if name == {module!r}:
+            sys.meta_path.remove(Interrupting)
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupting)
+""")
+    places = {**os.environ, 'PYTHONPATH': os.pathsep.join(map(str, (tmp_path, CHECKOUT)))}
+    command = [sys.executable, *words, 'info', 'x', '--json']
+    ended = subprocess.run(command, env=places, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (130, 'imu-calib: interrupted\n')
+    assert json.loads(ended.stdout)['error'] == {'kind': 'interrupted', 'message': 'interrupted'}
+
+
+def test_who_has_read_enough_is_not_told_of_an_error(folder: Path) -> None:
+    command = [sys.executable, '-m', 'imu_calib.cli.main', 'info', str(folder / 'one')]
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        ended = subprocess.run(
+            command, stdout=writing, stderr=subprocess.PIPE, cwd=CHECKOUT, check=False
+        )
+        refused = subprocess.run(
+            [*command[:-1], 'nowhere'], stderr=writing, cwd=CHECKOUT, check=False
+        )
+    finally:
+        os.close(writing)
+    assert (ended.returncode, ended.stderr) == (0, b'')
+    # Without a reader of what went wrong the exit code still says it.
+    assert refused.returncode == 2
+
+
+def test_the_version_is_for_stdout(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(['--version'])
+    assert ended.value.code == 0
+    out, err = capsys.readouterr()
+    assert out.startswith('imu-calib ') and err == ''
