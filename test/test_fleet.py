@@ -174,7 +174,7 @@ def test_a_batch_gives_what_calibrate_gives(recordings: Path, done: Path) -> Non
         assert newest.read_text() == (done / row['calibration']).read_text()
     lost = found['broken.mcap']
     assert lost['status'] == 'failed' and lost['exit_code'] == 2
-    assert 'expected an mcap file' in lost['error']
+    assert 'is no recording of rosbag2' in lost['error']
     assert np.isnan(lost['K_gx'] or np.nan)
 
 

@@ -238,7 +238,7 @@ def test_what_is_no_sample_is_counted() -> None:
     )
     twice = only(imu, np.sort(np.append(np.arange(4000), [100, 300])))
     assert found(twice, joint()).losses == (
-        '2 samples left out for having come twice, the first at 2023-11-14 22:13:21.010 UTC',
+        '2 samples dropped as duplicates, the first at 2023-11-14 22:13:21.010 UTC',
     )
     back = imu.stamp.copy()
     back[200] -= 10**9

@@ -313,3 +313,29 @@ def test_the_version_is_for_stdout(capsys: pytest.CaptureFixture[str]) -> None:
     assert ended.value.code == 0
     out, err = capsys.readouterr()
     assert out.startswith('imu-calib ') and err == ''
+
+
+def test_what_is_no_calibration_file_is_said(
+    program: Program, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = folder / 'one'
+    for words in (
+        ['verify', folder / 'one.yaml', '--calibration', recording],
+        ['report', recording],
+    ):
+        assert main([*map(str, words)]) == 2
+        said = ' '.join(capsys.readouterr().err.split())
+        assert f'{recording} is a recording; expected a calibration file.' in said
+    imu = folder / 'wide.imu.yaml'
+    assert main(['report', str(imu)]) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert f"{imu} is no calibration file (the key 'format' is missing)." in said
+
+
+def test_tables_in_files_end_without_blanks_and_zeros_have_no_sign(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['compare', str(folder / 'one.yaml'), str(folder / 'one.yaml')]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line != line.rstrip()] == []
+    assert not any(re.search(r'[+-]0(\.0*)? ', line) for line in lines)

@@ -227,7 +227,7 @@ def says(capsys, *words):
 
 def test_what_cannot_be_gone_on_with_is_refused(tmp_path, capsys):
     assert 'there is no such folder' in says(capsys, '--resume', str(tmp_path / 'no'))
-    assert 'imu-calib stand has made' in says(capsys, '--resume', str(tmp_path))
+    assert 'holds no session of imu-calib stand' in says(capsys, '--resume', str(tmp_path))
     complete = ended(tmp_path / 'complete', finished=True, result=True)
     assert 'is complete; the result is' in says(capsys, '--resume', str(complete))
     failed = ended(tmp_path / 'failed', finished=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -25,6 +26,17 @@ class _Output(Console):
 
         """
         raise  # noqa: PLE0704 - called where it is handled
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does, but in files without the blanks that fill the last column up."""
+        if self.is_terminal or not any(isinstance(one, Table) for one in objects):
+            super().print(*objects, **options)
+            return
+        with self.capture() as shown:
+            super().print(*objects, **options)
+        lines = shown.get().split('\n')
+        self.file.write('\n'.join(line.rstrip() for line in lines))
+        self.file.flush()
 
 
 class _Errors(Console):
