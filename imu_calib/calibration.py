@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 _FORMAT = 1
 """Of calibration.yaml; others are refused."""
 
+_RECORDINGS = {'.mcap', '.db3', '.bag'}
+
 
 @dataclass(frozen=True, eq=False)
 class ResidualRow:
@@ -328,7 +330,7 @@ class Calibration:
             InputError: Unreadable, or no calibration.
 
         """
-        return cls.read(Section.load(user_path(path)))
+        return cls.read(calibration_section(path))
 
     @classmethod
     def read(cls, section: Section) -> Calibration:
@@ -460,6 +462,23 @@ def _read_covariance(
     else:
         covariance[np.ix_(known, known)] = 0.0
     return covariance
+
+
+def calibration_section(path: str | Path) -> Section:
+    """Read the mapping of a calibration file.
+
+    Raises:
+        InputError: Unreadable, a recording, or another file.
+
+    """
+    file = user_path(path)
+    inside = file.iterdir() if file.is_dir() else (file,)
+    if any(one.suffix in _RECORDINGS for one in inside):
+        raise InputError(f'{file} is a recording; expected a calibration file.')
+    section = Section.load(file)
+    if not section.has('format'):
+        raise InputError(f"{file} is no calibration file (the key 'format' is missing).")
+    return section
 
 
 def _read_terms(section: Section, letter: str) -> dict[Term, Floats]:

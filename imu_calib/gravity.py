@@ -10,10 +10,14 @@ import numpy as np
 
 from .budget import Share, Source
 from .calibration import Calibration
-from .earth import Site
+from .earth import MEASURED, Site, normal_gravity
 from .model import PRODUCTS, Parameter, ParameterKind, SensorModel
 from .stream import Floats
-from .units import PPM
+from .units import DEG, PPM
+
+_ANOMALY = 0.003
+"""Relative difference of a measured gravity from normal gravity that a place can have: 10 km of
+height, where nobody calibrates, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
 
 
 def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:
@@ -92,10 +96,30 @@ def same_place(calibration: Calibration, gravity: object, latitude_deg: object) 
 
 
 def _findings(calibration: Calibration, site: Site) -> list[str]:
-    if not (site.height_assumed and calibration.has_accelerometers):
+    if not calibration.has_accelerometers:
         return []
+    if not site.height_assumed:
+        return _of_another_place(site)
     return [
         'The height of the site was not stated and is taken as 0 m: gravity is known to '
         f'{site.gravity_doubt / PPM:.0f} ppm (1 sigma), and so are all K_a alike. State --height, '
         'or --gravity as measured.'
+    ]
+
+
+def _of_another_place(site: Site) -> list[str]:
+    """Say where a measured gravity is not that of the latitude."""
+    if site.gravity_source != MEASURED:
+        return []
+    south, here, north = (
+        normal_gravity(site.latitude + sign * site.latitude_std, site.height or 0.0)
+        for sign in (-1, 0, 1)
+    )
+    off = site.gravity / here - 1
+    if abs(off) <= _ANOMALY + abs(north - south) / (2 * here):
+        return []
+    return [
+        f'The stated gravity of {site.gravity:.4f} m/s^2 is {100 * off:+.2f} % off normal gravity '
+        f'at latitude {site.latitude / DEG:.2f} deg, {here:.4f} m/s^2: more than height and '
+        'gravity anomalies explain. Check --gravity and --latitude: K_a is wrong by as much.'
     ]

@@ -170,8 +170,8 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         raise NotStated(
             f'{where} does not say where it was taken: give --latitude in degrees, negative in the '
             'south; to a tenth is enough in the hand. Gravity follows from it, by which the '
-            'accelerometers are scaled, and the Earth rate. What else would do: for a unit in the '
-            'hand --gravity as measured there, in m/s^2.'
+            'accelerometers are scaled, and the Earth rate. Or, for a unit in the hand, --gravity '
+            'with the measured value.'
         )
     try:
         latitude = float(data[_LATITUDE]) * DEG

@@ -16,7 +16,7 @@ from imu_calib import calibrate
 from imu_calib import middleware as ros
 from imu_calib.bags import open_recording
 from imu_calib.calibration import Calibration
-from imu_calib.cli import main, stand_session
+from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.processes import Processes, private_network
 from imu_calib.middleware import messages
 from imu_calib.model import PARAMETER_NAMES
@@ -61,7 +61,7 @@ class Stand:
         self.folder = folder / 'stand'
         arguments = ['stand', str(plan or short_plan(folder)), '-o', str(self.folder), *options]
         self.parameters = stand_session.parameters(
-            main.build_parser().parse_args(arguments), self.folder
+            dispatch.build_parser().parse_args(arguments), self.folder
         )
         for name, more in changed.items():
             self.parameters[name] |= more

@@ -383,7 +383,11 @@ def test_a_foreign_sqlite_file(cli: CommandLine, tmp_path: Path) -> None:
 
 def test_a_text_file_by_the_name_of_a_recording(cli: CommandLine, tmp_path: Path) -> None:
     (tmp_path / 'notes.mcap').write_text('hello\n' * 100)
-    cli.refuses(2, r"notes.mcap starts with b'hello.*: expected an mcap", tmp_path / 'notes.mcap')
+    cli.refuses(
+        2,
+        r"notes.mcap is no recording of rosbag2 \(mcap or sqlite3\): it starts with b'hello",
+        tmp_path / 'notes.mcap',
+    )
 
 
 def test_a_folder_that_does_not_exist(cli: CommandLine, tmp_path: Path) -> None:
@@ -402,7 +406,7 @@ def test_an_output_folder_that_does_not_exist(cli: CommandLine, recorded: Path) 
     [
         (None, r'calibration.yaml: cannot be read|no such file'),
         ('- 1\n- 2\n', 'calibration.yaml: found a list, expected keys'),
-        (PLAN_TEXT, "calibration.yaml: the key 'format' is missing"),
+        (PLAN_TEXT, "calibration.yaml is no calibration file .the key 'format' is missing"),
         ('format: 1\nunits: pulses\nimu: [', 'calibration.yaml: not YAML'),
     ],
 )

@@ -72,7 +72,7 @@ def test_latitude_is_all_that_has_to_be_said(made: str) -> None:
     # 21 errors of one deviation: beyond four in one of 750 such units.
     assert np.abs(error).max() < 4
     said = ' '.join(found.findings)
-    assert 'taken for rad/s and m/s^2' in said and 'turned by hand in free positions' in said
+    assert 'rad/s and m/s^2 (REP 145) are assumed' in said and 'taken as free positions' in said
 
 
 def test_latitude_is_asked_for_with_why_and_what_else_would_do(
@@ -80,7 +80,9 @@ def test_latitude_is_asked_for_with_why_and_what_else_would_do(
 ) -> None:
     assert main(['calibrate', bag]) == 2
     text = capsys.readouterr().err.replace('\n', ' ')
-    assert re.search('give --latitude .* Gravity follows from it, .* --gravity as measured', text)
+    assert re.search(
+        'give --latitude .* Gravity follows from it, .* --gravity with the measured value', text
+    )
     gravity = str(Site.at(LATITUDE * DEG, HEIGHT).gravity)
     assert main(['calibrate', bag, '--gravity', gravity, '-o', str(tmp_path / 'c.yaml')]) == 0
     found = Calibration.load(tmp_path / 'c.yaml')

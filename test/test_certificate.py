@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -34,6 +35,7 @@ from imu_calib.config import Section
 from imu_calib.errors import InputError
 from imu_calib.imu import load_imu
 from imu_calib.model import PARAMETERS, TERMS
+from imu_calib.share import named_file
 
 EXAMPLE = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
 SCHEMA = CHECKOUT / 'test' / 'data' / 'dcc' / 'dcc.xsd'
@@ -178,9 +180,22 @@ def test_what_is_missing_is_named_with_its_clause_and_not_invented(
     assert rows(page)['customer'] == ['MISSING'] and rows(page)['received'] == ['MISSING']
     assert rows(page)['calibrated'] == ['2023-11-14'] and rows(page)['serial number'] == ['A1234']
     assert 'A &lt;lab&gt; &amp; sons' in page and '<lab>' not in page
-    capsys.readouterr()
+    assert 'Draft. Missing: number (7.8.2.1 d); ' in capsys.readouterr().out
     assert main([*command[:-1], str(tmp_path / 'd.xml'), '--draft']) == 2
     assert 'gaps have no place' in capsys.readouterr().err
+
+
+def test_the_commands_of_the_page_work_with_the_example_to_copy(
+    calibration: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr('imu_calib.api.certifying.pdf', str.encode)
+    calibration.save(tmp_path / 'calibration.yaml')
+    shutil.copy(EXAMPLE, tmp_path / 'my_certificate.yaml')
+    shutil.copy(named_file('imus', 'fog_medium'), tmp_path / 'my_imu.yaml')
+    page = (CHECKOUT / 'docs' / 'certificate.md').read_text(encoding='utf-8')
+    commands = re.findall('^    imu-calib (certificate .*)', page, re.MULTILINE)
+    assert [main(command.split()) for command in commands] == [0, 0, 0]
 
 
 def removed(document: Any, path: tuple[Any, ...]) -> Any:

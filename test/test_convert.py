@@ -95,7 +95,7 @@ def test_columns_without_a_heading_have_places_and_rows_may_have_a_rate(tmp_path
 
 
 def test_broken_rows_are_left_out_and_counted(tmp_path: Path) -> None:
-    rows = '1,9,0,0,0,0,1\n2,9,0,0\n3,,0,0,0,0,1\nend of file\n4,9,0,0,0,0,1\n'
+    rows = '.1,9,0,0,0,0,1\n.2,9,0,0\n.3,,0,0,0,0,1\nend of file\n.4,9,0,0,0,0,1\n'
     path = write(tmp_path / 'log.csv', ROW + rows)
     done = imu_calib.convert(
         path, tmp_path / 'out', stamp='t:s', gyro='wx,wy,wz:deg/s', accel='ax,ay,az:g'
@@ -105,6 +105,65 @@ def test_broken_rows_are_left_out_and_counted(tmp_path: Path) -> None:
         '2 lines of log.csv are no row of numbers; left out.',
         '1 rows hold no number in a column that is needed; left out.',
     )
+
+
+def logged(times: list[str]) -> str:
+    return ROW + ''.join(f'{time},9,0,0,0,0,1\n' for time in times)
+
+
+@pytest.mark.parametrize(
+    ('times', 'stamp', 'sentence'),
+    [
+        # Six digits of a time since 1970.
+        (
+            [f'{1.7e9 + k / 100:.6g}' for k in range(200)],
+            't:s',
+            r'log.csv: --stamp t:s: the time does not grow in 199 of 199 intervals between rows, '
+            r'first from 1700000000.000000 s to 1700000000.000000 s; at most 1% may be so. Name '
+            r'the column of the time, written with all its digits and in its order, or give --rate',
+        ),
+        ([f'{2 - k / 100:.2f}' for k in range(100)], 't:s', 'does not grow in 99 of 99 intervals'),
+        # Three of 199 of a time that else grows: 1.5 %.
+        (
+            [f'{0.5 if k in (60, 90, 120) else k / 100:.2f}' for k in range(200)],
+            't:s',
+            'does not grow in 3 of 199 intervals',
+        ),
+        (
+            [str(10_000 * k) for k in range(100)],
+            't:ns',
+            r'log.csv: --stamp t:ns: found 1e\+05 Hz, by the median of 99 intervals between rows; '
+            r'expected 2 Hz to 40 kHz, the rates of IMUs. In another unit, us would be 100 Hz.',
+        ),
+        ([str(10 * k) for k in range(100)], 't:s', 'found 0.1 Hz.*, ms would be 100 Hz.'),
+        ([str(10**10 * k) for k in range(100)], 't:ns', 'found 0.1 Hz.*Name the column of the'),
+    ],
+)
+def test_what_is_no_time_of_an_imu_is_refused(
+    times: list[str], stamp: str, sentence: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=sentence):
+        converted(write(tmp_path / 'log.csv', logged(times)), stamp=stamp)
+    assert not (tmp_path / 'log.out').exists()
+
+
+def test_a_row_that_was_written_twice_is_no_reason(tmp_path: Path) -> None:
+    times = [f'{(k - (k == 50)) / 100:.2f}' for k in range(200)]
+    assert len(converted(write(tmp_path / 'log.csv', logged(times))).stamp) == 200
+
+
+def test_rate_and_duration_of_what_was_written_are_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path / 'log.csv', logged([f'{k / 100:.2f}' for k in range(1001)]))
+    columns = ['--stamp', 't:s', '--gyro', 'wx,wy,wz:deg/s', '--accel', 'ax,ay,az:g']
+    out = tmp_path / 'out'
+    assert main(['convert', str(path), '-o', str(out), *columns]) == 0
+    said = '1001 messages on /imu/data_raw in 10.0 s, 100 Hz, written to'
+    assert said in capsys.readouterr().out
+    columns[:2] = ['--rate', '0.1 Hz']
+    assert main(['convert', str(path), '-o', str(tmp_path / 'other'), *columns]) == 2
+    assert '--rate 0.1 Hz: expected 2 Hz to 40 kHz' in capsys.readouterr().err
 
 
 def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
@@ -122,7 +181,7 @@ def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
     ('text', 'stated', 'sentence'),
     [
         ('', {}, 'holds no lines'),
-        (ROW, {}, 'no line of it holds 7 numbers'),
+        (ROW, {}, 'log.csv: no row of numbers found'),
         (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wy:deg/s'}, r'expected NAME,NAME,NAME:UNIT'),
         (ROW + '1,2,3,4,5,6,7\n', {'gyro': 'wx,wy,wz:furlong'}, 'the unit one of rad/s'),
         (ROW + '1,2,3,4,5,6,7\n', {'accel': 'a,b,c:g'}, "no column 'a'; it has: t, wx, wy"),
@@ -263,7 +322,7 @@ def test_a_wrong_option_leaves_nothing_behind(
 
 
 def test_names_of_joints_may_stand_apart(tmp_path: Path) -> None:
-    text = ROW.replace('az', 'az,outer,inner') + '1,2,3,4,5,6,7,90,180\n2,2,3,4,5,6,7,90,180\n'
+    text = ROW.replace('az', 'az,outer,inner') + '1,2,3,4,5,6,7,90,180\n1.1,2,3,4,5,6,7,90,180\n'
     converted(write(tmp_path / 'log.csv', text), joints='outer, inner : deg')
     joints = imu_calib.read(tmp_path / 'log.out', '/turntable/joint_states')
     assert joints['position.inner'] == pytest.approx([np.pi] * 2)

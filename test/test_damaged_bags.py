@@ -106,12 +106,12 @@ def samples_until(seconds):
 @pytest.mark.parametrize(
     ('name', 'content', 'sentence'),
     [
-        ('a.mcap', b'', 'a.mcap is empty: expected an mcap file'),
+        ('a.mcap', b'', 'a.mcap is no recording of rosbag2 (mcap or sqlite3): it is empty'),
         ('a.db3', b'', 'a.db3 is empty: expected a sqlite3 file'),
-        ('a.mcap', b'just some text\n' * 9, "starts with b'just som': expected an mcap file"),
+        ('a.mcap', b'just some text\n' * 9, "(mcap or sqlite3): it starts with b'just som'"),
         ('a.mcap', b'\x89MCAP0\r\n', 'no topics'),
         ('a.db3', b'SQLite format 3\0' + bytes(500), 'not a sound sqlite3 file'),
-        ('a.mcap.zstd', b'\x28\xb5\x2f\xfdgarbage', 'is empty: expected an mcap file'),
+        ('a.mcap.zstd', b'\x28\xb5\x2f\xfdgarbage', '(mcap or sqlite3): it is empty'),
     ],
 )
 def test_files_that_are_no_recording_get_a_sentence(tmp_path, name, content, sentence):

@@ -9,9 +9,11 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -172,7 +174,7 @@ def test_a_batch_gives_what_calibrate_gives(recordings: Path, done: Path) -> Non
         assert newest.read_text() == (done / row['calibration']).read_text()
     lost = found['broken.mcap']
     assert lost['status'] == 'failed' and lost['exit_code'] == 2
-    assert 'expected an mcap file' in lost['error']
+    assert 'is no recording of rosbag2' in lost['error']
     assert np.isnan(lost['K_gx'] or np.nan)
 
 
@@ -441,6 +443,41 @@ def test_one_corrupt_recording_of_twenty_costs_its_own_row(
     assert lost['recording'] == str(damaged) and lost['exit_code'] in {1, 2} and lost['sha256']
     again = run_batch(jobs, kept, Engine(workers=1))
     assert (again.calibrated, again.failed, again.known) == (0, 0, 20)
+
+
+def test_a_batch_done_before_still_says_what_failed(
+    recordings: Path, done: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 1
+    out, err = capsys.readouterr()
+    assert '0 calibrated, 0 failed, 4 done before (1 failed)' in out
+    assert '1 without a calibration; imu-calib catalogue' in err.replace('\n', ' ')
+
+
+def test_a_batch_that_is_interrupted_says_at_once_what_becomes_of_it(
+    recordings: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    said_before_the_workers_ended = []
+
+    @contextmanager
+    def workers(_: Engine) -> Iterator[object]:
+        try:
+            yield SimpleNamespace(dashboard_link='')
+        finally:
+            said_before_the_workers_ended.append(capsys.readouterr().err)
+
+    def interrupted(*_: object) -> Iterator[object]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Engine, 'connected', workers)
+    monkeypatch.setattr('imu_calib.fleet.running.outcomes', interrupted)
+    assert main(['batch', str(recordings), '-o', str(tmp_path / 'c')]) == 130
+    assert 'Ending the workers' in said_before_the_workers_ended[0]
+    assert 'What was done is kept.' in said_before_the_workers_ended[0]
+    assert 'imu-calib batch: interrupted' in capsys.readouterr().err
 
 
 def test_no_scheduler_gets_a_sentence(

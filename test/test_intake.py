@@ -189,7 +189,7 @@ def test_rows_that_came_twice_are_counted_across_blocks() -> None:
     intake.take_imu(imu(3, 4, value=6.0))
     intake.take_imu(imu())
     assert intake.losses() == [
-        '2 samples left out for having come twice, the first at 2.000 s',
+        '2 samples dropped as duplicates, the first at 2.000 s',
         '1 samples left out for stamps that jump or stand still, the first at 3.000 s',
     ]
     intake.finish()

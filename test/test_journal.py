@@ -102,7 +102,7 @@ def test_what_a_killed_session_flushed_is_gone_on_with(tmp_path: Path) -> None:
     logged, counted = held(folder)[IMU]
     assert counted.tolist() == list(range(10))
     assert logged[5:].tolist() == list(range(EPOCH + NS, EPOCH + NS + 5))
-    with pytest.raises(InputError, match='a session that is finished; name another folder'):
+    with pytest.raises(InputError, match='a completed session; choose another folder'):
         Journal(folder, SESSION, NAMES)
 
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from loopback import CHECKOUT, environment
 
-from imu_calib.cli import main, stand_session
+from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.processes import free_port
 from imu_calib.errors import ImuCalibError
 from imu_calib.rotations import rotation
@@ -110,7 +110,7 @@ def test_parameter_files_hold_what_the_nodes_declare(declared, name):
 
 
 def test_a_launched_stand_waits_as_long_as_that_of_the_command_line(tmp_path):
-    arguments = main.build_parser().parse_args(['stand', 'twelve_position'])
+    arguments = dispatch.build_parser().parse_args(['stand', 'twelve_position'])
     expected = stand_session.parameters(arguments, tmp_path)['turntable_node']
     text = (CHECKOUT / 'config' / 'nodes' / 'simulated_stand.yaml').read_text()
     given = yaml.safe_load(text)['/**/turntable_node']['ros__parameters']

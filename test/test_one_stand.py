@@ -195,15 +195,32 @@ def test_a_second_without_samples_is_an_interruption() -> None:
     assert found(parts[0], parts[1], joint()).losses == session.losses
 
 
+@pytest.mark.parametrize('count', [3, 4])
+def test_many_interruptions_are_counted(count: int) -> None:
+    imu = unit()
+    time = when(imu)
+    lost = np.zeros(len(time), bool)
+    for k in range(count):
+        lost |= (time > 3.005 + 5 * k) & (time < 4.995 + 5 * k)
+    losses = found(only(imu, ~lost), joint()).losses
+    if count == 3:
+        assert [one.partition(':')[0] for one in losses] == ['The IMU stream was interrupted'] * 3
+        return
+    assert losses == (
+        'The IMU stream has 4 interruptions, 8.0 s in all, the first at 2023-11-14 22:13:23.000 '
+        'UTC',
+    )
+
+
 def test_a_clock_that_was_set_parts_a_rest() -> None:
     imu = unit()
     later = imu.stamp + 4_000_000 * (when(imu) > 22)
     session = found(replace(imu, stamp=later), joint())
     assert rests(session)[1:3] == [(20.19, 22.0), (22.014, 24.754)]
     assert session.losses == (
-        'The stamps of the IMU go on off their grid 1 time(s), first at 2023-11-14 22:13:42.014 '
-        'UTC: its clock was set, or it began to sample anew; what is before and after counts by '
-        'itself',
+        'The stamps of the IMU are offset from the sampling grid 1 time(s), first at 2023-11-14 '
+        '22:13:42.014 UTC: its clock was set, or it began to sample anew; what is before and after '
+        'counts by itself',
     )
     turning = found(replace(imu, stamp=imu.stamp + 4_000_000 * (when(imu) > 10)), joint())
     assert 'first at 2023-11-14 22:13:30.014 UTC' in turning.losses[0]
@@ -221,7 +238,7 @@ def test_what_is_no_sample_is_counted() -> None:
     )
     twice = only(imu, np.sort(np.append(np.arange(4000), [100, 300])))
     assert found(twice, joint()).losses == (
-        '2 samples left out for having come twice, the first at 2023-11-14 22:13:21.010 UTC',
+        '2 samples dropped as duplicates, the first at 2023-11-14 22:13:21.010 UTC',
     )
     back = imu.stamp.copy()
     back[200] -= 10**9

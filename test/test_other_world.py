@@ -196,7 +196,7 @@ def test_a_clock_that_is_set_within_a_dwell_puts_no_parameter_off(
     result = fed(World(), MEDIUM).review().result
     assert result is not None
     assert np.abs(errors(result.calibration, MEDIUM)).max() < 3.5
-    assert any('go on off their grid' in one for one in result.calibration.findings)
+    assert any('are offset from the sampling grid' in one for one in result.calibration.findings)
 
 
 def stop(outer: float, middle: float, inner: float, *rates: float, turning: int = 0) -> Stop:

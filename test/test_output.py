@@ -99,6 +99,23 @@ def test_a_calibration_is_a_document_and_people_read_stderr(
     assert again['parameters'] == result['parameters']
 
 
+def test_a_calibration_that_nobody_named_is_not_overwritten(
+    program: Program, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / 'calibration.yaml'
+    assert program('calibrate', folder / 'one')['result']['file'] == file.name
+    before = file.read_bytes()
+    said = program('calibrate', folder / 'two', code=2)['error']['message']
+    assert said == (
+        'calibration.yaml exists already: name another with -o, or give -o calibration.yaml to '
+        'overwrite it.'
+    )
+    assert file.read_bytes() == before
+    program('calibrate', folder / 'two', '-o', file.name)
+    assert file.read_bytes() != before
+
+
 def test_without_json_people_read_stdout(
     program: Program, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,13 +178,13 @@ def test_a_ctrl_c_while_a_module_makes_its_dataclasses_is_exit_code_130(
 ) -> None:
     (tmp_path / 'interrupted_one.py').write_text("""
 import signal, sys
-from imu_calib.cli import info, main
+from imu_calib.cli import dispatch, info, main
 
 def interrupted(*_):
     exec('signal.raise_signal(signal.SIGINT)')
 
 # What a message needs is loaded: no module is loaded after the interruption.
-main.ERRORS.print('')
+dispatch.ERRORS.print('')
 info.topics = interrupted
 sys.exit(main.main(sys.argv[1:]))
 """)
@@ -242,3 +259,83 @@ def test_a_look_is_a_document(program: Program, folder: Path) -> None:
     assert [t['name'] for t in result['topics']] == ['/imu/pulses']
     assert len(result['inside']['rests']) == 30
     assert result['inside']['missing'] is None
+
+
+SHELL = ['-c', 'import sys; from imu_calib.cli.main import main; sys.exit(main())']
+"""A console script, as pip writes it."""
+
+
+@pytest.mark.parametrize('words', [['-m', 'imu_calib.cli.main'], SHELL])
+@pytest.mark.parametrize('module', ['argparse', 'rich.console', 'numpy', 'imu_calib.cli.info'])
+def test_a_ctrl_c_while_modules_load_is_a_sentence(
+    tmp_path: Path, words: list[str], module: str
+) -> None:
+    (tmp_path / 'sitecustomize.py').write_text(f"""
+import signal, sys
+
+class Interrupting:
+    @staticmethod
+    def find_spec(name, *_):
+        if name == {module!r}:
+            sys.meta_path.remove(Interrupting)
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupting)
+""")
+    places = {**os.environ, 'PYTHONPATH': os.pathsep.join(map(str, (tmp_path, CHECKOUT)))}
+    command = [sys.executable, *words, 'info', 'x', '--json']
+    ended = subprocess.run(command, env=places, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (130, 'imu-calib: interrupted\n')
+    assert json.loads(ended.stdout)['error'] == {'kind': 'interrupted', 'message': 'interrupted'}
+
+
+def test_who_has_read_enough_is_not_told_of_an_error(folder: Path) -> None:
+    command = [sys.executable, '-m', 'imu_calib.cli.main', 'info', str(folder / 'one')]
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        ended = subprocess.run(
+            command, stdout=writing, stderr=subprocess.PIPE, cwd=CHECKOUT, check=False
+        )
+        refused = subprocess.run(
+            [*command[:-1], 'nowhere'], stderr=writing, cwd=CHECKOUT, check=False
+        )
+    finally:
+        os.close(writing)
+    assert (ended.returncode, ended.stderr) == (0, b'')
+    # Without a reader of what went wrong the exit code still says it.
+    assert refused.returncode == 2
+
+
+def test_the_version_is_for_stdout(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(['--version'])
+    assert ended.value.code == 0
+    out, err = capsys.readouterr()
+    assert out.startswith('imu-calib ') and err == ''
+
+
+def test_what_is_no_calibration_file_is_said(
+    program: Program, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = folder / 'one'
+    for words in (
+        ['verify', folder / 'one.yaml', '--calibration', recording],
+        ['report', recording],
+    ):
+        assert main([*map(str, words)]) == 2
+        said = ' '.join(capsys.readouterr().err.split())
+        assert f'{recording} is a recording; expected a calibration file.' in said
+    imu = folder / 'wide.imu.yaml'
+    assert main(['report', str(imu)]) == 2
+    said = ' '.join(capsys.readouterr().err.split())
+    assert f"{imu} is no calibration file (the key 'format' is missing)." in said
+
+
+def test_tables_in_files_end_without_blanks_and_zeros_have_no_sign(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['compare', str(folder / 'one.yaml'), str(folder / 'one.yaml')]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line != line.rstrip()] == []
+    assert not any(re.search(r'[+-]0(\.0*)? ', line) for line in lines)

@@ -18,7 +18,7 @@ from imu_calib import calibrate
 from imu_calib.bags import Journal, open_recording
 from imu_calib.calibration import Calibration
 from imu_calib.cdr import Kind, Messages, encode_imu
-from imu_calib.cli import main, resume
+from imu_calib.cli import dispatch, main, resume
 from imu_calib.errors import ImuCalibError, InputError
 from imu_calib.sequencing import Phase, Rules
 from imu_calib.share import named_file
@@ -198,7 +198,7 @@ def test_free_positions_in_a_simulated_hand_go_on_too(tmp_path):
 
 def ended(folder, *, finished, result=False):
     """Write a folder as a stand leaves it."""
-    arguments = main.build_parser().parse_args(['stand', 'twelve_position', '-o', str(folder)])
+    arguments = dispatch.build_parser().parse_args(['stand', 'twelve_position', '-o', str(folder)])
     folder.mkdir()
     arguments.imu, arguments.truth = 'fog_medium', 'cao2022_table1'
     resume.keep(arguments, folder)
@@ -227,7 +227,7 @@ def says(capsys, *words):
 
 def test_what_cannot_be_gone_on_with_is_refused(tmp_path, capsys):
     assert 'there is no such folder' in says(capsys, '--resume', str(tmp_path / 'no'))
-    assert 'imu-calib stand has made' in says(capsys, '--resume', str(tmp_path))
+    assert 'holds no session of imu-calib stand' in says(capsys, '--resume', str(tmp_path))
     complete = ended(tmp_path / 'complete', finished=True, result=True)
     assert 'is complete; the result is' in says(capsys, '--resume', str(complete))
     failed = ended(tmp_path / 'failed', finished=True)
@@ -258,7 +258,7 @@ def test_a_real_stand_goes_on_with_its_own_settings_at_another_port(tmp_path):
     (folder / 'settings' / 'device.yaml').write_text('name: mine')
     for words, port in ([], '/dev/ttyUSB0'), (['--port', '/dev/ttyUSB1'], '/dev/ttyUSB1'):
         given = ['stand', '--resume', str(folder), *words]
-        arguments = main.build_parser().parse_args(given)
+        arguments = dispatch.build_parser().parse_args(given)
         assert resume.restore(arguments) == folder
         assert (arguments.port, arguments.latitude) == (port, 48.0)
         assert arguments.plan == str(folder / 'settings' / 'plan.yaml')

@@ -35,7 +35,7 @@ from ros_stands import (
 from test_interop import has_wheel
 
 from imu_calib.calibration import Calibration
-from imu_calib.cli import main, stand_session
+from imu_calib.cli import dispatch, stand_session
 from imu_calib.cli.processes import free_port
 
 pytestmark = NEEDS_ROS
@@ -126,7 +126,7 @@ def test_what_ros_recorded_reprocessed_is_the_live_result(session):
 def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
     folder = tmp_path / 'stand'
     words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--latitude', str(LATITUDE)]
-    parameters = stand_session.parameters(main.build_parser().parse_args(words), folder)
+    parameters = stand_session.parameters(dispatch.build_parser().parse_args(words), folder)
     parameters['turntable_node'] |= {'autostart': False, 'supervised': False}
     parameters['stand_node']['speed'] = 2.0
     folder.mkdir()
@@ -177,7 +177,7 @@ def test_the_stand_passes_its_launch_test(tmp_path):
 def test_nodes_on_both_runtimes_make_one_stand(on_ros, tmp_path):
     folder = tmp_path / 'stand'
     words = ['stand', str(short_plan(tmp_path)), '-o', str(folder), '--latitude', str(LATITUDE)]
-    parameters = stand_session.parameters(main.build_parser().parse_args(words), folder)
+    parameters = stand_session.parameters(dispatch.build_parser().parse_args(words), folder)
     folder.mkdir()
     net = Network(tmp_path)
     library = next((PACKAGE / 'lib').glob('python3*/site-packages'))

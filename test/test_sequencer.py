@@ -356,7 +356,7 @@ def test_a_table_that_moves_while_it_is_to_stand_is_stopped():
 
 def test_a_table_that_stops_short_of_its_goal_is_said():
     stand = Stand(servo_error=0.3 * DEG).started()
-    pauses(stand, 'off its goal', '0.01 deg counts as there')
+    pauses(stand, 'off its goal', r'tolerance 0.01 deg')
 
 
 def test_a_table_that_is_told_to_hold_and_moves_is_said():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from imu_calib.cli import main, processes, several
+from imu_calib.cli import dispatch, main, processes, several
 from imu_calib.cli.words import Words
 from imu_calib.errors import InputError, NotObservable
 from imu_calib.imu import load_imu
@@ -117,7 +117,7 @@ def test_a_stand_that_ends_without_a_result_says_why(file, tmp_path, monkeypatch
     stand_session = pytest.importorskip('imu_calib.cli.stand_session')
     words = ['stand', 'twelve_position', '-o', str(tmp_path / 'stand')]
     words += ['--imus', file({}, {})] if several_units else []
-    arguments = main.build_parser().parse_args(words)
+    arguments = dispatch.build_parser().parse_args(words)
     (tmp_path / 'stand').mkdir()
     ended = processes.Outcome(False, 'The table has stopped.', 0.0)
     monkeypatch.setattr(stand_session, '_session', lambda *_: ended)

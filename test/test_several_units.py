@@ -212,6 +212,16 @@ def test_topics_that_do_not_say_whose_they_are_are_refused_with_both_ways_on(
     assert '--imus' in capsys.readouterr().err
 
 
+def test_a_folder_of_calibrations_that_nobody_named_is_not_written_into(
+    session, units, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'calibrations').mkdir()
+    assert main(['calibrate', str(session), '--imus', str(units)]) == 2
+    assert 'calibrations exists already: name another with -o' in capsys.readouterr().err
+    assert not list((tmp_path / 'calibrations').iterdir())
+
+
 @pytest.mark.parametrize('option', ['--imu', '--serial', '--imu-topic'])
 def test_what_the_file_of_the_units_states_is_refused_beside_it(session, units, capsys, option):
     arguments = ['--imus', str(units), option, 'fog_medium']

@@ -16,7 +16,7 @@ import pytest
 from loopback import CHECKOUT, until
 from test_devices import NS, frame
 
-from imu_calib.cli import listening, main, stand_session
+from imu_calib.cli import dispatch, listening, main, stand_session
 from imu_calib.cli.words import NothingComes, Words
 from imu_calib.devices import Reception, Severity, Source, choose_baud, load_format
 from imu_calib.devices.commands import Command, Commands
@@ -32,7 +32,7 @@ SLOW = ('scipy.special', 'scipy.linalg', 'scipy.optimize', 'scipy.stats', 'matpl
 """A quarter of a second of every command each, and none is used before something is solved."""
 
 RUNTIME = ('cyclonedds', 'rclpy')
-COMMANDS = sorted(main.COMMANDS)
+COMMANDS = sorted(dispatch.COMMANDS)
 
 
 def loaded(code, *arguments):
@@ -54,7 +54,7 @@ def among(modules, names):
 
 @pytest.mark.parametrize('command', COMMANDS)
 def test_a_command_loads_no_numerics_before_it_has_something_to_solve(command):
-    code = 'from imu_calib.cli.main import build_parser; build_parser([sys.argv[1]])'
+    code = 'from imu_calib.cli.dispatch import build_parser; build_parser([sys.argv[1]])'
     modules = loaded(code, command)
     assert f'imu_calib.cli.{command}' in modules
     assert not among(modules, (*SLOW, *RUNTIME))

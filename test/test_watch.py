@@ -40,8 +40,8 @@ def test_a_joint_that_comes_nearer_and_nearer_may_take_twice_its_time_and_2_s():
     arrived, fault = late.look(at(3.85, 39.2))
     assert not arrived
     assert fault == (
-        'Joint outer is 0.8000 deg off its goal of 40.000 deg after 3.9 s; at its limits the table '
-        'needs 0.9 s, and 0.01 deg counts as there.'
+        'Joint outer is 0.8000 deg off its goal of 40.000 deg after 3.9 s (tolerance 0.01 deg); at '
+        'its limits the table needs 0.9 s.'
     )
 
 
@@ -49,12 +49,12 @@ def test_a_joint_that_comes_nearer_and_nearer_may_take_twice_its_time_and_2_s():
     ('outer', 'since', 'until', 'said'),
     [
         # A second, and what the joint needs to full rate.
-        (10.0, 2.99, 3.01, 'stalls at 10.000 deg on its way to 40.000 deg: 10.000 deg in 3.0 s.'),
+        (10.0, 2.99, 3.01, 'stalls at 10.000 deg moving to 40.000 deg: 10.000 deg in 3.0 s.'),
         (
             39.8,
             1.0,
             4.1,
-            'stops at 39.8000 deg, 0.2000 deg off its goal; 0.01 deg counts as there.',
+            'stops at 39.8000 deg, 0.2000 deg off its goal (tolerance 0.01 deg).',
         ),
     ],
     ids=['on its way', 'beside its goal'],

@@ -33,12 +33,12 @@ _LONGEST_HOLD = 15.0
 """s: nobody holds still for as long; a table, or a unit that was laid down, does. A judgement."""
 
 SAID_SI = (
-    'Nobody says what the numbers of the IMU mean: they are taken for rad/s and m/s^2 (REP 145), '
-    'which the length of gravity bears out. --imu states it, and the noise of the unit.'
+    'The units of the IMU are not stated: rad/s and m/s^2 (REP 145) are assumed; the measured '
+    'length of gravity agrees with that. --imu states them, and the noise of the unit.'
 )
 SAID_BY_HAND = (
-    'Nobody says which plan was run, and there are no joint states: the unit is taken as turned by '
-    'hand in free positions (docs/bag.md). If a plan of a table was run, name it with --plan.'
+    'No plan is stated and there are no joint states: the session is taken as free positions (a '
+    'unit in the hand). If a plan of a table was run, name it with --plan (docs/bag.md).'
 )
 
 

@@ -54,6 +54,14 @@ _BLOCK = 1 << 16
 """Samples that are written at once; a choice between memory and calls."""
 _LAST_SECOND = 2**31 - 1
 """That builtin_interfaces/Time counts to."""
+_BACKWARDS = 0.01
+"""Share of intervals between rows that may be zero or negative: a logger writes a row twice or sets
+its clock now and then; a column that is no time, or has lost digits, does so all along."""
+_SLOWEST, _FASTEST = 2.0, 40e3
+"""Rates of rows that an IMU may have, Hz. The fastest MEMS units give 32 kHz, phones and loggers of
+vehicles 10 to 500 Hz. A unit of time that is a thousand times too small makes 50 kHz of 50 Hz, one
+that is a thousand times too large 1 Hz of 1 kHz."""
+_RATES = f'{_SLOWEST:g} Hz to {_FASTEST / 1e3:g} kHz, the rates of IMUs'
 
 _SILENT = 2.5
 """Sample intervals between two samples of the accelerometers over which none is read from a line: a
@@ -229,13 +237,13 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
     """Return the time of each row, ns.
 
     Raises:
-        InputError: No such column or unit, or no rate.
+        InputError: No such column or unit, no rate, or times that no IMU has.
 
     """
     if rate is not None:
         hertz = parse(rate, Dimension.FREQUENCY, '--rate')
-        if not hertz > 0:
-            raise InputError(f'--rate {rate}: expected Hz above 0.')
+        if not _SLOWEST <= hertz <= _FASTEST:
+            raise InputError(f'--rate {rate}: expected {_RATES}.')
         return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / hertz)))
     assert stamp is not None
     times, _ = _columns(text, stamp, '--stamp', _STAMP, 1)
@@ -245,7 +253,42 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
             f'--stamp {stamp}: a row is {latest:.3g} s from 1970, more than a message can say: '
             f'another unit of {", ".join(_STAMP)}?'
         )
-    return np.asarray(np.rint(times[:, 0]))
+    stamps = np.asarray(np.rint(times[:, 0]))
+    _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: --stamp {stamp}')
+    return stamps
+
+
+def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
+    """Refuse stamps, ns, that do not grow, or not at the rate of an IMU.
+
+    Raises:
+        InputError: They are such; the file and the column are named.
+
+    """
+    intervals = np.diff(stamps)
+    if not len(intervals):
+        return
+    wrong = np.flatnonzero(intervals <= 0)
+    if len(wrong) > _BACKWARDS * len(intervals):
+        first = int(wrong[0])
+        raise InputError(
+            f'{column}: the time does not grow in {len(wrong)} of {len(intervals)} intervals '
+            f'between rows, first from {stamps[first] * 1e-9:.6f} s to '
+            f'{stamps[first + 1] * 1e-9:.6f} s; at most {_BACKWARDS:.0%} may be so. Name the '
+            'column of the time, written with all its digits and in its order, or give --rate '
+            'instead.'
+        )
+    hertz = 1e9 / float(np.median(intervals))
+    if not _SLOWEST <= hertz <= _FASTEST:
+        unit = column.rpartition(':')[2]
+        units = ((u, hertz * _STAMP[unit] / _STAMP[u]) for u in _STAMP)
+        others = [f'{u} would be {h:.4g} Hz' for u, h in units if _SLOWEST <= h <= _FASTEST]
+        known = f'In another unit, {", ".join(others)}'
+        advice = known if others else 'Name the column of the time'
+        raise InputError(
+            f'{column}: found {hertz:.4g} Hz, by the median of {len(intervals)} intervals between '
+            f'rows; expected {_RATES}. {advice}.'
+        )
 
 
 def _columns(

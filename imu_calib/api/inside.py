@@ -188,7 +188,11 @@ def _determined(setup: Setup) -> str:
 def _what_decides(session: Segmented, labelled: Labelled, setup: Setup, *, free: bool) -> str:
     """Say whether a session that is refused determines all parameters, or what it lacks."""
     if free:
-        return f'{len(session.segments)} holds do not determine them all'
+        from ..methods.free_positions import ESTIMATES
+
+        count, dwells = len(ESTIMATES), len(session.segments)
+        plural = '' if dwells == 1 else 's'
+        return f'{dwells} static dwell{plural}: not all {count} parameters are observable'
     from ..calibrator import Calibrator
     from ..estimation.fit import check_observable
     from ..observation.equations import Equations

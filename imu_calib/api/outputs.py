@@ -38,6 +38,21 @@ def new_folder(output: Named) -> Path:
     return path
 
 
+def output_or_default(output: str | None, default: str) -> str:
+    """Return what -o names, or the default where it is not there yet.
+
+    Raises:
+        InputError: Nothing was named, and what the default names exists: it may be all that is left
+            of another session.
+
+    """
+    if output is None and user_path(default).exists():
+        raise InputError(
+            f'{default} exists already: name another with -o, or give -o {default} to overwrite it.'
+        )
+    return default if output is None else output
+
+
 def _below_a_folder(output: Named) -> Path:
     path = user_path(output)
     if not path.parent.is_dir():

@@ -87,7 +87,7 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
         lines = [row.replace(',', '.') for row in lines]
     values, broken = _numbers(lines, between, len(names))
     if not len(values):
-        raise InputError(f'{path}: no line of it holds {len(names)} numbers.')
+        raise InputError(f'{path}: no row of numbers found.')
     return Text(path, tuple(names), values, broken)
 
 

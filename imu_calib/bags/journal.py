@@ -158,7 +158,7 @@ def _unfinished(path: Path, description: Mapping[str, str]) -> Recording | None:
     held = recording.custom_data
     if FINISHED in held:
         raise InputError(
-            f'{path} holds a session that is finished; name another folder for the journal.'
+            f'{path} holds a completed session; choose another folder for the journal.'
         )
     for key, text in description.items():
         if held.get(key) != text:

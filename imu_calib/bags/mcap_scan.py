@@ -95,7 +95,9 @@ class _Scanner:
         magic = self._read(0, len(MAGIC))
         if magic != MAGIC:
             what = f'starts with {magic!r}' if magic else 'is empty'
-            raise RecordingError(f'{self.name} {what}: expected an mcap file.')
+            raise RecordingError(
+                f'{self.name} is no recording of rosbag2 (mcap or sqlite3): it {what}.'
+            )
 
     def _read(self, position: int, size: int) -> bytes:
         self.file.seek(position)

@@ -264,4 +264,4 @@ def _in_words(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RecordingError(f'{path} cannot be written: {error.strerror or error}.') from None
+        raise RecordingError(f'{path}: cannot be written ({error.strerror or error}).') from None

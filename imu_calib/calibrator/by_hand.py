@@ -132,7 +132,7 @@ class HandCalibrator:
         """Say how still the unit ever was, and what to do, where holds are too few."""
         seen = self._segmenter.quietest
         if seen is None:
-            return ['Not two seconds came in: record a session of a minute or more.']
+            return ['Less than 2 s of data were received: record a session of a minute or more.']
         return [
             'In the quietest two seconds tenths of a second strayed by '
             f'{seen.rate / DEG:.2g} deg/s and {seen.force / STANDARD_GRAVITY:.2g} g from their '

@@ -58,8 +58,12 @@ def run(arguments: argparse.Namespace) -> Outcome:
         arguments.last_word = (
             f'What was done is in {arguments.catalogue}: the same command goes on from there.'
         )
-        with progress_bar(text) as show:
-            yield show
+        try:
+            with progress_bar(text) as show:
+                yield show
+        except KeyboardInterrupt:
+            ERRORS.print('Ending the workers, which takes some seconds. What was done is kept.')
+            raise
 
     if arguments.imus is not None:
         options.refuse_beside_imus(arguments, 'imu', 'serial', 'imu_topic')
@@ -70,13 +74,15 @@ def run(arguments: argparse.Namespace) -> Outcome:
     plural = '' if done.recordings == 1 else 's'
     units = done.calibrated + done.failed + done.known
     several = '' if units == done.recordings else f' of {units} units'
+    before = f' ({done.known_failed} failed)' if done.known_failed else ''
     OUTPUT.print(
         f'{done.recordings} recording{plural}{several} in {done.seconds:.1f} s: '
-        f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before'
+        f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before{before}'
     )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)
-    if not done.failed:
+    failed = done.failed + done.known_failed
+    if not failed:
         return Outcome()
     reasons = f'imu-calib catalogue {done.catalogue} --where "status = \'failed\'"'
-    message = f'{done.failed} without a calibration; {reasons} lists the reasons.'
+    message = f'{failed} without a calibration; {reasons} lists the reasons.'
     return Outcome(exit_code=NotObservable.exit_code, message=message)

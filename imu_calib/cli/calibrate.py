@@ -8,7 +8,7 @@ from typing import Any
 
 from ..api.calibrating import calibrated
 from ..api.conforming import conformity
-from ..api.outputs import output_path
+from ..api.outputs import output_or_default, output_path
 from ..bags import located
 from ..calibration import Calibration
 from ..calibrator import Result
@@ -43,7 +43,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--output',
         metavar='FILE|DIR',
         help=f'default: {_FILE}; of several units a folder (default: {FOLDER}), in which each '
-        'calibration is called by its serial number',
+        'calibration is called by its serial number. What is named is overwritten; a default that '
+        'exists is not',
     )
     parser.add_argument(
         '--budget', action='store_true', help='show where the uncertainty of each parameter is from'
@@ -65,7 +66,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     arguments.bag = located(arguments.bag)
     if of_several(arguments):
         return run_several(arguments)
-    path = output_path(arguments.output or _FILE)
+    path = output_path(output_or_default(arguments.output, _FILE))
     judged = arguments.specification
     result = calibrated(arguments.bag, options.stated(arguments), progress_bar, to_be_judged=judged)
     result.calibration.save(path)

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..api.calibrating_units import UnitResult, UnitResults, calibrated_units, holds_several
 from ..api.conforming import Conformity, conformity
+from ..api.outputs import output_or_default
 from ..reports.assessment import summary
 from ..reports.budget import budget_tables
 from ..reports.several import comparison_tables, seen_table
@@ -38,7 +39,7 @@ def of_several(arguments: argparse.Namespace) -> bool:
 
 def run_several(arguments: argparse.Namespace) -> Outcome:
     """Calibrate all units, and print them side by side."""
-    folder = Path(arguments.output or FOLDER)
+    folder = Path(output_or_default(arguments.output, FOLDER))
     found = calibrated_units(
         arguments.bag,
         arguments.imus,

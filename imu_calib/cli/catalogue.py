@@ -62,7 +62,11 @@ def run(arguments: argparse.Namespace) -> None:
         _show(found)
     else:
         _write(found, path)
-        OUTPUT.print(f'{found.num_rows} rows written to {path}', markup=False)
+        OUTPUT.print(f'{_rows(found)} written to {path}', markup=False)
+
+
+def _rows(found: pa.Table) -> str:
+    return f'{found.num_rows} row{"" if found.num_rows == 1 else "s"}'
 
 
 def _show(found: pa.Table) -> None:
@@ -73,7 +77,7 @@ def _show(found: pa.Table) -> None:
     for row in rows_of(found):
         table.add_row(*(_text(value) for value in row.values()))
     OUTPUT.print(table, markup=False)
-    OUTPUT.print(f'\n{found.num_rows} rows')
+    OUTPUT.print(f'\n{_rows(found)}')
 
 
 def _text(value: Any) -> str:

@@ -55,4 +55,4 @@ def run(arguments: argparse.Namespace) -> None:
     for path in paths:
         OUTPUT.print(f'written to {path}', markup=False)
     if made.missing:
-        OUTPUT.print(f'a draft: missing are {"; ".join(made.missing)}', markup=False)
+        OUTPUT.print(f'Draft. Missing: {"; ".join(made.missing)}.', markup=False)

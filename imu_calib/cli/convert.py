@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..api.converting import convert
+from ..api.looking import Topic, topics
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
@@ -35,12 +36,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     text.add_argument('--temperature', metavar='NAME:degC', help='of the unit')
     text.add_argument('--delimiter', metavar='C', help='between fields (default: as found)')
     parser.add_argument('--imu', metavar='NAME|FILE', help='what pulses or counts mean')
-    topics = parser.add_argument_group(
+    two = parser.add_argument_group(
         'gyros and accelerometers on two topics',
         'Accelerometers are read at the stamps of the gyros, on straight lines between samples.',
     )
-    topics.add_argument('--gyro-topic', metavar='TOPIC', help='sensor_msgs/Imu of the gyros')
-    topics.add_argument('--accel-topic', metavar='TOPIC', help='that of the accelerometers')
+    two.add_argument('--gyro-topic', metavar='TOPIC', help='sensor_msgs/Imu of the gyros')
+    two.add_argument('--accel-topic', metavar='TOPIC', help='that of the accelerometers')
     parser.set_defaults(run=run)
 
 
@@ -52,6 +53,14 @@ def run(arguments: argparse.Namespace) -> None:
         **options.keywords(convert, arguments),
         progress=progress_bar,
     )
-    listed = ', '.join(f'{count} of {topic}' for topic, count in done.counts.items())
-    OUTPUT.print(f'{listed} written to {done.path}', markup=False)
+    written = topics(done.path)
+    listed = '; '.join(_line(topic, written.seconds) for topic in written.topics)
+    OUTPUT.print(f'{listed}, written to {done.path}', markup=False)
     sentence_list('Worth knowing', done.findings)
+
+
+def _line(topic: Topic, seconds: float) -> str:
+    plural = '' if topic.messages == 1 else 's'
+    intervals = topic.messages - 1
+    rate = f' in {seconds:.1f} s, {intervals / seconds:.4g} Hz' if intervals > 0 < seconds else ''
+    return f'{topic.messages} message{plural} on {topic.name}{rate}'

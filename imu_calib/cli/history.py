@@ -134,7 +134,7 @@ def _of_units(found: History, on: np.datetime64) -> list[str]:
             for lot in one.lots
         ]
     rate = 100 * found.rules.false_alarm
-    return [*said, f'Of a unit in which nothing changed, each statement is wrong in {rate:g} %.']
+    return [*said, f'False-alarm rate of each kind of statement: {rate:g} %.']
 
 
 def _print_unit(unit: UnitHistory, found: History) -> None:

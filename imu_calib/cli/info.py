@@ -81,7 +81,7 @@ def _show(inside: Inside) -> None:
     if inside.latitude is not None:
         seen, std = inside.latitude
         OUTPUT.print(f'the gyros see a latitude of {seen:.1f} +- {std:.1f} deg at rest')
-    sentence_list('Contradicts, or is lacking', inside.contradictions)
+    sentence_list('Problems', inside.contradictions)
     sentence_list('Left out', inside.left_out)
     sentence_list('Lost', inside.lost)
 

@@ -27,6 +27,9 @@ EXIT_CODES = (
     'outside its specification; 130 interrupted (Ctrl-C).'
 )
 
+JSON = '--json'
+"""The option that asks for a document."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -47,7 +50,7 @@ class Outcome:
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Add --json."""
     parser.add_argument(
-        '--json',
+        JSON,
         action='store_true',
         help='one JSON document on stdout (docs/files/output.md); what is for people goes to '
         'stderr, errors are in the document too',

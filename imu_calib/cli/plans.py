@@ -255,15 +255,15 @@ def _show_terms(found: Sequence[TermForecast]) -> None:
     if not found:
         return
     rows = Rows(box=None, pad_edge=False, header_style='bold')
-    for heading in ('term', 'std', 'unit', 'what it costs, or takes'):
+    for heading in ('term', 'std', 'unit', 'effect on the others, or what it requires'):
         rows.add_column(heading, justify='right' if heading == 'std' else 'left')
     for one in found:
         shown = engineering(one.term.parameters[0])
         worst = float(one.std.max()) / shown.scale if one.determined else np.nan
-        words = _costs(one.worsened) if one.determined else f'takes {one.term.needs}'
+        words = _costs(one.worsened) if one.determined else f'requires {one.term.needs}'
         rows.add_row(one.term.name, _cell(worst), shown.unit, words)
     OUTPUT.print(
-        '\nWhat it would determine of each term (--terms), added alone: the worst channel.'
+        '\nPredicted standard deviation of each term when it is added alone (worst channel).'
     )
     OUTPUT.print(rows)
     OUTPUT.print()

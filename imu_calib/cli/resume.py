@@ -96,14 +96,14 @@ def restore(arguments: argparse.Namespace) -> Path:
     try:
         kept: Any = yaml.safe_load((settings / _OPTIONS).read_text(encoding='utf-8'))
         if not isinstance(kept, dict):
-            raise ValueError('it holds no options.')
+            raise ValueError('it holds no options')
     except (OSError, ValueError, yaml.YAMLError) as error:
-        what = (
-            'there is no such folder' if not folder.is_dir() else f'{settings / _OPTIONS}: {error}'
-        )
-        raise InputError(
-            f'--resume {folder}: expected a folder that imu-calib stand has made; {what}.'
-        ) from None
+        if not folder.is_dir():
+            raise InputError(f'--resume {folder}: there is no such folder.') from None
+        if isinstance(error, FileNotFoundError | NotADirectoryError):
+            raise InputError(f'--resume: {folder} holds no session of imu-calib stand.') from None
+        said = error.strerror if isinstance(error, OSError) else ' '.join(str(error).split())
+        raise InputError(f'--resume: {settings / _OPTIONS} cannot be read ({said}).') from None
     _refuse_other_settings(arguments, folder)
     if arguments.port and not kept.get('port'):
         raise InputError(f'--resume {folder}: its hardware is simulated; leave --port out.')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -12,12 +13,46 @@ from ..api.progress import Show, silent
 
 _WIDTH_OF_A_FILE = 160
 """Letters of a line where the output is a file: no table breaks."""
-OUTPUT = Console(soft_wrap=True, highlight=False)
+
+
+class _Output(Console):
+    """Leaves it to `dispatch` what becomes of a command whose output nobody reads any more."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise the error again: rich would end the process with exit code 1.
+
+        Raises:
+            BrokenPipeError: Always.
+
+        """
+        raise  # noqa: PLE0704 - called where it is handled
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does, but in files without the blanks that fill the last column up."""
+        if self.is_terminal or not any(isinstance(one, Table) for one in objects):
+            super().print(*objects, **options)
+            return
+        with self.capture() as shown:
+            super().print(*objects, **options)
+        lines = shown.get().split('\n')
+        self.file.write('\n'.join(line.rstrip() for line in lines))
+        self.file.flush()
+
+
+class _Errors(Console):
+    """Says nothing more where nobody reads it: the exit code still says how a command ends."""
+
+    def on_broken_pipe(self) -> None:
+        """Go on without words."""
+        self.quiet = True
+
+
+OUTPUT = _Output(soft_wrap=True, highlight=False)
 if not OUTPUT.is_terminal:
     OUTPUT.width = _WIDTH_OF_A_FILE
 _WIDEST = 10_000
 """Letters of a line, more than any table has."""
-ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
+ERRORS = _Errors(stderr=True, soft_wrap=True, highlight=False)
 
 
 @contextmanager
@@ -58,7 +93,7 @@ def progress_bar(text: str) -> Iterator[Show]:
 
 def print_whole(table: Table) -> None:
     """Print a table at its own width: a terminal that is narrower wraps it, and cuts no cell."""
-    wide = Console(
+    wide = _Output(
         file=OUTPUT.file,
         width=_WIDEST,
         soft_wrap=True,

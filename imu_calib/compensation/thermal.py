@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..calibration import Calibration
+from ..calibration import Calibration, calibration_section
 from ..config import Section
 from ..errors import InputError
 from ..gravity import gravity_deviation, without_gravity
@@ -224,7 +224,7 @@ def load_calibration(path: str | Path) -> AnyCalibration:
         InputError: Unreadable, or no calibration; names file and key.
 
     """
-    return read_calibration(Section.load(user_path(path)))
+    return read_calibration(calibration_section(path))
 
 
 def read_calibration(section: Section) -> AnyCalibration:

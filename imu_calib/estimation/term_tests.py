@@ -268,7 +268,7 @@ def summary(tests: tuple[TermTest, ...]) -> list[str]:
     off = [_power(t) for t in terms if t.state is TermState.OFF]
     lines.append(f'terms: {", ".join(on) or "none"}')
     if off:
-        lines.append(f'off, and found if larger than: {", ".join(off)}')
+        lines.append(f'not significant; detectable above: {", ".join(off)}')
     for one in terms:
         held = [
             (p, moved)
@@ -297,7 +297,7 @@ def _hidden(one: TermTest) -> str:
         f'{moved.name} by {abs(slope) * least / moved.unit.scale:.2g} {moved.unit.shown}'
         for _, least, (moved, slope) in seen
     ]
-    may = f'{largest(changes, smallest)} may pass unseen and would move {" and ".join(by)}'
+    may = f'{largest(changes, smallest)} below detection; would bias {" and ".join(by)}'
     if one.probability is not None:
         return (
             f'{one.name}: {may}; the standard deviations allow for it with a probability of '

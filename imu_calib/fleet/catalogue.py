@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
@@ -35,6 +36,8 @@ VERSION = 3
 _VERSION_KEY = b'imu_calib.catalogue'
 _UNIT_KEY = b'unit'
 _UNNAMED = 'unnamed'
+_NO_COLUMN = re.compile(r'Referenced column "([^"]+)" not found')
+"""How DuckDB says so."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=timezone.utc)
 """Goes before any: a recording that does not say when it was taken is nobody's newest."""
 
@@ -158,9 +161,15 @@ class Catalogue:
         connection = duckdb.connect()
         # A question is about the catalogue: it reads and writes no other file.
         connection.execute('SET enable_external_access = false')
-        connection.register('rows', self.table())
+        table = self.table()
+        connection.register('rows', table)
         try:
             return connection.sql(sql).to_arrow_table()
+        except duckdb.BinderException as error:
+            if (missing := _NO_COLUMN.search(str(error))) is None:
+                raise InputError(f'{sql}: {" ".join(str(error).split())}') from None
+            names = ', '.join(table.column_names)
+            raise InputError(f'There is no column {missing[1]!r}; there are: {names}.') from None
         except duckdb.Error as error:
             raise InputError(f'{sql}: {" ".join(str(error).split())}') from None
         finally:

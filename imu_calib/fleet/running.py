@@ -41,6 +41,7 @@ class Batch:
         calibrated: Units that were calibrated: one of a recording, or each of several.
         failed: Units without a calibration, with the reason in their row.
         known: Units that the catalogue had already.
+        known_failed: Those among them without a calibration.
         seconds: That it took.
 
     """
@@ -50,6 +51,7 @@ class Batch:
     calibrated: int
     failed: int
     known: int
+    known_failed: int
     seconds: float
 
 
@@ -199,18 +201,20 @@ def run_batch(
 
     """
     begun = time.monotonic()
-    count = {'calibrated': 0, 'failed': 0, 'known': 0}
+    count = {'calibrated': 0, 'failed': 0, 'known': 0, 'known_failed': 0}
     unsaved: list[Done] = []
     with engine.connected() as client, progress('calibrating') as show:
         connected(client.dashboard_link)
         show(0, len(jobs))
         saved = time.monotonic()
         known = catalogue.keys(failed=not retry)
+        failed_before = known - catalogue.keys(failed=False)
         try:
             for k, ended in enumerate(_each(client, jobs, known, task), 1):
                 for done in ended:
                     if done.row is None:
                         count['known'] += 1
+                        count['known_failed'] += done.key in failed_before
                     else:
                         count['calibrated' if done.row['status'] == CALIBRATED else 'failed'] += 1
                         unsaved.append(done)

@@ -73,12 +73,12 @@ def _sound(sessions: Sessions) -> tuple[list[str], list[int]]:
     numbered = np.array([bool(serial) for serial in sessions.serial], dtype=bool)
     estimated = np.isfinite(sessions.values).any(axis=1)
     reasons = (
-        (~numbered, 'no serial number, and belong to no unit: state it in the manifest'),
-        (numbered & ~dated, 'no date: state it in the manifest'),
-        (numbered & dated & ~estimated, 'no parameter that was estimated'),
+        (~numbered, 'no serial number. State it in the manifest'),
+        (numbered & ~dated, 'no date. State it in the manifest'),
+        (numbered & dated & ~estimated, 'no estimated parameter'),
     )
     said = [
-        f'{int(which.sum())} of {len(which)} sessions do not count, they have {why}.'
+        f'{int(which.sum())} of {len(which)} sessions are ignored: they have {why}.'
         for which, why in reasons
         if which.any()
     ]

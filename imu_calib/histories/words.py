@@ -84,7 +84,7 @@ def _due(unit: UnitHistory, rules: Rules) -> Iterator[str]:
     k = PARAMETER_NAMES.index(name)
     crossing = unit.forecast.leaves[k]
     where = '' if np.isnat(crossing) else f' Its line crosses the limit on {crossing}.'
-    borrowed = ' Its own sessions tell little yet: the trends of its type count.'
+    borrowed = ' The unit has too few sessions for trends of its own: those of its type are used.'
     if due.recalibrate <= unit.date[-1]:
         yield (
             f'Recalibrate now: the chance that all parameters are inside their specification is '
@@ -140,9 +140,9 @@ def _signals(unit: UnitHistory) -> Iterator[str]:
 def _few(unit: UnitHistory) -> Iterator[str]:
     count = len(unit.date)
     if count == 1:
-        yield 'One session: nothing tells scatter or trend of this unit.'
+        yield 'One session: scatter and trend of this unit are unknown.'
     elif len(np.unique(unit.date)) == 1:
-        yield f'All {count} sessions have one date: nothing tells a trend.'
+        yield f'All {count} sessions have one date: a trend cannot be determined.'
     elif count == 2 and np.isnan(unit.trend.slope).all():
         yield 'Two sessions: a trend of this unit cannot be distinguished from their scatter.'
 

@@ -204,7 +204,7 @@ class EmergencyStop:
         name = node.get_fully_qualified_name()
         self._on_press = on_press
         self._pressed = (
-            'The emergency stop is on. Release it where it was pressed, then call '
+            'The emergency stop is on. Release the emergency stop, then call '
             f'{name}/release; nothing moves before the next {name}/start.'
         )
         self._released = f'The emergency stop is released; nothing moves before {name}/start.'

@@ -123,8 +123,8 @@ def _cells(value: float, deviation: float, unit: str, true: float | None) -> lis
 
 
 FREE_OF_FRAME = (
-    'xy: the input axes x and y are so much less than 90 deg apart. X: the gyros are turned so '
-    "much about X against the accelerometers. The table's frame is in none of these."
+    'xy: 90 deg minus the angle between the input axes x and y. X: rotation of the gyro triad '
+    "about X against the accelerometers. None of these depends on the table's frame."
 )
 """What `angle_table` shows, for a person."""
 

@@ -92,8 +92,8 @@ def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
         rest = [f'{found.chi_square[k]:.1f}' if found.freedom[k] else '-']
         if two:
             one, other = (float(c.model.values((parameter,))[0]) for c in calibrations)
-            ratio = f'{(one - other) / std[0, k]:+.1f}' if std[0, k] > 0 else '-'
-            rest = [f'{values[0] - values[1]:+.{places}f}', ratio]
+            ratio = _signed((one - other) / std[0, k], 1) if std[0, k] > 0 else '-'
+            rest = [_signed(values[0] - values[1], places), ratio]
         table.add_row(
             _table_name(parameter),
             parameter.name,
@@ -103,6 +103,14 @@ def comparison_table(beside: SideBySide, names: Sequence[str]) -> Table:
             'differs' if differ[parameter] else '',
         )
     return table
+
+
+def _signed(value: float, places: int) -> str:
+    """Return a difference with its sign; one that rounds to zero with its first digit instead."""
+    text = f'{value:+.{places}f}'
+    if float(text):
+        return text
+    return f'{value:+.1g}' if value else '0'
 
 
 def agreement_lines(found: Agreement, count: int) -> list[str]:

@@ -27,7 +27,7 @@ _WORDS = {Verdict.PASS: 'pass', Verdict.MARGINAL: 'marginal', Verdict.FAIL: 'fai
 def verdict_line(verification: Verification) -> str:
     """Return the outcome in one line."""
     words = {
-        Verdict.PASS: 'ACCEPTED: the recording bears the calibration out.',
+        Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
         Verdict.MARGINAL: 'MARGINAL, accepted: the recording casts a doubt on the calibration.',
         Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
     }
@@ -47,7 +47,7 @@ def limits_line(verification: Verification) -> str:
     """Say what the verdicts go by."""
     doubt, rejection = verification.limits
     return (
-        f'Limits: {doubt:.1f} standard deviations for a doubt, {rejection:.1f} for a rejection '
+        f'Warning limit {doubt:.1f} standard deviations, rejection limit {rejection:.1f} '
         '(1 in 100 and 1 in a million sessions of sound data), and the same chances for the '
         'chi-square of all equations.'
     )

@@ -15,6 +15,8 @@ _APART = 10_000_000_000
 """ns by which joint states may outlast the samples of a recording. A judgement: who records both
 ends both within seconds."""
 
+_TWICE = 'dropped as duplicates'
+
 
 class StreamBuffer:
     """Buffers the samples, passes the joint states on, and counts what is lost.
@@ -131,7 +133,7 @@ class StreamBuffer:
     def losses(self) -> list[str]:
         """Say what was lost, in sentences."""
         lost = [
-            f'{count} samples left out for {what}, the first at {at(first)}'
+            f'{count} samples {_how(what)}, the first at {at(first)}'
             for what, (count, first) in self._dropped.items()
         ]
         if self._table is None:
@@ -212,7 +214,7 @@ class StreamBuffer:
             again &= (values == np.vstack([last[1], values[:-1]])).all(axis=1)
         if not again.any():
             return stamp, values
-        self._note('having come twice', stamp[again])
+        self._note(_TWICE, stamp[again])
         return stamp[~again], values[~again]
 
     def _note(self, what: str, lost: Stamps) -> None:
@@ -223,3 +225,7 @@ class StreamBuffer:
 
 def _asks(setpoint: Setpoint) -> tuple[object, ...]:
     return setpoint.step, setpoint.mode, setpoint.position, setpoint.plan
+
+
+def _how(what: str) -> str:
+    return what if what == _TWICE else f'left out for {what}'

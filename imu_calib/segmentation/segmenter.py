@@ -380,11 +380,11 @@ class Segmenter:
             )
         if self._off_grid:
             lost.append(
-                f'The stamps of the IMU go on off their grid {len(self._off_grid)} time(s), first '
-                f'at {at(min(self._off_grid))}: its clock was set, or it began to sample anew; '
-                'what is before and after counts by itself'
+                f'The stamps of the IMU are offset from the sampling grid {len(self._off_grid)} '
+                f'time(s), first at {at(min(self._off_grid))}: its clock was set, or it began to '
+                'sample anew; what is before and after counts by itself'
             )
-        lost += [interruption(last, begins) for last, begins in self._interruptions]
+        lost += _interruptions(self._interruptions)
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return tuple(lost)
@@ -394,6 +394,21 @@ def interruption(last: int, begins: int) -> str:
     """Say what an interruption of the IMU's stream costs: from its last stamp to the next, ns."""
     gap = (begins - last) * 1e-9
     return f'The IMU stream was interrupted: {gap:.1f} s are missing, from {at(last)}'
+
+
+_LISTED = 3
+"""Interruptions that have a sentence each; more are counted."""
+
+
+def _interruptions(found: Sequence[tuple[int, int]]) -> list[str]:
+    """Say what the interruptions cost, each from its last stamp to the next, ns."""
+    if len(found) <= _LISTED:
+        return [interruption(last, begins) for last, begins in found]
+    seconds = sum(begins - last for last, begins in found) * 1e-9
+    return [
+        f'The IMU stream has {len(found)} interruptions, {seconds:.1f} s in all, the first at '
+        f'{at(found[0][0])}'
+    ]
 
 
 _SHOWN = 1e-4

@@ -150,11 +150,11 @@ class Watch:
             if left <= self._rules.overshoot:
                 return (
                     f'Joint {way.joint.name} stops at {angle / DEG:.4f} deg, '
-                    f'{left / DEG:.4f} deg off its goal; '
-                    f'{self._rules.arrival / DEG:g} deg counts as there.'
+                    f'{left / DEG:.4f} deg off its goal '
+                    f'(tolerance {self._rules.arrival / DEG:g} deg).'
                 )
             return (
-                f'Joint {way.joint.name} stalls at {angle / DEG:.3f} deg on its way to '
+                f'Joint {way.joint.name} stalls at {angle / DEG:.3f} deg moving to '
                 f'{way.goal / DEG:.3f} deg: {(then - left) / DEG:.3f} deg in '
                 f'{(stamp - since) * 1e-9:.1f} s.'
             )
@@ -165,8 +165,9 @@ class Watch:
         k = off.index(max(off))
         return (
             f'Joint {self._ways[k].joint.name} is {off[k] / DEG:.4f} deg off its goal of '
-            f'{self._ways[k].goal / DEG:.3f} deg after {elapsed:.1f} s; at its limits the table '
-            f'needs {self.expected:.1f} s, and {self._rules.arrival / DEG:g} deg counts as there.'
+            f'{self._ways[k].goal / DEG:.3f} deg after {elapsed:.1f} s '
+            f'(tolerance {self._rules.arrival / DEG:g} deg); at its limits the table needs '
+            f'{self.expected:.1f} s.'
         )
 
 

@@ -90,7 +90,7 @@ class OneSource:
             )
         if steady - self._refused_at <= self._timeout:
             return (
-                'The table stands: movements were refused, and are still asked for. It follows '
+                'The table stands: motion is refused, and setpoints still arrive. It follows '
                 f'again when nobody has asked for one for {self._timeout:g} s; HOLD does not count.'
             )
         return ''

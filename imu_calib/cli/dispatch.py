@@ -1,0 +1,175 @@
+"""Dispatch to a subcommand, and turn errors into sentences and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+from ..errors import ImuCalibError, InputError
+from ..version import version
+from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt
+from .outcome import JSON, Outcome, error_document, kind_of, write_document
+from .terminal import ERRORS, OUTPUT
+
+COMMANDS = {
+    'stand': 'run a stand live',
+    'simulate': 'write a simulated recording',
+    'calibrate': 'a recording to 24 parameters',
+    'batch': 'many recordings to a catalogue of calibrations',
+    'catalogue': 'what a catalogue holds: list, filter, SQL, CSV, JSON',
+    'history': 'what a catalogue says of units, types and stands: due, drifts, steps, charts',
+    'fleet': 'one page on all units of a catalogue: due, failed, drifting, odd, and each unit',
+    'report': 'a calibration to an HTML report',
+    'certificate': 'a calibration to a certificate by ISO/IEC 17025, also as DCC',
+    'verify': 'a calibration against another recording',
+    'compensate': 'apply a calibration to a recording',
+    'export': 'a calibration for other software',
+    'combine': 'several temperatures to one calibration',
+    'compare': 'calibrations side by side, and what differs',
+    'plans': 'list plans, lay one out, predict what it gives',
+    'montecarlo': 'repeat a simulated session with seeds',
+    'info': 'what is in a recording',
+    'convert': 'text files and bags of ROS 1 to a recording',
+    'security': 'keys with which the nodes of a stand prove who they are (SROS 2)',
+    'schema': 'the JSON Schema of a file that you write',
+}
+"""What each does; the module of its name does it."""
+
+
+class _WrongUsage(Exception):
+    """A command line that its parser does not take: with what it says, its usage was printed."""
+
+    def __init__(self, command: str, text: str) -> None:
+        super().__init__(text)
+        self.command = command
+
+
+class _Parser(argparse.ArgumentParser):
+    """Hands wrong usage to `main`, which says it as all other errors."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage, and raise what was wrong.
+
+        Raises:
+            _WrongUsage: Always.
+
+        """
+        self.print_usage(sys.stderr)
+        raise _WrongUsage(self.prog.removeprefix('imu-calib').strip(), message)
+
+
+class _Version(argparse.Action):
+    """Looks the version up when it is asked for: what reads it is slow to load."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        sys.stdout.write(f'imu-calib {version()}\n')
+        parser.exit()
+
+
+def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
+    """Return the parser of all subcommands, with the options of those that are needed.
+
+    Loading a subcommand takes longer than most of them run.
+
+    Args:
+        argv: The command line; None adds the options of every subcommand.
+
+    """
+    parser = _Parser(prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.')
+    parser.add_argument('--version', action=_Version, nargs=0, help='print the version, and end')
+    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
+    for name, words in COMMANDS.items():
+        command = commands.add_parser(name, help=words)
+        if argv is None or name in argv:
+            module = import_module(f'.{name}', __package__)
+            command.description = module.__doc__
+            module.add_options(command)
+    return parser
+
+
+def run(argv: Sequence[str], *, alone: bool) -> int:
+    """Run a command line; return its exit code (`outcome.EXIT_CODES`).
+
+    Args:
+        argv: Its words.
+        alone: Whether this process does nothing else.
+
+    """
+    # A wrong option is found before it is known which ones are there.
+    as_json = JSON in argv
+    OUTPUT.stderr = as_json
+    try:
+        arguments = (_loaded if alone else _parsed)(argv)
+    except KeyboardInterrupt:
+        return _ended('', as_json, INTERRUPTED, WORDS, KIND)
+    except _WrongUsage as error:
+        return _ended(error.command, as_json, InputError.exit_code, str(error), 'input')
+    as_json = getattr(arguments, 'json', False)
+    command = arguments.command
+    try:
+        outcome = arguments.run(arguments) or Outcome()
+        if as_json:
+            write_document(command, outcome)
+            sys.stdout.flush()
+    except ImuCalibError as error:
+        code = _ended(command, as_json, error.exit_code, str(error), kind_of(error))
+    except KeyboardInterrupt:
+        code = _ended(command, as_json, INTERRUPTED, WORDS, KIND)
+    except BrokenPipeError:
+        # Whoever read our output has seen enough; keep the interpreter from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        where = f'{error.filename}: ' if error.filename else ''
+        said = f'{where}{error.strerror or error}.'
+        code = _ended(command, as_json, InputError.exit_code, said, 'input')
+    else:
+        if outcome.message:
+            _say(command, outcome.message, style='red')
+        return outcome.exit_code
+    _last_word(arguments)
+    return code
+
+
+def _parsed(argv: Sequence[str]) -> argparse.Namespace:
+    return build_parser(argv).parse_args(argv)
+
+
+def _loaded(argv: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line of a process that loads what it needs for it.
+
+    Modules stay until the process ends: searching them for garbage, meanwhile and at the end, takes
+    a tenth of a short command.
+    """
+    gc.disable()
+    try:
+        return _parsed(argv)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
+    """Say why a command has ended without a result, on the screen and in its document."""
+    if code == INTERRUPTED:
+        clear_interrupt()
+    _say(command, text, style='' if code == INTERRUPTED else 'red')
+    if as_json:
+        write_document(command, Outcome(exit_code=code), error_document(text, kind))
+    return code
+
+
+def _say(command: str, text: str, style: str) -> None:
+    name = f'imu-calib {command}' if command else 'imu-calib'
+    ERRORS.print(f'{name}: {text}', style=style, markup=False, highlight=False)
+
+
+def _last_word(arguments: argparse.Namespace) -> None:
+    """Say how to go on, where a command has left something that can be gone on with."""
+    if word := getattr(arguments, 'last_word', ''):
+        ERRORS.print(word, markup=False)
