@@ -33,8 +33,8 @@ from imu_calib.turntable import load_table
 SERIALS = {'unit_A1': 'A1', 'unit_B_2': 'B-2', 'unit_C3': 'C3'}
 UNITS = [{'serial_number': serial, 'imu': 'fog_medium'} for serial in SERIALS.values()]
 DEVICES = [f'{name}/imu_node' for name in SERIALS]
-# s: holds a whole dwell or turn wherever within the plan it begins. The longest way to the end of one
-# is 9 s: from the middle of a dwell over the way to a turn (2.3 s) to the end of that (5.2 s).
+# s: holds a whole dwell or turn wherever within the plan it begins. The longest way to the end of
+# one is 9 s: from the middle of a dwell over the way to a turn (2.3 s) to the end of that (5.2 s).
 LOSS = 12.0
 VALID, REFUSED = messages.ImuCalibration.VALID, messages.ImuCalibration.REFUSED
 
