@@ -68,7 +68,7 @@ def start(words, **options):
 def running(number=None):
     """Return what runs with the mark of a process (this one): number and command line."""
     mark = f'{MARK}={number or os.getpid()}'.encode()
-    numbers = {int(p.name) for p in Path('/proc').glob('[0-9]*')}
+    numbers = {int(name) for name in os.listdir('/proc') if name.isdigit()}  # noqa: PTH208
     _foreign.intersection_update(numbers)
     found = {}
     for one in numbers - _foreign:
