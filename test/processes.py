@@ -73,12 +73,14 @@ def running(number=None):
     found = {}
     for one in numbers - _foreign:
         folder = Path('/proc', str(one))
-        # It may end while it is looked at; others' are not to be read.
-        with contextlib.suppress(OSError):
+        try:
             if mark not in (folder / 'environ').read_bytes().split(b'\0'):
                 _foreign.add(one)
             elif line := (folder / 'cmdline').read_bytes().replace(b'\0', b' ').decode():
                 found[one] = line.strip()
+        except OSError:
+            # It has ended meanwhile, or is another's, or the kernel's: these are not to be read.
+            _foreign.add(one)
     return {one: line for one, line in found.items() if _OF_PYTHON not in line}
 
 
