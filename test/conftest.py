@@ -39,27 +39,28 @@ def pytest_report_header() -> str:
 
 
 _FAILED = pytest.StashKey[bool]()
+_REPEATS = pytest.StashKey[int]()
 
 
 _LONG = (
     'test_ros_stand.py',
     'test_ros_launched.py',
     'test_security.py',
-    'test_stand.py',
-    'test_stand_strangers.py',
-    'test_verification.py',
     'test_matrix.py',
-    'test_calibration_session.py',
-    'test_turntable_node.py',
-    'test_resume.py',
-    'test_live_session.py',
+    'test_stand.py',
+    'test_verification.py',
     'test_bad_input.py',
+    'test_stand_strangers.py',
+    'test_resume.py',
+    'test_turntable_node.py',
+    'test_live_session.py',
     'test_joint.py',
+    'test_calibration_session.py',
     'test_terms.py',
     'test_prediction.py',
     'test_score.py',
-    'test_planless.py',
     'test_gravity.py',
+    'test_planless.py',
     'test_robot.py',
     'test_clock.py',
     'test_processes.py',
@@ -77,18 +78,45 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.loadscopereorder = False
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector):
+    """Begin each worker's collection at files of its own: what one compiles, the others load."""
+    report = yield
+    if isinstance(collector, pytest.Dir) and report.result:
+        worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
+        first = worker * len(report.result) // int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
+        report.result = [*report.result[first:], *report.result[:first]]
+    return report
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what only repeats, unless all is asked for; put the long files first.
 
-    The order within a file, and of the others, is as collected.
+    The others follow by name; the order within a file is as collected.
     """
     if not ALL:
-        left_out = pytest.mark.skip(reason='repeats what another holds; IMU_CALIB_TESTS=all')
-        for item in items:
-            if item.get_closest_marker('repeats') is not None:
-                item.add_marker(left_out)
+        repeats = [item for item in items if item.get_closest_marker('repeats') is not None]
+        items[:] = [item for item in items if item.get_closest_marker('repeats') is None]
+        config.hook.pytest_deselected(items=repeats)
+        config.stash[_REPEATS] = len(repeats)
+        # Of a worker, for the process that reports.
+        getattr(config, 'workeroutput', {})['repeats'] = len(repeats)
     place = {name: k for k, name in enumerate(_LONG)}
-    items.sort(key=lambda item: place.get(item.path.name, len(place)))
+    items.sort(key=lambda item: (place.get(item.path.name, len(place)), item.path))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node) -> None:
+    """Take over what a worker has left out; all of them leave out the same."""
+    node.config.stash[_REPEATS] = getattr(node, 'workeroutput', {}).get('repeats', 0)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many tests only repeat what others hold."""
+    if count := terminalreporter.config.stash.get(_REPEATS, 0):
+        terminalreporter.write_line(
+            f'{count} tests that repeat what others hold are left out (IMU_CALIB_TESTS=all)'
+        )
 
 
 def pytest_unconfigure() -> None:

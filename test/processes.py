@@ -68,17 +68,19 @@ def start(words, **options):
 def running(number=None):
     """Return what runs with the mark of a process (this one): number and command line."""
     mark = f'{MARK}={number or os.getpid()}'.encode()
-    numbers = {int(p.name) for p in Path('/proc').glob('[0-9]*')}
+    numbers = {int(name) for name in os.listdir('/proc') if name.isdigit()}  # noqa: PTH208
     _foreign.intersection_update(numbers)
     found = {}
     for one in numbers - _foreign:
         folder = Path('/proc', str(one))
-        # It may end while it is looked at; others' are not to be read.
-        with contextlib.suppress(OSError):
+        try:
             if mark not in (folder / 'environ').read_bytes().split(b'\0'):
                 _foreign.add(one)
             elif line := (folder / 'cmdline').read_bytes().replace(b'\0', b' ').decode():
                 found[one] = line.strip()
+        except OSError:
+            # It has ended meanwhile, or is another's, or the kernel's: these are not to be read.
+            _foreign.add(one)
     return {one: line for one, line in found.items() if _OF_PYTHON not in line}
 
 

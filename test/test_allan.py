@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sessions import calibrate, paper_imu, quick_plan, session, stand
+from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.allan import (
     FLICKER_FLOOR,
@@ -186,7 +186,7 @@ def test_what_the_steps_of_a_counter_add(rate: float, walk: float) -> None:
 
 def test_a_session_shows_the_noise_that_was_put_in_and_no_other() -> None:
     spec = paper_imu()
-    plan = quick_plan('twelve_position', 60.0)
+    plan = at_one_rate(quick_plan('twelve_position', 60.0))
     result = calibrate(session(plan, stand(), 3), plan)
     document = result.calibration.provenance['noise']
     seen = {name: ChannelNoise.read(entry) for name, entry in document.items()}

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from sessions import quick_plan, stand, truth
+from sessions import at_one_rate, quick_plan, stand, truth
 from test_joint import simulated
 
 from imu_calib.estimation.estimate import Estimate, estimate
@@ -100,7 +100,7 @@ SIZES = {
     'stops': {'stop_tilt': 2 * ARCSEC, 'stop_heading': 2 * ARCSEC},
 }
 SEEDS = (1, 2, 3)
-PLAN = quick_plan('twelve_position', 40.0)
+PLAN = at_one_rate(quick_plan('twelve_position', 40.0))
 UNIT = load_imu('fog_navigation')
 # No drift that a data sheet states: arrivals would hide that the session shows none.
 UNIT = replace(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy.signal import lfilter
-from sessions import LATITUDE, calibrate, quick_plan, session, stand, truth
+from sessions import LATITUDE, at_one_rate, calibrate, quick_plan, session, stand, truth
 from test_free_positions import result as by_hand
 from test_information import ACCEL_WALK, CLOCK, GYRO_WALK, SECOND, SITE, evidence_of
 
@@ -50,7 +50,7 @@ K_A, D_A = of('K_ax', 'K_ay', 'K_az'), of('D_ax', 'D_ay', 'D_az')
 @cache
 def made(plan_name: str, method_name: str) -> Calibration:
     """A short session at a table that states all that a table can state."""
-    plan = quick_plan(plan_name, 12.0)
+    plan = at_one_rate(quick_plan(plan_name, 12.0))
     table = replace(
         load_table('three_axis'), positioning=POSITIONING, clock=TABLE_CLOCK, azimuth=0.0
     )
@@ -376,7 +376,7 @@ def test_the_doubt_of_gravity_is_that_of_every_response_to_force(plan: str, name
 
 def test_a_gravity_as_measured_is_exact_and_has_no_line() -> None:
     measured = Site.at(LATITUDE, gravity=9.79642, latitude_std=0.0)
-    plan = quick_plan('twelve_position', 12.0)
+    plan = at_one_rate(quick_plan('twelve_position', 12.0))
     found = calibrate(session(plan, stand(), 1), plan, site=measured).calibration
     sources = {line.source for line in found.budget.lines}
     assert not sources & {Source.GRAVITY, Source.LATITUDE, Source.TABLE_CLOCK}

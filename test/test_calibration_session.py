@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from extent import ALL
+from extent import ALL, again
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
@@ -53,6 +53,12 @@ LIMITS = np.concatenate(
 )
 
 
+@cache
+def usual_plan() -> Plan:
+    """The twelve positions with their dwells: what tells scale factors is the fastest turns."""
+    return at_one_rate(load_plan('twelve_position'))
+
+
 def errors(result: Result) -> Floats:
     return result.calibration.model.vector() - truth().model.vector()
 
@@ -64,8 +70,8 @@ def normalised(result: Result) -> Floats:
 def one_session(seed: int) -> dict[str, tuple[Floats, ...]]:
     """Errors in standard deviations, these, and independent ones, by default and closed form."""
     azimuth = np.random.default_rng(seed + 1000).uniform(-np.pi, np.pi)
-    blocks = session(options=economical(stand(azimuth=azimuth)), seed=seed)
-    setup = Setup(paper_imu(), load_plan('twelve_position'), load_table('three_axis'), SITE)
+    blocks = session(usual_plan(), economical(stand(azimuth=azimuth)), seed)
+    setup = Setup(paper_imu(), usual_plan(), load_table('three_axis'), SITE)
     calibrator = fed(blocks, setup)
     found = calibrator.snapshot().finish().calibration
     closed = twelve_position.solve(gathered(calibrator))
@@ -114,16 +120,16 @@ def test_normalised_errors_of_many_sessions_are_standard_normal(name: str) -> No
     assert np.all(deviations.max(axis=0) < LIMITS)
 
 
-@pytest.mark.parametrize('azimuth', [0.0, 1.0, 2.5, 5.0, 200.0])
+@pytest.mark.parametrize('azimuth', [0.0, again(1.0), again(2.5), 5.0, 200.0])
 def test_the_twelve_position_bias_does_not_move_with_the_azimuth(azimuth: float) -> None:
-    plan = quick_plan('twelve_position', 20.0)
+    plan = at_one_rate(quick_plan('twelve_position', 20.0))
     exact = stand(azimuth=azimuth * DEG, quantise=False, noise=False)
     result = calibrate(session(plan, exact), plan, method='twelve_position')
     assert np.abs(errors(result)[GYRO_BIAS]).max() < 1e-6 * DEG_H
 
 
 def test_with_pulses_the_bias_moves_by_quantisation_and_no_more() -> None:
-    plan = quick_plan('twelve_position', 60.0)
+    plan = at_one_rate(quick_plan('twelve_position', 60.0))
     biases = []
     for azimuth in (0.0, 2.0, 5.0, 200.0):
         options = stand(azimuth=azimuth * DEG, noise=False)
@@ -139,7 +145,7 @@ def test_with_pulses_the_bias_moves_by_quantisation_and_no_more() -> None:
 def test_the_six_position_bias_moves_as_its_formula_says(azimuth: float) -> None:
     # docs/mathematics.md, 'Twelve positions':
     # dD = (I + M) mean(R_nb^T) (Rz(-e) - 1) (0, omega_N, 0).
-    plan = quick_plan('six_position', 20.0)
+    plan = at_one_rate(quick_plan('six_position', 20.0))
     believed = replace(load_table('three_axis'), azimuth=0.0)
     exact = stand(azimuth=azimuth * DEG, quantise=False, noise=False)
     blocks = session(plan, exact, table=believed)
@@ -153,7 +159,7 @@ def test_the_six_position_bias_moves_as_its_formula_says(azimuth: float) -> None
     assert errors(result)[10] / DEG_H == pytest.approx(-1 / 3 * size, abs=0.005)
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', [0, 1, again(2), again(3)])
 def test_without_noise_the_scale_factor_is_exact_at_any_start_phase(seed: int) -> None:
     plan = load_plan('twelve_position')
     ten = replace(plan.positions[0].rate_test, rates=(10 * DEG, -10 * DEG))  # type: ignore[type-var]
@@ -168,7 +174,7 @@ def test_without_noise_the_scale_factor_is_exact_at_any_start_phase(seed: int) -
 
 def test_a_difference_of_clocks_is_found_and_does_not_reach_the_scale_factor() -> None:
     options = stand(clock_offset=0.05, clock_rate_error=50e-6)
-    result = calibrate(session(options=options, seed=2))
+    result = calibrate(session(usual_plan(), options, 2), usual_plan())
     clock = result.session.clock
     assert abs(clock.rate - 50e-6) < 4.5 * clock.rate_std < 1e-6
     assert np.abs(normalised(result)[:9]).max() < 4.5
@@ -176,17 +182,17 @@ def test_a_difference_of_clocks_is_found_and_does_not_reach_the_scale_factor() -
 
 def test_half_a_millisecond_of_jitter_costs_little() -> None:
     options = stand(joint_stamp_jitter=0.0005, imu_stamp_jitter=0.0005)
-    result = calibrate(session(options=options, seed=2))
+    result = calibrate(session(usual_plan(), options, 2), usual_plan())
     assert np.abs(normalised(result)).max() < 4.5
     assert result.calibration.std[:3].max() < 15 * PPM
 
 
 @pytest.mark.parametrize('missing', [(SetpointBlock,), (SetpointBlock, JointBlock)])
 def test_joint_states_alone_and_the_imu_alone_serve_too(missing: tuple[type, ...]) -> None:
-    blocks = [b for b in session(seed=5) if not isinstance(b[1], missing)]
-    result = calibrate(blocks, imu_only=JointBlock in missing)
+    blocks = [b for b in session(usual_plan(), seed=5) if not isinstance(b[1], missing)]
+    result = calibrate(blocks, usual_plan(), imu_only=JointBlock in missing)
     assert len(result.labelled.segments) == 12
-    assert len(result.labelled.turns) == 18
+    assert len(result.labelled.turns) == 6
     assert np.abs(normalised(result)).max() < 4.5
 
 
@@ -202,13 +208,13 @@ mount: [-y, z, -x]
 
 def test_another_table_needs_no_special_case() -> None:
     table = read_table(Section.parse(OTHER_TABLE, 'other.yaml'))
-    result = calibrate(session(table=table, seed=6), table=table)
+    result = calibrate(session(usual_plan(), table=table, seed=6), usual_plan(), table=table)
     assert np.abs(normalised(result)).max() < 4.5
 
 
 def test_the_south_needs_no_special_case() -> None:
     site = Site.at(-LATITUDE, gravity=normal_gravity(-LATITUDE))
-    result = calibrate(session(site=site, seed=7), site=site)
+    result = calibrate(session(usual_plan(), site=site, seed=7), usual_plan(), site=site)
     assert np.abs(normalised(result)).max() < 4.5
     assert result.solution.earth_up < 0
 
@@ -219,13 +225,13 @@ def shuffled(plan: Plan) -> Plan:
 
 
 def test_another_order_needs_no_special_case() -> None:
-    plan = shuffled(load_plan('twelve_position'))
+    plan = shuffled(usual_plan())
     result = calibrate(session(plan, seed=8), plan)
     assert np.abs(normalised(result)).max() < 4.5
 
 
 def test_a_repeated_position_is_averaged_and_makes_its_share_surer() -> None:
-    plan = load_plan('twelve_position')
+    plan = usual_plan()
     again = replace(plan.positions[2], id='3 again')
     run = replace(plan, positions=(*plan.positions, again))
     blocks = [(topic, renamed(block)) for topic, block in session(run, seed=9)]
@@ -322,19 +328,21 @@ def test_the_unit_of_the_paper_is_what_the_tests_use() -> None:
     assert paper_imu().gyro.random_walk == pytest.approx(0.05 * DEG / 60)
 
 
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', [0, again(1), again(2)])
 def test_the_positioning_that_a_table_states_is_in_the_standard_deviations(seed: int) -> None:
     # No sensor sees it: two arcsec, uniform, tilt the axis of a rate test by 1e-5 rad as a whole.
     half_width = 2 * ARCMIN / 60
     table = replace(load_table('three_axis'), positioning=half_width / np.sqrt(3))
-    result = calibrate(session(options=stand(positioning_error=half_width), seed=seed), table=table)
+    options = stand(positioning_error=half_width)
+    result = calibrate(session(usual_plan(), options, seed), usual_plan(), table=table)
     assert np.abs(normalised(result)).max() < 4.5
     assert not any('scatter' in finding for finding in result.calibration.findings)
 
 
 def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
-    result = calibrate(session(options=stand(positioning_error=10 * ARCMIN / 60), seed=1))
-    plain = calibrate(session(seed=1))
+    plan, options = usual_plan(), stand(positioning_error=10 * ARCMIN / 60)
+    result = calibrate(session(plan, options, seed=1), plan)
+    plain = calibrate(session(plan, seed=1), plan)
     assert any('Positioning errors of' in finding for finding in result.calibration.findings)
     assert np.abs(normalised(result)).max() < 4.5
     # Misalignments that rest on few stops of the inner joints; hardly those that rest on many, and
@@ -345,7 +353,7 @@ def test_errors_of_arrival_that_no_table_states_widen_the_deviations() -> None:
 
 
 def test_holding_the_table_where_it_stands_leaves_the_position_its_name() -> None:
-    plan = quick_plan('twelve_position', dwell=12.0)
+    plan = at_one_rate(quick_plan('twelve_position', dwell=12.0))
 
     def held(blocks):
         last = len(plan.steps(load_table('three_axis'))) - 1

@@ -17,7 +17,7 @@ import pytest
 import yaml
 from browser import CHROMIUM, needs_chromium, opened, overlaps, width
 from loopback import CHECKOUT
-from sessions import calibrate, quick_plan, session, stand
+from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 import imu_calib
 from imu_calib.api.certifying import certificate
@@ -39,7 +39,7 @@ from imu_calib.share import named_file
 
 EXAMPLE = CHECKOUT / 'config' / 'certificates' / 'example.yaml'
 SCHEMA = CHECKOUT / 'test' / 'data' / 'dcc' / 'dcc.xsd'
-PLAN = quick_plan('twelve_position', 20.0)
+PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 
 
 @pytest.fixture(scope='module')

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from installed import needs_modules
 
 import imu_calib
 from imu_calib import InputError
@@ -15,9 +16,7 @@ from imu_calib.fleet.catalogue import Catalogue
 from imu_calib.fleet.recordings import Job, find_jobs
 from imu_calib.fleet.task import LOST, key_of, lost, run
 
-pytest.importorskip('pyarrow')
-pytest.importorskip('duckdb')
-pytest.importorskip('distributed')
+needs_modules('pyarrow', 'duckdb', 'distributed')
 
 SIMULATED = """
 units:

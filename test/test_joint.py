@@ -13,6 +13,7 @@ from scipy.stats import chi2, norm
 from sessions import (
     LATITUDE,
     SITE,
+    at_one_rate,
     fed,
     gathered,
     in_parallel,
@@ -169,7 +170,7 @@ SEEDS = 6
 
 def one_session(seed: int) -> tuple[Floats, ...]:
     azimuth = np.random.default_rng(seed + 1000).uniform(-np.pi, np.pi)
-    plan = quick_plan('twelve_position', DWELL)
+    plan = at_one_rate(quick_plan('twelve_position', DWELL))
     evidence = simulated(plan, stand(azimuth=azimuth), seed)
     found = joint.solve(evidence)
     # Each dwell begins after a second of settling at rest.
@@ -210,14 +211,14 @@ def test_it_is_never_worse_than_the_closed_form() -> None:
 
 
 def test_a_clean_session_names_nothing() -> None:
-    evidence = simulated(quick_plan('twelve_position', DWELL), stand(azimuth=1.0), 1)
+    evidence = simulated(at_one_rate(quick_plan('twelve_position', DWELL)), stand(azimuth=1.0), 1)
     assert joint.solve(evidence).findings == ()
 
 
 def six_on_a_tilted_table() -> Evidence:
     table = replace(load_table('three_axis'), azimuth=0.0)
     options = stand(tilt=(0.02 * DEG, 0.046 * DEG))
-    return simulated(quick_plan('six_position', 60.0), options, 1, table=table)
+    return simulated(at_one_rate(quick_plan('six_position', 60.0)), options, 1, table=table)
 
 
 def test_six_positions_on_a_tilted_table_keep_their_biases() -> None:
@@ -278,7 +279,7 @@ def test_a_closed_form_that_a_tilt_spoils_says_so() -> None:
 
 
 def test_six_positions_need_no_north() -> None:
-    evidence = simulated(quick_plan('six_position', 60.0), stand(azimuth=0.8), 2)
+    evidence = simulated(at_one_rate(quick_plan('six_position', 60.0)), stand(azimuth=0.8), 2)
     found = joint.solve(evidence)
     assert np.abs(normalised(found)).max() < 4.5
     assert found.azimuth == pytest.approx(0.8, abs=4.5 * found.azimuth_std)
@@ -294,7 +295,7 @@ def test_a_wrong_azimuth_is_said_and_not_used() -> None:
 
 
 def test_one_position_lost_costs_one_position() -> None:
-    plan = quick_plan('twelve_position', 60.0)
+    plan = at_one_rate(quick_plan('twelve_position', 60.0))
     whole = simulated(plan, stand(azimuth=0.5), 3)
     evidence = replace(whole, segments=whole.segments[:6] + whole.segments[7:])
     found, closed = joint.solve(evidence), twelve_position.solve(evidence)
@@ -305,7 +306,7 @@ def test_one_position_lost_costs_one_position() -> None:
 
 
 def test_a_position_that_was_leaned_on_is_named_and_does_no_harm() -> None:
-    plan = quick_plan('twelve_position', 60.0)
+    plan = at_one_rate(quick_plan('twelve_position', 60.0))
     evidence = simulated(plan, stand(azimuth=0.5), 3)
     leaned = evidence.segments[4]
     off = np.array([0, 0, 0, 300, -200, 0]) * MICRO_G
@@ -334,7 +335,7 @@ def test_uneven_dwells_count_by_what_they_are_worth() -> None:
 
 def test_a_servo_that_misses_costs_nothing_that_the_encoder_sees() -> None:
     options = stand(azimuth=0.5, servo_error=0.05 * DEG)
-    found = joint.solve(simulated(quick_plan('twelve_position', 60.0), options, 5))
+    found = joint.solve(simulated(at_one_rate(quick_plan('twelve_position', 60.0)), options, 5))
     assert np.abs(normalised(found)).max() < 4.5
     assert not any('closed form' in finding for finding in found.findings)
 
@@ -421,7 +422,7 @@ def test_a_drift_that_the_data_clearly_does_not_show_hardly_counts() -> None:
 
 def test_a_stated_drift_on_the_stand_is_in_the_standard_deviations() -> None:
     options = stand(azimuth=0.5, bias_instability=True)
-    plan = quick_plan('twelve_position', 60.0)
+    plan = at_one_rate(quick_plan('twelve_position', 60.0))
     for seed in range(2):
         found = joint.solve(simulated(plan, options, seed, spec=load_imu('fog_medium')))
         assert np.abs(normalised(found)).max() < 4.5

@@ -47,7 +47,7 @@ def quick(name: str, dwell: float) -> Plan:
     for p in plan.positions:
         test = p.rate_test
         if test is not None:
-            test = replace(test, rates=tuple(r * DEG for r in (30, -30, 60, -60)))
+            test = replace(test, rates=(60 * DEG, -60 * DEG))
         positions.append(replace(p, dwell=min(p.dwell, dwell), rate_test=test))
     return replace(plan, positions=tuple(positions))
 

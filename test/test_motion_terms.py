@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from other_world import World
-from sessions import SITE, gathered, quick_plan, stand, truth
+from sessions import SITE, at_one_rate, gathered, quick_plan, stand, truth
 from sessions import fed as fed_blocks
 from test_other_world import NAVIGATION, fed, true_vector
 
@@ -67,7 +67,7 @@ def ran(model: SensorModel, terms: tuple[Term, ...] = ()) -> Calibrator:
     """A session of the package's own simulation, of fine pulses."""
     spec = load_imu('fog_navigation')
     spec = replace(spec, accel=replace(spec.accel, scale_factor=1e-5))
-    plan, table = quick_plan('twelve_position', 10.0), load_table('three_axis')
+    plan, table = at_one_rate(quick_plan('twelve_position', 10.0)), load_table('three_axis')
     options = stand(azimuth=0.3, lever=(0.1, -0.2, 0.05), sample_rate=50.0)
     setup = Setup(spec, plan, table, SITE, terms=terms)
     return fed_blocks(simulate(plan, table, spec, model, SITE, options, 4), setup)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from other_world import World
 from scipy.stats import chi2
-from sessions import SITE, fed, gathered, paper_imu, quick_plan, session, stand, truth
+from sessions import SITE, at_one_rate, fed, gathered, paper_imu, quick_plan, session, stand, truth
 from test_other_world import MEDIUM, NAVIGATION, segmented, true_vector
 
 from imu_calib.calibration import Calibration
@@ -220,7 +220,7 @@ def evidence(pulse: float = FINE_PULSE) -> Evidence:
     """Of the unit of Cao 2022, but for the pulses of its accelerometers."""
     spec = paper_imu()
     spec = replace(spec, accel=replace(spec.accel, scale_factor=pulse))
-    plan = quick_plan('twelve_position', 20.0)
+    plan = at_one_rate(quick_plan('twelve_position', 20.0))
     setup = Setup(spec, plan, load_table('three_axis'), SITE, None)
     return gathered(fed(session(plan, stand(azimuth=0.3), seed=1, spec=spec), setup))
 
@@ -339,7 +339,7 @@ def test_moves_sharpen_the_scale_factors_of_the_gyros() -> None:
 
 def test_a_gap_ends_a_move_and_no_other() -> None:
     """Half a second of samples is lost while the table goes from the second rest to the third."""
-    plan = quick_plan('twelve_position', 3.0)
+    plan = at_one_rate(quick_plan('twelve_position', 3.0))
     setup = Setup(paper_imu(), plan, load_table('three_axis'), SITE, None)
     whole = gathered(fed(session(plan, stand(azimuth=0.3), seed=1), setup)).links.links
     gap = (whole[1].move.start + whole[1].move.end) // 2

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import SITE, calibrate, fed, gathered, quick_plan, session, stand, truth
+from sessions import SITE, at_one_rate, calibrate, fed, gathered, quick_plan, session, stand, truth
 
 from imu_calib.calibration import Calibration
 from imu_calib.calibrator import Setup
@@ -29,7 +29,7 @@ STATES_NO_NOISE = stand(sample_rate=100.0)
 
 def plan_of(name: str) -> Plan:
     """A plan of fast turns: the faster, the more of the output rounding takes."""
-    plan = quick_plan(name, 12.0)
+    plan = at_one_rate(quick_plan(name, 12.0))
     fast = RateTest(tuple(s * r * DEG for r in (30, 60, 90) for s in (1, -1)), turns=1)
     return replace(
         plan,
@@ -60,7 +60,7 @@ def test_a_stream_without_noise_is_solved_to_rounding_and_claims_no_more(name: s
 
 def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> None:
     """At 50 Hz a turn at 70 deg/s is no whole number of samples, and joints start within one."""
-    plan = quick_plan('optimised_twelve', 12.0)
+    plan = at_one_rate(quick_plan('optimised_twelve', 12.0))
     odd = RateTest((70 * DEG, -70 * DEG), turns=1)
     plan = replace(
         plan,
@@ -93,7 +93,7 @@ def test_a_stream_without_noise_is_verified_in_fast_turns() -> None:
 
 def test_clocks_that_many_turns_compare_explain_what_they_differ_by() -> None:
     """What turns say of the clocks is not lost beside rests that are known far better."""
-    plan, table = quick_plan('twelve_position', 12.0), load_table('three_axis')
+    plan, table = at_one_rate(quick_plan('twelve_position', 12.0)), load_table('three_axis')
     many = RateTest((150 * DEG, -150 * DEG), turns=20)
     plan = replace(
         plan,

@@ -11,7 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 from ideal import mean_of
-from sessions import SITE, Named, calibrate, paper_imu, quick_plan, session, stand, truth
+from sessions import (
+    SITE,
+    Named,
+    at_one_rate,
+    calibrate,
+    paper_imu,
+    quick_plan,
+    session,
+    stand,
+    truth,
+)
 
 from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
@@ -122,7 +132,7 @@ def test_the_file_says_that_there_was_no_plan() -> None:
 
 
 def test_the_twelve_positions_need_no_plan() -> None:
-    plan = quick_plan('twelve_position', 20.0)
+    plan = at_one_rate(quick_plan('twelve_position', 20.0))
     blocks = [b for b in session(plan, seed=5) if not isinstance(b[1], SetpointBlock)]
     # The same rests and turns under other names: the same equations.
     planned, unplanned = calibrate(blocks, plan), calibrate(blocks, UNPLANNED)
@@ -143,7 +153,7 @@ def test_rests_at_other_headings_than_the_plan_has_count() -> None:
 
 
 def test_a_closed_form_knows_the_positions_of_the_plan_alone() -> None:
-    plan = quick_plan('six_position', 20.0)
+    plan = at_one_rate(quick_plan('six_position', 20.0))
     table = replace(TABLE, azimuth=0.0)
     other = replace(plan.positions[0], id='other', attitude=at(45, 45, 45))
     longer = replace(plan, positions=(*plan.positions, other))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import calibrate, paper_imu, quick_plan, session, stand
+from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.api.simulating import serialised
 from imu_calib.bags import RecordingWriter
@@ -33,7 +33,7 @@ from imu_calib.units import ARCMIN, DEG_H, MICRO_G, PPM
 
 BROWSER = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'chrome'))), None)
 UNITS = {'ppm': PPM, 'arcmin': ARCMIN, 'deg/h': DEG_H, 'µg': MICRO_G}
-PLAN = quick_plan('twelve_position', 20.0)
+PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 
 
 @pytest.fixture(scope='module')
@@ -163,7 +163,7 @@ def test_what_was_not_used_is_named_with_its_reason(text: str) -> None:
 def test_every_stretch_is_on_the_time_line(text: str, result: Result) -> None:
     blocks = [e.get('class') for e in parsed(text).iter('rect') if 'block' in str(e.get('class'))]
     assert blocks.count('block static') == len(result.labelled.segments) == 12
-    assert blocks.count('block turn') == len(result.labelled.turns) == 18
+    assert blocks.count('block turn') == len(result.labelled.turns) == 6
     assert blocks.count('block rejected') == 1
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from browser import A4, contrasts, needs_chromium, opened, overfull, overlaps, width
-from sessions import calibrate, quick_plan, session, stand
+from sessions import at_one_rate, calibrate, quick_plan, session, stand
 
 import imu_calib
 from imu_calib.budget import Share, Source
@@ -32,7 +32,7 @@ from imu_calib.rotations import rotations
 from imu_calib.segmentation.segmented import Rejected
 from imu_calib.share import named_file
 
-PLAN = quick_plan('twelve_position', 20.0)
+PLAN = at_one_rate(quick_plan('twelve_position', 20.0))
 WIDTHS = (390, 820, 1400)
 
 

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from sessions import calibrate, paper_imu, quick_plan, session, stand, truth
+from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand, truth
 from test_compensation import known
 
 from imu_calib.calibration import Calibration
@@ -50,7 +50,7 @@ def true_model(celsius):
 
 @cache
 def at(celsius, dwell=12.0):
-    plan = quick_plan('twelve_position', dwell=dwell)
+    plan = at_one_rate(quick_plan('twelve_position', dwell=dwell))
     warming = Warming(reference=REFERENCE, offset=celsius - REFERENCE)
     options = stand(warming=warming, thermal_drift=DRIFT)
     return calibrate(session(plan, options, seed=round(celsius) % 97), plan).calibration

@@ -5,19 +5,19 @@ from pathlib import Path
 
 import pytest
 from browser import chromium, contrasts, width
+from installed import needs_modules
 from loopback import patience
 from test_units_board import mounted as mounted  # noqa: PLC0414
 from test_units_board import progress, said
 from test_web_board import SETUP, state
 
-pytest.importorskip('nicegui')
-
 from imu_calib.imu import load_imu
-from imu_calib.web import page, server
 from imu_calib.web.expectation import units_board
 from imu_calib.web.guard import Token
 from imu_calib.web.samples import Dwells
 from imu_calib.web.shape import table_shape
+
+needs_modules('nicegui')
 
 SIZES = {'desk': (1280, 900), 'phone': (390, 844)}
 
@@ -25,6 +25,8 @@ SIZES = {'desk': (1280, 900), 'phone': (390, 844)}
 @pytest.fixture
 def shown(mounted, tmp_path):
     """A page that is served, and the board that it shows."""
+    from imu_calib.web import page, server
+
     board = units_board(SETUP, mounted)
     board.clock = [1.0]
     imus = {unit.name: load_imu(unit.imu) for unit in mounted}

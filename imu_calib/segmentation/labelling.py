@@ -324,7 +324,8 @@ def _by_attitude(segments: Sequence[Segment], plan: Plan) -> list[Segment]:
 
     Where a position has short ones alone, they say so.
     """
-    named, short = [], []
+    named: list[Segment] = []
+    short = []
     for segment in segments:
         position = min(plan.positions, key=lambda p, s=segment: _apart(s.attitude, p.attitude))  # type: ignore[misc]
         near = _apart(segment.attitude, position.attitude) <= _ATTITUDE_TOLERANCE
