@@ -213,7 +213,7 @@ _INSIDE = [
     _key('turns', _rows(_TURN), 'whole turns'),
     _key('plan', _TEXT, 'its name; empty without one'),
     _key('missing', _maybe(_TEXTS), 'of the plan; `null` where none has to be kept to'),
-    _key('told', _TEXT, 'whether all parameters are determined'),
+    _key('summary', _TEXT, 'whether all parameters are determined'),
     _key('latitude', _maybe(_LATITUDE), 'that the gyros see, and its standard deviation, deg'),
     _key('contradictions', _TEXTS, 'of latitude, plan or IMU; why no calibration comes of it'),
     _key('left_out', _TEXTS, 'what is not used, and why'),
