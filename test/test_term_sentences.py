@@ -214,7 +214,8 @@ def test_the_screen_says_what_is_on_what_is_off_and_what_is_not_seen() -> None:
     assert round(96 * 10 * unit * 1e6, 2) == 9.98
     assert summary(tests) == [
         'terms: g_sensitivity, gyro_cubic, trend',
-        'off, and found if larger than: gyro_asymmetry 34 ppm, accel_cubic',
+        'not significant; detectable above: gyro_asymmetry 34 ppm',
+        'not observable in this session: accel_cubic',
         'K_ax, K_ay hold for accel_cubic = 0, which this session does not show: 10 ug/g^3 would '
         'move K_ax by 10 ppm',
     ]
@@ -226,7 +227,7 @@ def test_the_screen_says_what_is_on_what_is_off_and_what_is_not_seen() -> None:
         moved=((k_ax, 20.0), (k_ay, 96.2), None),
     )
     assert summary((one,))[1:] == [
-        'off, and found if larger than: accel_cubic 0.96 ug/g^3',
+        'not significant; detectable above: accel_cubic 0.96 ug/g^3',
         'K_ax holds for accel_cubic = 0, which this session does not show: 10 ug/g^3 would move '
         'K_ax by 2.1 ppm',
     ]
@@ -248,13 +249,13 @@ def test_a_drift_of_scale_factors_that_may_hide_is_said_with_what_it_would_move(
     # Per hour 3e-9 / s are 10.8 ppm; they move K_gz by 3 ppm, as the others K_ax.
     power = f'D_g {2e-10 * 3600 / DEG_H:.2g} deg/h per h, D_a {2e-10 * 3600 / 9.80665e-6:.2g}'
     may = (
-        'K_g 11 ppm per h, K_a 5.4 ppm per h may pass unseen and would move K_gz by 3 ppm and K_ax '
-        'by 3 ppm'
+        'K_g 11 ppm per h, K_a 5.4 ppm per h below detection; would bias K_gz by 3 ppm and K_ax by '
+        '3 ppm'
     )
     assert summary((drift(),)) == [
         'terms: none',
-        f'off, and found if larger than: trend {power} ug per h, K_g 11 ppm per h, K_a 5.4 ppm per '
-        'h',
+        f'not significant; detectable above: trend {power} ug per h, K_g 11 ppm per h, K_a 5.4 ppm '
+        'per h',
         f'K_gz, K_ax hold for trend = 0: {may}',
     ]
     assert summary((drift(probability=0.123),))[-1] == (
@@ -269,7 +270,7 @@ def test_a_drift_of_scale_factors_that_may_hide_is_said_with_what_it_would_move(
         moved=(*moved[:6], moved[6], None),
     )
     assert summary((alone,))[-1] == (
-        'K_gz holds for trend = 0: K_g 11 ppm per h may pass unseen and would move K_gz by 3 ppm'
+        'K_gz holds for trend = 0: K_g 11 ppm per h below detection; would bias K_gz by 3 ppm'
     )
 
 

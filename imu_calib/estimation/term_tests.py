@@ -265,10 +265,14 @@ def summary(tests: tuple[TermTest, ...]) -> list[str]:
         if t.state in (TermState.ASKED, TermState.FOUND, TermState.NOT_DETERMINED)
     ]
     terms = [t for t in tests if t.parameters or t.changes]
-    off = [_power(t) for t in terms if t.state is TermState.OFF]
+    off = [t for t in terms if t.state is TermState.OFF]
+    seen = [_power(t) for t in off if t.changes or np.isfinite(t.smallest).any()]
+    unseen = [t.name for t in off if not (t.changes or np.isfinite(t.smallest).any())]
     lines.append(f'terms: {", ".join(on) or "none"}')
-    if off:
-        lines.append(f'not significant; detectable above: {", ".join(off)}')
+    if seen:
+        lines.append(f'not significant; detectable above: {", ".join(seen)}')
+    if unseen:
+        lines.append(f'not observable in this session: {", ".join(unseen)}')
     for one in terms:
         held = [
             (p, moved)
@@ -310,9 +314,9 @@ def _hidden(one: TermTest) -> str:
 def _power(one: TermTest) -> str:
     if one.changes:
         return f'{one.name} {largest(one.changes, one.smallest)}'
-    seen = [v for v in one.smallest if np.isfinite(v)]
     unit = one.parameters[0].unit
-    return f'{one.name} {max(seen) / unit.scale:.2g} {unit.shown}' if seen else one.name
+    largest_seen = max(v for v in one.smallest if np.isfinite(v))
+    return f'{one.name} {largest_seen / unit.scale:.2g} {unit.shown}'
 
 
 def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) -> str:
