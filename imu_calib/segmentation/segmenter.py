@@ -24,6 +24,8 @@ from ..stream import (
 )
 from ..turntable import Table
 from .bridging import LONGEST, Bridged, bridged
+from .buffer import RowBuffer
+from .bunches import spread
 from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
 from .grid import clock_steps
 from .intake import StreamBuffer
@@ -231,6 +233,8 @@ class Segmenter:
             end = int(stamp[first + _LONGEST_REST - 1]) - self._offset_ns
             if (tracker.known_until or 0) < end + MARGIN_NS:
                 return
+            if not self._intake.all_here(end + self._offset_ns + MARGIN_NS):
+                return
             rest = tracker.split_rest(end)
             if rest is None:
                 return
@@ -239,7 +243,7 @@ class Segmenter:
 
     def _rest(self, rest: Rest) -> None:
         start, end = rest.start + self._offset_ns, rest.end + self._offset_ns
-        stamp, values = self._intake.imu.between(start, end)
+        stamp, values = made_between(self._intake.imu, start, end)
         attitude = None
         if self._table is not None and rest.angles is not None:
             attitude = self._table.attitude(rest.angles)
@@ -263,7 +267,7 @@ class Segmenter:
     def _motion(self, motion: Motion) -> None:
         start = motion.start + self._offset_ns - MARGIN_NS
         end = motion.end + self._offset_ns + MARGIN_NS
-        stamp, values = self._apart_at_steps(*self._intake.imu.between(start, end))
+        stamp, values = self._apart_at_steps(*made_between(self._intake.imu, start, end))
         if len(stamp) < 2:
             return
         # The rate changes here: what lies right beside a lost sample tells of it, and no more.
@@ -277,7 +281,7 @@ class Segmenter:
         self._moves.motion(samples.part(0, ends), values[:ends])
         skew = self._intake.skew
         around = Around(
-            self._sensor, values, samples, None if skew is None else skew.between(start, end)
+            self._sensor, values, samples, None if skew is None else made_between(skew, start, end)
         )
         if self._table is None or not len(motion.stamp):
             self._take(read_free_motion(around, motion))
@@ -388,6 +392,20 @@ class Segmenter:
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return tuple(lost)
+
+
+def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats]:
+    """Return the samples made after one instant and up to another, ns; (n,) and (n, columns).
+
+    A bunch that came after an instant may have been begun before it: bunches are looked at for as
+    long beyond both as is looked at beside a motion, which is longer than one lasts.
+    """
+    came, values = rows.between(start - MARGIN_NS, end + MARGIN_NS)
+    made = spread(came)
+    inside = slice(*np.searchsorted(made, [start, end], side='right').tolist())
+    stamp, values = made[inside], values[inside]
+    stamp.flags.writeable = False
+    return stamp, values
 
 
 def interruption(last: int, begins: int) -> str:
