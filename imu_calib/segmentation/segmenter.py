@@ -9,6 +9,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..imu import ImuSpec
 from ..instants import at
@@ -23,6 +24,8 @@ from ..stream import (
     TemperatureBlock,
 )
 from ..turntable import Table
+from ..units import DEG
+from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
 from .buffer import RowBuffer
 from .bunches import spread
@@ -33,6 +36,7 @@ from .motion import JointTracker, Motion, Rest
 from .moves import MoveReader
 from .order import Ordered
 from .pace import Pace
+from .repeated_samples import Repetition
 from .rests import read_rest
 from .segment import Segment, Turn
 from .segmented import FreeMotion, MountShift, Move, Rejected, Segmented
@@ -50,6 +54,13 @@ _SEEN = 0.75
 """Of a motion: less of it was lost or beyond the range."""
 _ALIKE = 1.5
 """Times: where motions look alike in size it is the scale factor that is wrong."""
+_SURELY_SEEN = 3
+"""Motions that the gyros saw at the table's time, after which clocks are not compared otherwise: by
+chance one motion falls on another, and not three in a row."""
+_NEAR = 0.5
+"""s: clocks so near are compared motion by motion, in a second of rest on either side."""
+_TELLING = 10 * DEG
+"""rad: motions longer than that tell when they were."""
 INTERRUPTION = 1_000_000_000
 """A stream that is silent for so long, ns, may come from a program that was started again. A
 judgement: no node starts in less, and a line rarely fails for longer."""
@@ -79,10 +90,15 @@ class Segmenter:
         self._seen = 0
         self._pending: deque[Rest | Motion] = deque()
         self._offset_ns = 0
+        self._reference_ns = 0
+        self._apart_ns = 0
+        self._compared: list[bool] = []
+        self._trial: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
         self._newest: int | None = None
         self._interruptions: list[tuple[int, int]] = []
         self._seen_motions: list[tuple[float, ShareSeen]] = []
+        self._repetitions: list[Repetition] = []
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
         self._motions: list[FreeMotion] = []
@@ -91,6 +107,8 @@ class Segmenter:
         self._slips: list[MountShift] = []
         self._pace = Pace()
         self._lost = 0
+        self._frozen = 0, 0
+        self._unlike = False
         self._off_grid: set[int] = set()
 
     @property
@@ -194,12 +212,63 @@ class Segmenter:
                 interval.end + self._offset_ns + 2 * MARGIN_NS
             ):
                 break
-            self._pending.popleft()
+            if self._awaits_offset(last=last):
+                break
+            interval = self._pending.popleft()
+            if self._trial is not None:
+                self._trial.append(interval)
             if isinstance(interval, Rest):
                 self._rest(interval)
             else:
                 self._motion(interval)
-            self._intake.drop_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
+            if self._trial is None:
+                self._intake.drop_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
+
+    def _awaits_offset(self, *, last: bool) -> bool:
+        """Say whether what comes next has to wait until it is known how far clocks are apart.
+
+        As long as the gyros see the first motions of the table nothing waits. Where they do not,
+        the patterns of both are compared, and what was read so far is read anew.
+        """
+        if self._trial is None or self._joints is None or self._table is None:
+            return False
+        seen = [max(one.angle, one.time) >= _SEEN for _, one in self._seen_motions]
+        seen += self._compared
+        if all(seen):
+            if len(seen) >= 2 * _SURELY_SEEN or len(self._intake.imu) > _LONGEST_REST:
+                self._trial = None
+            return False
+        motions = [m for m in (*self._trial, *self._pending) if isinstance(m, Motion)]
+        far = round(FARTHEST * 1e9)
+        until = max(motions[0].start + far, self._trial[-1].end)
+        waits = (self._joints.known_until or 0) < until or not self._intake.all_here(until + far)
+        if waits and not last and len(self._intake.imu) <= _LONGEST_REST:
+            return True
+        stamp, values = self._intake.imu.stamp, self._intake.imu.values
+        ends = int(np.searchsorted(stamp, until + far, side='right'))
+        samples = self._sensor.samples(stamp[:ends], values[:ends])
+        offset = offset_by_pattern(
+            [m for m in motions if m.end <= until],
+            self._table,
+            self._trial[0].start,
+            samples.stamp,
+            np.cumsum(samples.increments[:, :3], axis=0),
+        )
+        self._unlike = offset is None
+        if offset is not None and abs(offset) > _NEAR:
+            self._begin_anew(round(offset * 1e9))
+        self._trial = None
+        return False
+
+    def _begin_anew(self, offset_ns: int) -> None:
+        """Forget what was found so far, and read it again with clocks that are so far apart."""
+        self._pending.extendleft(reversed(self._trial or ()))
+        self._offset_ns = self._reference_ns = self._apart_ns = offset_ns
+        self._clock, self._compared = [], []
+        self._seen_motions, self._repetitions = [], []
+        self._segments, self._turns, self._rejected, self._slips = [], [], [], []
+        self._moves = MoveReader(self._sensor)
+        self._pace, self._lost, self._off_grid = Pace(), 0, set()
 
     def _watch_stillness(self, *, last: bool) -> None:
         """Let the IMU's own samples tell rests from motions."""
@@ -239,6 +308,7 @@ class Segmenter:
             if rest is None:
                 return
             self._rest(rest)
+            self._trial = None
             self._intake.imu.drop_until(end + self._offset_ns - 2 * MARGIN_NS)
 
     def _rest(self, rest: Rest) -> None:
@@ -293,6 +363,7 @@ class Segmenter:
             if seen is not None:
                 middle = (motion.start + motion.end) / 2 + self._offset_ns
                 self._seen_motions.append((middle, seen))
+                self._repetitions.append(Repetition.of(values))
         self._take(read_turns(around, motion, self._table, self._offset_ns))
 
     def _note_lost(self, whole: Bridged, start: int, end: int) -> None:
@@ -307,10 +378,20 @@ class Segmenter:
             return
         axis = table.joint_axis(joint, motion.position[0])
         turned = np.cumsum(samples.increments[:, :3] @ axis)
-        compared = clock_sample(samples.stamp, turned, motion.stamp, motion.position[:, joint])
-        if compared is not None:
-            self._clock.append(compared)
-            self._offset_ns = round(compared.offset * 1e9)
+        compared = clock_sample(
+            samples.stamp, turned, motion.stamp + self._reference_ns, motion.position[:, joint]
+        )
+        if travel[joint] > _TELLING:
+            self._compared.append(compared is not None and abs(compared.offset) < _NEAR)
+        if compared is None:
+            return
+        shift = self._reference_ns
+        compared = ClockSample(compared.time - shift, compared.offset + shift * 1e-9)
+        self._clock.append(compared)
+        self._offset_ns = round(compared.offset * 1e9)
+        # The next motions are compared near this one: by drift clocks may come far apart.
+        if abs(self._offset_ns - shift) > _NEAR * 1e9:
+            self._reference_ns = self._offset_ns
 
     def _apart_at_steps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
         """Leave samples of a motion out where the clock was set: a gap that nobody fills."""
@@ -348,7 +429,11 @@ class Segmenter:
         if not len(angles) or angles.max() < _ALIKE * angles.min():
             return
         # A motion beyond the range looks small, but is seen from its beginning to its end.
-        unseen = np.concatenate([[False], np.maximum(angles, times) < _SEEN, [False]])
+        frozen = self._frozen_motions() & (np.maximum(angles, times) < _SEEN)
+        if frozen.any():
+            self._frozen = int(frozen.sum()), round(float(instants[frozen][0]))
+        unseen = np.maximum(angles, times) < _SEEN
+        unseen = np.concatenate([[False], unseen & ~frozen, [False]])
 
         def beside_unseen(instant: float) -> bool:
             after = int(np.searchsorted(instants, instant))
@@ -367,6 +452,17 @@ class Segmenter:
                 kept.append(segment)
         self._segments = kept
 
+    def _frozen_motions(self) -> NDArray[np.bool_]:
+        """Say in which of the motions that were looked at the device repeated one sample.
+
+        One that is frozen from its beginning to its end shows nothing beside that: by what chance
+        two samples are alike the motions of the session tell, of which most are sound: where most
+        repeat themselves the unit has no noise, and nothing tells.
+        """
+        usual = float(np.median([one.share for one in self._repetitions]))
+        found = np.array([one.beyond_chance(usual) for one in self._repetitions])
+        return found & (2 * int(found.sum()) < len(found))
+
     def _retime(self) -> None:
         """Time what was found by the sample interval that the whole session tells."""
         pace = self._pace
@@ -375,12 +471,28 @@ class Segmenter:
         self._motions = [replace(m, statistics=m.statistics.retimed(pace)) for m in self._motions]
 
     def _losses(self) -> tuple[str, ...]:
-        lost = self._intake.losses()
+        lost = self._intake.losses(self._apart_ns)
+        if self._apart_ns:
+            ahead = 'ahead of' if self._apart_ns > 0 else 'behind'
+            lost.append(
+                f'The clock of the IMU is {abs(self._apart_ns) * 1e-9:.1f} s {ahead} that of the '
+                'table, by the pattern of the motions: samples are read by it'
+            )
         if self._lost:
             share = self._lost / (self._intake.samples + self._lost)
             lost.append(
                 f'{self._lost} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
                 'what they counted is read from those around them'
+            )
+        if self._frozen[0]:
+            lost.append(
+                f'The samples are frozen in {self._frozen[0]} motion(s) of the table, repeating '
+                f'one, first at {at(self._frozen[1])}: the motions are left out'
+            )
+        if self._unlike and 2 * sum(self._compared) < len(self._compared):
+            lost.append(
+                'The gyros do not see the motions of the table: no offset of its clock up to '
+                f'{FARTHEST:.0f} s makes the first ones alike'
             )
         if self._off_grid:
             lost.append(
