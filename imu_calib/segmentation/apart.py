@@ -82,7 +82,12 @@ def offset_by_pattern(
     alike = common / either
     best = int(np.argmax(alike))
     offsets = (np.arange(len(windows)) - reach) * _CELL
-    others = alike[np.abs(offsets - offsets[best]) > _APART]
-    if alike[best] < _ALIKE or others.max() > _CLEARLY * alike[best]:
+    # Long motions make a broad peak, whose slopes are no other offsets.
+    near = round(_APART / _CELL)
+    padded = np.pad(alike, near, mode='edge')
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)
+    other = (alike >= highest) & (np.abs(offsets - offsets[best]) > _APART)
+    others = float(alike[other].max(initial=0.0))
+    if alike[best] < _ALIKE or others > _CLEARLY * alike[best]:
         return None
     return float(offsets[best])

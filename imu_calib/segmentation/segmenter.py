@@ -174,6 +174,8 @@ class Segmenter:
             self._pending.extend(tracker.finish())
         self._work(last=True)
         self._drop_unseen()
+        if self._clocks_unknown:
+            self._drop_all()
         self._retime()
         clock = fit_clock(self._clock, [begins for _, begins in self._interruptions])
         return Segmented(
@@ -452,6 +454,19 @@ class Segmenter:
                 kept.append(segment)
         self._segments = kept
 
+    @property
+    def _clocks_unknown(self) -> bool:
+        """Whether the first motions are like nothing, and most give no offset of the clocks."""
+        return self._unlike and 2 * sum(self._compared) < len(self._compared)
+
+    def _drop_all(self) -> None:
+        """Drop what was cut by clocks that are not known: it is of other positions and rates."""
+        reason = 'by no offset of the clocks do the gyros see the motions of the table'
+        self._rejected += [Rejected(s.start, s.end, reason) for s in self._segments]
+        self._rejected += [Rejected(t.start, t.end, reason, turn=True) for t in self._turns]
+        self._segments, self._turns, self._slips = [], [], []
+        self._moves = MoveReader(self._sensor)
+
     def _frozen_motions(self) -> NDArray[np.bool_]:
         """Say in which of the motions that were looked at the device repeated one sample.
 
@@ -489,7 +504,7 @@ class Segmenter:
                 f'The samples are frozen in {self._frozen[0]} motion(s) of the table, repeating '
                 f'one, first at {at(self._frozen[1])}: the motions are left out'
             )
-        if self._unlike and 2 * sum(self._compared) < len(self._compared):
+        if self._clocks_unknown:
             lost.append(
                 'The gyros do not see the motions of the table: no offset of its clock up to '
                 f'{FARTHEST:.0f} s makes the first ones alike'
