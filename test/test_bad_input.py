@@ -562,10 +562,18 @@ def test_a_small_jump_of_the_clocks_is_found_and_bridged(cli: CommandLine, jump:
     cli.uses_the_rest(sentence, good().with_imu(stamp=stamp))
 
 
-@pytest.mark.parametrize('offset', [5, 100])
-def test_clocks_that_are_apart(cli: CommandLine, offset: int) -> None:
-    stamp = good().imu.stamp + offset * NS
+def test_clocks_that_are_apart(cli: CommandLine) -> None:
+    stamp = good().imu.stamp + 100 * NS
     cli.refuses(1, 'the gyros do not see the motion beside it', good().with_imu(stamp=stamp))
+
+
+@pytest.mark.parametrize(('offset', 'where'), [(5, 'ahead of'), (-25, 'behind')])
+def test_clocks_within_a_minute_are_compared_by_the_pattern_of_motions(
+    cli: CommandLine, offset: int, where: str
+) -> None:
+    stamp = good().imu.stamp + offset * NS
+    sentence = f'The clock of the IMU is {abs(offset)}.0 s {where} that of the table'
+    cli.uses_the_rest(sentence, good().with_imu(stamp=stamp))
 
 
 # What the session lacks, or what does not belong to it.

@@ -115,6 +115,9 @@ DAMAGED = {
     'stamps jitter by 1 ms': World(stamp_jitter=1e-3),
     'late, lost and twice': World(damage=Damage(late=0.01, delay=0.05, lost=0.01, twice=0.01)),
     'in bunches, frozen': World(damage=Damage(bunch=5, freezes=(70.0, 300.0), frozen=3.0)),
+    'in bunches of 10': World(damage=Damage(bunch=10)),
+    'in bunches of 50': World(damage=Damage(bunch=50)),
+    'in bunches of 20, clocks 2 s apart': World(damage=Damage(bunch=20), offset=2.0, clock=300e-6),
 }
 WORLDS |= DAMAGED
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from imu_calib.imu import load_imu
 from imu_calib.segmentation.bridging import bridged, steadily
+from imu_calib.segmentation.bunches import spread
 from imu_calib.segmentation.grid import clock_steps, read_grid
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.pace import Pace
@@ -147,6 +148,60 @@ def test_short_stretches_in_bunches_lack_nothing(
     rng = np.random.default_rng(3)
     grid = read_grid(stamps(line(np.arange(count) * PERIOD, rng)))
     assert (grid.index == np.arange(count)).all()
+
+
+def packets(made: Floats, size: int, first: int, apart: float) -> Floats:
+    """When samples come in packets, each as its last one is made; the first packet is cut."""
+    number = np.arange(len(made))
+    last = (number + first) // size * size + size - 1 - first
+    period = made[1] - made[0]
+    return made[0] + last * period + (number + first) % size * apart
+
+
+@pytest.mark.parametrize('rate', [100, 400, 1000])
+@pytest.mark.parametrize('size', [2, 8, 10, 16, 20, 50])
+def test_samples_of_a_bunch_are_spread_over_the_time_that_it_was_made_in(
+    size: int, rate: int
+) -> None:
+    for apart, first, seconds in ((1e-6, 0, 3.0), (20e-6, 1, 3.0), (1e-6, size - 1, 20.0)):
+        made = np.arange(round(seconds * rate)) / rate
+        came = stamps(packets(made, size, first, apart))
+        # Each packet is late by the loop that stamps it.
+        assert np.abs((spread(came) - EPOCH) * 1e-9 - made).max() < size * apart + 2e-9
+        grid = read_grid(came)
+        assert (grid.index == np.arange(len(made))).all()
+        # Edges are spread by the interval of the packets: what stamps leave of it is rounding.
+        assert grid.period == pytest.approx(1 / rate, rel=1e-5)
+
+
+def test_a_sample_that_a_packet_lacks_and_a_packet_that_never_came_are_missing() -> None:
+    made = np.arange(4000) * PERIOD
+    came = packets(made, 20, 0, 20e-6)
+    kept = np.ones(4000, dtype=bool)
+    kept[[507, 1234, 2222, 3001]] = False
+    kept[1600:1620] = False
+    grid = read_grid(stamps(came[kept]))
+    assert grid.index[-1] == 3999
+    # Where in its packet a sample is lost is not to be seen.
+    assert np.abs(grid.index - np.flatnonzero(kept)).max() <= 10
+    assert grid.period == pytest.approx(PERIOD, rel=1e-6)
+
+
+def test_a_reader_that_polls_loses_nothing() -> None:
+    # 400 Hz, every 16 ms: six or seven at a time.
+    made = np.arange(8000) / 400
+    came = queue(np.ceil(made / 0.016 - 1e-9) * 0.016)
+    grid = read_grid(stamps(came))
+    assert (grid.index == np.arange(8000)).all()
+    assert grid.period == pytest.approx(1 / 400, rel=1e-5)
+
+
+@pytest.mark.parametrize('line', [on_time, jittered, late, stalled])
+def test_what_comes_one_by_one_is_left_as_it_came(
+    line: Callable[[Floats, np.random.Generator], Floats],
+) -> None:
+    came = stamps(line(np.arange(4000) * PERIOD, np.random.default_rng(3)))
+    assert spread(came) is came
 
 
 def test_the_stated_error_of_the_interval_is_meant() -> None:

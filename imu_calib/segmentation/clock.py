@@ -24,6 +24,9 @@ _LONGEST_STEP = 0.25
 """s of one step of the iteration, so that it stays near."""
 _CONVERGED = 1e-9
 """s."""
+_NEAR = 1e-6
+"""s of the last step where noise keeps the iteration from a nanosecond: a thousandth of what a
+motion tells. A longer one is on its way elsewhere."""
 _MISFIT = 0.02
 """Of the motion: what is left where gyros and joints do not tell of the same motion."""
 _FEWEST_STATES = 4
@@ -145,7 +148,7 @@ def clock_sample(
         if abs(step) < _CONVERGED:
             break
     left = seen - columns @ solution
-    if float(np.std(left)) > _MISFIT * float(np.std(seen)):
+    if abs(step) > _NEAR or float(np.std(left)) > _MISFIT * float(np.std(seen)):
         return None
     return ClockSample(float(table.mean() * 1e9 + origin), offset)
 

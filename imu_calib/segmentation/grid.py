@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
+from .bunches import spread
 
 _LATE = 1.5
 """Intervals between two stamps from which on a sample between them may be missing."""
@@ -128,7 +129,7 @@ def read_grid(stamp: Stamps, hint: float | None = None) -> SampleGrid:
         hint: Sample interval as far as it is known, s.
 
     """
-    time = (stamp - stamp[0]) * 1e-9
+    time = (spread(stamp) - stamp[0]) * 1e-9
     period, bunched = _first_period(time)
     if hint is not None and abs(hint - period) < _LIKE * period:
         period = hint

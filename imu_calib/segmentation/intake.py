@@ -130,8 +130,8 @@ class StreamBuffer:
         if self.skew is not None:
             self.skew.drop_until(stamp)
 
-    def losses(self) -> list[str]:
-        """Say what was lost, in sentences."""
+    def losses(self, ahead: int = 0) -> list[str]:
+        """Say what was lost, in sentences, where the IMU's clock is `ahead` (ns) of the table's."""
         lost = [
             f'{count} samples {_how(what)}, the first at {at(first)}'
             for what, (count, first) in self._dropped.items()
@@ -149,25 +149,25 @@ class StreamBuffer:
                 f'The joint states name further joints ({further}), which are not of table '
                 f'{self._table.name}: they are ignored'
             )
-        return lost + self._apart()
+        return lost + self._apart(ahead)
 
-    def _apart(self) -> list[str]:
+    def _apart(self, ahead: int) -> list[str]:
         """Say where the table was heard and the IMU was not."""
         begin, end = self.first_stamp, self.last_stamp
         first, last = self._first_joint, self._last_joint
         if begin is None or end is None or first is None or last is None:
             return []
-        if end < first or last < begin:
+        if end - ahead < first or last < begin - ahead:
             return [
                 f'The IMU is stamped from {at(begin)} to {at(end)}, the table from {at(first)} to '
                 f'{at(last)}: they are of two clocks, and no sample has an attitude. Synchronise '
                 'the clocks, or stamp the samples as they arrive'
             ]
-        if last - end > _APART:
+        if last - (end - ahead) > _APART:
             return [
-                f'The joint states go on for {(last - end) * 1e-9:.1f} s after the last IMU '
-                f'sample, {at(end)}: the IMU fell silent, or its clock is no longer that of the '
-                'table'
+                f'The joint states go on for {(last - end + ahead) * 1e-9:.1f} s after the last '
+                f'IMU sample, {at(end)}: the IMU fell silent, or its clock is no longer that of '
+                'the table'
             ]
         return []
 

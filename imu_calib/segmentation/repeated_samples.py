@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,6 +58,33 @@ def repeating_samples(values: Floats, *, counted: bool) -> NDArray[np.bool_]:
             continue
         found[first[k] + 1 : last[k] + 1] = True
     return found
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """How samples of a motion repeat themselves.
+
+    Attributes:
+        samples: How many there are.
+        share: Of them that are the one before once more.
+        longest: Most of these in a row.
+
+    """
+
+    samples: int
+    share: float
+    longest: int
+
+    @classmethod
+    def of(cls, values: Floats) -> Repetition:
+        """Count what repeats itself of (n, 6) values as delivered; at least 2."""
+        same = (values[1:] == values[:-1]).all(axis=1)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+        return cls(len(values), float(same.mean()), int(np.diff(edges)[::2].max(initial=0)))
+
+    def beyond_chance(self, share: float) -> bool:
+        """Say whether the longest repetition is none of samples that repeat by such a chance."""
+        return self.longest >= _FEWEST and self.samples * share**self.longest < _CHANCE
 
 
 def repeating_a_turn(values: Floats, rates: Floats) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..imu import ImuSpec
 from ..instants import at
@@ -23,7 +24,11 @@ from ..stream import (
     TemperatureBlock,
 )
 from ..turntable import Table
+from ..units import DEG
+from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
+from .buffer import RowBuffer
+from .bunches import spread
 from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
 from .grid import clock_steps
 from .intake import StreamBuffer
@@ -31,6 +36,7 @@ from .motion import JointTracker, Motion, Rest
 from .moves import MoveReader
 from .order import Ordered
 from .pace import Pace
+from .repeated_samples import Repetition
 from .rests import read_rest
 from .segment import Segment, Turn
 from .segmented import FreeMotion, MountShift, Move, Rejected, Segmented
@@ -48,6 +54,13 @@ _SEEN = 0.75
 """Of a motion: less of it was lost or beyond the range."""
 _ALIKE = 1.5
 """Times: where motions look alike in size it is the scale factor that is wrong."""
+_SURELY_SEEN = 3
+"""Motions that the gyros saw at the table's time, after which clocks are not compared otherwise: by
+chance one motion falls on another, and not three in a row."""
+_NEAR = 0.5
+"""s: clocks so near are compared motion by motion, in a second of rest on either side."""
+_TELLING = 10 * DEG
+"""rad: motions longer than that tell when they were."""
 INTERRUPTION = 1_000_000_000
 """A stream that is silent for so long, ns, may come from a program that was started again. A
 judgement: no node starts in less, and a line rarely fails for longer."""
@@ -77,10 +90,15 @@ class Segmenter:
         self._seen = 0
         self._pending: deque[Rest | Motion] = deque()
         self._offset_ns = 0
+        self._reference_ns = 0
+        self._apart_ns = 0
+        self._compared: list[bool] = []
+        self._trial: list[Rest | Motion] | None = [] if table is not None else None
         self._clock: list[ClockSample] = []
         self._newest: int | None = None
         self._interruptions: list[tuple[int, int]] = []
         self._seen_motions: list[tuple[float, ShareSeen]] = []
+        self._repetitions: list[Repetition] = []
         self._segments: list[Segment] = []
         self._turns: list[Turn] = []
         self._motions: list[FreeMotion] = []
@@ -89,6 +107,8 @@ class Segmenter:
         self._slips: list[MountShift] = []
         self._pace = Pace()
         self._lost = 0
+        self._frozen = 0, 0
+        self._unlike = False
         self._off_grid: set[int] = set()
 
     @property
@@ -154,6 +174,8 @@ class Segmenter:
             self._pending.extend(tracker.finish())
         self._work(last=True)
         self._drop_unseen()
+        if self._clocks_unknown:
+            self._drop_all()
         self._retime()
         clock = fit_clock(self._clock, [begins for _, begins in self._interruptions])
         return Segmented(
@@ -192,12 +214,63 @@ class Segmenter:
                 interval.end + self._offset_ns + 2 * MARGIN_NS
             ):
                 break
-            self._pending.popleft()
+            if self._awaits_offset(last=last):
+                break
+            interval = self._pending.popleft()
+            if self._trial is not None:
+                self._trial.append(interval)
             if isinstance(interval, Rest):
                 self._rest(interval)
             else:
                 self._motion(interval)
-            self._intake.drop_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
+            if self._trial is None:
+                self._intake.drop_until(interval.end + self._offset_ns - 2 * MARGIN_NS)
+
+    def _awaits_offset(self, *, last: bool) -> bool:
+        """Say whether what comes next has to wait until it is known how far clocks are apart.
+
+        As long as the gyros see the first motions of the table nothing waits. Where they do not,
+        the patterns of both are compared, and what was read so far is read anew.
+        """
+        if self._trial is None or self._joints is None or self._table is None:
+            return False
+        seen = [max(one.angle, one.time) >= _SEEN for _, one in self._seen_motions]
+        seen += self._compared
+        if all(seen):
+            if len(seen) >= 2 * _SURELY_SEEN or len(self._intake.imu) > _LONGEST_REST:
+                self._trial = None
+            return False
+        motions = [m for m in (*self._trial, *self._pending) if isinstance(m, Motion)]
+        far = round(FARTHEST * 1e9)
+        until = max(motions[0].start + far, self._trial[-1].end)
+        waits = (self._joints.known_until or 0) < until or not self._intake.all_here(until + far)
+        if waits and not last and len(self._intake.imu) <= _LONGEST_REST:
+            return True
+        stamp, values = self._intake.imu.stamp, self._intake.imu.values
+        ends = int(np.searchsorted(stamp, until + far, side='right'))
+        samples = self._sensor.samples(stamp[:ends], values[:ends])
+        offset = offset_by_pattern(
+            [m for m in motions if m.end <= until],
+            self._table,
+            self._trial[0].start,
+            samples.stamp,
+            np.cumsum(samples.increments[:, :3], axis=0),
+        )
+        self._unlike = offset is None
+        if offset is not None and abs(offset) > _NEAR:
+            self._begin_anew(round(offset * 1e9))
+        self._trial = None
+        return False
+
+    def _begin_anew(self, offset_ns: int) -> None:
+        """Forget what was found so far, and read it again with clocks that are so far apart."""
+        self._pending.extendleft(reversed(self._trial or ()))
+        self._offset_ns = self._reference_ns = self._apart_ns = offset_ns
+        self._clock, self._compared = [], []
+        self._seen_motions, self._repetitions = [], []
+        self._segments, self._turns, self._rejected, self._slips = [], [], [], []
+        self._moves = MoveReader(self._sensor)
+        self._pace, self._lost, self._off_grid = Pace(), 0, set()
 
     def _watch_stillness(self, *, last: bool) -> None:
         """Let the IMU's own samples tell rests from motions."""
@@ -231,15 +304,18 @@ class Segmenter:
             end = int(stamp[first + _LONGEST_REST - 1]) - self._offset_ns
             if (tracker.known_until or 0) < end + MARGIN_NS:
                 return
+            if not self._intake.all_here(end + self._offset_ns + MARGIN_NS):
+                return
             rest = tracker.split_rest(end)
             if rest is None:
                 return
             self._rest(rest)
+            self._trial = None
             self._intake.imu.drop_until(end + self._offset_ns - 2 * MARGIN_NS)
 
     def _rest(self, rest: Rest) -> None:
         start, end = rest.start + self._offset_ns, rest.end + self._offset_ns
-        stamp, values = self._intake.imu.between(start, end)
+        stamp, values = made_between(self._intake.imu, start, end)
         attitude = None
         if self._table is not None and rest.angles is not None:
             attitude = self._table.attitude(rest.angles)
@@ -263,7 +339,7 @@ class Segmenter:
     def _motion(self, motion: Motion) -> None:
         start = motion.start + self._offset_ns - MARGIN_NS
         end = motion.end + self._offset_ns + MARGIN_NS
-        stamp, values = self._apart_at_steps(*self._intake.imu.between(start, end))
+        stamp, values = self._apart_at_steps(*made_between(self._intake.imu, start, end))
         if len(stamp) < 2:
             return
         # The rate changes here: what lies right beside a lost sample tells of it, and no more.
@@ -277,7 +353,7 @@ class Segmenter:
         self._moves.motion(samples.part(0, ends), values[:ends])
         skew = self._intake.skew
         around = Around(
-            self._sensor, values, samples, None if skew is None else skew.between(start, end)
+            self._sensor, values, samples, None if skew is None else made_between(skew, start, end)
         )
         if self._table is None or not len(motion.stamp):
             self._take(read_free_motion(around, motion))
@@ -289,6 +365,7 @@ class Segmenter:
             if seen is not None:
                 middle = (motion.start + motion.end) / 2 + self._offset_ns
                 self._seen_motions.append((middle, seen))
+                self._repetitions.append(Repetition.of(values))
         self._take(read_turns(around, motion, self._table, self._offset_ns))
 
     def _note_lost(self, whole: Bridged, start: int, end: int) -> None:
@@ -303,10 +380,20 @@ class Segmenter:
             return
         axis = table.joint_axis(joint, motion.position[0])
         turned = np.cumsum(samples.increments[:, :3] @ axis)
-        compared = clock_sample(samples.stamp, turned, motion.stamp, motion.position[:, joint])
-        if compared is not None:
-            self._clock.append(compared)
-            self._offset_ns = round(compared.offset * 1e9)
+        compared = clock_sample(
+            samples.stamp, turned, motion.stamp + self._reference_ns, motion.position[:, joint]
+        )
+        if travel[joint] > _TELLING:
+            self._compared.append(compared is not None and abs(compared.offset) < _NEAR)
+        if compared is None:
+            return
+        shift = self._reference_ns
+        compared = ClockSample(compared.time - shift, compared.offset + shift * 1e-9)
+        self._clock.append(compared)
+        self._offset_ns = round(compared.offset * 1e9)
+        # The next motions are compared near this one: by drift clocks may come far apart.
+        if abs(self._offset_ns - shift) > _NEAR * 1e9:
+            self._reference_ns = self._offset_ns
 
     def _apart_at_steps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
         """Leave samples of a motion out where the clock was set: a gap that nobody fills."""
@@ -344,7 +431,11 @@ class Segmenter:
         if not len(angles) or angles.max() < _ALIKE * angles.min():
             return
         # A motion beyond the range looks small, but is seen from its beginning to its end.
-        unseen = np.concatenate([[False], np.maximum(angles, times) < _SEEN, [False]])
+        frozen = self._frozen_motions() & (np.maximum(angles, times) < _SEEN)
+        if frozen.any():
+            self._frozen = int(frozen.sum()), round(float(instants[frozen][0]))
+        unseen = np.maximum(angles, times) < _SEEN
+        unseen = np.concatenate([[False], unseen & ~frozen, [False]])
 
         def beside_unseen(instant: float) -> bool:
             after = int(np.searchsorted(instants, instant))
@@ -363,6 +454,30 @@ class Segmenter:
                 kept.append(segment)
         self._segments = kept
 
+    @property
+    def _clocks_unknown(self) -> bool:
+        """Whether the first motions are like nothing, and most give no offset of the clocks."""
+        return self._unlike and 2 * sum(self._compared) < len(self._compared)
+
+    def _drop_all(self) -> None:
+        """Drop what was cut by clocks that are not known: it is of other positions and rates."""
+        reason = 'by no offset of the clocks do the gyros see the motions of the table'
+        self._rejected += [Rejected(s.start, s.end, reason) for s in self._segments]
+        self._rejected += [Rejected(t.start, t.end, reason, turn=True) for t in self._turns]
+        self._segments, self._turns, self._slips = [], [], []
+        self._moves = MoveReader(self._sensor)
+
+    def _frozen_motions(self) -> NDArray[np.bool_]:
+        """Say in which of the motions that were looked at the device repeated one sample.
+
+        One that is frozen from its beginning to its end shows nothing beside that: by what chance
+        two samples are alike the motions of the session tell, of which most are sound: where most
+        repeat themselves the unit has no noise, and nothing tells.
+        """
+        usual = float(np.median([one.share for one in self._repetitions]))
+        found = np.array([one.beyond_chance(usual) for one in self._repetitions])
+        return found & (2 * int(found.sum()) < len(found))
+
     def _retime(self) -> None:
         """Time what was found by the sample interval that the whole session tells."""
         pace = self._pace
@@ -371,12 +486,28 @@ class Segmenter:
         self._motions = [replace(m, statistics=m.statistics.retimed(pace)) for m in self._motions]
 
     def _losses(self) -> tuple[str, ...]:
-        lost = self._intake.losses()
+        lost = self._intake.losses(self._apart_ns)
+        if self._apart_ns:
+            ahead = 'ahead of' if self._apart_ns > 0 else 'behind'
+            lost.append(
+                f'The clock of the IMU is {abs(self._apart_ns) * 1e-9:.1f} s {ahead} that of the '
+                'table, by the pattern of the motions: samples are read by it'
+            )
         if self._lost:
             share = self._lost / (self._intake.samples + self._lost)
             lost.append(
                 f'{self._lost} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
                 'what they counted is read from those around them'
+            )
+        if self._frozen[0]:
+            lost.append(
+                f'The samples are frozen in {self._frozen[0]} motion(s) of the table, repeating '
+                f'one, first at {at(self._frozen[1])}: the motions are left out'
+            )
+        if self._clocks_unknown:
+            lost.append(
+                'The gyros do not see the motions of the table: no offset of its clock up to '
+                f'{FARTHEST:.0f} s makes the first ones alike'
             )
         if self._off_grid:
             lost.append(
@@ -388,6 +519,20 @@ class Segmenter:
         if self._table is not None and self._joints is not None and self._joints.silent:
             lost.append(f'There are no joint states of table {self._table.name}')
         return tuple(lost)
+
+
+def made_between(rows: RowBuffer, start: int, end: int) -> tuple[Stamps, Floats]:
+    """Return the samples made after one instant and up to another, ns; (n,) and (n, columns).
+
+    A bunch that came after an instant may have been begun before it: bunches are looked at for as
+    long beyond both as is looked at beside a motion, which is longer than one lasts.
+    """
+    came, values = rows.between(start - MARGIN_NS, end + MARGIN_NS)
+    made = spread(came)
+    inside = slice(*np.searchsorted(made, [start, end], side='right').tolist())
+    stamp, values = made[inside], values[inside]
+    stamp.flags.writeable = False
+    return stamp, values
 
 
 def interruption(last: int, begins: int) -> str:

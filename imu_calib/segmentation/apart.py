@@ -1,0 +1,93 @@
+"""How far the clocks of table and IMU are apart, by the pattern of the first motions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..rotations import angle_between
+from ..stream import Floats, Stamps
+from ..turntable import Table
+from ..units import DEG
+from .motion import Motion
+
+FARTHEST = 60.0
+"""s: clocks of GPS, of UTC and of TAI are up to 37 s apart, a clock that nobody sets is within a
+minute for weeks."""
+
+_CELL = 0.1
+"""s in which table and gyros turn by the same angle: what is left is found motion by motion."""
+
+_MOVING = 1.0 * DEG
+"""rad/s: no table at rest shows it, nor do gyros beyond their bias."""
+
+_ALIKE = 0.75
+"""Share of two patterns that is the same where they are of the same motions: gyros may be a percent
+off, and a cell of each ramp falls to the next. A judgement."""
+
+_CLEARLY = 0.9
+"""Of the likeness found: another offset that reaches more of it is as good."""
+
+_APART = 1.0
+"""s between offsets that are not of one peak."""
+
+
+def offset_by_pattern(
+    motions: Sequence[Motion], table: Table, begin: int, stamp: Stamps, turned: Floats
+) -> float | None:
+    """Return by how much the IMU's clock is ahead of the table's, s, within a tenth of a second.
+
+    The likeness of two patterns is the sum of the smaller angles in all cells over the sum of the
+    larger ones.
+
+    Args:
+        motions: One at least, in order.
+        table: That makes them.
+        begin: Since when the joint states are known, ns.
+        stamp: (n,) of the IMU, ns; at least 2.
+        turned: (n, 3) angle by its gyros up to each, rad.
+
+    Returns:
+        None where no offset within a minute, or more than one, makes the patterns alike.
+
+    """
+    origin = max(begin, motions[0].start - round(FARTHEST * 1e9))
+    cells = int((motions[-1].end - origin) * 1e-9 / _CELL) + 1
+    edges = np.arange(cells + 1) * _CELL
+    by_table = np.zeros(cells)
+    for motion in motions:
+        time = (motion.stamp - origin) * 1e-9
+        _, index = np.unique(np.floor(time / _CELL), return_index=True)
+        attitudes = table.attitude(motion.position[index])
+        ways = np.append(0.0, np.cumsum(angle_between(attitudes[1:], attitudes[:-1])))
+        by_table += np.diff(np.interp(edges, time[index], ways))
+    reach = round(FARTHEST / _CELL)
+    around = (np.arange(cells + 2 * reach + 1) - reach) * _CELL
+    at = (stamp - origin) * 1e-9
+    angle = np.column_stack([np.interp(around, at, column) for column in turned.T])
+    rates = np.diff(angle, axis=0)
+    rates -= np.median(rates, axis=0)
+    by_gyros = np.linalg.norm(rates, axis=1)
+    # Beyond the samples nothing turns, and what the table does there is unlike.
+    by_gyros[(around[:-1] < at[0]) | (around[1:] > at[-1])] = 0.0
+    least = _MOVING * _CELL
+    by_table, by_gyros = (
+        np.where(by_table < least, 0.0, by_table),
+        np.where(by_gyros < least, 0.0, by_gyros),
+    )
+    windows = np.lib.stride_tricks.sliding_window_view(by_gyros, cells)
+    common = np.array([np.minimum(by_table, window).sum() for window in windows])
+    either = by_table.sum() + windows.sum(axis=1) - common
+    alike = common / either
+    best = int(np.argmax(alike))
+    offsets = (np.arange(len(windows)) - reach) * _CELL
+    # Long motions make a broad peak, whose slopes are no other offsets.
+    near = round(_APART / _CELL)
+    padded = np.pad(alike, near, mode='edge')
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * near + 1).max(axis=1)
+    other = (alike >= highest) & (np.abs(offsets - offsets[best]) > _APART)
+    others = float(alike[other].max(initial=0.0))
+    if alike[best] < _ALIKE or others > _CLEARLY * alike[best]:
+        return None
+    return float(offsets[best])

@@ -1,0 +1,112 @@
+"""Stamps of samples that come many at a time -> when each sample of a bunch was made.
+
+A driver that reads packets stamps all samples of one as it arrives. What was made over the time
+since the packet before is then cut from a dwell or a turn together, and spans of a few samples
+show no interval. Bunches are found by the pattern of short and long steps, before any interval is
+known (docs/mathematics.md, 'Stamps and lost samples').
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..stream import Floats, Stamps
+
+_LAG = 240
+"""Most samples whose time tells what a step is on average: several bunches, and short enough that
+half of such spans are without a long gap."""
+
+SHORT = 0.5
+"""Of the mean step: shorter ones are within a bunch. A judgement: jitter of a fifth of an interval
+makes one step in ten so short, and packets nearly all."""
+
+_MANY = 0.25
+"""Share of steps that are short where samples come in bunches: half of them do in pairs."""
+
+_FEWEST = 3
+"""Whole bunches that show a pattern."""
+
+_ALIKE = 0.75
+"""Share of bunches that are of one size, give or take a sample: a reader that polls gets one more
+or less, and samples that are held up by chance queue in all sizes. A judgement."""
+
+_LARGEST = 0.9
+"""Quantile of the sizes that is the size of whole packets: a few are two that came together."""
+
+
+def spread(stamp: Stamps) -> Stamps:
+    """Spread the samples of each bunch evenly over the time since the one before.
+
+    Args:
+        stamp: (n,) ns, increasing.
+
+    Returns:
+        (n,) ns, increasing; `stamp` itself where samples do not come in bunches.
+
+    """
+    starts = _bunches(stamp)
+    if starts is None:
+        return stamp
+    counts = np.diff(starts, append=len(stamp))
+    came = (stamp[starts] - stamp[0]).astype(float)
+    whole, passed = counts[1:-1], np.diff(came)[:-1]
+    size = int(np.quantile(whole, _LARGEST, method='nearest'))
+    fixed = _are_packets(whole, size)
+    full = whole == size
+    interval = float(np.median(passed[full] / size)) if fixed else float(np.median(passed / whole))
+    slots = counts.copy()
+    # An edge of the segment cuts the last bunch: the others of it are beyond, and not missing.
+    slots[-1] = max(int(slots[-1]), size if fixed else round(float(np.median(whole))))
+    if fixed:
+        packets = np.maximum(np.rint(passed / (size * interval)), 1).astype(int)
+        slots[1:-1] = np.maximum(size * packets, whole)
+    begins = np.append(came[0] - slots[0] * interval, came[:-1])
+    number = _places(counts, slots)
+    each = np.repeat((came - begins) / slots, counts)
+    made = np.rint(np.repeat(begins, counts) + number * each).astype(np.int64)
+    return np.asarray(stamp[0] + made)
+
+
+def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
+    """Return with which samples bunches begin, in order, the first at 0; None without a pattern."""
+    steps = np.diff(stamp)
+    lag = min(_LAG, len(steps) // 2)
+    if not lag:
+        return None
+    short = steps < SHORT * float(np.median(stamp[lag:] - stamp[:-lag])) / lag
+    if short.mean() < _MANY:
+        return None
+    starts = np.concatenate([[0], np.flatnonzero(~short) + 1])
+    counts = np.diff(starts)[1:]
+    if len(counts) < _FEWEST:
+        return None
+    usual = float(np.median(counts))
+    alike = float(np.mean(np.abs(counts - usual) <= 1))
+    return starts if usual > 1 and alike >= _ALIKE else None
+
+
+def _are_packets(counts: NDArray[np.intp], size: int) -> bool:
+    """Say whether bunches are packets of one size, so that what a smaller one lacks was lost.
+
+    A reader that polls gets one more or less by turns: of these the smaller ones follow each other
+    at equal distances, which losses do not.
+    """
+    if float(np.mean(counts == size)) < _ALIKE:
+        return False
+    between = np.diff(np.flatnonzero(counts < size))
+    return len(between) < _FEWEST or int(np.ptp(between)) > 1
+
+
+def _places(counts: NDArray[np.intp], slots: NDArray[np.intp]) -> Floats:
+    """Return the place of each sample within its bunch, from 1.
+
+    What is missing of one packet is so in its middle, as nothing tells where; of more than one
+    it is the packets before. Of the last bunch it is what follows.
+    """
+    place = np.arange(1, counts.sum() + 1) - np.repeat(np.cumsum(counts) - counts, counts)
+    lacking = slots - counts
+    size = int(slots[-1])
+    before = np.where(slots > size, 0, counts // 2)
+    before[-1] = counts[-1]
+    return np.asarray(place + np.repeat(lacking, counts) * (place > np.repeat(before, counts)))
