@@ -733,7 +733,7 @@ def test_nothing_starts_while_the_table_moves_by_itself(session):
     assert session.until(lambda: session.node._sequencer.feedback is not None)
     assert session.until(lambda: session.node._sequencer.feedback.still)
     session.table.deaf = True
-    session.table.force((1e4 * DEG, 0.0, 0.0))
+    session.table.force((1e6 * DEG, 0.0, 0.0))
     assert session.until(lambda: session.watcher.says('plan', 2, 'it still moves'))
     started, why = session.press('start')
     assert not started
