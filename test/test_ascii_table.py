@@ -359,7 +359,7 @@ def test_a_second_source_of_setpoints_is_refused_and_the_table_stands(bench):
     assert named == '/leader, /second'
     # The one that is left has not seen the stop: it asks for the same all the time.
     second.setpoint = None
-    assert bench.until(lambda: bench.leader.says('source', 2, 'still asked for'))
+    assert bench.until(lambda: bench.leader.says('source', 2, 'setpoints still arrive'))
     assert bench.controller.count('MOVE') == 3
     bench.lead(None)
     bench.until(lambda: False, 1.0)

@@ -10,6 +10,7 @@ from imu_calib.imu import ImuSpec, TriadSpec
 from imu_calib.segmentation.bridging import Bridged
 from imu_calib.segmentation.clock import NO_CLOCK, ClockFit, ShareSeen
 from imu_calib.segmentation.motion import Motion
+from imu_calib.segmentation.repeated_samples import Repetition
 from imu_calib.segmentation.segment import Segment
 from imu_calib.segmentation.segmented import MountShift
 from imu_calib.segmentation.segmenter import Segmenter, clock_jumps, interruption
@@ -55,9 +56,9 @@ def test_lost_samples_are_told_by_their_share() -> None:
     assert held._losses() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is read from those '
         'around them',
-        'The stamps of the IMU go on off their grid 2 time(s), first at 2023-11-14 22:13:22.000 '
-        'UTC: its clock was set, or it began to sample anew; what is before and after counts by '
-        'itself',
+        'The stamps of the IMU are offset from the sampling grid 2 time(s), first at '
+        '2023-11-14 22:13:22.000 UTC: its clock was set, or it began to sample anew; what is '
+        'before and after counts by itself',
         'The IMU stream was interrupted: 2.0 s are missing, from 2023-11-14 22:13:20.000 UTC',
         'There are no joint states of table bench',
     )
@@ -84,6 +85,7 @@ def beside(angles: list[float], times: list[float]) -> list[float]:
         (10.0 * NS * (k + 1), ShareSeen(*share))
         for k, share in enumerate(zip(angles, times, strict=True))
     ]
+    held._repetitions = [Repetition(100, 0.0, 0)] * len(held._seen_motions)
     # The middle is what counts: each ends within a motion.
     middles = [5, 15, 25, 35]
     held._segments = [Segment((m - 6) * NS, (m + 6) * NS, mean_of(NONE)) for m in middles]

@@ -213,7 +213,7 @@ def test_a_reset_that_is_refused_leaves_the_session_running(monkeypatch, tmp_pat
         finished.close(finished=True)
         answer = bench.node._on_reset(None, ros.Trigger.Response())
         assert not answer.success
-        assert 'finished' in answer.message
+        assert 'holds a completed session' in answer.message
         assert bench.node._sessions is before
         # It takes samples in, is secured, and solves.
         assert bench.until(bench.send(1))

@@ -182,8 +182,8 @@ def test_what_is_done_is_not_done_again(
     recordings: Path, done: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = rows(done)
-    assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 0
-    assert '0 calibrated, 0 failed, 4 done before' in capsys.readouterr().out
+    assert main(['batch', str(recordings), '-o', str(done), '--workers', '1']) == 1
+    assert '0 calibrated, 0 failed, 4 done before (1 failed)' in capsys.readouterr().out
     assert rows(done) == before
 
 

@@ -293,7 +293,7 @@ def test_the_command_says_what_a_plan_tells_of_each_term(
     assert len(rows) == len(TERMS)
     assert rows['accel_cubic'][0] == '-'
     assert ' '.join(rows['accel_cubic'][2:]).startswith(
-        'takes static dwells with each axis some 45 degrees'
+        'requires static dwells with each axis some 45 degrees'
     )
     assert rows['accel_quadratic'][1] == 'ug/g^2'
     assert rows['accel_quadratic'][2:4] == ['D_a', '1.3']

@@ -130,7 +130,7 @@ def test_the_commands_take_terms_from_simulation_to_firmware(
         words = ['--imu', 'fog_navigation', '--truth', truth, '--seed', seed, *place]
         run('simulate', './short.yaml', '-o', bag, *words)
     shown = run('calibrate', 'one', '-o', 'auto.yaml')
-    found = shown.split('terms: ')[1].split(' off, ')[0]
+    found = shown.split('terms: ')[1].split(' not significant; ')[0]
     assert set(found.split(', ')) == set(asked(truth).split(','))
     assert 'accel_asymmetry would explain it as well' in shown
     shown = run('calibrate', 'one', '--terms', asked(truth), '-o', 'c.yaml')

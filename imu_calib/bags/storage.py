@@ -6,8 +6,6 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-import numpy as np
-
 from ..errors import InputError
 
 if TYPE_CHECKING:
@@ -16,9 +14,6 @@ if TYPE_CHECKING:
     from ..cdr.messages import Messages
     from ..stream import Stamps
     from .remote import AnyPath
-
-_LARGEST = 16 << 20
-"""Bytes of what is allocated at once while a recording is read, and more."""
 
 
 class RecordingError(InputError):
@@ -132,9 +127,6 @@ class Cache:
         self._limit = limit
         self._held: OrderedDict[Hashable, tuple[Sized, int]] = OrderedDict()
         self._bytes = 0
-        # The C library returns the memory of a chunk to the system, and takes it again page by page
-        # for the next one, until a larger block was freed once (mallopt(3), M_MMAP_THRESHOLD).
-        np.empty(_LARGEST, np.uint8)
 
     def get(self, key: Hashable, load: Callable[[], Content], users: int) -> Content:
         """Return the content of a key, loading it if it is not held.
