@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from test_closed_forms import TRUE
 from test_information import GYRO_WALK, SITE, evidence_of, statistics
 
 from imu_calib.budget import Source
@@ -35,7 +36,7 @@ from imu_calib.methods.gains import (
     rate_test_weights,
 )
 from imu_calib.methods.n_positions import force_weights
-from imu_calib.model import G_SENSITIVITY, PARAMETERS, SensorModel
+from imu_calib.model import G_SENSITIVITY, PARAMETERS
 from imu_calib.model.session_terms import session_term
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import UNPLANNED, load_plan
@@ -43,16 +44,7 @@ from imu_calib.stream import Floats
 from imu_calib.units import DEG, DEG_H
 
 NAMES = [p.name for p in n_positions.ESTIMATES]
-TRUE = SensorModel.from_vector(
-    np.concatenate(
-        [
-            np.linspace(-8e-4, 8e-4, 9),
-            np.array([2.0, -3.0, 1.0]) * DEG_H,
-            np.linspace(9e-4, -7e-4, 9),
-            np.array([2e-3, -1e-3, 3e-3]),
-        ]
-    )
-)
+
 FELT = replace(TRUE, g_sensitivity=1e-7 * np.arange(9.0).reshape(3, 3))
 
 # What cannot be told apart

@@ -50,7 +50,7 @@ class _WrongUsage(Exception):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Hands wrong usage to `main`, which says it as all other errors."""
+    """Hands wrong usage to `run`, which says it as all other errors."""
 
     def error(self, message: str) -> NoReturn:
         """Print the usage, and raise what was wrong.
