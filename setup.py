@@ -3,10 +3,13 @@
 import os
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = 'imu_calib'
+# With `colcon build --symlink-install` this file is a link, beside which there is nothing else.
+FOLDER = Path(__file__).resolve().parent
 
 
 def shared(folder: str) -> list[tuple[str, list[str]]]:
@@ -54,10 +57,9 @@ DOCS = ['sphinx>=7', 'myst-nb>=1.1', 'furo>=2024.1.29']
 
 setup(
     name=NAME,
-    version='0.1.0',
+    version=ElementTree.parse(FOLDER / 'package.xml').findtext('version'),
     description='Calibration of strapdown IMUs on a turntable: 24 parameters, no north reference',
-    # With `colcon build --symlink-install` this is a link, beside which there is no README.
-    long_description=(Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'),
+    long_description=(FOLDER / 'README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     author='The imu_calib developers',
     license='Apache-2.0',
@@ -145,7 +147,7 @@ setup(
 
 # At the end, where it is read: colcon looks for no package below another, and says nothing of it.
 if messages_are_missing():
-    folder = Path(__file__).resolve().parent / 'msg_defs'
+    folder = FOLDER / 'msg_defs'
     print(  # noqa: T201
         f'{NAME}_msgs, the messages of {NAME}, is not built, and nodes will not start without it. '
         'Its package lies below this one, where colcon does not look. In the workspace:\n'

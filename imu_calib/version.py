@@ -1,4 +1,4 @@
-"""The version of the package: that of its installation, which setup.py and package.xml state."""
+"""The version of the installed package, which setup.py takes from package.xml."""
 
 from __future__ import annotations
 

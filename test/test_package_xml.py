@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -118,3 +119,24 @@ def test_the_message_package_declares_what_its_definitions_hold():
     held = {m for text in texts for m in re.findall(r'^([a-z_]+)/[A-Z]', text, re.MULTILINE)}
     assert held
     assert held <= declared(folder / 'package.xml', 'depend')
+
+
+def test_the_version_is_the_same_wherever_it_is_stated():
+    (version,) = declared(CHECKOUT / 'package.xml', 'version')
+    assert declared(CHECKOUT / 'msg_defs' / 'package.xml', 'version') == {version}
+    changelog = (CHECKOUT / 'CHANGELOG.rst').read_text('utf-8')
+    # Tools of ROS pass over a version without a date (REP 132).
+    released = re.findall(r'^([0-9.]+) \(\d{4}-\d\d-\d\d\)\n-+$', changelog, re.MULTILINE)
+    assert released[0] == version
+
+
+def test_pip_installs_the_version_of_package_xml():
+    pytest.importorskip('setuptools')
+    said = subprocess.run(
+        [sys.executable, 'setup.py', '--version'],
+        cwd=CHECKOUT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert {said.stdout.split()[-1]} == declared(CHECKOUT / 'package.xml', 'version')
