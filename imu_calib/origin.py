@@ -13,6 +13,7 @@ from .config import Section, as_number
 from .errors import InputError
 
 _CHANNELS = 6
+"""Channels of an IMU, gx to az."""
 _TEXTS = (
     *('recording', 'sha256', 'recorded', 'method', 'plan', 'table', 'gravity_source', 'frame'),
 )

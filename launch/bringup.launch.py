@@ -18,6 +18,7 @@ from launch import Action, LaunchContext, LaunchDescription
 
 SHARE = Path(get_package_share_directory('imu_calib'))
 _AGAIN = 1.0
+"""s until a node that ended is started again: one that fails at once does not fill the log."""
 ARGUMENTS = {
     'calibrations': ('', 'Folder of calibration files, one per unit: SERIAL.yaml.'),
     'serial': ('', 'Serial number of the unit; calibrations of other units are refused.'),

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..calibrator import Result
 
 _FEWEST = 2
+"""Calibrations that make a comparison."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from .terminal import ERRORS, OUTPUT
 
 NODE = 'web_node'
 _PORT = 8080
+"""TCP port that IANA lists for web servers beside 80 (http-alt)."""
 _TOKEN = 'IMU_CALIB_WEB_TOKEN'
 """As in nodes/web_node."""
 _OF_THE_SESSION = (

@@ -36,7 +36,9 @@ class _Socket:
 
     KIND: ClassVar[socket.SocketKind]
     BUFFER: ClassVar[int]
+    """Bytes that the kernel holds (SO_RCVBUF)."""
     MOST: ClassVar[int]
+    """Bytes of one reading."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(_family(host), self.KIND)
@@ -94,6 +96,7 @@ class Udp(_Socket):
     """Datagrams that arrive at an address of this host."""
 
     KIND = socket.SOCK_DGRAM
+    # Two seconds of 4 kHz in datagrams of 100 bytes; no datagram is longer than 64 KiB.
     BUFFER = 1 << 20
     MOST = 1 << 16
 

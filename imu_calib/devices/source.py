@@ -31,6 +31,7 @@ _CAPACITY = 1 << 18
 _TRIES = 5
 """Readings of two clocks, of which one at least is not interrupted."""
 _NS = 1_000_000_000
+"""ns per second."""
 _AT_ONCE = 1_000_000
 """ns; a thread that is interrupted between two clocks reads them again."""
 _SOCKETS = ('socket', 'tcp', 'udp')

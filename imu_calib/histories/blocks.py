@@ -44,7 +44,7 @@ class Block:
         Its slope is left out where fewer than four sessions have the parameter: of three, a line
         leaves one degree of freedom.
         """
-        enough = np.isfinite(self.stated).sum(axis=-1) > _FEW
+        enough = np.isfinite(self.stated).sum(axis=-1) > _NO_SLOPE
         months = np.where(enough[..., None], self.months[:, None], 0.0)
         return np.stack([np.ones(self.values.shape), months], axis=-1)
 
@@ -59,7 +59,8 @@ class Block:
         return Block(self.rows[which], self.months[which], self.values[which], self.stated[which])
 
 
-_FEW = 3
+_NO_SLOPE = 3
+"""Sessions of which a line leaves one degree of freedom: too few for a slope in the scatter."""
 
 
 def units_of(sessions: Sequence[int], found: Sessions) -> dict[tuple[str, str], list[int]]:

@@ -18,11 +18,16 @@ _TUNING = 2.0
 """Standard deviations beyond which a session counts only so much: 99 % as good as least squares
 where all are normal, and a unit that was repaired spoils nothing."""
 _ROUNDS = 30
+"""Rounds of reweighting at the most; they end when no weight changes any more."""
 _SETTLED = 1e-4
 """Change of a weight below which rounds end."""
 _MAD = 1.4826
+"""Standard deviation over the median absolute deviation of a normal distribution."""
 _RANK = 1e-9
+"""Singular values, of columns scaled to one, that count as zero: far above rounding (1e-14 of some
+hundred sessions), far below any design that tells stands apart (1 / sessions)."""
 _STEPS = 100
+"""Scoring steps at the most; they end when the variance is settled to 1e-9 of itself."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -111,11 +111,11 @@ def _part(block: Block, prior: Prior, rules: Rules) -> _Part:
 
 def _slope_variance(lines: Lines) -> Floats:
     """Return the variances (u, 24) of slopes of which the units' own scatter tells enough."""
-    # A variance is half of itself in doubt at eight degrees of freedom, and infinite at two.
-    return np.where(lines.freedom > _ENOUGH, lines.covariance[..., 1, 1], np.nan)
+    return np.where(lines.freedom > _NO_VARIANCE, lines.covariance[..., 1, 1], np.nan)
 
 
-_ENOUGH = 2
+_NO_VARIANCE = 2
+"""Degrees of freedom up to which Student's t has no variance."""
 
 
 def _units(

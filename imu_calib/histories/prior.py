@@ -23,11 +23,15 @@ no better than the scatter of one."""
 _SAMPLE = 400
 """Units that it is taken from: more change it by less than a tenth of its width."""
 _HALVINGS = 50
+"""Of a bracket of twelve decades on a logarithmic scale: down to rounding."""
 _MIDDLE, _QUARTER = 0.5, 0.25
+"""Median of a uniform number, and its mean distance from it."""
 _QUARTER_STD = 0.144
 """Of the distance of a uniform number from a half: the square root of 1 / 48."""
 _ERRORS = 2.0
+"""Standard errors by which the units' likeness is taken below what fits best (see `_law`)."""
 _D0_HALVINGS = 20
+"""Of a logarithmic bracket of d0: to 1e-5 of it, far below its own doubt."""
 _EFFICIENCY = 0.5
 """Of a median of variances, against their mean: 0.53 of three degrees of freedom each."""
 _RANGE = 1e6

@@ -17,6 +17,7 @@ _NODES = 64
 _WIDEST = 8.0
 """Limit in standard deviations that no chart needs: a false alarm in 1e15 sessions."""
 _HALVINGS = 50
+"""Of the bracket from zero to _WIDEST: down to rounding (8 / 2^50)."""
 
 
 def ewma_std(smoothing: float) -> float:

@@ -19,6 +19,7 @@ from .prior import FEWEST_UNITS, Prior
 from .steps import Places, step_design
 
 _HALVINGS = 60
+"""Of the bracket of the slopes' variance: down to rounding (2^-60 of it)."""
 _TINY = np.finfo(float).tiny
 
 

@@ -48,6 +48,7 @@ alone."""
 _MOST = 8192
 """Samples taken at one look."""
 _DEEP_WORDS = 100
+"""Messages of /diagnostics that wait for a look: a node sends one or two a second."""
 _ANSWER = 10.0
 """s for an answer of turntable_node."""
 _WRITTEN = {0, 3}

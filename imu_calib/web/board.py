@@ -19,6 +19,7 @@ from .samples import Streams
 _SILENT = 5.0
 """s: a node speaks once or twice a second."""
 _NS = 1e-9
+"""s per ns."""
 
 
 class Outcome(Enum):

@@ -29,6 +29,7 @@ _LEVELS = {Severity.OK: 'ok', Severity.WARN: 'warn', Severity.ERROR: 'error'}
 _SIGNS = {Severity.OK: '\u2713', Severity.WARN: '!', Severity.ERROR: '\u2715'}
 """Each state has a sign too: colour alone is not enough."""
 _WIDTH, _HEIGHT = 120.0, 30.0
+"""px of a course: a cell of the table, two lines high."""
 _EDGE = 4.0
 """px between the frame of a course and what is drawn in it."""
 _LEAST_DECADES = 0.5
