@@ -190,7 +190,7 @@ class Engine:
         """
         require('distributed', 'Work on workers of Dask', 'fleet')
         if self.workers is not None and self.workers < 1:
-            raise InputError(f'--workers: found {self.workers}, expected 1 or more.')
+            raise InputError(f'`workers`: found {self.workers}, expected 1 or more.')
         import dask
 
         # Before anything is set: it brings what else is to be known.
@@ -236,7 +236,7 @@ class Engine:
                     dashboard_address='127.0.0.1:0',
                 )
         except ValueError as error:
-            raise InputError(f'--memory {self.memory}: {error}.') from None
+            raise InputError(f'`memory` {self.memory}: {error}.') from None
         with cluster, Client(cluster, set_as_default=False) as client:
             try:
                 yield client
@@ -258,7 +258,7 @@ def _reached(scheduler: str) -> Client:
     except ValueError as error:
         # A client that is begun with it would be waited for when the interpreter ends.
         raise InputError(
-            f'--scheduler: found {scheduler!r}, expected an address as tcp://host:8786 ({error}).'
+            f'`scheduler`: found {scheduler!r}, expected an address as tcp://host:8786 ({error}).'
         ) from None
     try:
         # One that is interrupted half way would be waited for as well.
@@ -266,7 +266,7 @@ def _reached(scheduler: str) -> Client:
             return Client(scheduler, timeout='10s', set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(
-            f'--scheduler {scheduler}: no Dask scheduler answers there '
+            f'`scheduler` {scheduler}: no Dask scheduler answers there '
             f'({error or type(error).__name__}).'
         ) from None
 

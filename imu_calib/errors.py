@@ -2,7 +2,10 @@
 
 
 class ImuCalibError(Exception):
-    """Root of all errors that this package raises on purpose; the text is for a person."""
+    """Root of all errors that this package raises on purpose; the text is for a person.
+
+    It names a keyword, or a parameter of a node, as `imu_topic`: the command line says --imu-topic.
+    """
 
     exit_code = 2
 

@@ -102,8 +102,8 @@ def _findings(calibration: Calibration, site: Site) -> list[str]:
         return _of_another_place(site)
     return [
         'The height of the site was not stated and is taken as 0 m: gravity is known to '
-        f'{site.gravity_doubt / PPM:.0f} ppm (1 sigma), and so are all K_a alike. State --height, '
-        'or --gravity as measured.'
+        f'{site.gravity_doubt / PPM:.0f} ppm (1 sigma), and so are all K_a alike. State `height`, '
+        'or `gravity` as measured.'
     ]
 
 
@@ -121,5 +121,5 @@ def _of_another_place(site: Site) -> list[str]:
     return [
         f'The stated gravity of {site.gravity:.4f} m/s^2 is {100 * off:+.2f} % off normal gravity '
         f'at latitude {site.latitude / DEG:.2f} deg, {here:.4f} m/s^2: more than height and '
-        'gravity anomalies explain. Check --gravity and --latitude: K_a is wrong by as much.'
+        'gravity anomalies explain. Check `gravity` and `latitude`: K_a is wrong by as much.'
     ]

@@ -168,9 +168,9 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
     """
     if not tells_site(data):
         raise NotStated(
-            f'{where} does not say where it was taken: give --latitude in degrees, negative in the '
+            f'{where} does not say where it was taken: give `latitude` in degrees, negative in the '
             'south; to a tenth is enough in the hand. Gravity follows from it, by which the '
-            'accelerometers are scaled, and the Earth rate. Or, for a unit in the hand, --gravity '
+            'accelerometers are scaled, and the Earth rate. Or, for a unit in the hand, `gravity` '
             'with the measured value.'
         )
     try:
@@ -182,7 +182,7 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         doubt = data.get('imu_calib.latitude_std_deg')
         latitude_std = None if doubt is None else float(doubt) * DEG
     except (KeyError, ValueError):
-        raise InputError(f'{where}: what it says of its site is broken; give --latitude.') from None
+        raise InputError(f'{where}: what it says of its site is broken; give `latitude`.') from None
     source = data.get('imu_calib.gravity_source', MEASURED)
     if std is None and source == NORMAL_GRAVITY:
         # Recorded before heights were: what normal gravity means where nobody states one.

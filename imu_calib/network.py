@@ -54,7 +54,7 @@ def check_interface(name: str) -> None:
     known = [known for _, known in socket.if_nameindex()]
     if name not in known:
         raise InputError(
-            f'--network: found {name!r}, expected an interface of this machine: {", ".join(known)}.'
+            f'`network`: found {name!r}, expected an interface of this machine: {", ".join(known)}.'
         )
 
 
@@ -89,7 +89,7 @@ def kept_to(interface: str) -> dict[str, str]:
     user = os.environ.get(_URI, '').strip()
     named = names_interface(user)
     if interface == LOOPBACK and not named and reach not in {'', *_STAYS}:
-        raise InputError(leaving(reach, 'give --network INTERFACE'))
+        raise InputError(leaving(reach, 'name it with `network`'))
     own = {REACH: reach or ('LOCALHOST' if interface == LOOPBACK else 'SUBNET')}
     if not named:
         own[_URI] = ','.join(filter(None, (on_interface(interface), user)))
@@ -136,7 +136,7 @@ def leaving(reach: str, how: str) -> str:
 
     Args:
         reach: What ROS_AUTOMATIC_DISCOVERY_RANGE is.
-        how: What to do, from 'give' or 'set' on.
+        how: What to do, from 'name' or 'set' on.
 
     """
     return (

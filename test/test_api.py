@@ -119,7 +119,7 @@ def test_progress_is_shown_to_who_asks(folder: Path) -> None:
     [
         ({'plan': 'no_such'}, InputError, "No plan is called 'no_such'; there are: .*twelve_pos"),
         ({'imu_topic': '/else'}, InputError, 'topic /else: .* are: /imu/pulses'),
-        ({'azimuth': float('nan')}, InputError, '--azimuth: found nan, expected degrees'),
+        ({'azimuth': float('nan')}, InputError, '`azimuth`: found nan, expected degrees'),
         ({'serial': '7', 'latitude': 95.0}, InputError, 'latitude'),
         ({'plan': 'six_position'}, InputError, 'setpoints of the recording are of plan twelve'),
         ({'latitude': -60.0}, NotObservable, 'latitude'),
@@ -350,9 +350,9 @@ def test_an_export_is_that_of_the_command(
 def test_what_cannot_be_exported_is_refused(result: imu_calib.Result, tmp_path: Path) -> None:
     file = tmp_path / 'c.yaml'
     result.calibration.save(file)
-    with pytest.raises(InputError, match="--format: found 'json', expected one of ros, kalibr"):
+    with pytest.raises(InputError, match="`format`: found 'json', expected one of ros, kalibr"):
         imu_calib.export(file, 'json')
-    with pytest.raises(InputError, match='--sample-rate: found -1'):
+    with pytest.raises(InputError, match='`sample_rate`: found -1'):
         imu_calib.export(file, 'kalibr', sample_rate=-1.0)
     with pytest.raises(InputError, match='is the calibration itself'):
         imu_calib.export(file, 'c', file)
@@ -397,7 +397,7 @@ def test_dwells_are_found_that_reach_what_is_wanted(folder: Path) -> None:
     table = imu_calib.load_table('three_axis')
     standing = sum(step.dwell for step in reached.plan.steps(table))
     assert again.duration > standing
-    with pytest.raises(InputError, match=r'--reach D_gx=0\.0: a standard deviation is above zero'):
+    with pytest.raises(InputError, match=r'`reach` D_gx=0\.0: a standard deviation is above zero'):
         imu_calib.reach(folder / 'brief.yaml', 'fog_medium', {'D_gx': 0.0})
 
 
@@ -440,8 +440,8 @@ def test_a_calibration_that_follows_the_temperature_does_so_as_a_value_too(
         (lambda: imu_calib.load_imu(None), 'found None, expected the name or the path'),
         (lambda: imu_calib.calibrate(None), 'found None, expected the path of a recording'),
         (lambda: imu_calib.calibrate(''), "found '', expected the path of a recording"),
-        (lambda: imu_calib.montecarlo('twelve_position', runs=2.5), 'runs: found 2.5'),
-        (lambda: imu_calib.simulate('six_position', 'there', seed=-1), 'seed: found -1'),
+        (lambda: imu_calib.montecarlo('twelve_position', runs=2.5), '`runs`: found 2.5'),
+        (lambda: imu_calib.simulate('six_position', 'there', seed=-1), '`seed`: found -1'),
     ],
 )
 def test_what_is_none_of_what_is_expected_gets_a_sentence(ask, words, tmp_path, monkeypatch):

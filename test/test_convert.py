@@ -118,9 +118,9 @@ def logged(times: list[str]) -> str:
         (
             [f'{1.7e9 + k / 100:.6g}' for k in range(200)],
             't:s',
-            r'log.csv: --stamp t:s: the time does not grow in 199 of 199 intervals between rows, '
+            r'log.csv: `stamp` t:s: the time does not grow in 199 of 199 intervals between rows, '
             r'first from 1700000000.000000 s to 1700000000.000000 s; at most 1% may be so. Name '
-            r'the column of the time, written with all its digits and in its order, or give --rate',
+            r'the column of the time, written with all its digits and in its order, or give `rate`',
         ),
         ([f'{2 - k / 100:.2f}' for k in range(100)], 't:s', 'does not grow in 99 of 99 intervals'),
         # Three of 199 of a time that else grows: 1.5 %.
@@ -132,7 +132,7 @@ def logged(times: list[str]) -> str:
         (
             [str(10_000 * k) for k in range(100)],
             't:ns',
-            r'log.csv: --stamp t:ns: found 1e\+05 Hz, by the median of 99 intervals between rows; '
+            r'log.csv: `stamp` t:ns: found 1e\+05 Hz, by the median of 99 intervals between rows; '
             r'expected 2 Hz to 40 kHz, the rates of IMUs. In another unit, us would be 100 Hz.',
         ),
         ([str(10 * k) for k in range(100)], 't:s', 'found 0.1 Hz.*, ms would be 100 Hz.'),
@@ -169,7 +169,7 @@ def test_rate_and_duration_of_what_was_written_are_printed(
 def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
     path = write(tmp_path / 'log.csv', ROW + '1,3,0,-1,0,0,9\n1.01,4,0,-1,0,0,8\n')
     words = {'stamp': 't:s', 'gyro': 'wx,wy,wz:pulse', 'accel': 'ax,ay,az:pulse'}
-    with pytest.raises(InputError, match='in pulses: give --imu'):
+    with pytest.raises(InputError, match='in pulses: give `imu`'):
         imu_calib.convert(path, tmp_path / 'out', **words)  # type: ignore[arg-type]
     imu_calib.convert(path, tmp_path / 'out', imu='fog_medium', **words)  # type: ignore[arg-type]
     columns = imu_calib.read(tmp_path / 'out', '/imu/pulses')
@@ -187,7 +187,7 @@ def test_pulses_stay_pulses_and_need_a_description(tmp_path: Path) -> None:
         (ROW + '1,2,3,4,5,6,7\n', {'accel': 'a,b,c:g'}, "no column 'a'; it has: t, wx, wy"),
         (ROW + '1,2,3,4,5,6,7\n', {'rate': '9 Hz'}, 'Say which are which'),
         (ROW + '1,2,3,4,5,6,7\n', {'accel': 'ax,ay,az:pulse'}, 'found deg/s and pulse, expected'),
-        (ROW + '1,2,3,4,5,6,7\n', {'delimiter': '::'}, "--delimiter: found '::', expected one"),
+        (ROW + '1,2,3,4,5,6,7\n', {'delimiter': '::'}, "`delimiter`: found '::', expected one"),
         (ROW + '1.7e18,2,3,4,5,6,7\n', {}, r'a row is 1.7e\+18 s from 1970.*another unit of s, ms'),
         ('a,a,b\n1,2,3\n', {}, 'its heading has a more than once'),
     ],
@@ -307,9 +307,9 @@ def test_a_bag_of_ros_1_asks_for_the_library(
 @pytest.mark.parametrize(
     ('stated', 'sentence'),
     [
-        ({'joints': 'outer,inner:deg'}, "--joints: .* no column 'outer'"),
-        ({'temperature': 'celsius:degC'}, "--temperature: .* no column 'celsius'"),
-        ({'imu': 'fog_medium'}, '--imu fog_medium: units: found pulses, but the numbers are rates'),
+        ({'joints': 'outer,inner:deg'}, "`joints`: .* no column 'outer'"),
+        ({'temperature': 'celsius:degC'}, "`temperature`: .* no column 'celsius'"),
+        ({'imu': 'fog_medium'}, '`imu` fog_medium: units: found pulses, but the numbers are rates'),
     ],
 )
 def test_a_wrong_option_leaves_nothing_behind(

@@ -184,7 +184,7 @@ def test_noise_that_nobody_measured_is_the_data_sheets_and_it_is_said() -> None:
 
 def test_kalibr_is_refused_what_it_needs_in_words() -> None:
     calibration = unit('si')
-    with pytest.raises(InputError, match='give --sample-rate'):
+    with pytest.raises(InputError, match='give `sample_rate`'):
         EXPORTS['kalibr'](ExportSource(calibration, Path('/c.yaml')))
     with pytest.raises(InputError, match='noise of the accelerometers'):
         EXPORTS['kalibr'](ExportSource(replace(calibration, provenance={}), Path('/c.yaml'), RATE))

@@ -286,7 +286,7 @@ def test_changes_that_a_session_does_not_tell_go_or_are_refused() -> None:
     text = str(refused.value)
     assert text.startswith('1 static dwells and 0 turns do not determine trend (D_gx, D_gy, D_gz)')
     assert ' apart from K_gx, ' in text
-    assert text.endswith('leave it out (--terms).')
+    assert text.endswith('leave it out (`terms`).')
 
 
 def test_scale_factors_of_choice_go_first(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -396,8 +396,8 @@ def test_a_temperature_that_moved_is_said_with_what_it_means() -> None:
     assert text.startswith('The temperature moved by 3.9 K during the session (from 20.0 to 23.9')
     assert text.endswith(
         'The standard deviations allow for the 20 ppm/K of the gyros and 30 ppm/K of the '
-        'accelerometers that the description of the IMU states for scale factors. --terms thermal, '
-        'or trend, estimates what follows it.'
+        'accelerometers that the description of the IMU states for scale factors. The terms '
+        'thermal or trend (`terms`) estimate what follows it.'
     )
     asked = replace(stated.equations, changes=session_term('thermal'))
     assert temperature_finding(SimpleNamespace(**{**vars(stated), 'equations': asked})) == []

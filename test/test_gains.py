@@ -268,7 +268,7 @@ def test_rates_and_24_positions_give_24_numbers(azimuth: float) -> None:
     noise = np.sqrt(np.diag(found.shares[Source.NOISE].covariance))[9]  # type: ignore[index]
     dwells = np.array([p.dwell for p in evidence.plan.positions])
     assert noise == pytest.approx(GYRO_WALK * np.sqrt(np.sum(1 / dwells)) / len(dwells), rel=1e-3)
-    with pytest.raises(NotObservable, match=r'--azimuth\)\. D_gx, D_gy, D_gz cannot'):
+    with pytest.raises(NotObservable, match=r'`azimuth`\)\. D_gx, D_gy, D_gz cannot'):
         rate_24.solve(replace(evidence, azimuth=None))
 
 

@@ -101,7 +101,7 @@ def test_an_unstated_height_is_within_the_deviations_that_are_stated() -> None:
     assert scale.min() > 0.95
     (finding,) = [f for f in found.findings if 'height' in f]
     assert '160 ppm' in finding
-    assert '--height' in finding
+    assert '`height`' in finding
     assert found.provenance['height_assumed'] is True
     assert found.provenance['gravity_std'] == pytest.approx(157e-5, rel=0.01)
 
@@ -193,7 +193,7 @@ def test_the_prediction_and_a_live_session_count_what_the_calibration_counts() -
 
 def test_no_dwell_makes_up_for_a_gravity_that_nobody_knows() -> None:
     wanted = {'K_ax': 20 * PPM}
-    with pytest.raises(NotObservable, match=r'gravity is known to 1\d\d ppm.*--gravity'):
+    with pytest.raises(NotObservable, match=r'gravity is known to 1\d\d ppm.*`gravity`'):
         reach(setup(Site.at(LATITUDE)), truth().model, wanted, 0.3)
     assert reach(setup(SITE), truth().model, wanted, 0.3).forecast.std[12] < 20 * PPM
 
@@ -254,6 +254,6 @@ def test_a_gravity_that_no_place_of_the_latitude_has_is_a_finding(gravity, said)
     from imu_calib.gravity import _of_another_place
 
     found = _of_another_place(Site.at(math.radians(34.65), gravity=gravity))
-    assert [('Check --gravity and --latitude' in one) for one in found] == [True] * said
+    assert [('Check `gravity` and `latitude`' in one) for one in found] == [True] * said
     if said:
         assert 'is -0.99 % off normal gravity' in found[0]

@@ -76,11 +76,11 @@ def test_a_stand_with_hardware_stays_here_unless_the_interface_is_named(monkeypa
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',
         'CYCLONEDDS_URI': ETH0,
     }
-    with pytest.raises(InputError, match=r"--network: found 'eth9', expected .*: lo, eth0\."):
+    with pytest.raises(InputError, match=r"`network`: found 'eth9', expected .*: lo, eth0\."):
         network_of_hardware('eth9', alone=False)
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
     with pytest.raises(
-        InputError, match=r'is SUBNET, and no network interface is named.*--network'
+        InputError, match=r'is SUBNET, and no network interface is named.*`network`'
     ):
         network_of_hardware(None, alone=False)
 

@@ -81,7 +81,7 @@ def test_a_serial_number_chooses_the_topic_that_the_recording_says_is_its(
     written = imu_calib.compensate(session, alone, folder / 'compensated')
     assert written.topic == '/unit_N_1/imu/pulses'
     # A number that nobody has chooses nothing, and a topic that is named goes before.
-    with pytest.raises(InputError, match=r'3 topics of type.*--serial chooses one'):
+    with pytest.raises(InputError, match=r'3 topics of type.*`serial` chooses one'):
         imu_calib.calibrate(session, serial='N-7', **KNOWN)
     with pytest.raises(InputError, match=r'found N-1, but .* serial number A1'):
         imu_calib.calibrate(session, serial='N-1', imu_topic='/unit_A1/imu/pulses', **KNOWN)
@@ -204,7 +204,7 @@ def test_topics_that_do_not_say_whose_they_are_are_refused_with_both_ways_on(
         for topic, messages, times in recording.messages():
             if topic.name.endswith('imu/pulses'):
                 writer.write(topic.name, topic.type, messages, times.log)
-    with pytest.raises(InputError, match=r'Choose with --imu-topic.*--imus takes all'):
+    with pytest.raises(InputError, match=r'Choose with `imu_topic`.*`imus` takes all'):
         imu_calib.calibrate(silent, imu='fog_medium', latitude=34.65)
     with pytest.raises(InputError, match='list the units'):
         imu_calib.calibrate_units(silent, latitude=34.65)

@@ -34,11 +34,11 @@ _LONGEST_HOLD = 15.0
 
 SAID_SI = (
     'The units of the IMU are not stated: rad/s and m/s^2 (REP 145) are assumed; the measured '
-    'length of gravity agrees with that. --imu states them, and the noise of the unit.'
+    'length of gravity agrees with that. `imu` states them, and the noise of the unit.'
 )
 SAID_BY_HAND = (
     'No plan is stated and there are no joint states: the session is taken as free positions (a '
-    'unit in the hand). If a plan of a table was run, name it with --plan (docs/bag.md).'
+    'unit in the hand). If a plan of a table was run, name it with `plan` (docs/bag.md).'
 )
 
 
@@ -55,7 +55,7 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
     rate = np.vstack([np.zeros((0, 3)), *(b.gyro for b in samples)])
     if seen := _against_si(force, rate):
         raise NotStated(
-            f"{recording.path} does not say what the IMU's numbers mean: give --imu "
+            f"{recording.path} does not say what the IMU's numbers mean: give `imu` "
             f'({shipped("imus")}, or a file). They are not rad/s and m/s^2: {seen}.'
         )
     return load_imu(_SI)
@@ -90,6 +90,6 @@ def was_in_the_hand(session: Segmented) -> bool:
 def ask_for_plan(path: object) -> str:
     """Ask which plan was run."""
     return (
-        f'{path} does not say which plan was run: give --plan ({shipped("plans")}). '
+        f'{path} does not say which plan was run: give `plan` ({shipped("plans")}). '
         'None is needed where joint states of a table give the attitudes; here are none.'
     )

@@ -274,7 +274,7 @@ def _listed(recording: Recording, imus: Named | Sequence[MountedUnit] | None) ->
     if not topics:
         raise InputError(
             f'{recording.path} does not say of several topics which units they are: list the units '
-            'in a file and give it with --imus (docs/files/units.md).'
+            'in a file and give it with `imus` (docs/files/units.md).'
         )
     return tuple(_Unit(data[serial_key(topic)], topic) for topic in topics)
 

@@ -243,7 +243,7 @@ def _target(wanted: str | None, recording: Recording, topic: Topic) -> str:
     target = target if target.startswith('/') else f'/{target}'
     if any(other.name == target for other in recording.topics):
         raise InputError(
-            f'{recording.path} has a topic {target} already; choose another with --output-topic.'
+            f'{recording.path} has a topic {target} already; choose another with `output_topic`.'
         )
     return target
 

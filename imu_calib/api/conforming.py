@@ -104,6 +104,6 @@ def specification_of(imu: ImuSpec) -> Specification:
     if imu.specification is None:
         raise InputError(
             f'IMU {imu.id}: nothing states its limits: add the section specification to its file '
-            '(docs/files/imu.md), and name the file with --imu, from Python with imu=.'
+            '(docs/files/imu.md), and name the file with `imu`.'
         )
     return imu.specification

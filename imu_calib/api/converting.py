@@ -135,20 +135,20 @@ def convert(
     if path.suffix == '.bag' or path.is_dir() or path.suffix in {'.mcap', '.db3'}:
         given = [name for name, value in columns.items() if value is not None]
         if given:
-            raise InputError(f'--{given[0]} names columns of a text file; {path} is a recording.')
+            raise InputError(f'`{given[0]}` names columns of a text file; {path} is a recording.')
         if path.suffix == '.bag':
             return _from_ros1(path, target)
         if gyro_topic is None or accel_topic is None:
             raise InputError(
                 f'{path} is a recording of rosbag2 already. Where gyros and accelerometers are on '
-                'topics of their own, give --gyro-topic and --accel-topic.'
+                'topics of their own, give `gyro_topic` and `accel_topic`.'
             )
         return _joined(path, target, gyro_topic, accel_topic, imu, progress)
     text = read_text(path, delimiter)
     if gyro is None or accel is None or (stamp is None) == (rate is None):
         raise InputError(
-            f'{path}: its columns are {", ".join(text.names)}. Say which are which: --gyro '
-            'NAME,NAME,NAME:UNIT, --accel NAME,NAME,NAME:UNIT, and --stamp NAME:UNIT or --rate HZ.'
+            f'{path}: its columns are {", ".join(text.names)}. Say which are which: `gyro` '
+            'NAME,NAME,NAME:UNIT, `accel` NAME,NAME,NAME:UNIT, and `stamp` NAME:UNIT or `rate` HZ.'
         )
     return _from_text(text, target, stamp, rate, gyro, accel, joints, temperature, imu)
 
@@ -165,12 +165,12 @@ def _from_text(
     imu: Named | None,
 ) -> Converted:
     stamps = _stamps(text, stamp, rate)
-    rates, gyro_unit = _columns(text, gyro, '--gyro', _GYRO, 3)
-    forces, accel_unit = _columns(text, accel, '--accel', _ACCEL, 3)
+    rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)
+    forces, accel_unit = _columns(text, accel, '`accel`', _ACCEL, 3)
     raw = {gyro_unit, accel_unit} & set(_RAW_UNITS)
     if raw and gyro_unit != accel_unit:
         raise InputError(
-            f'--gyro and --accel: found {gyro_unit} and {accel_unit}, expected both in SI units, '
+            f'`gyro` and `accel`: found {gyro_unit} and {accel_unit}, expected both in SI units, '
             'or both in pulses, or both in counts.'
         )
     data = _described(imu, raw)
@@ -181,12 +181,12 @@ def _from_text(
     others: list[tuple[str, Kind, Messages, Stamps]] = []
     if joints is not None:
         names = tuple(_parted(joints)[0])
-        angles, _ = _columns(text, joints, '--joints', _ANGLE, len(names))
+        angles, _ = _columns(text, joints, '`joints`', _ANGLE, len(names))
         at, (angles,) = _sound(stamps, angles)
         encoded = encode_joints(JointBlock(at, names, angles, np.full_like(angles, np.nan)))
         others.append((_JOINTS, Kind.JOINTS, encoded, at))
     if temperature is not None:
-        celsius, _ = _columns(text, temperature, '--temperature', _CELSIUS, 1)
+        celsius, _ = _columns(text, temperature, '`temperature`', _CELSIUS, 1)
         at, (celsius,) = _sound(stamps, celsius)
         encoded = encode_temperatures(TemperatureBlock(at, celsius[:, 0]))
         others.append((_TEMPERATURE, Kind.TEMPERATURES, encoded, at))
@@ -222,14 +222,14 @@ def _described(imu: Named | None, raw: set[str]) -> dict[str, str]:
     """
     if imu is None and raw:
         raise InputError(
-            f'--gyro and --accel are in {raw.pop()}s: give --imu, a file that says what one is '
+            f'`gyro` and `accel` are in {raw.pop()}s: give `imu`, a file that says what one is '
             '(config/imus has examples).'
         )
     file = named_file('imus', 'si' if imu is None else imu)
     units = load_imu(file).units
     if (units is Units.SI) == bool(raw):
         found = f'{raw.pop()}s' if raw else 'rates and accelerations'
-        raise InputError(f'--imu {imu}: units: found {units.value}, but the numbers are {found}.')
+        raise InputError(f'`imu` {imu}: units: found {units.value}, but the numbers are {found}.')
     return {'imu_calib.imu': file.read_text(encoding='utf-8')}
 
 
@@ -241,20 +241,20 @@ def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
 
     """
     if rate is not None:
-        hertz = parse(rate, Dimension.FREQUENCY, '--rate')
+        hertz = parse(rate, Dimension.FREQUENCY, '`rate`')
         if not _SLOWEST <= hertz <= _FASTEST:
-            raise InputError(f'--rate {rate}: expected {_RATES}.')
+            raise InputError(f'`rate` {rate}: expected {_RATES}.')
         return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / hertz)))
     assert stamp is not None
-    times, _ = _columns(text, stamp, '--stamp', _STAMP, 1)
+    times, _ = _columns(text, stamp, '`stamp`', _STAMP, 1)
     latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
     if latest > _LAST_SECOND:
         raise InputError(
-            f'--stamp {stamp}: a row is {latest:.3g} s from 1970, more than a message can say: '
+            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can say: '
             f'another unit of {", ".join(_STAMP)}?'
         )
     stamps = np.asarray(np.rint(times[:, 0]))
-    _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: --stamp {stamp}')
+    _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
     return stamps
 
 
@@ -275,7 +275,7 @@ def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
             f'{column}: the time does not grow in {len(wrong)} of {len(intervals)} intervals '
             f'between rows, first from {stamps[first] * 1e-9:.6f} s to '
             f'{stamps[first + 1] * 1e-9:.6f} s; at most {_BACKWARDS:.0%} may be so. Name the '
-            'column of the time, written with all its digits and in its order, or give --rate '
+            'column of the time, written with all its digits and in its order, or give `rate` '
             'instead.'
         )
     hertz = 1e9 / float(np.median(intervals))

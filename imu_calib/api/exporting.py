@@ -46,15 +46,15 @@ def export(
 
     """
     if format not in EXPORTS:
-        raise InputError(f'--format: found {format!r}, expected one of {", ".join(EXPORTS)}.')
+        raise InputError(f'`format`: found {format!r}, expected one of {", ".join(EXPORTS)}.')
     if sample_rate is not None and not (math.isfinite(sample_rate) and sample_rate > 0):
-        raise InputError(f'--sample-rate: found {sample_rate}, expected Hz above 0.')
+        raise InputError(f'`sample_rate`: found {sample_rate}, expected Hz above 0.')
     path = None
     if isinstance(calibration, str | Path):
         path = user_path(calibration).absolute()
     target = None if output is None else user_path(output)
     if target is not None and target.absolute() == path:
-        raise InputError(f'--output: {target} is the calibration itself.')
+        raise InputError(f'`output`: {target} is the calibration itself.')
     loaded, name = as_applied(calibration if path is None else path)
     combined = isinstance(loaded, ThermalCalibration) and len(loaded.calibrations) > 1
     if combined and format != 'ros':

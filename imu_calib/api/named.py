@@ -104,7 +104,7 @@ def load_truth(truth: Calibration | Named, imu: ImuSpec) -> Calibration:
     if imu.skewed is not None and known.model.skewed is None:
         name = 'of this unit' if isinstance(truth, Calibration) else truth
         raise InputError(
-            f'--truth {name} does not describe the skewed gyro of IMU {imu.id}: a simulated '
-            'one needs it (for instance --truth fog_skewed).'
+            f'`truth` {name} does not describe the skewed gyro of IMU {imu.id}: a simulated '
+            'one needs it (for instance the truth fog_skewed).'
         )
     return known

@@ -300,8 +300,8 @@ def setup_of(stated: Stated) -> Setup:
     terms = stated.sensor_terms
     if stated.changes:
         raise InputError(
-            f'--terms: found {stated.terms!r}, expected terms of the sensors alone: '
-            'how a session drifts is nothing of its plan (calibrate --terms estimates it).'
+            f'`terms`: found {stated.terms!r}, expected terms of the sensors alone: '
+            'how a session drifts is nothing of its plan; its calibration estimates it.'
         )
     setup = Setup(imu, plan, None if plan.by_hand else table, site, stated.method, terms=terms)
     check_plan(setup.method_name, plan, site)
@@ -355,11 +355,11 @@ def _wanted(
     parameter = parameters.get(name.strip())
     if parameter is None or value == '':
         known = ', '.join(parameters)
-        raise InputError(f'--reach {name}={value}: expected NAME=STD, NAME one of {known}.')
+        raise InputError(f'`reach` {name}={value}: expected NAME=STD, NAME one of {known}.')
     std = value
     if isinstance(value, str):
-        std = parse(value, parameter.unit.dimension, f'--reach {name}')
+        std = parse(value, parameter.unit.dimension, f'`reach` {name}')
     assert not isinstance(std, str)
     if not std > 0:
-        raise InputError(f'--reach {name}={value}: a standard deviation is above zero.')
+        raise InputError(f'`reach` {name}={value}: a standard deviation is above zero.')
     return parameter.name, std

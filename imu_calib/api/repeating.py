@@ -122,7 +122,7 @@ def montecarlo(
     """
     for name, value, least in (('runs', runs, 1), ('jobs', jobs, 1), ('seed', seed, 0)):
         if not isinstance(value, int) or value < least:
-            raise InputError(f'--{name}: found {value}, expected a whole number from {least} on.')
+            raise InputError(f'`{name}`: found {value}, expected a whole number from {least} on.')
     stated = Stated(
         plan=plan,
         imu=imu,

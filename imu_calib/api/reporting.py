@@ -127,7 +127,7 @@ def _refuse_with_combined(
     if compare:
         raise InputError(
             f'{name}: combines several temperatures, at which the unit differs: expected '
-            'calibrations of one temperature each with --compare.'
+            'calibrations of one temperature each in `compare`.'
         )
 
 
@@ -169,7 +169,7 @@ def _recalibrate(
     if again.parameters != calibration.parameters or _far_apart(again, calibration):
         raise InputError(
             f'{bag}: does not give the numbers of {name}: give the '
-            '--plan, --imu, --table, --latitude, --method and --terms that it was made with.'
+            '`plan`, `imu`, `table`, `latitude`, `method` and `terms` that it was made with.'
         )
     return result
 

@@ -123,7 +123,7 @@ def simulate(
 
     """
     if seed < 0:
-        raise InputError(f'--seed: found {seed}, expected 0 or more.')
+        raise InputError(f'`seed`: found {seed}, expected 0 or more.')
     target = new_folder(output)
     site = Stated(
         latitude=latitude,
@@ -233,7 +233,7 @@ def _at(
     if temperature is not None:
         if not _COLDEST <= temperature <= _HOTTEST:
             raise InputError(
-                f'--temperature: found {temperature:g} degC, expected {_COLDEST:g} to {_HOTTEST:g}.'
+                f'`temperature`: found {temperature:g} degC, expected {_COLDEST:g} to {_HOTTEST:g}.'
             )
         above = temperature - options.warming.reference
         options = replace(options, warming=replace(options.warming, offset=above))
@@ -246,13 +246,13 @@ def _stamp_of(start: str | datetime) -> int:
         date = start if isinstance(start, datetime) else datetime.fromisoformat(_iso(start))
     except ValueError:
         raise InputError(
-            f'--start: found {start}, expected a date as 2026-01-31 or 2026-01-31T12:00:00Z.'
+            f'`start`: found {start}, expected a date as 2026-01-31 or 2026-01-31T12:00:00Z.'
         ) from None
     if date.tzinfo is None:
         date = date.replace(tzinfo=timezone.utc)
     seconds = (date - datetime(1970, 1, 1, tzinfo=timezone.utc)).total_seconds()
     if not 0 <= seconds < _LAST_SECOND:
-        raise InputError(f'--start: found {start}, expected a date from 1970 to 2200.')
+        raise InputError(f'`start`: found {start}, expected a date from 1970 to 2200.')
     return round(seconds * 1e6) * 1000
 
 
@@ -283,7 +283,7 @@ def _refuse_table(plan: Plan, table: Named | None, azimuth: float | None) -> Non
     for name, found in (('table', table), ('azimuth', azimuth)):
         if found is not None:
             raise InputError(
-                f'--{name}: found {found}, expected none: plan {plan.name} is run by hand, '
+                f'`{name}`: found {found}, expected none: plan {plan.name} is run by hand, '
                 'without a table.'
             )
 

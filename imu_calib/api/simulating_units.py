@@ -99,7 +99,7 @@ def simulate_units(
 
     """
     if seed < 0:
-        raise InputError(f'--seed: found {seed}, expected 0 or more.')
+        raise InputError(f'`seed`: found {seed}, expected 0 or more.')
     target = new_folder(output)
     listed = load_units(imus) if isinstance(imus, str | Path) else tuple(imus)
     site = Stated(
@@ -114,7 +114,7 @@ def simulate_units(
     check_plan(steps.method, steps, site)
     if steps.by_hand:
         raise InputError(
-            f'--imus: plan {steps.name} is run by hand, without a table: expected one unit (--imu).'
+            f'`imus`: plan {steps.name} is run by hand, without a table: expected one unit (`imu`).'
         )
     stands = load_table(table or _TABLE)
     options = options_of(

@@ -155,7 +155,7 @@ class Stated:
         if self.azimuth is None:
             return table
         if not math.isfinite(self.azimuth):
-            raise InputError(f'--azimuth: found {self.azimuth}, expected degrees.')
+            raise InputError(f'`azimuth`: found {self.azimuth}, expected degrees.')
         return replace(table, azimuth=self.azimuth * DEG)
 
 
@@ -228,8 +228,8 @@ def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpe
     name = given.id if isinstance(stated.imu, ImuSpec) else str(stated.imu)
     if described is not None and imu_key(topic) in data and given.units is not described.units:
         raise InputError(
-            f'--imu {name}: units: found {given.units.value}, but {topic} of {recording.path} was '
-            f'computed from the raw stream and holds {described.units.value}: leave --imu out.'
+            f'`imu` {name}: units: found {given.units.value}, but {topic} of {recording.path} was '
+            f'computed from the raw stream and holds {described.units.value}: leave `imu` out.'
         )
     return given, name
 
@@ -250,7 +250,7 @@ def serial_of(stated: Stated, recording: Recording, topic: str) -> str:
     said, given = data.get(serial_key(topic), data.get(SERIAL_NUMBER, '')), stated.serial
     if given is not None and said and given != said:
         raise InputError(
-            f'--serial: found {given}, but {recording.path} is of the unit with serial number '
+            f'`serial`: found {given}, but {recording.path} is of the unit with serial number '
             f'{said}.'
         )
     return given or said
@@ -333,8 +333,8 @@ def streams_of(stated: Stated, recording: Recording) -> Streams:
     temperature = temperature_topic(recording)
     if stated.imu_only:
         return Streams(imu, None, None, skew, temperature)
-    joints = _choose(recording, Kind.JOINTS, stated.joint_topic, '--joint-topic')
-    setpoints = _choose(recording, Kind.SETPOINTS, stated.setpoint_topic, '--setpoint-topic')
+    joints = _choose(recording, Kind.JOINTS, stated.joint_topic, '`joint_topic`')
+    setpoints = _choose(recording, Kind.SETPOINTS, stated.setpoint_topic, '`setpoint_topic`')
     return Streams(imu, joints, setpoints, skew, temperature)
 
 
@@ -351,7 +351,7 @@ def imu_topic(wanted: str | None, recording: Recording, serial: str | None = Non
 
     """
     wanted = wanted or _topic_of_unit(serial, recording)
-    imu = _choose(recording, Kind.IMU, wanted, '--imu-topic')
+    imu = _choose(recording, Kind.IMU, wanted, '`imu_topic`')
     if imu is None:
         listed = ', '.join(f'{t.name} ({t.type})' for t in recording.topics) or 'none at all'
         raise NotStated(
@@ -419,8 +419,8 @@ def _choose(recording: Recording, kind: Kind, wanted: str | None, option: str) -
         several = ''
         if kind is Kind.IMU:
             several = (
-                ' Where they are units on one table, --serial chooses one whose number the '
-                'recording holds, and calibrate --imus takes all.'
+                ' Where they are units on one table, `serial` chooses one whose number the '
+                'recording holds, and a calibration with `imus` takes all.'
             )
         raise NotStated(
             f'{recording.path}: {len(filled)} topics of type {kind.type_name}: {listed}. '

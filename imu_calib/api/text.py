@@ -74,7 +74,7 @@ def read_text(path: AnyPath, delimiter: str | None = None) -> Text:
     if not lines:
         raise InputError(f'{path}: holds no lines, expected a table of numbers.')
     if delimiter is not None and len(delimiter) != 1:
-        raise InputError(f'--delimiter: found {delimiter!r}, expected one character.')
+        raise InputError(f'`delimiter`: found {delimiter!r}, expected one character.')
     between = _delimiter(lines[0]) if delimiter is None else delimiter
     heading = _fields(lines[0], between)
     names = [str(k + 1) for k in range(len(heading))]

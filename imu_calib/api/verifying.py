@@ -179,7 +179,7 @@ def _check_identity(
         check_identity(calibration, name, imu.id, where, serial)
     except InputError as error:
         raise InputError(
-            f'{error} Give the calibration of that unit; --another-unit compares them all the same.'
+            f'{error} Give the calibration of that unit; `another_unit` compares them all the same.'
         ) from None
 
 

@@ -19,7 +19,7 @@ from .results import Result
 from .setup import Setup
 
 _LATER = (
-    'Provisional: terms are looked for when the session ends (--terms auto); a scale factor that '
+    'Provisional: terms are looked for when the session ends (`terms` auto); a scale factor that '
     'differs between the senses, say, is not in this estimate.',
 )
 

@@ -315,7 +315,7 @@ def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
         ]
     if fields.rule is not None:
         asked.append(('conformity: requirement', '7.8.6.2', fields.requirement))
-        asked.append(('a specification of the unit (--imu)', '7.8.6.2', limits))
+        asked.append(('a specification of the unit (`imu`)', '7.8.6.2', limits))
     if dcc:
         asked += [
             (f'{name}: {key}', 'DCC 3.1.2', getattr(contact, key))

@@ -106,7 +106,7 @@ def certificate_of(
         raise InputError(
             f'{fields.where}: {len(lacking)} of the things that a certificate needs '
             f'{"is" if len(lacking) == 1 else "are"} missing: '
-            f'{"; ".join(lacking)}. State them, or write a draft (--draft), which is marked as one.'
+            f'{"; ".join(lacking)}. State them, or write a draft (`draft`), which is marked as one.'
         )
     results = _results(calibration, budget, fields, specification or Specification())
     return Certificate(fields, calibration, budget, results, tuple(lacking), draft)

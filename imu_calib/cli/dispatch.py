@@ -14,7 +14,7 @@ from ..errors import ImuCalibError, InputError
 from ..version import version
 from .interruption import INTERRUPTED, KIND, WORDS, clear_interrupt
 from .outcome import JSON, Outcome, error_document, kind_of, write_document
-from .terminal import ERRORS, OUTPUT
+from .terminal import ERRORS, OUTPUT, as_options
 
 COMMANDS = {
     'stand': 'run a stand live',
@@ -160,7 +160,7 @@ def _ended(command: str, as_json: bool, code: int, text: str, kind: str) -> int:
         clear_interrupt()
     _say(command, text, style='' if code == INTERRUPTED else 'red')
     if as_json:
-        write_document(command, Outcome(exit_code=code), error_document(text, kind))
+        write_document(command, Outcome(exit_code=code), error_document(as_options(text), kind))
     return code
 
 

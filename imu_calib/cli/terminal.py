@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,7 +16,20 @@ _WIDTH_OF_A_FILE = 160
 """Letters of a line where the output is a file: no table breaks."""
 
 
-class _Output(Console):
+def as_options(sentence: str) -> str:
+    """Return a sentence with the names of keywords, `imu_topic`, as options, --imu-topic."""
+    return re.sub(r'`([a-z_]+)`', lambda name: f'--{name[1].replace("_", "-")}', sentence)
+
+
+class _Console(Console):
+    """Names options where the suite names keywords."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does."""
+        super().print(*(as_options(o) if isinstance(o, str) else o for o in objects), **options)
+
+
+class _Output(_Console):
     """Leaves it to `dispatch` what becomes of a command whose output nobody reads any more."""
 
     def on_broken_pipe(self) -> None:
@@ -39,7 +53,7 @@ class _Output(Console):
         self.file.flush()
 
 
-class _Errors(Console):
+class _Errors(_Console):
     """Says nothing more where nobody reads it: the exit code still says how a command ends."""
 
     def on_broken_pipe(self) -> None:

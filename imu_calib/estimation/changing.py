@@ -92,7 +92,7 @@ def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray
         f'{" and ".join(names_of(equations.changes))}{named}{apart}: not observable. To determine '
         'it takes static dwells with each axis up, down and horizontal at the beginning and at the '
         'end, and turns about each axis there for what changes scale factors of gyros; or leave '
-        'it out (--terms).'
+        'it out (`terms`).'
     )
 
 

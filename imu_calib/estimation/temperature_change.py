@@ -52,7 +52,9 @@ def temperature_finding(found: Estimate) -> list[str]:
             'The description of the IMU states no scale_factor_temperature: scale factors '
             f'{" or ".join(unknown)} are already off by a standard deviation.'
         )
-    return [' '.join([*sentences, '--terms thermal, or trend, estimates what follows it.'])]
+    return [
+        ' '.join([*sentences, 'The terms thermal or trend (`terms`) estimate what follows it.'])
+    ]
 
 
 def _moved(found: Estimate, letter: str) -> tuple[str, float]:

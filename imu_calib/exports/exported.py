@@ -45,7 +45,7 @@ class ExportSource:
             return self.sample_rate
         if self.sheet is not None and self.sheet.sample_rate is not None:
             return self.sheet.sample_rate
-        raise InputError(f'{purpose}: give --sample-rate HZ.')
+        raise InputError(f'{purpose}: give `sample_rate` in Hz.')
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def left_out(calibration: Calibration, export: str) -> list[str]:
         words = ' and '.join(kind.value.words for kind in refused)
         raise InputError(
             f'The format {export} has no {words} ({names}), and without it the other parameters '
-            'are wrong: calibrate without it (--terms), or export another format.'
+            'are wrong: calibrate without it (`terms`), or export another format.'
         )
     return [
         f'The {kind.value.words} is left out.'

@@ -122,7 +122,7 @@ def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
         if not (density > 0 and drift > 0):
             raise InputError(
                 f'The calibration does not hold the noise of the {name} that imu.yaml needs: '
-                'give --imu with its data sheet (random walk and bias instability).'
+                'give `imu` with its data sheet (random walk and bias instability).'
             )
         if note:
             notes.append(f'{kalibr}_random_walk {note}.')

@@ -39,7 +39,7 @@ def solve(evidence: Evidence) -> Solution:
     if evidence.azimuth is None:
         raise NotObservable(
             'Positions by least squares need north: give the azimuth of the table (in its YAML, or '
-            f'with --azimuth). {bias_names("g")} and the g-sensitivities cannot be determined.'
+            f'with `azimuth`). {bias_names("g")} and the g-sensitivities cannot be determined.'
         )
     turned, _ = rate_test_weights(evidence)
     fitted, condition = force_weights(

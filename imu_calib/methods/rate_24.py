@@ -28,7 +28,7 @@ def solve(evidence: Evidence) -> Solution:
     if evidence.azimuth is None:
         raise NotObservable(
             'Positions held against north need it: give the azimuth of the table (in its YAML, or '
-            f'with --azimuth). {bias_names("g")} cannot be determined.'
+            f'with `azimuth`). {bias_names("g")} cannot be determined.'
         )
     turned, condition = rate_test_weights(evidence)
     count = len({s.position for s in evidence.segments})

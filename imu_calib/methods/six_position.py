@@ -26,7 +26,7 @@ def solve(evidence: Evidence) -> Solution:
     if evidence.azimuth is None and not evidence.plan.by_hand:
         raise NotObservable(
             'Six positions need north: give the azimuth of the table (in its YAML, or with '
-            '--azimuth), or run twelve positions. D_gx, D_gy, D_gz cannot be determined.'
+            '`azimuth`), or run twelve positions. D_gx, D_gy, D_gz cannot be determined.'
         )
     gyros = solve_gyros(evidence, _bias_equation(evidence))
     return finish(evidence, gyros, north_known=evidence.azimuth is not None)

@@ -69,7 +69,7 @@ def require_north(evidence: Evidence) -> None:
         lost = ', '.join(response_names('g', axis) for axis in range(3))
         raise NotObservable(
             'Where Earth rate is the input, north must be known: give the azimuth of the table (in '
-            f'its YAML, or with --azimuth). {lost}, {bias_names("g")} cannot be determined.'
+            f'its YAML, or with `azimuth`). {lost}, {bias_names("g")} cannot be determined.'
         )
 
 

@@ -131,7 +131,7 @@ def split_terms(text: str) -> tuple[str, tuple[Change, ...]]:
 
     """
     if not isinstance(text, str):
-        raise InputError(f'--terms: found {text!r}, expected names in a text, with commas between.')
+        raise InputError(f'`terms`: found {text!r}, expected names in a text, with commas between.')
     names = [name.strip() for name in text.split(',')]
     mine = [name for name in names if name.partition(':')[0] in SESSION_TERMS]
     others = ','.join(name for name in names if name not in mine)

@@ -202,7 +202,7 @@ def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Paramet
     apart = f' apart from {", ".join(others)}' if others else ''
     return (
         f'{_found(evidence)} do not determine {term.name} ({", ".join(mine)}){apart}: not '
-        f'observable. To determine it takes {term.needs}; or leave it out (--terms).'
+        f'observable. To determine it takes {term.needs}; or leave it out (`terms`).'
     )
 
 

@@ -100,7 +100,7 @@ def temperatures(evidence: Evidence) -> Floats:
     if evidence.temperature is None:
         raise NotObservable(
             'Term thermal: the session has no temperature (topic imu/temperature), so that its '
-            'coefficients cannot be determined. Record one, or leave the term out (--terms).'
+            'coefficients cannot be determined. Record one, or leave the term out (`terms`).'
         )
     return evidence.temperature.over(*_instants(evidence))
 
@@ -129,7 +129,7 @@ def check_temperature(evidence: Evidence) -> None:
             f'Term thermal: the temperature of the outputs moves by {np.ptp(seen):.2f} K (from '
             f'{seen.min():.2f} to {seen.max():.2f} degC), expected {LEAST_RISE:g} K or more: '
             'its coefficients cannot be determined. Let the unit warm up or cool down during the '
-            'session, or leave the term out (--terms).'
+            'session, or leave the term out (`terms`).'
         )
 
 

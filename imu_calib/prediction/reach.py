@@ -239,6 +239,6 @@ def _check_gravity(wanted: Sequence[str], targets: Floats, gravities: Floats) ->
         names = ', '.join(name for name, far in zip(wanted, scaled, strict=True) if far)
         least = float(np.sqrt(gravities[scaled].max())) / PPM
         raise NotObservable(
-            f'No dwell reaches it for {names}: gravity is known to {least:.0f} ppm. Give --gravity '
-            'as measured, or --height.'
+            f'No dwell reaches it for {names}: gravity is known to {least:.0f} ppm. Give `gravity` '
+            'as measured, or `height`.'
         )

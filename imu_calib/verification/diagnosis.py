@@ -247,7 +247,7 @@ def _of_scale(system: TriadSystem, share: float) -> tuple[str, str]:
         )
     return (
         f'gravity is {system.magnitude / share:.5f} m/s^2 instead of {system.magnitude:.5f}',
-        'Site, latitude, height or --gravity are not those of the recording, or not those of the '
+        'Latitude, height or gravity are not those of the recording, or not those of the '
         'calibration; or all accelerometers have changed alike.',
     )
 
@@ -261,7 +261,7 @@ def _freed(system: TriadSystem, values: Floats, factor: Floats) -> Iterator[_Tri
     for term, larger in _with_another(system):
         columns = list(range(len(mine), len(larger.sensors.parameters)))
         when = f'{term.name} is in the model'
-        why = f'The calibration was made without it: calibrate with --terms {term.name}.'
+        why = f'The calibration was made without it: calibrate with the term {term.name} (`terms`).'
         yield from _without(larger, values, factor, columns, when, why)
     if system.up is None:
         # A large rotation is not linear: its minimum is always sought.
