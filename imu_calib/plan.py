@@ -215,7 +215,7 @@ class Plan:
 
 UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
 """Stands for the plan of a session that followed none, or one that nobody stated: the joint states
-tell the attitudes, and rests and turns are named after them."""
+tell the attitudes, and dwells and turns are named after them."""
 
 
 def load_plan(name: str | Path) -> Plan:

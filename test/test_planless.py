@@ -402,7 +402,7 @@ def test_info_lists_every_rest_and_every_turn(
 ) -> None:
     assert main(['info', str(bag), *SAID]) == 0
     out = capsys.readouterr().out
-    rests = rows_below(out, 'rest', 'position')
+    rests = rows_below(out, 'dwell', 'position')
     session = without_plan().session
     assert len(rests) == len(session.segments) == 20
     zero = session.start or 0
@@ -424,8 +424,8 @@ def test_info_lists_every_rest_and_every_turn(
 def test_info_fits_eighty_columns(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(['info', str(bag), *SAID])
     out = capsys.readouterr().out
-    tables = [*rows_below(out, 'rest', 'position'), *rows_below(out, 'turn', 'position')]
-    tables += rows_below(out, 'rest', 'deg/h')
+    tables = [*rows_below(out, 'dwell', 'position'), *rows_below(out, 'turn', 'position')]
+    tables += rows_below(out, 'dwell', 'deg/h')
     assert tables
     assert max(len(row.rstrip()) for row in tables) <= 80
 
@@ -436,7 +436,7 @@ def test_info_says_which_rests_a_plan_names(
     write(tmp_path / 'bag', turned_about_y())
     assert main(['info', str(tmp_path / 'bag'), '--plan', 'twelve_position', *SAID]) == 0
     out = capsys.readouterr().out
-    names = [row.split()[-1] for row in rows_below(out, 'rest', 'position')]
+    names = [row.split()[-1] for row in rows_below(out, 'dwell', 'position')]
     assert names == ['1', '2', '3', '4', '-', '-', '-', '-', '9', '10', '11', '12']
     assert 'missing of plan twelve_position: 5, 6, 7, 8' in out
 

@@ -139,7 +139,7 @@ _TRIAD = [
 _QUANTITIES = ['gravity', 'direction', 'earth_rate', 'up_rate', 'turn', 'turn_axis']
 _COMPARED = [
     _key('position', _TEXT, 'where'),
-    _key('at', _UNKNOWN, 's after the first rest; `null` of a turn'),
+    _key('at', _UNKNOWN, 's after the first dwell; `null` of a turn'),
     _key('rate', _NUMBER, 'of a turn, rad/s; 0 at rest'),
     _key('quantity', choice(_QUANTITIES), 'what is compared'),
     _key('deviation', _NUMBER, 'what came out less what should'),

@@ -1,4 +1,4 @@
-"""What the streams of a recording contain: rests, turns, what contradicts what was stated."""
+"""What the streams of a recording contain: dwells, turns, what contradicts what was stated."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def _what_decides(session: Segmented, labelled: Labelled, setup: Setup, *, free:
 def _rests(
     session: Segmented, labelled: Labelled, plan: Plan, zero: int, *, free: bool
 ) -> list[Rest]:
-    """List every rest: when, how long, how the unit stood, and what the plan calls it."""
+    """List every static dwell: when, how long, how the unit stood, and what the plan calls it."""
     names = {s.start: str(s.position) for s in labelled.segments}
     known = {p.id for p in plan.positions}
     passing = {s.start for s in labelled.passing}

@@ -10,7 +10,7 @@ from .setup import Setup
 
 
 def nothing_found(session: Segmented, labelled: Labelled, setup: Setup) -> str:
-    """Say that there is neither a rest nor a whole turn, and why."""
+    """Say that there is neither a dwell nor a whole turn, and why."""
     if not session.samples:
         return 'The IMU stream is empty: nothing can be determined.'
     if not session.duration:
@@ -63,7 +63,7 @@ def loss_findings(
 
 
 def _beside_plan(setup: Setup, labelled: Labelled) -> list[str]:
-    """Say which rests fit no position of the plan, and what becomes of them."""
+    """Say which dwells fit no position of the plan, and what becomes of them."""
     of_plan = labelled.of_plan(setup.plan).segments
     names = [str(s.position) for s in labelled.segments if s not in of_plan]
     if not names:

@@ -95,8 +95,8 @@ def _table(*headings: str) -> Rows:
 
 
 def _rests(inside: Inside) -> Rows:
-    """List every rest: when, how long, how the unit stood, and what the plan calls it."""
-    rows = _table('rest', 'at, s', 'for, s', 'missing', 'up', 'heading, deg', 'position')
+    """List every static dwell: when, how long, how the unit stood, and what the plan calls it."""
+    rows = _table('dwell', 'at, s', 'for, s', 'missing', 'up', 'heading, deg', 'position')
     for k, rest in enumerate(inside.rests):
         rows.add_row(
             str(k + 1),
@@ -111,8 +111,8 @@ def _rests(inside: Inside) -> Rows:
 
 
 def _outputs(inside: Inside) -> Rows:
-    """List what the sensors read at every rest."""
-    rows = _table('rest', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h')
+    """List what the sensors read at every dwell."""
+    rows = _table('dwell', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h')
     for k, rest in enumerate(inside.rests):
         rows.add_row(
             str(k + 1),

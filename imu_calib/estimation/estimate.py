@@ -1,7 +1,7 @@
 """The joint estimate: all of a session fitted at once, and what of it was distrusted.
 
 Bias drift and positioning errors widen the covariance (`excess`); a segment that does not fit the
-rest counts for less (`outliers`).
+dwell counts for less (`outliers`).
 
 Source: docs/mathematics.md, 'Joint estimate'.
 """

@@ -44,10 +44,10 @@ from .likelihood import (
 
 _TIMES = (1 / 30, 1 / 10, 1 / 3, 1.0, 3.0)
 """Correlation times of drift that are tried, in lengths of the session: half decades. What is
-slower than the last cannot be distinguished from a bias; the first is about one rest of a usual
+slower than the last cannot be distinguished from a bias; the first is about one dwell of a usual
 plan."""
 _RATIOS = 10.0 ** np.arange(-1.5, 8.1, 0.5)
-"""Variances of drift that are tried, over the usual variance of a rest's mean: half decades, from
+"""Variances of drift that are tried, over the usual variance of a dwell's mean: half decades, from
 what no session shows to standard deviations ten thousand times the noise."""
 _POSITIONING_RATIOS = 10.0 ** np.arange(-1, 6.1, 0.5)
 """Variances of positioning errors that are tried, over what noise hides: half decades, from a tenth

@@ -23,7 +23,7 @@ from .excess_scatter import excess
 from .fit import fit, with_scatter
 
 _OUTLYING = 1e-6
-"""Chance by which a sound rest or turn counts for less: with fifty of them, one session in 20 000
+"""Chance by which a sound dwell or turn counts for less: with fifty of them, one session in 20 000
 loses one."""
 
 _SUSPECT = 1e-5
@@ -39,7 +39,7 @@ _ASTRAY = 1e-9
 Far smaller than that of an outlier: positioning errors that both share are counted twice."""
 
 MOST_OUTLIERS = 1 / 3
-"""Share of a session's rests, or of the turns about an axis, that may count for less. A judgement:
+"""Share of a session's dwells, or of the turns about an axis, that may count for less. A judgement:
 where more disagree, the data does not say which of them are right."""
 
 _RANK = 1e-6
@@ -124,7 +124,7 @@ def _count(moves: Sequence[Move]) -> int:
 def _judged(
     resting: Equations, state: Floats, evidence: Evidence
 ) -> tuple[tuple[Move, ...], tuple[RejectedMove, ...]]:
-    """Hold each move against rests and turns, which scatter as they are said to."""
+    """Hold each move against dwells and turns, which scatter as they are said to."""
     known = Information.of(resting.whitened(state)[0]).covariance
     moving = replace(resting, evidence=evidence, extra=())
     predicted, jacobian = moving.predict(state), np.nan_to_num(moving.jacobian(state))

@@ -46,7 +46,7 @@ could contradict them. A tenth of a percent of information is 0.05 % of a deviat
 _CHANCE = 1e-6
 """Chance by which a sound unit is left out: one in a million units."""
 _HALF = 0.5
-"""Share of a session's rests that a unit must have seen to say something of its table: a
+"""Share of a session's dwells that a unit must have seen to say something of its table: a
 stream that ended or froze half way is worth no more than its own findings. A judgement."""
 _SINGULAR = 1e-12
 """Of the largest element of a triangle, columns of norm one: parameters that a unit leaves open
@@ -137,7 +137,7 @@ class Joined:
 def join(alone: Sequence[Estimate]) -> Joined:
     """Estimate what several units share from all of them.
 
-    A unit that saw less than half of the rests is left out, and one whose part does not go with
+    A unit that saw less than half of the dwells is left out, and one whose part does not go with
     those of the others, the worst first, as long as three or more are left; of two that contradict
     each other nobody knows which is right.
 

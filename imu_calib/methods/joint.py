@@ -293,7 +293,7 @@ def _findings(found: Estimate) -> list[str]:
 def _leaning(found: Estimate, outlier: Outlier) -> str:
     """Say which attitude error of the table does this; nothing where that explains little.
 
-    What is along gravity is then below a third of the 5.5 deviations from which on a rest counts
+    What is along gravity is then below a third of the 5.5 deviations from which on a dwell counts
     for less: two, as noise does.
     """
     equations = found.equations

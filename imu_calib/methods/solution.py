@@ -54,7 +54,7 @@ class Solution:
         changes: By which the parameters change during the session; None where none were asked for.
         tests: What the session says of every term and of the table's errors; empty for a method
             that knows none.
-        gain: (n, m + u) derivatives of the parameters by the outputs of rests and turns, then by
+        gain: (n, m + u) derivatives of the parameters by the outputs of dwells and turns, then by
             those of a skewed gyro in the u turns that it saw; None for a method that weighs them
             by what they show.
         search: What the joint estimate found, from which several units on a table go on; None for

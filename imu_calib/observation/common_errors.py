@@ -171,7 +171,7 @@ class CommonTable:
         ]
 
     def _leans(self, k: int, sizes: Floats, inward: Floats) -> Floats:
-        """Return three rotations for each rest that the units have in common, (s, 3, 3 r)."""
+        """Return three rotations for each dwell that the units have in common, (s, 3, 3 r)."""
         return _blocks(self._rests[k], _count(self._rests), sizes, inward)
 
     def _turning_leans(self, k: int, sizes: Floats, inward: Floats) -> Floats:
@@ -188,7 +188,7 @@ def shares_a_table(equations: Equations) -> bool:
 
 
 def rests_seen(units: Sequence[Equations]) -> tuple[list[int], int]:
-    """Return how many of the table's rests each unit saw, and how many there are in all of them."""
+    """Return how many of the table's dwells each unit saw, and how many there are in all."""
     evidences = [unit.evidence for unit in units]
     rests = _alike([_times(e, e.segments) for e in evidences])
     return [len(np.unique(mine)) for mine in rests], _count(rests)
@@ -254,7 +254,7 @@ def _times(evidence: Evidence, parts: Sequence[Segment | Turn]) -> Floats:
 def _alike(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
     """Number what units saw at the same time, across units; what overlaps is the same.
 
-    Between two rests, and between two turns, the table moves: what is not the same lies apart.
+    Between two dwells, and between two turns, the table moves: what is not the same lies apart.
     """
     found = [np.zeros(len(of), dtype=np.intp) for of in times]
     owners = [(unit, k) for unit, of in enumerate(times) for k in range(len(of))]
@@ -262,7 +262,7 @@ def _alike(times: Sequence[Floats]) -> list[NDArray[np.intp]]:
     number, end, shortest = -1, -np.inf, 0.0
     for unit, k in owners:
         begin, own_end = times[unit][k]
-        # Half of the shorter one: clocks are some samples off, rests tens of seconds long.
+        # Half of the shorter one: clocks are some samples off, dwells tens of seconds long.
         if begin > end - min(own_end - begin, shortest) / 2:
             number, end, shortest = number + 1, own_end, own_end - begin
         end, shortest = max(end, own_end), min(shortest, own_end - begin)

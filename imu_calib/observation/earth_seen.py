@@ -24,7 +24,7 @@ _TELLS = np.radians(10.0)
 def up_rate_seen(segments: Sequence[Segment]) -> tuple[float, float] | None:
     """Return the Earth rate about up that gyros see in several attitudes, and its deviation, rad/s.
 
-    Least squares over rests k with attitudes R_k = R_nb: y_k = b + R_k' w, of the biases b and the
+    Least squares over dwells k with attitudes R_k = R_nb: y_k = b + R_k' w, of the biases b and the
     Earth rate w in the table's frame; what misalignments make of 15 deg/h is neglected. The
     deviation is that of the scatter about the fit, and of nominal scale factors.
 

@@ -27,7 +27,7 @@ ANY_AZIMUTH = 180 * DEG / np.sqrt(3)
 """Standard deviation of a heading that may be any."""
 
 _FEW = 32
-"""Outputs of five rests, which determine nothing: numpy solves for so few in 0.1 ms, and loading
+"""Outputs of five dwells, which determine nothing: numpy solves for so few in 0.1 ms, and loading
 scipy takes longer than all else that is done with such a session."""
 
 GIVEN_AZIMUTH = 1 * ARCMIN

@@ -37,7 +37,7 @@ error of a table and less than half of the 45 deg to the next attitude of any pl
 _REMEMBERED = 21
 """Seven at each of three states: the last step, and two from which the next fits start."""
 _OF_RESTS = {'rest_attitudes', 'turn_inputs', 'headings', 'arms'}
-"""What of a session follows from its rests and turns alone."""
+"""What of a session follows from its dwells and turns alone."""
 
 _QUARTZ = 50e-6
 """Standard deviation of the rate of clocks that no motion compares, as a ratio: quartz oscillators
@@ -113,7 +113,7 @@ class Evidence:
         site: Site,
         table: Table | None,
     ) -> Evidence:
-        """Gather the evidence of a session whose rests and turns have names.
+        """Gather the evidence of a session whose dwells and turns have names.
 
         Raises:
             NotObservable: Neither the data nor the IMU's description tells the noise.
@@ -141,7 +141,7 @@ class Evidence:
         )
 
     def with_moves(self, moves: tuple[Move, ...]) -> Evidence:
-        """Return the session with other moves, or none: of rests and turns nothing is done again.
+        """Return the session with other moves, or none: of dwells and turns nothing is done again.
 
         Whatever is worked out of these alone is kept.
         """

@@ -1,11 +1,11 @@
-"""Rests in attitudes that nobody knows, with moves between them: a unit in the hand.
+"""Dwells in attitudes that nobody knows, with moves between them: a unit in the hand.
 
-The state of `Equations` goes on with the level Earth rate and with a small rotation of each rest.
+The state of `Equations` goes on with the level Earth rate and with a small rotation of each dwell.
 The level rate is one vector of the world, and moves without a gap carry its direction along: what
-it does at one rest it does in the move after and at the next rest, so that it is no independent
+it does at one dwell it does in the move after and at the next dwell, so that it is no independent
 noise of each. Of every unbroken run of moves two components are unknown, in standard deviations of
 their prior: a vector of known length and any heading has half the square of that length in each of
-two level axes. The heading of the first rest of a run is a choice of frame.
+two level axes. The heading of the first dwell of a run is a choice of frame.
 
 Source: docs/mathematics.md, 'Free positions'.
 """
@@ -34,19 +34,19 @@ class FreeEquations(Equations):
     """The equations of a session whose attitudes are sought: those of the evidence are where.
 
     The state ends with (2 c,) components of the Earth rate, of c unbroken runs of moves, and with
-    rotations of the rests about east, north and up, rad.
+    rotations of the dwells about east, north and up, rad.
     """
 
     @cached_property
     def runs(self) -> Indices:
-        """In which unbroken run of moves each rest lies, (s,)."""
+        """In which unbroken run of moves each dwell lies, (s,)."""
         unled = np.ones(len(self.evidence.segments), dtype=np.intp)
         unled[[link.second for link in self.evidence.links.links]] = 0
         return np.asarray(np.cumsum(unled) - 1)
 
     @cached_property
     def _sought(self) -> NDArray[np.bool_]:
-        """Which rotations are sought, (3 s,): all but the heading of the first rest of a run."""
+        """Which rotations are sought, (3 s,): all but the heading of the first dwell of a run."""
         sought = np.ones((len(self.runs), 3), dtype=bool)
         sought[np.unique(self.runs, return_index=True)[1], 2] = False
         return sought.ravel()
@@ -64,7 +64,7 @@ class FreeEquations(Equations):
 
     @property
     def leaning_last(self) -> slice:
-        """Where the rotations of the last rest about east and north lie in the state."""
+        """Where the rotations of the last dwell about east and north lie in the state."""
         start = self.size - int(np.count_nonzero(self._sought[-3:]))
         return slice(start, start + 2)
 
@@ -84,7 +84,7 @@ class FreeEquations(Equations):
         return Surroundings(rate, around.force, by_latitude, none, none, np.eye(3))
 
     def earth(self, state: Floats) -> Floats:
-        """Return the Earth rate in the frame of each rest's attitude, (s, 3) rad/s."""
+        """Return the Earth rate in the frame of each dwell's attitude, (s, 3) rad/s."""
         level = state[self.north].reshape(-1, 2)[self.runs] * self._level_rate
         return np.column_stack([level, np.full(len(level), self.evidence.site.up_rate)])
 

@@ -1,4 +1,4 @@
-"""From one rest to the next as the gyros of a model see it: a rotation and its derivatives.
+"""From one dwell to the next as the gyros of a model see it: a rotation and its derivatives.
 
 What has been joined to steps holds what its directions added by changing (`segmentation/moves.py`);
 single samples do not.

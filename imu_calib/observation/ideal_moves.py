@@ -19,7 +19,7 @@ from ..turntable import Table
 from .evidence import UP
 
 BY_HAND_MOVE = 2.0
-"""From one rest to the next, s."""
+"""From one dwell to the next, s."""
 
 _STEP = 0.01
 """Into which a move is cut, s: no step turns by more than a degree at 100 deg/s."""
@@ -47,7 +47,7 @@ def ideal_move(
     truth: SensorModel,
     world: tuple[Floats, Floats],
 ) -> Move:
-    """Return what the sensors would give on the way from one rest to the next.
+    """Return what the sensors would give on the way from one dwell to the next.
 
     Args:
         before: The rest that it begins at.

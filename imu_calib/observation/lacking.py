@@ -1,7 +1,7 @@
-"""What a session lacks: parameters that it leaves open, and the rests and turns that would do.
+"""What a session lacks: parameters that it leaves open, and the dwells and turns that would do.
 
 Whatever a plan says of its positions, observability is a matter of the attitudes and axes that a
-session has: one more rest or turn of each kind is tried, in the equations of the session itself.
+session has: one more dwell or turn of each kind is tried, in the equations of the session itself.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _RATE = TURN / 36
 """Rate of a turn that is tried, rad/s: ten degrees a second, as rate tests begin with."""
 
 _MOST = 9
-"""Rests and turns that are proposed at most: six ups and downs and a turn about each axis are all
+"""Dwells and turns that are proposed at most: six ups and downs and a turn about each axis are all
 that the 24 parameters of any unit need."""
 
 _UNSEEN = 1e-6
@@ -63,7 +63,7 @@ def without_turns(evidence: Evidence) -> NDArray[np.bool_]:
 
 
 def advice(equations: Equations) -> str:
-    """Say which rests and turns would determine what a session leaves open; empty if none would.
+    """Say which dwells and turns would determine what a session leaves open; empty if none would.
 
     The next one is always that which leaves the fewest parameters open and, among those, tells
     most of all others. What only several tell together is said of them together.
@@ -99,9 +99,9 @@ def advice(equations: Equations) -> str:
 
 
 def _additions(evidence: Evidence) -> list[Addition]:
-    """List rests with each axis up and down at four headings, and turns about each axis.
+    """List dwells with each axis up and down at four headings, and turns about each axis.
 
-    They last as long as the session's own rests do.
+    They last as long as the session's own dwells do.
     """
     durations = [s.statistics.duration for s in evidence.segments]
     like = evidence.segments[int(np.argsort(durations)[len(durations) // 2])]

@@ -1,6 +1,6 @@
 """Where the outputs of a session lie among its equations: this module alone knows their order.
 
-Six for each rest (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
+Six for each dwell (gyros x y z, accelerometers x y z), then three for each turn (gyros), then three
 for each move (angles), then three for each turn whose accelerometers count, then three for each
 move whose accelerometers count (velocities).
 """
@@ -44,7 +44,7 @@ class OutputLayout:
 
     @cached_property
     def rest(self) -> Indices:
-        """Of the rests, (s, 6): gyros, then accelerometers."""
+        """Of the dwells, (s, 6): gyros, then accelerometers."""
         return np.arange(6 * self.rests).reshape(-1, 6)
 
     @cached_property
@@ -76,12 +76,12 @@ class OutputLayout:
 
     @cached_property
     def gyros(self) -> Indices:
-        """Of all that gyros gave, in groups of three: rests, turns, moves."""
+        """Of all that gyros gave, in groups of three: dwells, turns, moves."""
         return np.concatenate([self.rest[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
 
     @cached_property
     def accels(self) -> Indices:
-        """Of all that accelerometers gave, in groups of three: rests, turns, moves."""
+        """Of all that accelerometers gave, in groups of three: dwells, turns, moves."""
         parts = (self.rest[:, 3:], self.turn_accels, self.velocity)
         return np.concatenate([part.ravel() for part in parts])
 
@@ -96,7 +96,7 @@ class OutputLayout:
 
     @cached_property
     def segment(self) -> Indices:
-        """Which rest, turn or move each output is of: these counted on in this order."""
+        """Which dwell, turn or move each output is of: these counted on in this order."""
         result = np.empty(len(self), dtype=np.intp)
         result[self.rest] = np.arange(self.rests)[:, None]
         result[self.turn] = self.rests + np.arange(self.turns)[:, None]

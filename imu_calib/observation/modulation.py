@@ -28,11 +28,11 @@ as much."""
 
 TIME_CONSTANTS = 2.0 ** np.arange(-4, 1.5, 0.5)
 """Grid of the time constant of a warm-up, as fractions of the session: a shorter one has faded
-within the first rest, and a longer one is a trend."""
+within the first dwell, and a longer one is a trend."""
 
 
 def spans(evidence: Evidence) -> tuple[Floats, Floats]:
-    """Return start and end of each rest, turn and move, (s + t + m,) s since the first began."""
+    """Return start and end of each dwell, turn and move, (s + t + m,) s since the first began."""
     starts, ends = _instants(evidence)
     origin = starts.min(initial=np.iinfo(np.int64).max)
     return (starts - origin) * 1e-9, (ends - origin) * 1e-9
@@ -46,7 +46,7 @@ def _instants(evidence: Evidence) -> tuple[Stamps, Stamps]:
 
 
 def courses(evidence: Evidence, course: Course, time_constant: float) -> Floats:
-    """Return the means of a course over each rest, turn and move, (s + t + m,).
+    """Return the means of a course over each dwell, turn and move, (s + t + m,).
 
     Args:
         evidence: The session.
@@ -67,7 +67,7 @@ def courses(evidence: Evidence, course: Course, time_constant: float) -> Floats:
 
 
 def rates(evidence: Evidence, course: Course, time_constant: float) -> Floats:
-    """Return by how much a course rises over each rest, turn and move, (s + t + m,) per s.
+    """Return by how much a course rises over each dwell, turn and move, (s + t + m,) per s.
 
     Args:
         evidence: The session.
@@ -91,7 +91,7 @@ def rates(evidence: Evidence, course: Course, time_constant: float) -> Floats:
 
 
 def temperatures(evidence: Evidence) -> Floats:
-    """Return the mean temperature over each rest, turn and move, (s + t + m,) degrees Celsius.
+    """Return the mean temperature over each dwell, turn and move, (s + t + m,) degrees Celsius.
 
     Raises:
         NotObservable: The session has no temperature.

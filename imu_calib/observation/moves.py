@@ -47,8 +47,8 @@ _LEAST_OFF = 1e-3
 not show in the size of gravity."""
 
 _WORSE = 10.0
-"""Times the standard deviation of the mean force of a rest to which a velocity may know that of its
-move: one that is known worse tells less than a hundredth of what the rest before it does."""
+"""Upper limit of the standard deviation of a move's mean force by its velocity, over that of a
+dwell's: beyond it a move adds less than a hundredth to what the dwell before it gives."""
 
 _LEVEL = np.array([1.0, 1.0, 0.0])
 """What a rotation of the axes makes of gravity: nothing along it."""

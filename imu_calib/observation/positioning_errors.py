@@ -1,6 +1,6 @@
-"""How a table that stops beside its mark leans the attitudes of rests and turns.
+"""How a table that stops beside its mark leans the attitudes of dwells and turns.
 
-A joint that stops is off what its encoder reads until it moves again: rests and turns in between
+A joint that stops is off what its encoder reads until it moves again: dwells and turns in between
 share that error, about the joint's axis. And each stop leans and turns a little of its own,
 whichever joint moved. Nobody sees either but the sensors.
 

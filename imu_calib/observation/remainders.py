@@ -33,7 +33,7 @@ _RATES = np.array([-1.542, -0.752, -0.235, 0.235, 0.752, 1.542])
 widened to its variance."""
 
 _RANK = 1e-3
-"""Least singular value of the inputs of a triad, of the largest: rests and turns are at right
+"""Least singular value of the inputs of a triad, of the largest: dwells and turns are at right
 angles or nearly so, or leave a direction out."""
 
 _UNKNOWN = 1e-3

@@ -70,7 +70,7 @@ class SessionModel:
 
     @property
     def layout(self) -> OutputLayout:
-        """Where the outputs of rests, turns and moves lie."""
+        """Where the outputs of dwells, turns and moves lie."""
         return self.evidence.layout
 
     @property
@@ -134,7 +134,7 @@ class SessionModel:
         return Surroundings.at(self.evidence.site, azimuth, tilt_x, tilt_y)
 
     def earth(self, state: Floats) -> Floats:
-        """Return the Earth rate in the frame of each rest's attitude, (s, 3) rad/s."""
+        """Return the Earth rate in the frame of each dwell's attitude, (s, 3) rad/s."""
         return np.tile(self.surroundings(state).rate, (len(self.evidence.segments), 1))
 
     @property

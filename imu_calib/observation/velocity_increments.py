@@ -215,7 +215,7 @@ def by_places(thrusts: Sequence[VelocityIncrement]) -> Floats:
     """Return what taking off where the accelerometers are adds to v, per m, (m, 3, 9) 1/s.
 
     In the order x, y, z of accelerometer x, then of y and z. Accelerometer i reads row i of
-    (I + M) a_i, a_i = ([alpha] + [w][w]) r_i. From rest to rest the integral by parts holds no
+    (I + M) a_i, a_i = ([alpha] + [w][w]) r_i. From dwell to dwell the integral by parts holds no
     alpha: that of C P_i a_i is that of C (P_i [w] - [w] P_i) [w] r_i, of which this is minus.
 
     Args:

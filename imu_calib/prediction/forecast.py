@@ -232,7 +232,7 @@ def _by_closed_form(
     if extra is not None:
         gain = solution.gain
         assert gain is not None
-        # Rests come first: of gyros at rest alone the turns that no weight is on are not there.
+        # Dwells come first: of gyros at rest alone the turns that no weight is on are not there.
         outputs = slice(0, gain.shape[1])
         square = square + np.einsum('ij,jk,ik->i', gain, extra[outputs, outputs], gain)
     return solution.parameters, square

@@ -1,4 +1,4 @@
-"""What counters, ADCs and rates by themselves would show of a rest, or of whole turns.
+"""What counters, ADCs and rates by themselves would show of a dwell, or of whole turns.
 
 A counter without noise, run at the rate that it would see, goes through the very estimators that a
 session goes through (`segmentation.counter`).

@@ -1,4 +1,4 @@
-"""A verification on the screen: rests and turns by position, worst first, in engineers' units."""
+"""A verification on the screen: dwells and turns by position, worst first, in engineers' units."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _table(verification: Verification, quantities: Sequence[Quantity]) -> Table 
 
 
 def _rows(compared: Sequence[ComparedQuantity]) -> list[list[ComparedQuantity]]:
-    """Gather what belongs to one rest or one turn; a quantity that comes again begins another."""
+    """Gather what belongs to one dwell or one turn; a quantity that comes again begins another."""
     rows: dict[tuple[str, float, float, int], list[ComparedQuantity]] = {}
     seen: dict[tuple[str, float, float, Quantity], int] = {}
     for one in compared:

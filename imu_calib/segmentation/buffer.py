@@ -67,7 +67,7 @@ class RowBuffer:
     def between(self, start: int, end: int) -> tuple[Stamps, Floats]:
         """Return the rows with start < stamp <= end: stamps (n,), values (n, columns).
 
-        They are views that cannot be written to: a rest of a million samples is not copied.
+        They are views that cannot be written to: a dwell of a million samples is not copied.
         """
         a, b = np.searchsorted(self.stamp, [start, end], side='right')
         stamp, values = self.stamp[a:b], self.values[a:b]

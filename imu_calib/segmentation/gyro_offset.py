@@ -123,7 +123,7 @@ class GyroOffset:
 
     @property
     def spread(self) -> float:
-        """By how much a rest's rate may differ from it, as other rests do, rad/s."""
+        """By how much a dwell's rate may differ from it, as other dwells do, rad/s."""
         level = self._level
         return FELT if level is None else level.spread
 

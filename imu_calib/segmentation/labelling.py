@@ -46,7 +46,7 @@ class Labelled:
         turns: Whole turns, in order.
         rejected: Static dwells that were not used, and why.
         notes: What else of the session was left out, in sentences.
-        passing: Stops on the way from one rest to another, which are not used.
+        passing: Stops on the way from one dwell to another, which are not used.
 
     """
 
@@ -57,7 +57,7 @@ class Labelled:
     passing: tuple[Segment, ...] = ()
 
     def of_plan(self, plan: Plan) -> Labelled:
-        """Return the rests and turns at positions of a plan, which a closed form works on."""
+        """Return the dwells and turns at positions of a plan, which a closed form works on."""
         known = {p.id for p in plan.positions}
         return replace(
             self,
@@ -115,10 +115,10 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
 
 
 def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
-    """Name rests and turns that the plan does not name after their attitudes.
+    """Name dwells and turns that the plan does not name after their attitudes.
 
-    Left out are stops on the way, and rests in which the unit cannot have sat in its mount: the
-    accelerometers show another direction of up than the encoders, while at most other rests they
+    Left out are stops on the way, and dwells in which the unit cannot have sat in its mount: the
+    accelerometers show another direction of up than the encoders, while at most other dwells they
     show the same.
     """
     segments = [s for s in labelled.segments if s.attitude is not None]
@@ -172,11 +172,11 @@ def _turns_with_own_names(turns: Sequence[Turn]) -> tuple[Turn, ...]:
 
 
 def _brief(segments: Sequence[Segment]) -> float:
-    """Return how short a rest must be to count as a stop on the way, s.
+    """Return how short a dwell must be to count as a stop on the way, s.
 
-    Rests differ by what a session is for: what matters is how long most of them last. A pause
+    Dwells differ by what a session is for: what matters is how long most of them last. A pause
     between two motions tells too little beside them to be worth a name and equations. Half of
-    the time at rest is spent in rests that last as long as the usual one or longer, where no rest
+    the time at rest is spent in dwells that last as long as the usual one or longer, where no dwell
     counts for more time than a block: neither many pauses nor one long warm-up are the usual.
     """
     if not segments:
@@ -270,13 +270,13 @@ class _Setpoints:
 def _by_setpoint(
     segments: Sequence[Segment], setpoints: _Setpoints, plan: Plan, table: Table | None
 ) -> tuple[list[Segment], list[Rejected]]:
-    """Name the rests to which a setpoint brought the table.
+    """Name the dwells to which a setpoint brought the table.
 
     Setpoints are repeated as long as somebody leads the table: before the first the session has
     not begun, and the unit may yet be warming up or be screwed down.
 
     Returns:
-        All rests but those that are rejected; those without a position fit none.
+        All dwells but those that are rejected; those without a position fit none.
 
     """
     named: list[Segment] = []
@@ -320,7 +320,7 @@ def _off_setpoint(segment: Segment, setpoint: Setpoint, table: Table | None) -> 
 
 
 def _by_attitude(segments: Sequence[Segment], plan: Plan) -> list[Segment]:
-    """Name the rests that stand at a position long enough; the others stay without one.
+    """Name the dwells that stand at a position long enough; the others stay without one.
 
     Where a position has short ones alone, they say so.
     """

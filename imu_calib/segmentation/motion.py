@@ -22,10 +22,10 @@ after a silence of the joint states has moved, however long that was."""
 _TURN = 2 * np.pi
 """rad."""
 _SAMPLES_FOR_ANGLES = 4096
-"""Readings of a rest that are averaged, at most: at 100 Hz they leave 0.1 arcsec of noise of 7."""
+"""Readings of a dwell that are averaged, at most: at 100 Hz they leave 0.1 arcsec of noise of 7."""
 
 _ANGLES_NS = 40_000_000_000
-"""Within which they lie, ns: a rest is not split before, whenever its readings come."""
+"""Within which they lie, ns: a dwell is not split before, whenever its readings come."""
 
 _RECENT = 32
 """Readings before one that show the encoders' noise, by their second differences: what turns at one
@@ -71,7 +71,7 @@ class Motion:
 
 
 class JointTracker:
-    """Follows the joint states of a table and tells rests from motions.
+    """Follows the joint states of a table and tells dwells from motions.
 
     The outcome depends on the samples alone, not on how they were cut into blocks.
     """
@@ -161,7 +161,7 @@ class JointTracker:
         done: list[Rest | Motion] = []
         for k in np.flatnonzero(moving != np.append(self._moving, moving[:-1])).tolist():
             # A window that counts as still may hold the last of a move, or the first of the next:
-            # rest begins at the end of its first still window and ends where its last one began.
+            # a dwell begins at the end of its first still window and ends where its last one began.
             if moving[k]:
                 last = max(self._seen_from if k == 0 else int(stamp[before[k - 1]]), self._start)
                 done.append(self._rest(self._start, last))
@@ -197,7 +197,7 @@ class JointTracker:
         return np.asarray(far.any(axis=1))
 
     def _rest(self, start: int, end: int) -> Rest:
-        """Close a rest; its angles are those of its first samples, however it is split."""
+        """Close a dwell; its angles are those of its first samples, however it is split."""
         if self._angles is None:
             self._angles = self._mean(start, min(end, start + _ANGLES_NS))
         return Rest(start, end, *self._angles)

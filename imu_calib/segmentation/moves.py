@@ -1,4 +1,4 @@
-"""From rest to rest: what gyros and accelerometers gave on the way, in steps of about a degree.
+"""From dwell to dwell: what gyros and accelerometers gave on the way, in steps of about a degree.
 
 A step joins samples. Its rotation vector is the sum of their angles and what the change of their
 direction adds (coning), to the second order. Its velocity is the sum of theirs in the body axes in
@@ -51,7 +51,7 @@ COARSEST_BY_HAND = 20 * DEG
 class MoveReader:
     """Joins what lies between one segment at rest and the next to a move.
 
-    Feed motions and rests in order. A gap, a sample at the end of its range, a shock, or a step of
+    Feed motions and dwells in order. A gap, a sample at the end of its range, a shock, or a step of
     the stamps ends a move without a result.
 
     Args:
@@ -71,7 +71,7 @@ class MoveReader:
         self._moves: list[tuple[int, int, _Steps]] = []
 
     def motion(self, samples: Samples, delivered: Floats) -> None:
-        """Take the samples of a motion; those that a rest before has had are passed over.
+        """Take the samples of a motion; those that a dwell before has had are passed over.
 
         Args:
             samples: n of them.
@@ -84,7 +84,7 @@ class MoveReader:
     def rest(
         self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | MountShift]
     ) -> None:
-        """Take the samples of a rest, and what was found in it, in order."""
+        """Take the samples of a dwell, and what was found in it, in order."""
         if any(isinstance(thing, MountShift) for thing in found):
             self._open = None
         for segment in (thing for thing in found if isinstance(thing, Segment)):

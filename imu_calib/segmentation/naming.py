@@ -1,4 +1,4 @@
-"""Attitudes in words: names of rests and turns that no position of a plan names."""
+"""Attitudes in words: names of dwells and turns that no position of a plan names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a session strays while its unit is held still: tolerances for telling rests by."""
+"""How far a session strays while its unit is held still: tolerances for telling dwells by."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RestTolerance:
         """Learn it from the quiet seconds among windows that follow each other.
 
         What counts is how rates stray from the second around them, and forces from one window to
-        the next: a turn at an even rate strays no more than a rest, however slow it is.
+        the next: a turn at an even rate strays no more than a dwell, however slow it is.
 
         Args:
             means: (n, 6) means of windows of a tenth of a second, rad/s and m/s^2.

@@ -14,7 +14,7 @@ from .thermometer import Temperature
 
 @dataclass(frozen=True, eq=False)
 class Rejected:
-    """What was looked at and not used: when (ns, IMU clock), where, why; a rest or a turn."""
+    """What was looked at and not used: when (ns, IMU clock), where, why; a dwell or a turn."""
 
     start: int
     end: int
@@ -33,7 +33,7 @@ class MountShift:
 
 @dataclass(frozen=True, eq=False)
 class FreeMotion:
-    """A motion between two rests as the gyros alone saw it.
+    """A motion between two dwells as the gyros alone saw it.
 
     Attributes:
         start: First instant, ns, IMU clock.

@@ -47,7 +47,7 @@ from .thermometer import Thermometer
 from .turns import MARGIN_NS, Around, read_free_motion, read_turns
 
 _LONGEST_REST = 1 << 20
-"""Samples that are held: a longer rest is cut, so that memory stays bounded."""
+"""Samples that are held: a longer dwell is cut, so that memory stays bounded."""
 _SAMPLES_FOR_PERIOD = 256
 """Samples whose median tells the interval."""
 _SEEN = 0.75
@@ -273,7 +273,7 @@ class Segmenter:
         self._pace, self._lost, self._off_grid = Pace(), 0, set()
 
     def _watch_stillness(self, *, last: bool) -> None:
-        """Let the IMU's own samples tell rests from motions."""
+        """Let the IMU's own samples tell dwells from motions."""
         imu = self._intake.imu
         if self._stillness is None:
             enough = _SAMPLES_FOR_PERIOD if not last else 2
@@ -292,7 +292,7 @@ class Segmenter:
         self._pending.extend(self._stillness.feed(stamp, rates))
 
     def _split_long_rest(self) -> None:
-        """Close a rest after so many samples, that memory stays bounded however long it lasts."""
+        """Close a dwell after so many samples, that memory stays bounded however long it lasts."""
         tracker = self._tracker
         if tracker is None or self._pending:
             return
@@ -423,7 +423,7 @@ class Segmenter:
                 self._rejected.append(thing)
 
     def _drop_unseen(self) -> None:
-        """Drop rests beside a motion of the table that the gyros did not see: clocks are apart."""
+        """Drop dwells beside a motion of the table that the gyros did not see: clocks are apart."""
         instants = np.array([instant for instant, _ in self._seen_motions])
         angles = np.array([seen.angle for _, seen in self._seen_motions])
         times = np.array([seen.time for _, seen in self._seen_motions])

@@ -45,7 +45,7 @@ class Quietest:
     Attributes:
         rate: Of the gyros, the largest of three axes, rad/s.
         force: Of the accelerometers, m/s^2.
-        tolerance: What a rest keeps to by the session's last minutes.
+        tolerance: What a dwell keeps to by the session's last minutes.
 
     """
 
@@ -55,7 +55,7 @@ class Quietest:
 
 
 class StillnessTracker:
-    """Tells rests from motions by the means of short windows of IMU samples.
+    """Tells dwells from motions by the means of short windows of IMU samples.
 
     A unit counts as still while the gyros stay near what they read at rest and the accelerometers
     near what they read as the rest began. What the gyros read at rest, and how near is near, the
@@ -190,13 +190,13 @@ class StillnessTracker:
         fresh = [w for w in self._recent if w[0] >= self._start]
         if len(fresh) < _WINDOWS_TO_SETTLE or not all(self._still(m, centre) for *_, m in fresh):
             return []
-        # The first window may hold the last of the motion: rest begins with the second.
+        # The first window may hold the last of the motion: the dwell begins with the second.
         motion = self._motion(self._recent[1][0])
         self._start, self._reference = self._recent[1][0], centre
         return [motion] if motion.end > motion.start else []
 
     def _last_quiet(self) -> int:
-        """Return the last stamp of a rest that the window judged is none of, ns.
+        """Return the last stamp of a dwell that the window judged is none of, ns.
 
         The window before may hold the first of the motion: where it strays from its own forerunner
         by more than nine of ten do. A sample is what was read up to its stamp: the first of the

@@ -1,4 +1,4 @@
-"""Names for what the IMU alone saw: rests by the order of the plan, whole turns by the gyros."""
+"""Names for what the IMU alone saw: dwells by the order of the plan, whole turns by the gyros."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .segment import Segment, Turn
 from .segmented import FreeMotion, Rejected
 
 SHORT_DWELL = 0.25
-"""Share of a dwell below which a rest is none of the plan's."""
+"""Share of a dwell below which a dwell is none of the plan's."""
 
 UP_TOLERANCE = 20 * DEG
 """How far up by raw accelerometers may be from what it should be: biases and misalignments of the
@@ -30,7 +30,7 @@ _ALONG_UP = 0.8
 
 
 def label_by_order(segments: Sequence[Segment], plan: Plan) -> tuple[list[Segment], list[Rejected]]:
-    """Match the rests to the plan by the axis that is up, in order."""
+    """Match the dwells to the plan by the axis that is up, in order."""
     ups = [up_by_accelerometers(segment) for segment in segments]
     positions = [p for p in plan.positions if p.dwell > 0]
     pairs = _align(segments, ups, positions)
@@ -62,7 +62,7 @@ def up_by_accelerometers(segment: Segment) -> Floats:
 def _align(
     segments: Sequence[Segment], ups: Sequence[Floats], positions: Sequence[Position]
 ) -> list[tuple[int, int]]:
-    """Find the longest common subsequence of rests and positions, long rests first."""
+    """Find the longest common subsequence of dwells and positions, long dwells first."""
     n, m = len(segments), len(positions)
     score = np.zeros((n + 1, m + 1))
     gain = np.full((n, m), -np.inf)

@@ -219,7 +219,7 @@ class Standing:
         table: The table that was commanded to hold.
         rules: Tolerances.
         at: The last joint state before the command, None if there is none.
-        led: Whether it was on a motion until then: what was still before it set out is no rest.
+        led: Whether it was on a motion until then: what was still before it set out is no dwell.
 
     Attributes:
         led: The same, until it has come to rest.

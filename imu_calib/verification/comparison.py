@@ -45,7 +45,7 @@ class ComparedQuantity:
 
     Attributes:
         name: Position.
-        at: When it began, s after the first rest; NaN for a turn.
+        at: When it began, s after the first dwell; NaN for a turn.
         rate: Of a turn, rad/s; zero at rest.
         quantity: What is compared.
         deviation: m/s^2, rad/s or rad.
@@ -80,7 +80,7 @@ class ComparedQuantity:
 def compare(
     system: TriadSystem, values: Floats, factor: Floats, fit: Fit
 ) -> list[ComparedQuantity]:
-    """Compare at every rest and every turn.
+    """Compare at every dwell and every turn.
 
     Args:
         system: The session as one triad sees it.
@@ -106,7 +106,7 @@ def _covariances(found: tuple[Floats, Floats, Floats], spread: Floats, factor: F
 
 
 def _at_rest(system: TriadSystem) -> Iterator[tuple[str, float]]:
-    """Name each rest, and say how long after the first it began, s."""
+    """Name each dwell, and say how long after the first it began, s."""
     segments = system.evidence.segments
     return ((str(s.position), (s.start - segments[0].start) * 1e-9) for s in segments)
 

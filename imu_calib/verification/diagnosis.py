@@ -118,7 +118,7 @@ def refitted_parameters(system: TriadSystem) -> Fit:
 def with_true_noise(system: TriadSystem) -> TriadSystem:
     """Widen the noise to what the session scatters by, whatever the parameters.
 
-    A session of few rests, or of lengths alone, cannot tell: the data sheet's bias instability
+    A session of few dwells, or of lengths alone, cannot tell: the data sheet's bias instability
     then counts. What a term explains that the calibration does not have is no scatter.
 
     Raises:
@@ -159,7 +159,7 @@ def _with_missing_terms(system: TriadSystem) -> Fit:
         best, larger = min(tried, key=lambda one: one[0].chi_square)
         count = len(larger.sensors.parameters) - len(system.sensors.parameters)
         left = best.freedom - len(larger.sensors.parameters)
-        # A few rests fit many a term, whatever is wrong with them.
+        # A few dwells fit many a term, whatever is wrong with them.
         if left < 1 or best.spare < _ENOUGH:
             return without
         ratio = (fit.chi_square - best.chi_square) / count / (best.chi_square / left)

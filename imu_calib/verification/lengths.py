@@ -106,7 +106,7 @@ class Up:
 def compare_lengths(
     sensors: Sensors, values: Floats, read: Floats, noise: Floats, up: Up, site: Site
 ) -> tuple[Floats, Floats, Floats]:
-    """Set up one equation for each rest, and of gyros a second.
+    """Set up one equation for each dwell, and of gyros a second.
 
     Args:
         sensors: Gyros or accelerometers.

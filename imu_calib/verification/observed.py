@@ -24,7 +24,7 @@ class Observed:
     """A session to be held against a calibration.
 
     Attributes:
-        evidence: Rests and turns by name; without attitudes and turns where nobody tells those.
+        evidence: Dwells and turns by name; without attitudes and turns where nobody tells those.
         imu: How the recording describes its IMU.
         sample_rate: Samples per second, Hz.
         notes: What was left out, in sentences.
@@ -83,7 +83,7 @@ def observe(
         session: What the streams contain.
         imu: How the recording describes its IMU.
         site: Gravity and Earth rate.
-        plan: What was run; `plan.UNPLANNED` where nobody knows: rests are then named by their
+        plan: What was run; `plan.UNPLANNED` where nobody knows: dwells are then named by their
             attitudes, or numbered where nobody tells those either.
         table: The table whose joint states came in; None with the IMU alone.
         clock: What the calibration says of the clock that stamps the samples; None where its
@@ -91,7 +91,7 @@ def observe(
 
     Raises:
         InputError: The setpoints name none of the plan's positions.
-        NotObservable: Neither rests nor turns were found.
+        NotObservable: Neither dwells nor turns were found.
 
     """
     with_angles = any(s.attitude is not None for s in session.segments) or bool(session.turns)
@@ -101,7 +101,7 @@ def observe(
             f'Neither static dwells nor whole turns were found in {session.samples} IMU samples '
             f'({session.duration:.0f} s): nothing can be compared.'
         )
-    # A plan of turns alone names no rests.
+    # A plan of turns alone names no dwells.
     timed = [s.statistics for s in labelled.segments or labelled.turns]
     sample_rate = float(np.median([s.samples / s.duration for s in timed]))
     # The attitudes of a plan that a person holds by hand are good to degrees, no more.

@@ -55,7 +55,7 @@ class Fit:
         std: (p,) their standard deviations.
         unknown: (u,) what else the session shows: `Nuisance`, and where it was asked for a small
             rotation in the mount, rad; nothing without attitudes.
-        ratios: Squared residual over its expectation: of rests, of turns, of moves (1 without).
+        ratios: Squared residual over its expectation: of dwells, of turns, of moves (1 without).
         spare: How many residuals at rest are left to tell by, beyond what was estimated.
 
     """
@@ -85,7 +85,7 @@ class TriadSystem:
         sensors: Gyros or accelerometers.
         reading: Factor by which the outputs are to be multiplied.
         up: By the accelerometers; None where attitudes tell it.
-        inflation: Factors on the noise of rests, of turns and of moves.
+        inflation: Factors on the noise of dwells, of turns and of moves.
         bias_drift: Standard deviation of the biases from rest to rest, rad/s or m/s^2.
         seen: The unknowns that the session shows whatever the parameters, to begin with; None
             before that is known.
@@ -253,7 +253,7 @@ class TriadSystem:
         return self._fitted(self._begun(values, factor)[0], values, factor)
 
     def fit_likely(self, values: Floats, factor: Floats, chance: float) -> Fit | None:
-        """Return `fit`; None where already the rests and turns have by far less than a chance.
+        """Return `fit`; None where already the dwells and turns have by far less than a chance.
 
         Twice the chi-square that counts is left for what is not linear. Moves are not led then.
         """
@@ -263,7 +263,7 @@ class TriadSystem:
         return self._fitted(point, values, factor)
 
     def _begun(self, values: Floats, factor: Floats) -> tuple[Floats, float]:
-        """Return where `fit` begins and what chi-square would be there, by rests and turns."""
+        """Return where `fit` begins and what chi-square would be there, by dwells and turns."""
         resting = self._without_moves
         return resting._start(resting._allowing(values, factor), factor.shape[1])
 
