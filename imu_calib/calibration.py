@@ -78,12 +78,12 @@ class Calibration:
         residuals: One per static dwell.
         findings: What a person should know, in sentences.
         provenance: Where it comes from: recording, hash, plan, method, site, versions.
-        serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
+        serial_number: Which unit of the type `imu.id`; empty where not stated.
         parameters: What the rows of the covariance stand for: the 24, the terms', the skewed
             gyros', as `model.parameters_of` orders them.
         budget: The variances by source; None where the method does not tell.
-        changes: By which parameters changed during the session; None where nobody asked. Those that
-            follow the temperature are applied (`compensation/thermal`), others end with it.
+        changes: By which parameters changed during the session; None where not asked for. Those
+            that follow the temperature are applied (`compensation/thermal`), others end with it.
         clock: That stamps the samples, where the session compared it with the table's: pulses are
             per second of the table's then, else of the stamps'.
 
@@ -145,7 +145,7 @@ class Calibration:
     def to_dict(self) -> dict[str, Any]:
         """Return what the file holds, by its keys (docs/files/calibration.md): plain values, SI.
 
-        A triad that was not estimated has no numbers there: nobody can take zeros for a result.
+        A triad that was not estimated has no numbers there: zeros could be taken for a result.
 
         Raises:
             InputError: A parameter that counts as estimated is no finite number.

@@ -197,7 +197,7 @@ class Section:
         return [Section(v, f'{self.key(name)}[{i}]') for i, v in enumerate(self.items(name))]
 
     def finish(self) -> None:
-        """Refuse keys that nobody asked for.
+        """Refuse unknown keys.
 
         Raises:
             InputError: Names the unknown and the known keys.

@@ -31,7 +31,7 @@ HEIGHT_STD = 500.0
 one standard deviation of a normal law holds 68.3 %."""
 
 LATITUDE_STD = math.radians(0.01)
-"""Standard deviation of a latitude where nobody states one, rad.
+"""Standard deviation of a latitude where none is stated, rad.
 
 1.1 km: two digits behind the point of a degree, and the laboratory somewhere in the town whose
 latitude it is. Rounding alone is 0.0029 deg (GUM F.2.2.1)."""
@@ -111,7 +111,7 @@ class Site:
 
         Args:
             latitude: Geodetic latitude, rad, negative in the south.
-            height: Above the ellipsoid, m; None where nobody knows: it is then taken as 0 with a
+            height: Above the ellipsoid, m; None where unknown: it is then taken as 0 with a
                 standard deviation of `HEIGHT_STD`.
             gravity: As measured, m/s^2; None for normal gravity.
             height_std: Standard deviation of the height that is stated, m (default: 0).
@@ -161,7 +161,7 @@ class Site:
 
     @property
     def height_assumed(self) -> bool:
-        """Whether gravity rests on a height that nobody has stated."""
+        """Whether gravity is that of an assumed height."""
         return self.gravity_source == NORMAL_GRAVITY and self.height is None
 
     @property

@@ -17,7 +17,7 @@ class InputError(ImuCalibError):
 
 
 class NotStated(InputError):
-    """Nobody says what a recording means: nothing is wrong with it, and more must be stated."""
+    """A recording does not say what it means: nothing is wrong with it, and more must be stated."""
 
 
 class NotObservable(ImuCalibError):

@@ -17,7 +17,7 @@ from .units import DEG, PPM
 
 _ANOMALY = 0.003
 """Relative difference of a measured gravity from normal gravity that a place can have: 10 km of
-height, where nobody calibrates, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
+height, above any laboratory, make 0.3 %, and gravity anomalies a tenth of that (EGM2008)."""
 
 
 def gravity_slope(model: SensorModel, parameters: Sequence[Parameter]) -> Floats:

@@ -185,7 +185,7 @@ def described_site(data: Mapping[str, str], where: str) -> Site:
         raise InputError(f'{where}: what it says of its site is broken; give `latitude`.') from None
     source = data.get('imu_calib.gravity_source', MEASURED)
     if std is None and source == NORMAL_GRAVITY:
-        # Recorded before heights were: what normal gravity means where nobody states one.
+        # Of a recording from before heights were recorded: as normal gravity without a height.
         std = Site.at(latitude, height).gravity_std
     site = Site.at(latitude, height, gravity, gravity_std=std, latitude_std=latitude_std)
     return replace(site, gravity_source=source)

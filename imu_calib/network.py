@@ -59,7 +59,7 @@ def check_interface(name: str) -> None:
 
 
 def check_domain(whose: str) -> None:
-    """Refuse ROS's default domain, on which whoever says nothing is.
+    """Refuse ROS's default domain, on which every program without a choice is.
 
     Args:
         whose: What is to have a domain of its own, for a person.
@@ -97,7 +97,7 @@ def kept_to(interface: str) -> dict[str, str]:
 
 
 def own_domain() -> int:
-    """Return a domain that nobody else on this machine is on, and keep it for this process.
+    """Return a domain that is free on this machine, and keep it for this process.
 
     A node takes the port of its domain only when it has started: until then a name that Linux gives
     to one process at a time keeps others of the suite away. It is free when the process has ended.

@@ -1,6 +1,6 @@
 """What a calibration's file says of where it comes from (`provenance`): checked key by key.
 
-Keys that nobody here knows are left as they are: a laboratory may note what it wants.
+Unknown keys are left as they are: a laboratory may note what it wants.
 """
 
 from __future__ import annotations

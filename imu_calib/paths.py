@@ -12,7 +12,7 @@ def user_path(name: str | Path) -> Path:
     """Return a path with its leading `~` or `~user` filled in.
 
     Raises:
-        InputError: Nobody's home folder is called so.
+        InputError: There is no such home folder.
 
     """
     try:

@@ -214,7 +214,7 @@ class Plan:
 
 
 UNPLANNED = Plan('', 'whatever the table did', '', 'joint', ())
-"""Stands for the plan of a session that followed none, or one that nobody stated: the joint states
+"""Stands for the plan of a session that followed none, or one that is not stated: the joint states
 tell the attitudes, and dwells and turns are named after them."""
 
 

@@ -52,7 +52,7 @@ _WORST = 1 * DEG
 
 @dataclass(frozen=True)
 class TableErrors:
-    """Standard deviations of what nobody knows of a table, rad; 0 where it is taken as exact.
+    """Standard deviations of a table's unknown errors, rad; 0 where they are taken as none.
 
     Attributes:
         zeros: Of each joint's zero but the first's, which is the azimuth.

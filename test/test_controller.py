@@ -153,7 +153,7 @@ def test_a_goal_that_somebody_else_cancels_stops_the_table(led):
     assert session.until(client.service_is_ready)
     # No identity and no time mean all goals.
     client.call_async(service.Request())
-    assert stops(session, 'cancels a goal, which nobody here asked for')
+    assert stops(session, 'cancels a goal, which was not asked for here')
 
 
 def test_a_controller_that_does_not_answer_is_a_fault(led):

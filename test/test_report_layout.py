@@ -189,7 +189,7 @@ def test_a_unit_of_which_only_up_is_known_says_so(result: Result) -> None:
     )
     (one,) = stands(bare)
     assert isinstance(one, Stand) and not one.known and one.words == 'X up'
-    assert 'Nobody measured the heading' in attitudes([one])
+    assert 'The heading was not measured' in attitudes([one])
 
 
 def test_provenance_is_words_and_units_and_no_dump(pages: dict[str, str], result: Result) -> None:

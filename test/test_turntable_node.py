@@ -710,7 +710,7 @@ def test_a_table_that_a_stranger_turns_is_held_and_it_is_said_how_far_and_how_fa
     session.table.force(tuple(at + np.array([360 * DEG, 0.0, 0.0])))
     assert session.until(lambda: session.table.turned(at) > 1 * DEG)
     session.table.deaf = False
-    assert session.until(lambda: session.watcher.says('plan', 2, 'while nobody led the table'))
+    assert session.until(lambda: session.watcher.says('plan', 2, 'while the table was not led'))
     assert session.watcher.phase is phase
     assert session.until(
         lambda: session.table.setpoints and session.table.setpoints[-1].mode is Mode.HOLD

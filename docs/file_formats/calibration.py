@@ -251,7 +251,7 @@ _PROVENANCE = [
     Key('gravity_source', text(), 'where that is from'),
     Key('gravity_std', number(least=0), 'its standard deviation, m/s^2'),
     Key('height', _NUMBER, 'of the site above the ellipsoid, m'),
-    Key('height_assumed', flag(), 'whether nobody stated it'),
+    Key('height_assumed', flag(), 'whether it was not stated'),
     Key('azimuth_seen_deg', _NUMBER, "heading of the table's zero that the session shows, deg"),
     Key('azimuth_seen_std_deg', _NUMBER, 'its standard deviation, deg'),
     Key('segments', _COUNT, 'static dwells'),

@@ -1,4 +1,4 @@
-"""What a recording is taken for where nobody says: SI by REP 145, and turned by hand."""
+"""What is assumed of a recording that does not say: SI by REP 145, and turned by hand."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ cheapest (MPU-9150), in the hand: the median of its lengths is nearer to gravity
 _FASTEST = 35.0
 """rad/s: 2000 deg/s, the widest range of MEMS gyros in use (MPU-9250, BMI088, ICM-20948)."""
 _LONGEST_HOLD = 15.0
-"""s: nobody holds still for as long; a table, or a unit that was laid down, does. A judgement."""
+"""s: longer than a hand holds still; a table, or a unit that was laid down, does. A judgement."""
 
 SAID_SI = (
     'The units of the IMU are not stated: rad/s and m/s^2 (REP 145) are assumed; the measured '
@@ -46,7 +46,7 @@ def taken_as_si(recording: Recording, topic: str) -> ImuSpec:
     """Return the description of an IMU in SI, where the samples bear that out.
 
     Raises:
-        NotStated: They do not, and nobody says what they mean.
+        NotStated: They do not, and their units are not stated.
 
     """
     blocks = [b for _, b in islice(recording.read({topic: Kind.IMU}), _BLOCKS)]

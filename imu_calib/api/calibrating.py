@@ -175,7 +175,7 @@ def _check_that_it_was(opened: Opened, session: Segmented) -> None:
     """Refuse to take a session for one in the hand that was none.
 
     Raises:
-        NotStated: Nobody holds a unit still for so long.
+        NotStated: A hand does not hold a unit still for so long.
 
     """
     if not was_in_the_hand(session):

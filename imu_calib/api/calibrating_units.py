@@ -32,10 +32,10 @@ class UnitResult:
     Attributes:
         serial_number: Which unit.
         topic: Of its samples.
-        place: Where it sits on the fixture; empty where nobody says.
+        place: Where it sits on the fixture; empty where not stated.
         result: Its calibration with all that led to it; None where it failed.
         error: Why it failed; None where it did not.
-        imu: Its type; as it is stated where that cannot be read, empty where nobody says.
+        imu: Its type; as it is stated where that cannot be read, empty where not stated.
 
     """
 
@@ -146,8 +146,8 @@ def calibrate_units(
         progress: Shows how far it is.
 
     Raises:
-        InputError: The recording or the file of the units is unreadable, or nobody says which units
-            there are.
+        InputError: The recording or the file of the units is unreadable, or the units
+            are not stated.
 
     """
     stated = Stated(
@@ -246,7 +246,7 @@ def serials_in(recording: Recording, imus: Named | None) -> tuple[str, ...]:
     """Return the serial numbers of the units that `units_of_recording` calibrates, in its order.
 
     Raises:
-        InputError: The file of the units is unreadable, or nobody says which units there are.
+        InputError: The file of the units is unreadable, or the units are not stated.
 
     """
     return tuple(unit.serial_number for unit in _listed(recording, imus))

@@ -213,7 +213,7 @@ def _check_unit(
     """Hold the calibration against what is said of the IMU, if anything is; return what is."""
     serial = serial_of(stated, recording, topic.name)
     known = stated_imu(stated, recording, topic.name)
-    # Where nobody says anything of the unit's type, the calibration does.
+    # Where the unit's type is not stated, it is the calibration's.
     imu, where = (first_of(calibration).imu, str(recording.path)) if known is None else known
     check_unit(calibration, name, imu, where, serial)
     return imu

@@ -217,7 +217,7 @@ def _described(imu: Named | None, raw: set[str]) -> dict[str, str]:
     """Return what the recording is to say of the IMU.
 
     Raises:
-        InputError: Nobody says what pulses or counts mean, or says other units.
+        InputError: What pulses or counts mean is not stated, or other units are.
 
     """
     if imu is None and raw:

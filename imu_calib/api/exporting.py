@@ -35,7 +35,7 @@ def export(
         output: File to write; None writes none.
         sample_rate: Of the stream, Hz: for kalibr, and for imucal of pulses.
         topic: Of the stream, for kalibr.
-        imu: The data sheet, for kalibr: noise that nobody has measured, and the sample rate.
+        imu: The data sheet, for kalibr: noise that was not measured, and the sample rate.
 
     Returns:
         The text, and what it cannot carry.

@@ -43,7 +43,7 @@ class Rest:
         seconds: How long it lasted.
         missing: Samples that are missing in it.
         up: Attitude in words.
-        heading: Of the unit about up by the table's angles, deg; None where nobody knows.
+        heading: Of the unit about up by the table's angles, deg; None where unknown.
         position: Of the plan, or what became of it; empty where there is no plan.
         mean: (6,) what the sensors read, rad/s and m/s^2.
 
@@ -238,7 +238,7 @@ def _rests(
 
 
 def _up(segment: Segment, *, free: bool) -> Any:
-    """Return where up is by the accelerometers: biases that nobody knows yet included."""
+    """Return where up is by the accelerometers, whose biases are not yet known."""
     if not free:
         return up_by_accelerometers(segment)
     force = segment.statistics.mean[3:]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic: its messages, and how many there are a second (None where nobody knows)."""
+    """A topic: its messages, and how many there are a second (None where unknown)."""
 
     name: str
     type: str
@@ -40,7 +40,7 @@ class Look:
         compensated: The calibration that it was compensated by; empty where it was not.
         topics: All of them.
         lost: What is missing or broken, as far as the topics were looked at.
-        inside: What the streams contain; None where nobody says how they are to be read.
+        inside: What the streams contain; None where it is unknown how they are to be read.
         not_said: What would have to be said for that, in a sentence.
 
     """

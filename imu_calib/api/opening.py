@@ -33,7 +33,7 @@ class Opened:
         recording: Open for reading.
         setup: What a calibrator must know of it.
         streams: Its topics.
-        assumed: What nobody said and is taken for granted, in sentences.
+        assumed: What was not stated and is assumed, in sentences.
 
     """
 
@@ -99,7 +99,7 @@ def session_of(recording: Recording, stated: Stated) -> Opened:
     steps = plan_by_hand() if plan is None else plan
     said = (*([] if known else [SAID_SI]), *([] if plan else [SAID_BY_HAND]))
     if streams.skew is None:
-        # Nobody is to wait for a gyro that the recording does not hold.
+        # The calibrator must not wait for a gyro that the recording does not hold.
         imu = replace(imu, skewed=None)
     setup = Setup(
         imu,

@@ -134,7 +134,7 @@ def simulate(
         gravity_std=gravity_std,
     ).site(LUOYANG)
     spec = as_imu(imu)
-    # Errors are relative to nominal scale factors: they are those of this unit, whoever had them.
+    # Errors are relative to nominal scale factors: they are those of this unit.
     true = replace(load_truth(truth, spec), imu=spec)
     steps = load_plan(plan)
     check_plan(steps.method, steps, site)

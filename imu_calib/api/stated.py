@@ -213,7 +213,7 @@ def stated_plan(stated: Stated, recording: Recording) -> Plan | None:
 
 
 def stated_imu(stated: Stated, recording: Recording, topic: str) -> tuple[ImuSpec, str] | None:
-    """Return what is said of the IMU behind a topic, and who says it; None where nobody does.
+    """Return what is stated of the IMU behind a topic, and where that is from; None without it.
 
     Raises:
         InputError: The file is broken, or says other units than a stream that was computed has.
@@ -294,7 +294,7 @@ def site_of(stated: Stated, recording: Recording, *, by_hand: bool = False) -> S
         by_hand: A measured gravity alone will do: the Earth rate is below what a hand shows.
 
     Raises:
-        InputError: Nobody says where it was taken, or no place on Earth is there.
+        InputError: The site is not stated, or is no place on Earth.
 
     """
     if stated.latitude is not None:

@@ -73,7 +73,7 @@ def verify(
         calibration: calibration.yaml, single or combined, or what was read from one.
         bag: Folder of rosbag2, one .mcap or .db3 file, or a URL of one that fsspec reads.
         plan: As for `calibrate`, as are all below but the last two.
-        imu: What the IMU's numbers mean; where nobody says, the calibration does.
+        imu: What the IMU's numbers mean; by default as the calibration says.
         table: The turntable.
         azimuth: deg.
         latitude: deg.
@@ -141,14 +141,14 @@ def _verify(
     progress: Progress,
 ) -> Verification:
     streams = streams_of(stated, recording)
-    # What nobody says is left out: a plan gives names, a table attitudes.
+    # What is not stated is left out: a plan gives names, a table attitudes.
     plan = stated_plan(stated, recording) or UNPLANNED
     known = stated_imu(stated, recording, streams.imu)
     imu, says = (_described(first_of(loaded)), str(recording.path)) if known is None else known
     if not another_unit:
         serial = serial_of(stated, recording, streams.imu)
         _check_identity(loaded, name, imu, says, serial)
-    # A skewed gyro is not verified: nobody is to wait for it.
+    # A skewed gyro is not verified: nothing must wait for it.
     imu = replace(imu, skewed=None)
     site = site_of(stated, recording)
     table = table_of(stated, recording) if streams.joints is not None else None

@@ -173,7 +173,7 @@ class McapStorage:
         return counts
 
     def _learn_channels(self) -> None:
-        """Look for channels in the chunks that hold messages of channels nobody has described.
+        """Look for channels in the chunks that hold messages of unknown channels.
 
         A file without summary describes its channels within the chunks alone.
         """

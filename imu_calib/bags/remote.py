@@ -49,7 +49,7 @@ def located(name: str | AnyPath) -> AnyPath:
     """Return the path that a name is of, here or elsewhere.
 
     Raises:
-        InputError: It is a URL whose protocol nobody knows or needs a library that is not
+        InputError: It is a URL whose protocol is unknown or needs a library that is not
             installed, or that cannot be reached.
 
     """
@@ -135,7 +135,7 @@ class RemotePath:
         return self.with_inside(f'{self._inside.rpartition("/")[0]}/{name}')
 
     def with_inside(self, inside: str, kind: _Kind | None = None) -> RemotePath:
-        """Return another path of the same file system; looks it up where nobody says what it is."""
+        """Return another path of the same file system; looks it up where its kind is not given."""
         below = inside.removeprefix(f'{self._inside}/')
         known = below != inside
         url = f'{self._url}/{below}' if known else str(self._files.unstrip_protocol(inside))

@@ -87,7 +87,7 @@ class TablePages:
     """The pages of a table whose columns are id, topic_id, timestamp and data.
 
     Args:
-        path: The file; nobody may write to it.
+        path: The file, which must not be written to meanwhile.
         root: Number of the root page of the table.
         first: The least row id of the table.
 

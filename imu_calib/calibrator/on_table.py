@@ -84,8 +84,8 @@ class Calibrator:
     def review(self) -> Review:
         """Say of a snapshot how far the session has come: solve, or what is determined already.
 
-        Terms that nobody asked for are looked for at the end alone: the search takes several times
-        as long as the estimate, and what a session goes on to show may change what it finds.
+        Terms that were not asked for are searched for at the end alone: the search takes several
+        times as long as the estimate, and what a session goes on to show may change what it finds.
 
         Raises:
             InputError: The data is not what the set-up says it is.

@@ -20,12 +20,12 @@ class Setup:
 
     Attributes:
         imu: What the numbers of the Imu stream mean.
-        plan: What is run; `plan.UNPLANNED` where nobody knows, and joint states tell the attitudes.
+        plan: What is run; `plan.UNPLANNED` where unknown: joint states give the attitudes.
         table: The table whose joint states come in; None when the IMU stands alone.
         site: Gravity and Earth rate.
         method: Name of the solver; None takes the joint estimate where it applies, else the plan's
             own method.
-        serial_number: Which unit of the type `imu.id`; empty where nobody stated it.
+        serial_number: Which unit of the type `imu.id`; empty where not stated.
         terms: To be estimated besides what the method estimates.
         changes: Coefficients of the session's terms, likewise.
         search_terms: Whether terms that the session shows are estimated too.

@@ -15,7 +15,7 @@ from .results import Result
 
 _NOBODY = (
     'What it says of the table contradicts the other unit (chi-square {square:.0f} with {freedom} '
-    'degrees of freedom): nobody knows which of two is right, and each is calibrated by itself. A '
+    'degrees of freedom): it is unknown which of two is right, and each is calibrated by itself. A '
     'third unit would tell.'
 )
 _ODD = (

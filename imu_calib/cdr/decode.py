@@ -51,7 +51,7 @@ def decode_imu(messages: Messages, malformed: Malformed | None = None) -> list[I
         change.
 
     Raises:
-        CdrError: A message is malformed and nobody counts.
+        CdrError: A message is malformed, and malformed ones are not counted.
 
     """
     return _decode(messages, _imu_layout, _imu_block, malformed)

@@ -277,7 +277,7 @@ def _check_order(fields: Fields, section: Section) -> None:
 
 
 def missing(fields: Fields, *, dcc: bool, limits: bool) -> list[str]:
-    """Return what ISO/IEC 17025 asks for and nobody stated: key, and the clause that asks.
+    """Return what ISO/IEC 17025 requires and the fields do not state: key and clause.
 
     Args:
         fields: As stated.

@@ -51,7 +51,7 @@ class Certificate:
         calibration: What was found.
         budget: Of its uncertainties.
         results: Every parameter that was estimated.
-        missing: What is asked for and nobody stated; only a draft has any.
+        missing: What is required and not stated; only a draft has any.
         draft: Whether it is no certificate yet.
 
     """

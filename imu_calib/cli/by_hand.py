@@ -99,7 +99,7 @@ def reached(progress: Any) -> str:
 
 
 def _said(text: str, shown: str) -> str:
-    """Print what is new where nobody looks at a terminal; countdowns are no news."""
+    """Print what is new where the output is no terminal; countdowns are left out."""
     if not ERRORS.is_terminal and text != shown and not text.startswith('Hold still'):
         OUTPUT.print(text, markup=False)
     return text

@@ -121,7 +121,7 @@ def run(argv: Sequence[str], *, alone: bool) -> int:
     except KeyboardInterrupt:
         code = _ended(command, as_json, INTERRUPTED, WORDS, KIND)
     except BrokenPipeError:
-        # Whoever read our output has seen enough; keep the interpreter from complaining at exit.
+        # The reader of our output has ended; keep the interpreter from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:

@@ -31,7 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         '--topic', default='/imu/data', help='kalibr: topic of the stream (default: %(default)s)'
     )
     parser.add_argument(
-        '--imu', metavar='NAME|FILE', help='kalibr: the data sheet, for noise nobody has measured'
+        '--imu', metavar='NAME|FILE', help='kalibr: the data sheet, for noise that was not measured'
     )
     parser.set_defaults(run=run)
 

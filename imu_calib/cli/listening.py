@@ -12,7 +12,7 @@ from ..imu import ImuSpec
 from .words import Words
 
 _ROUND = 0.02
-"""Between two looks, s: nobody notices so little."""
+"""Between two looks, s: too little to be noticed."""
 
 _LONGEST = 3.0
 """Longest wait, s: longer than a host may take to answer (2 s). What is slower still is left to the

@@ -185,7 +185,7 @@ class Processes:
 
 
 def private_network() -> dict[str, str]:
-    """Return the variables of a domain that nobody else uses, on the loopback interface."""
+    """Return the variables of a free domain on the loopback interface."""
     own = {'ROS_DOMAIN_ID': str(own_domain()), REACH: 'LOCALHOST'}
     if 'CYCLONEDDS_URI' not in os.environ:
         own['CYCLONEDDS_URI'] = on_interface(LOOPBACK)
@@ -215,13 +215,13 @@ def network_of_hardware(interface: str | None, *, alone: bool) -> dict[str, str]
 
 
 def free_port() -> int:
-    """Return a TCP port of the loopback interface that nobody listens on."""
+    """Return a free TCP port of the loopback interface."""
     with socket.create_server(('127.0.0.1', 0)) as server:
         return int(server.getsockname()[1])
 
 
 def free_ports(count: int) -> int:
-    """Return the first of so many TCP ports in a row that nobody listens on."""
+    """Return the first of so many free TCP ports in a row."""
     while True:
         first = free_port()
         with contextlib.suppress(OSError, OverflowError), contextlib.ExitStack() as held:

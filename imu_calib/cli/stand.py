@@ -74,7 +74,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     real.add_argument(
         '--network',
         metavar='INTERFACE',
-        help='leave this machine by that network interface, for instance eth0: whoever is on that '
+        help='leave this machine by that network interface, for instance eth0: who is on that '
         'network can then lead the table, unless SROS 2 is enforced',
     )
     real.add_argument(

@@ -52,7 +52,7 @@ def check(
 
     Raises:
         ImuCalibError: There is no middleware for the nodes.
-        InputError: The table cannot run the plan, there is no such method, or nobody to hold it.
+        InputError: The table cannot run the plan, there is no such method, or no table for it.
         NotObservable: Says what cannot be determined, and for want of what.
 
     """

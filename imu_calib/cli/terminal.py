@@ -30,7 +30,7 @@ class _Console(Console):
 
 
 class _Output(_Console):
-    """Leaves it to `dispatch` what becomes of a command whose output nobody reads any more."""
+    """Leaves it to `dispatch` how a command ends whose output is no longer read."""
 
     def on_broken_pipe(self) -> None:
         """Raise the error again: rich would end the process with exit code 1.
@@ -54,7 +54,7 @@ class _Output(_Console):
 
 
 class _Errors(_Console):
-    """Says nothing more where nobody reads it: the exit code still says how a command ends."""
+    """Prints nothing more once stderr is closed: the exit code still says how a command ends."""
 
     def on_broken_pipe(self) -> None:
         """Go on without words."""

@@ -394,7 +394,7 @@ def _inverse(response: Floats, weights: Floats) -> Floats:
 
 
 def _random_walk(calibration: Calibration, gyros: int) -> Floats:
-    """Return the random walk of every channel; zero where nobody measured it.
+    """Return the random walk of every channel; zero where it was not measured.
 
     That of a skewed gyro is the mean of the three: its own is in no calibration.
     """

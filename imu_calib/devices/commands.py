@@ -14,7 +14,7 @@ LONGEST = 1024
 LONGEST_WAIT = 10.0
 """s after a command: a device that restarts takes about a second. A judgement."""
 LONGEST_STOP = 2.0
-"""s after all commands that stop a device: whoever closes the port waits for them. A judgement."""
+"""s after all commands that stop a device: closing the port waits for them. A judgement."""
 LEAST_SILENCE = 0.5
 """s without a byte before a device is started again: a USB adapter keeps bytes for tens of ms."""
 

@@ -189,7 +189,7 @@ class DeviceClock:
             counter: (n,) frame counter as sent; None without one.
             arrival: (n,) host time at which each sample had arrived, ns; in order but where the
                 host's clock was set back.
-            steady: (n,) the same by a clock that nobody sets, ns, in order; None without one.
+            steady: (n,) the same by the monotonic clock, ns, in order; None without one.
 
         Returns:
             (n,) elapsed, ns after the first sample. It increases but where the class says.

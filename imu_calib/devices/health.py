@@ -64,7 +64,7 @@ class Health:
         nominal: Sample rate, Hz; None where it is not known.
         gap_timeout: Longest time without a frame, s.
         caution: What is wrong with the port though it is open, a sentence; empty for nothing.
-        imu: What its numbers are said to mean; None where nobody says.
+        imu: What its numbers are said to mean; None where not stated.
 
     """
 
@@ -108,7 +108,7 @@ class Health:
             elapsed: (n,) ns after the first sample.
             received: Bytes they were found in.
             now: Host time.
-            steady: Time of a clock that nobody sets or simulates.
+            steady: Monotonic time of the host, which is not simulated.
 
         """
         self._bytes += received

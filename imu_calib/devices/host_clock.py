@@ -1,4 +1,4 @@
-"""The host's clock against a clock that nobody sets: by how much it has been set."""
+"""The host's clock against the monotonic clock: by how much it has been set."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ class File:
         return self._file.read(_CHUNK) or None
 
     def write(self, data: bytes) -> None:
-        """Refuse: nobody reads it."""
+        """Refuse: a file takes no commands."""
         raise io.UnsupportedOperation(f'{len(data)} bytes for a recording.')
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ from .health import Health, PartStatus
 from .source import Chunk, SourceState
 
 GAP_TIMEOUT = 0.5
-"""Longest time without a frame, s, where nobody says another. A judgement: the slowest of the
+"""Longest time without a frame, s, by default. A judgement: the slowest of the
 shipped devices sends a hundred frames a second."""
 
 
@@ -67,7 +67,7 @@ class Reception:
         Args:
             chunks: Bytes with the times at which they had arrived, at least one.
             now: Host time.
-            steady: Time of a clock that nobody sets or simulates.
+            steady: Monotonic time of the host, which is not simulated.
 
         """
         data = b''.join(chunk.data for chunk in chunks)

@@ -69,7 +69,7 @@ class Chunk(NamedTuple):
 
 
 def steady_time() -> int:
-    """Return the time of a clock that nobody sets, ns; it goes on while the host is suspended."""
+    """Return monotonic time, ns; it goes on while the host is suspended."""
     if hasattr(time, 'CLOCK_BOOTTIME'):
         return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
     return time.monotonic_ns()

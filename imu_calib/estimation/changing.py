@@ -36,7 +36,7 @@ def with_changes(
 ) -> tuple[Equations, tuple[Change, ...]]:
     """Let parameters change by the coefficients that a session tells.
 
-    Those of scale factors that nobody asked for by name are left out where it does not.
+    Those of scale factors that were not asked for by name are left out where it does not.
 
     Returns:
         The equations, and the coefficients left out.

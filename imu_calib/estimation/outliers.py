@@ -181,7 +181,7 @@ def _of_turns(evidence: Evidence) -> list[tuple[NDArray[np.intp], NDArray[np.int
 
 
 def turns_disagree(evidence: Evidence, outliers: Sequence[Outlier]) -> bool:
-    """Say whether so many turns about an axis fall out that nobody knows which are wrong.
+    """Say whether so many turns about an axis fall out that it is unknown which are wrong.
 
     Rates beyond the range, say: two turns of four agree with each other and not with the rest.
     """

@@ -177,7 +177,7 @@ def _changing(ideal: Equations, family: Family, derivatives: Floats, time: float
     """Return the pattern of a term of the session, (m, n) derivatives by the 24 parameters given.
 
     Where scale factors cannot be told from it they are what the last digits of the others tell:
-    directions that nobody sees are left out with them.
+    directions that no output shows are left out with them.
     """
     there = replace(ideal, changes=family.changes, time_constant=time)
     columns = modulated(ideal.evidence, family.changes, derivatives, PARAMETERS, time)

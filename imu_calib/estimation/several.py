@@ -139,7 +139,7 @@ def join(alone: Sequence[Estimate]) -> Joined:
 
     A unit that saw less than half of the dwells is left out, and one whose part does not go with
     those of the others, the worst first, as long as three or more are left; of two that contradict
-    each other nobody knows which is right.
+    each other it is unknown which is right.
 
     Args:
         alone: What each found by itself, with the weights that count; all on one table.

@@ -22,7 +22,7 @@ class ExportSource:
     Attributes:
         calibration: The calibration.
         path: Its file, absolute; None where it is in none.
-        sample_rate: Of the IMU's stream, Hz; None where nobody said.
+        sample_rate: Of the IMU's stream, Hz; None where not stated.
         topic: Topic of the IMU's stream.
         sheet: The IMU by its data sheet, for noise that the calibration does not tell; or None.
 
@@ -38,7 +38,7 @@ class ExportSource:
         """Return the sample rate, Hz.
 
         Raises:
-            InputError: Nobody said; says what it is needed for.
+            InputError: It is not stated; says what it is needed for.
 
         """
         if self.sample_rate is not None:

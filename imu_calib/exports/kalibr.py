@@ -132,7 +132,7 @@ def _noise(source: ExportSource) -> tuple[dict[str, float], list[str]]:
 
 
 def _drift(drifts: list[Coefficient], spec: TriadSpec | None) -> tuple[float, str]:
-    """Return the random walk of the biases per sqrt(s), 0 where nothing tells it, and whence."""
+    """Return the random walk of the biases per sqrt(s), 0 where it is unknown, and its source."""
     values = [c.value for c in drifts if c.value]
     if values:
         return float(np.sqrt(np.mean(np.square(values)))), ''

@@ -39,7 +39,7 @@ _UNNAMED = 'unnamed'
 _NO_COLUMN = re.compile(r'Referenced column "([^"]+)" not found')
 """How DuckDB says so."""
 _NO_DATE = datetime(1970, 1, 1, tzinfo=timezone.utc)
-"""Goes before any: a recording that does not say when it was taken is nobody's newest."""
+"""Goes before any: a recording that does not say when it was taken is never the newest."""
 
 
 def schema() -> pa.Schema:

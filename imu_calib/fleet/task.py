@@ -155,8 +155,8 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
     except MemoryError:
         sentence, code = 'The memory of a worker does not do for this recording.', DEFECT
     except Exception as error:
-        # One recording ends nothing: what nobody foresaw is a row as well.
-        sentence = f'Nobody foresaw this ({type(error).__name__}: {error}): please report it.'
+        # One recording does not end a batch: an unforeseen error is a row as well.
+        sentence = f'Unforeseen error ({type(error).__name__}: {error}): please report it.'
         code = DEFECT
     return _none_of(job, key, sha256, sentence, code, time.process_time() - begun)
 

@@ -72,7 +72,7 @@ class Rules:
 
 
 USUAL = Rules()
-"""What is judged by where nobody says otherwise."""
+"""The rules by default."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Sessions:
     """Calibrations of units, n of them, in any order.
 
     Attributes:
-        key: Names each session, for whoever wants to find it again.
+        key: Names each session, to find it again.
         serial: Number of the unit; with its type it names the unit.
         imu: Type.
         lot: Of the unit; empty where it is not known.

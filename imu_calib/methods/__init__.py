@@ -62,7 +62,7 @@ _JOINT_OF = {
 """Closed forms for all sensors at the attitudes of a table, and what solves their sessions too.
 
 The others need their own: the joint estimate knows no gyros alone, no skewed one, and no attitudes
-that nobody measured.
+that were not measured.
 """
 
 _CHECKS: dict[str, Callable[[Plan, Site], None]] = {
@@ -144,7 +144,7 @@ def default_method(plan: Plan) -> str:
     """Return the name of the estimator of a plan where none is asked for.
 
     The joint estimate where it can solve what the plan's own method solves, else that. What is
-    held by hand stays with its own: its attitudes are those of nobody's encoder.
+    held by hand stays with its own: no encoder gives its attitudes.
     """
     return plan.method if plan.by_hand else _JOINT_OF.get(plan.method, plan.method)
 

@@ -46,7 +46,7 @@ _OUTSTANDING = 5.0
 _LEAST_EARTH_RATE = 0.01 * DEG_H
 """rad/s: what a latitude that is wrong by some hundredths of a degree changes."""
 _LEAST_AZIMUTH = 0.05 * DEG
-"""rad: nobody sets a table's zero to north better in passing; a judgement."""
+"""rad: how well a table's zero is set to north without measuring it; a judgement."""
 _TOLD = 0.2
 """Of the Earth's rate: known worse, it tells a latitude to no better than ten degrees."""
 _SAME_UP = 0.99

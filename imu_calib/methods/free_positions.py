@@ -178,7 +178,7 @@ def solve(evidence: Evidence) -> FreeFit:
     """Estimate 21 parameters, and what the session shows besides, from holds and turns between.
 
     Args:
-        evidence: Dwells in at least nine attitudes that nobody knows, and the moves between them.
+        evidence: Dwells in at least nine unknown attitudes, and the moves between them.
 
     Raises:
         InputError: The outputs are not in the units that the IMU's description states.

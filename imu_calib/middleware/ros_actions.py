@@ -29,7 +29,7 @@ class ServerGoal:
         self._handle.publish_feedback(feedback)
 
     def end(self, status: GoalStatus, result: Any) -> None:
-        """End it; whoever asks for its result gets it once the node is spun."""
+        """End it; clients get its result once the node is spun."""
 
         def ended(handle: Any) -> Any:
             {
@@ -54,7 +54,7 @@ class _Server(ActionServer):  # type: ignore[misc,unused-ignore]
         """Have the executor end a goal."""
         node = self._node
         if node.executor is None:
-            # As the node ends nobody spins it; who does, spins it there.
+            # A node that ends is not spun by its executor; who ends it spins it.
             get_global_executor().add_node(node)
         self.notify_execute(handle, ended)
 

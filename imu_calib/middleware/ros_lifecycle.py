@@ -47,7 +47,7 @@ class ManagedNode(LifecycleNode):  # type: ignore[misc,unused-ignore]
         """Forget what was read."""
 
     def begin(self, *, autostart: bool) -> None:
-        """Configure and activate, where that is left to nobody else.
+        """Configure and activate, unless a lifecycle manager does so.
 
         Raises:
             ImuCalibError: As the step that fails.

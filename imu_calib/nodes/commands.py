@@ -65,7 +65,7 @@ class Commands:
     def _known(self) -> bytes:
         """Tell a source by who is listed, where the middleware does not tell it by message.
 
-        Of several nobody knows which it is: each message then counts as another's.
+        Of several it is unknown which one it is: each message then counts as another's.
         """
         listed = self._listed()
         if len(listed) == 1:

@@ -79,7 +79,7 @@ class CompensatorNode(ros.ManagedNode):
             self, 'autostart', True, 'Configure and activate at the start, not by a manager.'
         )
         self._file = user_path(file) if file else None
-        # Whoever names a file has chosen: a stranger's message must not replace it.
+        # A file that is named is a choice: a message from elsewhere must not replace it.
         self._follows = follow or self._file is None
         self._version: tuple[int, int] | None = None
         self._compensator: Compensator | None = None
@@ -275,7 +275,7 @@ class CompensatorNode(ros.ManagedNode):
         try:
             found = self._file.stat()
         except OSError:
-            # Whoever writes it anew may be in the middle of that.
+            # It may be in the middle of being written.
             self._version = None
             return
         version = found.st_mtime_ns, found.st_size

@@ -125,7 +125,7 @@ class Controller:
         if violated is None and number != self._number:
             return
         cancelled = answer.status == GoalStatus.CANCELED
-        ends = 'cancels a goal, which nobody here asked for' if cancelled else 'aborts a goal'
+        ends = 'cancels a goal, which was not asked for here' if cancelled else 'aborts a goal'
         words = ': '.join(filter(None, (violated, result.error_string)))
         self._fail(f'{ends}: {words}' if words else ends)
 

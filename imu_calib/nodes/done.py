@@ -6,8 +6,8 @@ from __future__ import annotations
 class DoneWord:
     """Takes what turntable/state says, and believes DONE only where all speaks for it.
 
-    The state is one node's word, and whoever publishes on its topic could end a session with it.
-    So the calibrator has seen every step of the plan commanded, nobody else publishes the state,
+    The state is one node's word, and any publisher on its topic could end a session with it.
+    So the calibrator has seen every step of the plan commanded, no other node publishes the state,
     and it is said twice in a row: its leader repeats it twice a second, and would contradict.
 
     Args:

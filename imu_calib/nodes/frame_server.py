@@ -16,7 +16,7 @@ _BUFFER = 1 << 16
 
 
 class FrameServer:
-    """A TCP server with one reader at a time; what nobody reads is lost, as on a serial line."""
+    """A TCP server with one client at a time; without one bytes are lost, as on a serial line."""
 
     def __init__(self, port: int) -> None:
         self.port = port
@@ -54,7 +54,7 @@ class FrameServer:
             self._drop()
 
     def send(self, line: bytes) -> None:
-        """Send bytes, or lose them where nobody reads."""
+        """Send bytes, or lose them without a client."""
         if self._reader is None:
             self.dropped += len(line)
             return
@@ -100,7 +100,7 @@ class Lines:
 
     @property
     def unread(self) -> int | None:
-        """The first port that nobody reads; None where all are read."""
+        """The first port without a client; None where all have one."""
         return next((s.port for s in self._servers if not s.connected), None)
 
     @property
@@ -119,7 +119,7 @@ class Lines:
             server.tend()
 
     def send(self, lines: Sequence[bytes]) -> None:
-        """Send bytes on each, or lose them where nobody reads."""
+        """Send bytes on each, or lose them without a client."""
         for server, line in zip(self._servers, lines, strict=True):
             server.send(line)
 

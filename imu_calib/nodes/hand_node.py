@@ -31,7 +31,7 @@ from .frame_server import FrameServer
 _STEP = 0.1
 """s of simulated time at once."""
 _REST = 0.0005
-"""s of sleep while nobody reads: short beside what a step takes to compute."""
+"""s of sleep while no client reads: short beside what a step takes to compute."""
 _PATIENCE = 5.0
 """s for the thread to end: a step takes milliseconds; one that hangs is left to the process."""
 

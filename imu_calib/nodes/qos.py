@@ -58,5 +58,5 @@ def own_topic() -> QoSProfile:
 
 
 def glimpse(depth: int) -> QoSProfile:
-    """Return the profile of who looks on: nobody waits for it, and what it misses is gone."""
+    """Return the profile of an observer: no publisher waits for it, what it misses is lost."""
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)

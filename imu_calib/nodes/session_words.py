@@ -48,7 +48,7 @@ def progress_message(
     Args:
         session: Which one.
         steps: Of its plan, or holds.
-        seconds_left: As the table's leader says, s; NaN where nobody does.
+        seconds_left: As the table's leader says, s; NaN where it does not.
         file: Where the result is written.
 
     """

@@ -99,7 +99,7 @@ class Sessions:
 
     @property
     def open(self) -> list[LiveSession]:
-        """Those of the units that nobody has left out."""
+        """Those of the units that were not left out."""
         return [s for k, s in enumerate(self.all) if k not in self.left_out]
 
     def take_common(self, kind: Kind, payloads: Sequence[bytes], now: int) -> None:

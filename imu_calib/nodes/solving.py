@@ -71,5 +71,5 @@ class Solver:
         return work
 
     def close(self) -> None:
-        """Begin nothing more; what is under way is waited for by nobody."""
+        """Begin nothing more; do not wait for what is under way."""
         self._threads.shutdown(wait=False, cancel_futures=True)

@@ -2,7 +2,7 @@
 
 The table takes setpoints and answers joint states; the IMU sends frames over a TCP socket, as a
 device would. Simulated time goes as fast as turntable_node sends setpoints and the socket takes
-frames, and at the pace of the wall clock while nobody leads the table.
+frames, and at the pace of the wall clock while the table is not led.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ _STEP = 0.1
 _AHEAD = 0.25
 """s that the simulation may be ahead of its leader's last setpoint."""
 _ALIVE = 2.0
-"""s without a setpoint after which nobody leads, and time goes on by itself."""
+"""s without a setpoint after which the table counts as not led, and time goes on by itself."""
 _SILENCE = 0.5
 """s of the wall clock without a setpoint after which another source may lead the table."""
 _REST = 0.0005
 """s of sleep while the next setpoint is waited for: short beside what a step takes to compute."""
 _REST_BY_THE_WALL = 0.005
-"""s of sleep while nobody leads: short beside a step of the wall clock."""
+"""s of sleep while the table is not led: short beside a step of the wall clock."""
 _PATIENCE = 5.0
 """s for the thread to end: a step takes milliseconds; one that hangs is left to the process."""
 
@@ -259,7 +259,7 @@ class _Pace:
         self._newest, self._heard = stamp, time.monotonic()
 
     def follow_the_wall(self) -> None:
-        """Note that nobody is in a hurry: the table is held."""
+        """Go on at the pace of the wall clock: the table is held."""
         self._heard = -math.inf
 
     @property

@@ -22,7 +22,7 @@ class StopRecord:
     """A file that exists while a stop is pressed.
 
     Whatever cannot be looked at counts as pressed, and so does a folder in which a stop could not
-    be kept: a table that nobody could keep stopped is not started.
+    be kept: a table that could not be kept stopped is not started.
 
     Args:
         folder: Takes the file; made where it is missing.
@@ -185,7 +185,7 @@ class StopTopic:
         if message.data:
             self._says_stop = True
         elif self._node.count_publishers(self.topic) < 2:
-            # Of two publishers nobody knows which of them said so.
+            # Of two publishers it is unknown which of them said so.
             self._says_stop = False
         self._callback(bool(message.data))
 

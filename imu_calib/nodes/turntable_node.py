@@ -407,7 +407,7 @@ class TurntableNode(Node):
 
 
 def _holds(payload: bytes) -> bool:
-    """Say whether a serialised setpoint is HOLD, which nobody needs to answer."""
+    """Say whether a serialised setpoint is HOLD, which needs no answer."""
     blocks = decode_setpoints(Messages.join([payload]), Malformed())
     return all(setpoint.mode is Mode.HOLD for block in blocks for setpoint in block.setpoints)
 

@@ -64,7 +64,7 @@ class Evidence:
     Attributes:
         segments: Static dwells with position and attitude.
         turns: Whole turns about the vertical.
-        plan: What was run; `plan.UNPLANNED` where nobody knows.
+        plan: What was run; `plan.UNPLANNED` where unknown.
         site: Gravity and Earth rate.
         clock: Table against IMU.
         azimuth: Heading of the table's zero against north, rad; None when unknown.
@@ -74,12 +74,12 @@ class Evidence:
             m/s^2; 0 when not stated.
         walk_freedom: (6,) degrees of freedom of the squares of `walk`; infinite for exact ones.
         moves: What the gyros saw between one static dwell and the next.
-        table: What turned the unit; None where nobody says how far its axes may be off.
+        table: What turned the unit; None where the errors of its axes are unknown.
         units: Of the numbers of the unit's stream.
         temperature: Of the session; None where no thermometer shows it.
         thermal: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data
             sheet, standard deviations, 1/K and SI/K; 0 where not stated.
-        free: Whether nobody knows the attitudes: they are sought, and moves join them.
+        free: Whether the attitudes are unknown: they are estimated, and moves join them.
         coarse: Whether velocities of moves count that tell next to nothing beside the rests: where
             parameters are sought that only motion shows.
 

@@ -1,4 +1,4 @@
-"""Dwells in attitudes that nobody knows, with moves between them: a unit in the hand.
+"""Dwells in unknown attitudes, with moves between them: a unit in the hand.
 
 The state of `Equations` goes on with the level Earth rate and with a small rotation of each dwell.
 The level rate is one vector of the world, and moves without a gap carry its direction along: what

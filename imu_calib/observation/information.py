@@ -87,7 +87,7 @@ class Information:
 def log_determinant(information: Floats, first: int) -> float:
     """Return the logarithm of the determinant of the information on what a state begins with.
 
-    What comes after it, the session must find and nobody wants: it is taken out. Columns are scaled
+    What comes after it are nuisance parameters, which are eliminated. Columns are scaled
     to length one first: rad/s and m/s^2 are far apart.
 
     Args:

@@ -86,7 +86,7 @@ class Moves:
         links: In order.
         attitudes: (s, 3, 3) of all segments.
         gravity: m/s^2.
-        rough: What the sensors answer; None where nobody knows which way is up.
+        rough: What the sensors answer; None where the attitudes are unknown.
 
     """
 
@@ -147,7 +147,7 @@ class Moves:
             links.append(
                 LinkedMove(first, second, telling, rounding, encoders, coning_variance(move), cut)
             )
-        # Where nobody tells them no table's move counts; of a unit in the hand they are sought.
+        # Without them no table's move counts; of a unit in the hand they are estimated.
         attitudes = [np.eye(3) if s.attitude is None else s.attitude for s in segments]
         turned = np.array(attitudes).reshape(-1, 3, 3)
         known = links and not free

@@ -155,7 +155,7 @@ def level_gravity(evidence: Evidence, ups: Floats, levelled: float) -> Component
 
 
 def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Component:
-    """Count the level Earth rate as noise of its own size where nobody knows its direction.
+    """Count the level Earth rate as noise of its own size where its direction is unknown.
 
     By hand every static dwell has a heading of its own, and a turn from rest to rest does not
     average all of it out. Of attitudes that are sought the state holds it.

@@ -2,7 +2,7 @@
 
 A joint that stops is off what its encoder reads until it moves again: dwells and turns in between
 share that error, about the joint's axis. And each stop leans and turns a little of its own,
-whichever joint moved. Nobody sees either but the sensors.
+whichever joint moved. Only the sensors see either.
 
 Source: docs/mathematics.md, 'Positioning errors'.
 """

@@ -1,4 +1,4 @@
-"""What a session would tell of each term of the model that nobody has asked for, one at a time."""
+"""What a session would show of each further term of the model, one at a time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class TermForecast:
 
 
 _DEARER = 1.1
-"""Below, nobody would take another plan for it."""
+"""Below, no other plan would be chosen for it."""
 
 
 def forecast_terms(

@@ -53,7 +53,7 @@ _BY_HAND_LEVEL = 0.25
 """What such a turn leaves of a level rate where it rises and falls for a third of a second each."""
 
 _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
-"""A skewed gyro of which nobody says how it lies: between all three."""
+"""A skewed gyro whose direction is not stated: between all three."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -205,7 +205,7 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
         k = next(k for k, c in enumerate(choices) if _is_up(c, axis))
         positions[k] = replace(positions[k], rate_test=test)
     plan = replace(setup.plan, positions=tuple(positions), by_hand=False)
-    # In what order the table will go to them nobody knows yet.
+    # The order in which the table will go to them is not known yet.
     evidence = replace(expected(replace(setup, plan=plan), truth), moves=())
     equations = Equations(evidence)
     state = state_at(equations, truth)

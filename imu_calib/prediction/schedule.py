@@ -45,7 +45,7 @@ def schedule(steps: Sequence[Step], table: Table, *, settle: float = SETTLE) -> 
         settle: Wait after each arrival, s.
 
     Raises:
-        InputError: A joint has no limit of rate or acceleration: nobody knows how long it takes.
+        InputError: A joint has no limit of rate or acceleration: its motions have no known length.
 
     """
     for joint in table.joints:

@@ -39,7 +39,7 @@ _NOTE = (
     'seen from the south-west and above; the arrows are the axes of the unit.'
 )
 _UNKNOWN = (
-    'Nobody measured the heading: the cubes show which way up the unit stood, by its '
+    'The heading was not measured: the cubes show which way up the unit stood, by its '
     'accelerometers, and no more.'
 )
 

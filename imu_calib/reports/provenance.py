@@ -130,7 +130,7 @@ def _height(facts: Facts) -> str:
     value = number(facts, 'height')
     if value is None:
         return ''
-    assumed = ' (assumed: nobody stated it)' if facts.get('height_assumed') else ''
+    assumed = ' (assumed: not stated)' if facts.get('height_assumed') else ''
     return f'{value:g}\u00a0m above the ellipsoid{assumed}'
 
 
@@ -278,7 +278,7 @@ def _scaled(value: object, scale: float) -> str:
 
 
 def _flat(tree: Facts, above: str = '') -> list[tuple[str, str]]:
-    """Return entries that nobody foresaw as pairs: other software may write into a file."""
+    """Return unknown entries as pairs: other software may write into a file."""
     pairs: list[tuple[str, str]] = []
     for key, value in tree.items():
         name = f'{above}{key}'.replace('_', ' ')

@@ -13,7 +13,7 @@ from ..units import DEG
 from .motion import Motion
 
 FARTHEST = 60.0
-"""s: clocks of GPS, of UTC and of TAI are up to 37 s apart, a clock that nobody sets is within a
+"""s: clocks of GPS, of UTC and of TAI are up to 37 s apart, a clock that is never set is within a
 minute for weeks."""
 
 _CELL = 0.1

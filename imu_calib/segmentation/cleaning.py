@@ -318,7 +318,7 @@ def _largest_step(blocks: Floats, walk: float) -> _Step | None:
     row, gain, quantisation, middle = blocks.T
     if len(row) < _FEWEST_BLOCKS:
         return None
-    # Where nobody states the noise, blocks count by their lengths, and their scatter shows it.
+    # Where the noise is not stated, blocks count by their lengths, and their scatter shows it.
     variance = walk**2 * gain + quantisation if walk > 0 else gain
     # The largest difference is left out, since it may be the step itself.
     squares = np.sort(np.diff(row) ** 2 / (variance[1:] + variance[:-1]))[:-1]

@@ -219,7 +219,7 @@ def fit_clock(samples: Sequence[ClockSample], interruptions: Sequence[int] = ())
 
     Args:
         samples: One per motion, in order.
-        interruptions: Instants, ns, at which the IMU's stream begins anew: whoever stamps it may
+        interruptions: Instants, ns, at which the IMU's stream begins anew: its clock may
             have been started again, and then the offset is another one, by however little.
 
     """

@@ -75,7 +75,7 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
 
     Args:
         session: What the streams contain.
-        plan: What was run; `plan.UNPLANNED` where nobody knows.
+        plan: What was run; `plan.UNPLANNED` where unknown.
         table: The table whose joint angles the segments carry; None with the IMU alone.
 
     Raises:
@@ -106,7 +106,7 @@ def label(session: Segmented, plan: Plan, table: Table | None) -> Labelled:
     if table is not None:
         labelled = _with_own_names(labelled, plan)
     elif plan.is_stated:
-        # Nobody tells the attitude of what the plan does not name.
+        # The attitude of what the plan does not name is unknown.
         named_by_plan = tuple(s for s in labelled.segments if s.position is not None)
         labelled = replace(labelled, segments=named_by_plan)
     if not session.mount_shifts:

@@ -179,7 +179,7 @@ class JointTracker:
     ) -> NDArray[np.bool_]:
         """Say of new readings, (n,), whether a joint is elsewhere than at those `before`."""
         apart = np.abs(position[new] - position[before])
-        # What stands still does so however long nobody looks: silence is no leave to turn.
+        # A table at rest is still at rest after a silence: only joint states show a motion.
         far = apart > (_STILL_RATE * np.minimum(elapsed, _LONGEST_LOOK))[:, None]
         first = max(int(new[0]), _RECENT + 1)
         if not far.any() or first >= len(position):

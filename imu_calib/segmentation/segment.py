@@ -36,7 +36,7 @@ class Statistics:
         drift_std: (6,) its standard deviation by the scatter of the blocks; NaN below 4 blocks.
         pulse: (6,) size of one pulse, rad and m/s; 0 where the values are no whole pulses.
         allan: Sums for the Allan variance; None where they were not taken.
-        timing: How the samples were timed; None where nobody asked.
+        timing: How the samples were timed; None where not asked for.
         time_error: Standard deviation of the sample interval, relative.
 
     """
@@ -180,7 +180,7 @@ class Turn:
             walk: (6,) random-walk coefficients.
             north_rate: Level Earth rate, rad/s; its direction is not used.
             response: (3, 3) of the gyros: each sees what its input axis has of the level; that of
-                ideal ones if nobody knows.
+                ideal ones if unknown.
 
         """
         own = self.statistics.variance(walk)[:3]

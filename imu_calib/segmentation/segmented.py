@@ -83,7 +83,7 @@ class Move:
         pulse: (3,) size of one pulse of the gyros' counters, rad; 0 where there are none.
         filled: Variance that samples which were lost, and are read from those around them, leave
             in its angle about any axis, rad^2.
-        velocity_steps: What the accelerometers gained; None where nobody asks.
+        velocity_steps: What the accelerometers gained; None where not asked for.
 
     """
 

@@ -396,7 +396,7 @@ class Segmenter:
             self._reference_ns = self._offset_ns
 
     def _apart_at_steps(self, stamp: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Leave samples of a motion out where the clock was set: a gap that nobody fills."""
+        """Leave samples of a motion out where the clock was set: a gap that is not filled."""
         steps = clock_steps(stamp)
         if not steps:
             return stamp, values

@@ -258,7 +258,7 @@ def _rounding(increments: Floats, grid: float) -> float:
 def _combine(means: list[MeanRate], walk: float) -> MeanRate:
     """Average the runs between gaps, each by its variance.
 
-    Where nobody states the noise they are weighed by their lengths: what rounding leaves vanishes
+    Where the noise is not stated they are weighted by their lengths: what rounding leaves vanishes
     in noise that is not known.
     """
     gains = np.array([m.walk_gain for m in means])

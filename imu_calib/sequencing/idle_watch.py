@@ -1,4 +1,4 @@
-"""Does a table that nobody leads stand still? One object from one stop to the next start."""
+"""Watch that a table that is not led stands still: an object from a stop to the next start."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class IdleWatch:
         """Take a joint state; return whether there is something new to report."""
         last, self._last = self._last, now.angles
         if self._standing.rest is None and not 0 < now.gap <= self._rules.feedback_timeout:
-            # What it did meanwhile nobody saw.
+            # What it did meanwhile is unknown.
             self._standing = Standing(self._table, self._rules, now)
         if not self.moves:
             stands, fault = self._standing.look(now)
@@ -99,5 +99,5 @@ class IdleWatch:
         end = 'it stands again' if not self.moves else 'it still moves'
         return (
             f'{self._fault} Joint {self._joint} went {self.way / DEG:.2f} deg, at up to '
-            f'{self.rate / DEG:.3g} deg/s, while nobody led the table; {end}.'
+            f'{self.rate / DEG:.3g} deg/s, while the table was not led; {end}.'
         )

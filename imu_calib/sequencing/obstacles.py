@@ -33,7 +33,7 @@ class Obstacles:
 
     @property
     def forbidden(self) -> str:
-        """Why others forbid to lead the table, in sentences; empty where nobody does."""
+        """Why others forbid to lead the table, in sentences; empty where none does."""
         return ' '.join(self._forbidden.values())
 
 
@@ -42,7 +42,7 @@ class Reasons:
 
     Attributes:
         reason: Why it stands, or goes home without the calibrator's word; else empty.
-        fault: Whether something went wrong since the last start, and nobody asked for the stop.
+        fault: Whether something went wrong since the last start, and the stop was not asked for.
 
     """
 

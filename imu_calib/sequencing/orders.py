@@ -26,7 +26,7 @@ class Orders:
         revision: Changes with the setpoint.
         motion: The motion that was ordered last; None once the table was commanded to hold.
         turns_done: Turns at rate of the last motion, without sign.
-        idle: What the table did while nobody led it.
+        idle: What the table did while it was not led.
 
     """
 

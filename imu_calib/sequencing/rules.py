@@ -56,8 +56,8 @@ class SequencerState:
         position: Id of the plan's position, empty on the way back to the start.
         phase: What it does.
         reason: Why it is PAUSED or ABORTED, DONE without the calibrator's word, or what happened
-            to a table that nobody leads; else empty.
-        fault: Whether something went wrong, and nobody asked for the stop.
+            to a table that is not led; else empty.
+        fault: Whether something went wrong, and the stop was not asked for.
         waits_for: What a start that was accepted waits for, else empty.
         angles: (k,) measured, unwrapped, rad; empty before the first joint state.
         rates: (k,) measured, rad/s.

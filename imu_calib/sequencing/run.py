@@ -114,7 +114,7 @@ class Run:
             at: The last joint state.
 
         """
-        # Nobody has worked through joint states that are yet to come.
+        # Joint states that are yet to come have not been worked through.
         latest = at.stamp + self._rules.feedback_timeout * 1e9
         if not self._ended <= stamp <= latest:
             return ''

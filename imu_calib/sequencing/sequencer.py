@@ -114,7 +114,7 @@ class Sequencer:
 
     @property
     def fault(self) -> bool:
-        """Whether something went wrong since the last start, and nobody asked for the stop."""
+        """Whether something went wrong since the last start, and the stop was not asked for."""
         return self._why.fault
 
     def start(self) -> str:
@@ -249,7 +249,7 @@ class Sequencer:
                 self._halt(_Stage.PAUSED, self._obstacles.feedback, fault=True)
 
     def review(self, stamp: int, repeat_steps: Sequence[int]) -> None:
-        """Take the calibrator's word; while nobody waits for it, it is let pass.
+        """Take the calibrator's word; ignore it while none is awaited.
 
         Args:
             stamp: Up to when it has worked through the joint states, ns.
@@ -359,6 +359,6 @@ class Sequencer:
                 self._stage = _Stage.DONE
 
     def _see_it_stand(self, now: Feedback) -> None:
-        """Hold a table that moves though nobody leads it, and say how far and how fast."""
+        """Hold a table that moves though it is not led, and say how far and how fast."""
         if self.idle.look(now):
             self._remark('unled', self.idle.text)

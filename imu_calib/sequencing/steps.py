@@ -102,7 +102,7 @@ def held(current: Step | None, angles: Sequence[float] | None, plan: str, table:
 
     Args:
         current: The step that is interrupted, where there is one.
-        angles: Where the table is, rad, for the record; None where nobody knows.
+        angles: Where the table is, rad, for the record; None where unknown.
         plan: Name of the plan.
         table: Which table.
 

@@ -127,7 +127,7 @@ class Lead:
         return self._stop(at)
 
     def _cut_short(self, setpoint: Setpoint) -> Piece | None:
-        """Brake on the course that is followed: nobody knows where the table is."""
+        """Brake on the course that is followed: where the table is, is unknown."""
         course, end = self._course, (setpoint.stamp - self._start) * 1e-9 + _LEAD
         if course is None or end >= self._covered:
             return None

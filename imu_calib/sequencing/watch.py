@@ -114,7 +114,7 @@ class Watch:
             fault = self._turn.look(now.stamp)
             if fault:
                 return False, fault
-        # While no joint state came nobody saw the table stand; how long that may last is
+        # Without joint states it is unknown whether the table stands; how long that may last is
         # `Rules.feedback_timeout`.
         self._unseen += max(0.0, now.gap - WINDOW)
         elapsed = (now.stamp - self.begin) * 1e-9

@@ -49,7 +49,7 @@ class DeliveryLine:
         if delivery.late:
             chance, delay = self._late.random((len(number), 2)).T
             waits = waits - np.log1p(-delay) * delivery.delay * (chance < delivery.late)
-        # Whoever is held up holds up those behind: a queue, emptied one by one.
+        # What is held up holds up those behind: a queue, emptied one by one.
         order = _QUEUED * number
         ready = np.maximum.accumulate(np.append(self._ready, elapsed + waits - order))
         self._ready = float(ready[-1])

@@ -168,7 +168,7 @@ def the_short_way(ups: Floats, seconds: Floats, *, heading: float = 0.0) -> Hand
 
 
 def as_planned(plan: Plan, rng: np.random.Generator) -> HandSession:
-    """Lay out a plan that is turned by hand, every hold at a heading that nobody knows.
+    """Lay out a plan that is turned by hand, every hold at an unknown heading.
 
     Args:
         plan: Its turns go from rest to rest and end where they began.

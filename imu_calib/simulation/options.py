@@ -127,7 +127,7 @@ class WarmUp:
 
 @dataclass(frozen=True, kw_only=True)
 class Delivery:
-    """What happens to samples on their way from the sensors to whoever records them.
+    """What happens to samples on their way from the sensors to the recorder.
 
     Attributes:
         bunch: So many samples are sent and stamped together, when the last of them is there.

@@ -137,7 +137,7 @@ class Control:
             self._ending.wait(_RETRY)
 
     def _serve(self, line: Line) -> None:
-        """Read and follow until told to end; whatever happens, the last line says stop."""
+        """Read and follow until the end; whatever happens, the last line is a stop."""
         try:
             for text in (order_line(Stop()), watchdog_line(_WATCHDOG)):
                 check(line.ask(text))
@@ -192,5 +192,5 @@ class Control:
             for order in orders:
                 check(line.ask(order_line(order)))
         except BadReply as error:
-            # Whether the order was taken nobody knows.
+            # Whether the order was taken is unknown.
             raise OSError(f'the reply to an order cannot be read: {error}') from error

@@ -57,7 +57,7 @@ class Follower:
         Args:
             setpoint: As it came off the topic.
             now: Time of its stamp's clock, ns.
-            steady: Time of a clock that nobody sets, s.
+            steady: Monotonic time, s.
             at: Where the table is.
 
         """

@@ -16,10 +16,10 @@ class OneSource:
 
     A source has the table from its first setpoint until it has been silent for so long that the
     table has stopped for want of setpoints; then another may have it. While one has it, a setpoint
-    of another is not followed: nobody knows which of the two is right, so the table stands.
+    of another is not followed: it is unknown which of the two is right, so the table stands.
     HOLD is let through from everybody, for standing still is never wrong. After a stand nothing
-    moves before nobody has asked for a movement for that long: a leader that has not noticed does
-    not go on where it was.
+    moves before that long has passed without a setpoint but HOLD: a leader that has not
+    noticed does not go on where it was.
 
     Args:
         timeout: Silence after which a source has the table no more, s: that of the driver's
@@ -63,7 +63,7 @@ class OneSource:
         Args:
             setpoint: As it came off the topic.
             source: Tells its publisher from others.
-            steady: Time of a clock that nobody sets, s.
+            steady: Monotonic time, s.
 
         """
         if source != self._source and steady - self._heard_at <= self._timeout:
@@ -91,7 +91,7 @@ class OneSource:
         if steady - self._refused_at <= self._timeout:
             return (
                 'The table stands: motion is refused, and setpoints still arrive. It follows '
-                f'again when nobody has asked for one for {self._timeout:g} s; HOLD does not count.'
+                f'again after {self._timeout:g} s without any but HOLD.'
             )
         return ''
 

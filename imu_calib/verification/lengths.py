@@ -1,4 +1,4 @@
-"""Sessions whose attitudes nobody knows: lengths are compared, and the rate along gravity.
+"""Compare sessions of unknown attitudes: by lengths, and the rate along gravity.
 
 The length of the specific force is gravity, that of the rate the Earth's, and its part along
 gravity the vertical Earth rate, wherever the unit stands.

@@ -24,7 +24,7 @@ class Observed:
     """A session to be held against a calibration.
 
     Attributes:
-        evidence: Dwells and turns by name; without attitudes and turns where nobody tells those.
+        evidence: Dwells and turns by name; without attitudes and turns where these are unknown.
         imu: How the recording describes its IMU.
         sample_rate: Samples per second, Hz.
         notes: What was left out, in sentences.
@@ -83,8 +83,8 @@ def observe(
         session: What the streams contain.
         imu: How the recording describes its IMU.
         site: Gravity and Earth rate.
-        plan: What was run; `plan.UNPLANNED` where nobody knows: dwells are then named by their
-            attitudes, or numbered where nobody tells those either.
+        plan: What was run; `plan.UNPLANNED` where unknown: dwells are then named by their
+            attitudes, or numbered where those are unknown.
         table: The table whose joint states came in; None with the IMU alone.
         clock: What the calibration says of the clock that stamps the samples; None where its
             parameters are by that clock.

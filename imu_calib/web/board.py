@@ -164,7 +164,7 @@ class Snapshot:
 
     @property
     def wall_seconds_left(self) -> float:
-        """Time left by the clock on the wall, s; NaN where nobody knows."""
+        """Time left by the clock on the wall, s; NaN where unknown."""
         return math.nan if self.table is None else self.table.seconds_left / self.speed
 
     @property

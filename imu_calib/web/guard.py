@@ -63,7 +63,7 @@ def exposure(host: str) -> str:
     if is_loopback(host):
         return ''
     return (
-        f'The page is served at {host}, without encryption: whoever reaches that interface sees '
+        f'The page is served at {host}, without encryption: who reaches that interface sees '
         'the session, and who reads along reads a token. Use a network of your own, or the '
         'loopback interface and ssh -L.'
     )
@@ -170,7 +170,7 @@ class Token:
     """The secret that lets a viewer command the table.
 
     Args:
-        secret: Empty where nobody may.
+        secret: Empty where none may.
 
     """
 

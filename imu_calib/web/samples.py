@@ -1,7 +1,7 @@
 """What the IMU's samples show while a session runs: rates, and the noise of the dwells.
 
-Samples are taken in bulk and summed; nobody waits for them, and one that the page misses is missing
-here alone.
+Samples are taken in bulk and summed; nothing waits for them, and one that the page misses is
+missing here alone.
 """
 
 from __future__ import annotations

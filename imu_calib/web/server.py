@@ -1,4 +1,4 @@
-"""Serves the page in a thread of its own, so that whoever listens to nodes need not wait for it."""
+"""Serves the page in a thread of its own, so that the thread of the nodes need not wait for it."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class ServerGoal:
         self._server.publish_feedback(self, feedback)
 
     def end(self, status: GoalStatus, result: Any) -> None:
-        """End it; whoever asks for its result gets it.
+        """End it; clients get its result.
 
         Args:
             status: One of `goals.ENDS`; CANCELED only where that was asked for, as in ROS.

@@ -1,4 +1,4 @@
-"""A managed node where there is no ROS 2: it begins by itself, as nobody else could begin it."""
+"""A managed node where there is no ROS 2: it begins by itself, as no lifecycle manager could."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ManagedNode(Node):
         """
         if not autostart:
             raise InputError(
-                'Parameter autostart: found false, expected true: without ROS 2 nobody can '
+                'Parameter autostart: found false, expected true: without ROS 2 no tool can '
                 'configure and activate a node.'
             )
         self.configure()

@@ -205,7 +205,7 @@ class Parameters:
         """Return a parameter.
 
         Raises:
-            ParameterNotDeclaredException: Nobody declared it.
+            ParameterNotDeclaredException: It is not declared.
 
         """
         if name not in self._values:
@@ -222,7 +222,7 @@ class Parameters:
         """Change parameters one after the other.
 
         Raises:
-            ParameterNotDeclaredException: Nobody declared one of them.
+            ParameterNotDeclaredException: One of them is not declared.
 
         """
         return [self._set(p) for p in parameters]

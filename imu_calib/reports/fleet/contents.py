@@ -56,7 +56,7 @@ class Recordings:
         key: What a task is known by.
         recording: Its name.
         imu: Type; of a failed one as it was stated.
-        serial: Number of the unit; empty where nobody said it.
+        serial: Number of the unit; empty where not stated.
         stand: Where; empty likewise.
         date: (n,) when, UTC; NaT where unknown.
         calibrated: (n,) whether it gave a calibration.

@@ -76,7 +76,7 @@ def page(fleet: Fleet) -> str:
 
 
 def _policy(*scripts: str) -> str:
-    """Return what a browser may do: run these scripts and no other, and ask nobody for anything."""
+    """Return what a browser may do: run these scripts and no other, and load nothing."""
     hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
     allowed = ' '.join(f"'sha256-{one}'" for one in hashes)
     return (
