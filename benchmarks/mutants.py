@@ -129,7 +129,9 @@ TESTS = {
 }
 # What goes with some modules alone, and is too slow for every mutant of a package; it runs first.
 MORE = {
-    'imu_calib/bags/remote.py': ['remote_copy', 'remote'],
+    'imu_calib/bags/remote.py': ['remote'],
+    'imu_calib/bags/remote_copy.py': ['remote_copy', 'remote'],
+    'imu_calib/bags/retries.py': ['remote_copy', 'remote'],
     'imu_calib/methods/free_positions.py': ['free_fit'],
     'imu_calib/observation/arms.py': ['arms'],
     'imu_calib/observation/free.py': ['free_fit'],

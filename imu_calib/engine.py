@@ -6,46 +6,16 @@ order they end.
 
 from __future__ import annotations
 
-import logging
 import os
 import signal
-import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
-from itertools import islice
-from multiprocessing import active_children, get_context, resource_tracker
-from typing import TYPE_CHECKING, TypeVar
-from uuid import uuid4
+from multiprocessing import active_children, get_context
 
-from .errors import ImuCalibError, InputError
-from .extras import require
+from .errors import InputError
+from .workers import Engine, Result, Task, WorkerDied, end_started, outcomes
 
-if TYPE_CHECKING:
-    from multiprocessing.process import BaseProcess
-
-    from distributed import Client, Future
-
-Task = TypeVar('Task')
-Result = TypeVar('Result')
-
-MEMORY = '2GiB'
-"""Of a worker of this machine, beyond which it is ended; recordings of any length stay below."""
-_WAITING = 3
-"""Tasks handed to the scheduler for each worker: one runs, two wait, and its memory stays flat."""
-_COUNT = 1.0
-"""s between counts of the workers."""
-_RECONNECT = 60.0
-"""s in which a scheduler that is gone may come back: what restarts it takes a few."""
-_CONNECT = '10s'
-"""In which a process of this machine takes a connection, however busy. One that has died holding a
-result is waited for so long, and not tried again: Dask's 30 s and retries are for networks."""
-_TICK = '500ms'
-"""Between looks of a process at its own event loop: as often as it looks at its memory."""
-_KEEPS = 4 << 20
-"""Bytes of freed memory that a worker keeps: a seventh of the faults, 10 ms less a recording."""
 _CHUNK = 4
 """Tasks handed to a process of a pool at once."""
 _THREADS = 'OMP_NUM_THREADS'
@@ -131,7 +101,7 @@ def _in_processes(
         except BaseException:
             # What they are at would be waited for, and is thrown away.
             pool.shutdown(wait=False, cancel_futures=True)
-            _end(others)
+            end_started(others)
             raise
 
 
@@ -142,13 +112,6 @@ def _share(tasks: int, jobs: int) -> int:
 def _leave_interrupts() -> None:
     """Leave Ctrl-C, which reaches every process of a terminal, to the one that ends the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _end(others: set[BaseProcess]) -> None:
-    """Kill the processes that this one has started, but those that were there before."""
-    for process in active_children():
-        if process not in others:
-            process.kill()
 
 
 @contextmanager
@@ -163,280 +126,3 @@ def single_threaded() -> Iterator[None]:
             del os.environ[_THREADS]
         else:
             os.environ[_THREADS] = before
-
-
-@dataclass(frozen=True)
-class Engine:
-    """Workers of Dask.
-
-    Attributes:
-        scheduler: Address of one that is there; None starts one with workers here.
-        workers: To start; None for one a core.
-        memory: Of each worker that is started.
-
-    """
-
-    scheduler: str | None = None
-    workers: int | None = None
-    memory: str = MEMORY
-
-    @contextmanager
-    def connected(self) -> Iterator[Client]:
-        """Give a client; what was started for it ends with it.
-
-        Raises:
-            InputError: No scheduler answers, a value is wrong, or Dask is not installed.
-
-        """
-        require('distributed', 'Work on workers of Dask', 'fleet')
-        if self.workers is not None and self.workers < 1:
-            raise InputError(f'`workers`: found {self.workers}, expected 1 or more.')
-        import dask
-
-        # Before anything is set: it brings what else is to be known.
-        import distributed  # noqa: F401
-
-        # A worker that dies of a task takes the task with it once more, and no third time.
-        settings: dict[str, object] = {
-            'distributed.scheduler.allowed-failures': 1,
-            'distributed.admin.low-level-log-length': 100,
-            # Each of its processes would look at its own stack a hundred times a second.
-            'distributed.worker.profile.enabled': False,
-            # Each would ask fifty times a second whether it is in time, and interrupt the work.
-            'distributed.admin.tick.interval': _TICK,
-            # Dask has a worker give back every 64 kB, and the next recording fetches them again.
-            'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': _KEEPS,
-            'logging.distributed': 'critical',
-        }
-        if self.scheduler is None:
-            settings['distributed.comm.timeouts.connect'] = _CONNECT
-        else:
-            settings['distributed.comm.retry.count'] = 3
-        with dask.config.set(settings), _quiet():
-            if self.scheduler is None:
-                with self._started() as client:
-                    yield client
-            else:
-                with _reached(self.scheduler) as client:
-                    yield client
-
-    @contextmanager
-    def _started(self) -> Iterator[Client]:
-        from distributed import Client, LocalCluster
-
-        others = set(active_children())
-        try:
-            with _without_interrupts():
-                cluster = LocalCluster(
-                    n_workers=self.workers or os.cpu_count(),
-                    threads_per_worker=1,
-                    memory_limit=self.memory,
-                    # Of this machine alone: a scheduler runs what it is sent.
-                    host='127.0.0.1',
-                    dashboard_address='127.0.0.1:0',
-                )
-        except ValueError as error:
-            raise InputError(f'`memory` {self.memory}: {error}.') from None
-        with cluster, Client(cluster, set_as_default=False) as client:
-            try:
-                yield client
-            except KeyboardInterrupt:
-                # What they are at would be waited for, and is thrown away.
-                _end(others)
-                raise
-
-
-def _reached(scheduler: str) -> Client:
-    from distributed import Client
-    from distributed.comm import parse_address, parse_host_port
-    from distributed.comm.registry import get_backend
-
-    try:
-        protocol, place = parse_address(scheduler)
-        get_backend(protocol)
-        parse_host_port(place)
-    except ValueError as error:
-        # A client that is begun with it would be waited for when the interpreter ends.
-        raise InputError(
-            f'`scheduler`: found {scheduler!r}, expected an address as tcp://host:8786 ({error}).'
-        ) from None
-    try:
-        # One that is interrupted half way would be waited for as well.
-        with _without_interrupts():
-            return Client(scheduler, timeout='10s', set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(
-            f'`scheduler` {scheduler}: no Dask scheduler answers there '
-            f'({error or type(error).__name__}).'
-        ) from None
-
-
-@dataclass(frozen=True)
-class WorkerDied:
-    """Stands for the result of a task that two workers died of, one after the other."""
-
-
-def outcomes(
-    client: Client,
-    function: Callable[..., Result],
-    tasks: Iterable[Task],
-    *shared: object,
-) -> Iterator[tuple[int, Result | WorkerDied]]:
-    """Run a function on each of independent tasks; yield their numbers and results as they end.
-
-    Tasks are taken as there is room for them. Those of a scheduler that goes, and comes back within
-    a minute, are handed over again.
-
-    Args:
-        client: Of a scheduler.
-        function: Of a task and of what is shared.
-        tasks: Any number.
-        shared: Further arguments, the same for each: they are sent to each worker once.
-
-    Raises:
-        InputError: The scheduler does not come back, or a worker cannot run the function.
-
-    """
-    from distributed import as_completed
-
-    waiting = enumerate(tasks)
-    running: dict[str, tuple[int, Task]] = {}
-    results = as_completed(loop=client.loop)
-    room, counted = _room(client), time.monotonic()
-    name = f'imu_calib-{uuid4().hex}'
-    sent, held = _sent(client, function, name, shared), bool(shared)
-
-    def submit(number: int, task: Task) -> None:
-        future = client.submit(sent, task, pure=False)
-        running[future.key] = number, task
-        results.add(future)
-
-    def fill() -> None:
-        nonlocal room, counted
-        if time.monotonic() - counted > _COUNT:
-            # Workers come and go; asking for them takes longer than handing over a task.
-            room, counted = _room(client), time.monotonic()
-        for number, task in islice(waiting, max(room - len(running), 0)):
-            submit(number, task)
-
-    try:
-        fill()
-        for future in results:
-            number, task = running.pop(future.key)
-            try:
-                yield number, _ended(future, number)
-            except CancelledError:
-                # Of a scheduler that went: what workers had been sent went with it.
-                _wait_for_scheduler(client)
-                sent, held = partial(_given, function, shared), False
-                submit(number, task)
-                continue
-            future.release()
-            fill()
-    finally:
-        # Workers that were started for this end with it; others live on.
-        if held and client.cluster is None and client.status == 'running':
-            client.unregister_worker_plugin(name)
-
-
-def _sent(
-    client: Client, function: Callable[..., Result], name: str, shared: tuple[object, ...]
-) -> Callable[[Task], Result]:
-    """Send every worker what is shared, those that start later too; return the function of a task.
-
-    As data of the cluster it would be lost with the workers that hold it, and the tasks with it:
-    one that kills its worker would be begun anew, and counted from the first time on.
-    """
-    if not shared:
-        return function
-    from distributed.diagnostics.plugin import WorkerPlugin
-
-    plugin = WorkerPlugin()
-    plugin.shared = shared
-    client.register_plugin(plugin, name=name)
-    return partial(_at_worker, function, name)
-
-
-def _at_worker(function: Callable[..., Result], name: str, task: Task) -> Result:
-    """Run a task with what its worker was sent."""
-    from distributed import get_worker
-
-    return function(task, *get_worker().plugins[name].shared)
-
-
-def _given(function: Callable[..., Result], shared: tuple[object, ...], task: Task) -> Result:
-    """Run a task with what is sent along."""
-    return function(task, *shared)
-
-
-def _room(client: Client) -> int:
-    """Return how many tasks are handed over at a time."""
-    cores: int = sum(client.ncores().values())
-    return max(1, _WAITING * cores)
-
-
-def _ended(future: Future, number: int) -> Result | WorkerDied:
-    """Return what a task ended with.
-
-    Raises:
-        CancelledError: It is to be handed over again.
-        InputError: A worker could not run it.
-
-    """
-    from distributed import KilledWorker
-
-    try:
-        result: Result = future.result()
-    except KilledWorker:
-        return WorkerDied()
-    except (CancelledError, ImuCalibError):
-        raise
-    except Exception as error:
-        raise InputError(
-            f'task {number + 1}: a worker could not run it ({type(error).__name__}: {error}). '
-            'Workers need the same versions of Python, imu_calib and Dask as this machine.'
-        ) from error
-    return result
-
-
-def _wait_for_scheduler(client: Client) -> None:
-    deadline = time.monotonic() + _RECONNECT
-    while client.status != 'running':
-        if client.status == 'closed' or time.monotonic() > deadline:
-            raise InputError(
-                'The scheduler is gone. What was done before counts: run the command again when '
-                'there is one.'
-            )
-        time.sleep(0.1)
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C from threads and processes that are started meanwhile: the client ends them.
-
-    What starts them later inherits it from its thread. A Ctrl-C meanwhile comes afterwards.
-    """
-    # Started with the first process, it would let signals in again.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep what Dask logs of workers that come and go off the screen.
-
-    What its callbacks raise, Tornado logs: one has nothing to cancel yet where Ctrl-C comes early.
-    """
-    loggers = [logging.getLogger(name) for name in ('distributed', 'tornado.application')]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)

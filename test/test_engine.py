@@ -17,8 +17,9 @@ from test_montecarlo import study
 
 from imu_calib import NotObservable
 from imu_calib.cli.main import main
-from imu_calib.engine import Engine, run_all
+from imu_calib.engine import run_all
 from imu_calib.repetition import repeat
+from imu_calib.workers import Engine
 
 
 @pytest.fixture

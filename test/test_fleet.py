@@ -26,11 +26,11 @@ import imu_calib
 from imu_calib import InputError
 from imu_calib.api.stated import Stated
 from imu_calib.cli.main import main
-from imu_calib.engine import Engine
 from imu_calib.fleet.catalogue import Catalogue, schema
 from imu_calib.fleet.recordings import Job, Labels, find_jobs, read_manifest
 from imu_calib.fleet.running import run_batch
 from imu_calib.fleet.task import DEFECT, LOST, Done, failed, key_of, run
+from imu_calib.workers import Engine
 
 needs_modules('pyarrow', 'duckdb', 'distributed')
 
@@ -333,7 +333,7 @@ def test_a_recording_lies_in_a_bucket(recordings: Path, monkeypatch: pytest.Monk
 
 
 def test_a_server_that_does_not_answer_gets_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('imu_calib.bags.remote.PAUSE', 0.0)
+    monkeypatch.setattr('imu_calib.bags.retries.PAUSE', 0.0)
     pytest.importorskip('aiohttp')
     row = run(Job('http://127.0.0.1:9/rec.mcap')).row
     assert row is not None and row['exit_code'] == 2

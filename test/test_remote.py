@@ -21,7 +21,7 @@ import imu_calib
 from imu_calib import InputError
 from imu_calib.api.looking import topics
 from imu_calib.api.stated import Stated
-from imu_calib.bags import located, open_recording, remote
+from imu_calib.bags import located, open_recording, remote_copy, retries
 from imu_calib.cli.main import main
 from imu_calib.fleet.recordings import Job, find_jobs
 
@@ -87,7 +87,7 @@ def test_calibrate_gives_the_same_bits_and_fetches_no_byte_twice(
     assert there.provenance['sha256'] == alone.provenance['sha256']
     assert there.provenance['recording'] == 'rec'
     # Requests grow while they go on: few are for the least there is, 256 KiB.
-    assert len(fetched) < size(here / 'rec') / remote.BLOCK / 2
+    assert len(fetched) < size(here / 'rec') / remote_copy.BLOCK / 2
 
 
 def test_every_command_that_reads_a_recording_takes_a_url(
@@ -124,7 +124,7 @@ def test_topics_of_a_long_mcap_are_read_from_its_summary(
     assert main(['info', str(here / 'rec'), '--topics']) == 0
     assert capsys.readouterr().out == told
     # The magic at the beginning, summary and footer at the end, metadata in between.
-    assert sum(fetched) <= 4 * remote.BLOCK < size(here / 'rec') / 4
+    assert sum(fetched) <= 4 * remote_copy.BLOCK < size(here / 'rec') / 4
 
 
 def test_rows_of_sqlite_come_from_a_copy(
@@ -202,7 +202,7 @@ def failing(monkeypatch: pytest.MonkeyPatch, times: int) -> list[int]:
         return await whole(files, path, start=start, **keywords)
 
     monkeypatch.setattr(s3fs.S3FileSystem, '_cat_file', now_and_then)
-    monkeypatch.setattr(remote, 'PAUSE', 0.0)
+    monkeypatch.setattr(retries, 'PAUSE', 0.0)
     return lost
 
 
@@ -210,14 +210,14 @@ def test_a_connection_that_is_lost_is_tried_again(
     lab: tuple[Path, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     here, bucket = lab
-    lost = failing(monkeypatch, remote.TRIES - 1)
+    lost = failing(monkeypatch, retries.TRIES - 1)
     with open_recording(f'{bucket}/rec') as there, open_recording(here / 'rec') as alone:
         assert there.sha256() == alone.sha256()
-    assert len(lost) == remote.TRIES - 1
-    failing(monkeypatch, remote.TRIES)
+    assert len(lost) == retries.TRIES - 1
+    failing(monkeypatch, retries.TRIES)
     assert main(['calibrate', f'{bucket}/rec']) == 2
     said = capsys.readouterr().err
-    assert f'not read after {remote.TRIES} tries (ConnectionResetError' in said
+    assert f'not read after {retries.TRIES} tries (ConnectionResetError' in said
     assert 'Check the network' in said and 'Traceback' not in said
 
 
@@ -231,7 +231,7 @@ def test_a_file_of_several_that_cannot_be_reached_is_no_loss(
     for k in range(2):
         shutil.copy(here / 'one.mcap', folder / f'two_{k}.mcap')
     url = put(folder, f'{bucket}/two')
-    failing(monkeypatch, remote.TRIES)
+    failing(monkeypatch, retries.TRIES)
     with pytest.raises(InputError, match='not read after'):
         open_recording(url)
 
@@ -242,7 +242,7 @@ def test_what_is_not_there_gets_a_sentence(
     import s3fs
 
     _, bucket = lab
-    monkeypatch.setattr(remote, 'PAUSE', 0.0)
+    monkeypatch.setattr(retries, 'PAUSE', 0.0)
     for url in (f'{bucket}/none.mcap', 's3://no-such-bucket/rec'):
         for command in (['calibrate', url], ['info', url], ['batch', url, '-o', 'c']):
             assert main(command) == 2

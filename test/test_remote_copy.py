@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imu_calib.bags import remote
-from imu_calib.bags.remote import AHEAD, BLOCK, PAUSE, _Copy, _Reader
+from imu_calib.bags import remote_copy, retries
+from imu_calib.bags.remote_copy import AHEAD, BLOCK, Copy, Reader
+from imu_calib.bags.retries import PAUSE
 from imu_calib.errors import InputError
 
 URL = 'memory://lab/rec.mcap'
@@ -52,8 +53,8 @@ def files() -> Files:
     return Files()
 
 
-def copy(files: Any, size: int | None = len(CONTENT)) -> _Copy:
-    return _Copy(URL, files, 'lab/rec.mcap', size)
+def copy(files: Any, size: int | None = len(CONTENT)) -> Copy:
+    return Copy(URL, files, 'lab/rec.mcap', size)
 
 
 def test_what_is_asked_for_is_given_in_whole_blocks_and_fetched_once(files: Files) -> None:
@@ -142,7 +143,7 @@ def test_a_file_of_one_block_is_whole_by_its_range() -> None:
 @pytest.fixture
 def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     waited: list[float] = []
-    monkeypatch.setattr(remote.time, 'sleep', waited.append)
+    monkeypatch.setattr(retries.time, 'sleep', waited.append)
     return waited
 
 
@@ -223,7 +224,7 @@ def test_a_write_that_takes_a_part_is_gone_on_with(
     def some(file: int, view: memoryview, start: int) -> int:
         return whole(file, view[: 1 + BLOCK // 3], start)
 
-    monkeypatch.setattr(remote.os, 'pwrite', some)
+    monkeypatch.setattr(remote_copy.os, 'pwrite', some)
     held = copy(files)
     assert held.read(BLOCK, 3 * BLOCK) == CONTENT[BLOCK : 3 * BLOCK]
 
@@ -234,7 +235,7 @@ def test_a_full_disk_names_what_it_would_take(
     def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(remote.os, 'pwrite', full)
+    monkeypatch.setattr(remote_copy.os, 'pwrite', full)
     wanted = rf'No space left on device.*room for {len(CONTENT) / 1e6:.0f} MB'
     with pytest.raises(InputError, match=wanted):
         copy(files).read(0, 4)
@@ -247,13 +248,13 @@ def test_the_copy_goes_with_who_holds_it(files: Files) -> None:
     assert path.exists()
     del held
     assert not path.parent.exists()
-    nameless = _Copy(URL, files, 'lab/', 5)  # type: ignore[arg-type]
+    nameless = Copy(URL, files, 'lab/', 5)  # type: ignore[arg-type]
     assert nameless.path.name == 'recording'
 
 
 def test_an_open_file_is_a_place_in_it(files: Files, tmp_path: Path) -> None:
     small = CONTENT[: 3 * BLOCK]
-    there = _Reader(copy(Files(small), len(small)))
+    there = Reader(copy(Files(small), len(small)))
     here_path = tmp_path / 'here'
     here_path.write_bytes(small)
     with here_path.open('rb') as here:

@@ -22,7 +22,8 @@ from imu_calib.cli.processes import Outcome
 from imu_calib.cli.words import Words
 from imu_calib.devices import Source, check_port
 from imu_calib.errors import ImuCalibError, InputError
-from imu_calib.web.board import Board, Expected
+from imu_calib.web.board import Board
+from imu_calib.web.snapshot import Expected
 
 try:
     from imu_calib.cli import monitor, stand_session

@@ -13,8 +13,8 @@ from imu_calib.config import Section
 from imu_calib.devices.health import Severity
 from imu_calib.mounted import read_units
 from imu_calib.web import drawing
-from imu_calib.web.board import Outcome
 from imu_calib.web.expectation import units_board
+from imu_calib.web.snapshot import Outcome
 
 FILE = """
 units:

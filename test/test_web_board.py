@@ -26,10 +26,11 @@ from imu_calib.stream import ImuBlock
 from imu_calib.turntable import load_table
 from imu_calib.units import DEG
 from imu_calib.web import drawing
-from imu_calib.web.board import Board, Outcome
+from imu_calib.web.board import Board
 from imu_calib.web.expectation import expectation
 from imu_calib.web.samples import Dwells
 from imu_calib.web.shape import table_shape
+from imu_calib.web.snapshot import Outcome
 from imu_calib.web.style import STYLE
 from imu_calib.web.words import headline, time_left
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from ..api.progress import Show
-from ..engine import MEMORY
 from ..errors import NotObservable
 from ..fleet.running import batch
+from ..workers import MEMORY
 from . import options
 from .outcome import Outcome
 from .terminal import ERRORS, OUTPUT, progress_bar

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from ..devices.health import Severity
 from ..reports.convergence import Converging
-from ..web.board import Snapshot
+from ..web.snapshot import Snapshot
 from ..web.units import UnitRow
 from ..web.words import headline, time_left
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from ..api.progress import Progress, silent
 from ..api.stated import Stated
-from ..engine import MEMORY, Engine, WorkerDied, outcomes
 from ..errors import InputError
 from ..mounted import load_units
+from ..workers import MEMORY, Engine, WorkerDied, outcomes
 from .catalogue import Catalogue
 from .recordings import OF_ONE, Job, find_jobs
 from .task import CALIBRATED, Done, lost, run

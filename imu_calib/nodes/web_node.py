@@ -22,11 +22,12 @@ from ..mounted import load_units, remaining
 from ..paths import user_path
 from ..sequencing import Phase
 from ..stream import ImuBlock, JointBlock, TemperatureBlock
-from ..web.board import Board, Outcome, Snapshot
+from ..web.board import Board
 from ..web.expectation import expectation, units_board
 from ..web.guard import Token, address, exposure
 from ..web.samples import Dwells
 from ..web.shape import table_shape
+from ..web.snapshot import Outcome, Snapshot
 from ..web.units import UnitRow, UnitsBoard
 from . import qos
 from .declared import declare

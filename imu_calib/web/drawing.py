@@ -20,8 +20,8 @@ from ..segmentation.segment import CHANNELS
 from ..sequencing import Phase
 from ..specification import COVERAGE
 from ..stream import Units
-from .board import Outcome, Sentence, Snapshot
 from .samples import Streams
+from .snapshot import Outcome, Sentence, Snapshot
 from .units import UnitRow
 from .words import headline, joint_words, time_left
 

@@ -14,7 +14,7 @@ from ..mounted import MountedUnit
 from ..prediction import forecast
 from ..stream import Mode
 from ..units import DEG
-from .board import Expected, PlannedStep
+from .snapshot import Expected, PlannedStep
 from .units import ShownUnit, UnitsBoard
 
 

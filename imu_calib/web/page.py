@@ -13,9 +13,9 @@ from nicegui import ui
 from ..imu import ImuSpec
 from ..sequencing import Phase
 from . import drawing
-from .board import Outcome, Snapshot
 from .guard import Token
 from .shape import Link, Solid
+from .snapshot import Outcome, Snapshot
 from .style import STYLE
 from .units import UnitRow
 

@@ -10,7 +10,8 @@ from typing import Any
 from ..devices.health import Severity
 from ..model import Parameter
 from ..reports.convergence import Converging
-from .board import Board, Expected, Outcome, Sentence, Snapshot, sentences_of
+from .board import Board, sentences_of
+from .snapshot import Expected, Outcome, Sentence, Snapshot
 
 _CALIBRATOR = 'calibrator_node: '
 _DEVICE = 'imu_node: stream'

@@ -10,7 +10,7 @@ from ..devices.health import Severity
 from ..reports.remaining import ends_at, in_words
 from ..sequencing import Phase
 from ..units import DEG
-from .board import Outcome, Snapshot, TableState
+from .snapshot import Outcome, Snapshot, TableState
 
 _WHOLE = 2.0
 """Times real time from which on a session is worth calling faster."""
