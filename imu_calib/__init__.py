@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from .api.comparing import Compared, compare
     from .api.compensating import Compensated, compensate
     from .api.conforming import Conformity, conformity
-    from .api.converting import Converted, convert
+    from .api.converted import Converted
+    from .api.converting import convert
     from .api.exporting import export
     from .api.looking import Look, look
     from .api.predicting import Prediction, optimise, predict, reach
@@ -60,7 +61,7 @@ _WHERE = {
     'Compared': 'api.comparing',
     'Compensated': 'api.compensating',
     'Conformity': 'api.conforming',
-    'Converted': 'api.converting',
+    'Converted': 'api.converted',
     'Exported': 'exports',
     'History': 'histories.results',
     'ImuCalibError': 'errors',

@@ -1,0 +1,76 @@
+"""What every conversion writes: samples of an IMU, and what the recording says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..bags import RecordingWriter
+from ..cdr import Kind, Messages, encode_imu, encode_rates
+from ..errors import InputError
+from ..imu import load_imu
+from ..share import named_file
+from ..stream import ImuBlock, Units
+from .named import Named
+
+RAW, SI, JOINTS, TEMPERATURE = (
+    '/imu/pulses',
+    '/imu/data_raw',
+    '/turntable/joint_states',
+    '/imu/temperature',
+)
+RAW_UNITS = {'pulse': 1.0, 'count': 1.0}
+_BLOCK = 1 << 16
+"""Samples that are written at once; a choice between memory and calls."""
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What was written.
+
+    Attributes:
+        path: The recording.
+        counts: Messages by topic.
+        findings: What a person should know, in sentences.
+
+    """
+
+    path: Path
+    counts: Mapping[str, int]
+    findings: tuple[str, ...]
+
+
+def described(imu: Named | None, raw: set[str]) -> dict[str, str]:
+    """Return what the recording is to say of the IMU.
+
+    Raises:
+        InputError: What pulses or counts mean is not stated, or other units are.
+
+    """
+    if imu is None and raw:
+        raise InputError(
+            f'`gyro` and `accel` are in {raw.pop()}s: give `imu`, a file that says what one is '
+            '(config/imus has examples).'
+        )
+    file = named_file('imus', 'si' if imu is None else imu)
+    units = load_imu(file).units
+    if (units is Units.SI) == bool(raw):
+        found = f'{raw.pop()}s' if raw else 'rates and accelerations'
+        raise InputError(f'`imu` {imu}: units: found {units.value}, but the numbers are {found}.')
+    return {'imu_calib.imu': file.read_text(encoding='utf-8')}
+
+
+def write_imu(writer: RecordingWriter, block: ImuBlock, *, raw: bool) -> None:
+    """Write an IMU's samples: raw counts, or rates and forces of unknown covariance."""
+    unknown = np.zeros((_BLOCK, 9))
+    for first in range(0, len(block), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        piece = ImuBlock(block.stamp[part], block.gyro[part], block.accel[part], block.frame_id)
+        covariance = unknown[: len(piece)]
+        encoded: Messages = (
+            encode_imu(piece) if raw else encode_rates(piece, covariance, covariance)
+        )
+        writer.write(RAW if raw else SI, Kind.IMU.type_name, encoded, piece.stamp)

@@ -1,0 +1,183 @@
+"""Columns of a text file to a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ..bags import RecordingWriter
+from ..cdr import Kind, Messages, encode_joints, encode_temperatures
+from ..errors import InputError
+from ..stream import Floats, ImuBlock, JointBlock, Stamps, TemperatureBlock
+from ..units import Dimension, parse
+from .converted import JOINTS, RAW, RAW_UNITS, SI, TEMPERATURE, Converted, described, write_imu
+from .named import Named
+from .text import Text
+
+_GYRO = {**Dimension.RATE.value, **RAW_UNITS}
+_ACCEL = {**Dimension.ACCELERATION.value, **RAW_UNITS}
+_ANGLE: Mapping[str, float] = Dimension.ANGLE.value
+_STAMP = {'s': 1e9, 'ms': 1e6, 'us': 1e3, 'ns': 1.0}
+_CELSIUS = {'degC': 1.0}
+_LAST_SECOND = 2**31 - 1
+"""That builtin_interfaces/Time counts to."""
+_BACKWARDS = 0.01
+"""Share of intervals between rows that may be zero or negative: a logger writes a row twice or sets
+its clock now and then; a column that is no time, or has lost digits, does so all along."""
+_SLOWEST, _FASTEST = 2.0, 40e3
+"""Rates of rows that an IMU may have, Hz. The fastest MEMS units give 32 kHz, phones and loggers of
+vehicles 10 to 500 Hz. A unit of time that is a thousand times too small makes 50 kHz of 50 Hz, one
+that is a thousand times too large 1 Hz of 1 kHz."""
+_RATES = f'{_SLOWEST:g} Hz to {_FASTEST / 1e3:g} kHz, the rates of IMUs'
+
+
+def from_text(
+    text: Text,
+    target: Path,
+    stamp: str | None,
+    rate: str | None,
+    gyro: str,
+    accel: str,
+    joints: str | None,
+    temperature: str | None,
+    imu: Named | None,
+) -> Converted:
+    """Write a recording of the columns of a text file, as `convert` names them.
+
+    Raises:
+        InputError: A column or a unit is not there, or what they hold is of no IMU.
+
+    """
+    stamps = _stamps(text, stamp, rate)
+    rates, gyro_unit = _columns(text, gyro, '`gyro`', _GYRO, 3)
+    forces, accel_unit = _columns(text, accel, '`accel`', _ACCEL, 3)
+    raw = {gyro_unit, accel_unit} & set(RAW_UNITS)
+    if raw and gyro_unit != accel_unit:
+        raise InputError(
+            f'`gyro` and `accel`: found {gyro_unit} and {accel_unit}, expected both in SI units, '
+            'or both in pulses, or both in counts.'
+        )
+    data = described(imu, raw)
+    times, (rates, forces) = _sound(stamps, rates, forces)
+    block = ImuBlock(times, rates, forces, 'imu_link')
+    counts = {(RAW if raw else SI): len(block)}
+    # All columns are read before anything is written: a wrong name leaves no half of a recording.
+    others: list[tuple[str, Kind, Messages, Stamps]] = []
+    if joints is not None:
+        names = tuple(_parted(joints)[0])
+        angles, _ = _columns(text, joints, '`joints`', _ANGLE, len(names))
+        at, (angles,) = _sound(stamps, angles)
+        encoded = encode_joints(JointBlock(at, names, angles, np.full_like(angles, np.nan)))
+        others.append((JOINTS, Kind.JOINTS, encoded, at))
+    if temperature is not None:
+        celsius, _ = _columns(text, temperature, '`temperature`', _CELSIUS, 1)
+        at, (celsius,) = _sound(stamps, celsius)
+        encoded = encode_temperatures(TemperatureBlock(at, celsius[:, 0]))
+        others.append((TEMPERATURE, Kind.TEMPERATURES, encoded, at))
+    with RecordingWriter(target, data) as writer:
+        write_imu(writer, block, raw=bool(raw))
+        for topic, kind, messages, at in others:
+            writer.write(topic, kind.type_name, messages, at)
+            counts[topic] = len(at)
+    return Converted(target, counts, _left_out(text, len(stamps) - len(block)))
+
+
+def _sound(stamps: Floats, *columns: Floats) -> tuple[Stamps, list[Floats]]:
+    """Return the rows in which the stamp and all columns (n, k) are numbers."""
+    known = np.isfinite(np.column_stack([stamps, *columns])).all(axis=1)
+    return stamps[known].astype(np.int64), [values[known] for values in columns]
+
+
+def _left_out(text: Text, rows: int) -> tuple[str, ...]:
+    said = []
+    if text.broken:
+        said.append(f'{text.broken} lines of {text.path.name} are no row of numbers; left out.')
+    if rows:
+        said.append(f'{rows} rows hold no number in a column that is needed; left out.')
+    return tuple(said)
+
+
+def _stamps(text: Text, stamp: str | None, rate: str | None) -> Floats:
+    """Return the time of each row, ns.
+
+    Raises:
+        InputError: No such column or unit, no rate, or times that no IMU has.
+
+    """
+    if rate is not None:
+        hertz = parse(rate, Dimension.FREQUENCY, '`rate`')
+        if not _SLOWEST <= hertz <= _FASTEST:
+            raise InputError(f'`rate` {rate}: expected {_RATES}.')
+        return np.asarray(np.rint(np.arange(len(text.values)) * (1e9 / hertz)))
+    assert stamp is not None
+    times, _ = _columns(text, stamp, '`stamp`', _STAMP, 1)
+    latest = float(np.nanmax(np.abs(times), initial=0.0)) * 1e-9
+    if latest > _LAST_SECOND:
+        raise InputError(
+            f'`stamp` {stamp}: a row is {latest:.3g} s from 1970, more than a message can say: '
+            f'another unit of {", ".join(_STAMP)}?'
+        )
+    stamps = np.asarray(np.rint(times[:, 0]))
+    _refuse_what_is_no_time(stamps[np.isfinite(stamps)], f'{text.path}: `stamp` {stamp}')
+    return stamps
+
+
+def _refuse_what_is_no_time(stamps: Floats, column: str) -> None:
+    """Refuse stamps, ns, that do not grow, or not at the rate of an IMU.
+
+    Raises:
+        InputError: They are such; the file and the column are named.
+
+    """
+    intervals = np.diff(stamps)
+    if not len(intervals):
+        return
+    wrong = np.flatnonzero(intervals <= 0)
+    if len(wrong) > _BACKWARDS * len(intervals):
+        first = int(wrong[0])
+        raise InputError(
+            f'{column}: the time does not grow in {len(wrong)} of {len(intervals)} intervals '
+            f'between rows, first from {stamps[first] * 1e-9:.6f} s to '
+            f'{stamps[first + 1] * 1e-9:.6f} s; at most {_BACKWARDS:.0%} may be so. Name the '
+            'column of the time, written with all its digits and in its order, or give `rate` '
+            'instead.'
+        )
+    hertz = 1e9 / float(np.median(intervals))
+    if not _SLOWEST <= hertz <= _FASTEST:
+        unit = column.rpartition(':')[2]
+        units = ((u, hertz * _STAMP[unit] / _STAMP[u]) for u in _STAMP)
+        others = [f'{u} would be {h:.4g} Hz' for u, h in units if _SLOWEST <= h <= _FASTEST]
+        known = f'In another unit, {", ".join(others)}'
+        advice = known if others else 'Name the column of the time'
+        raise InputError(
+            f'{column}: found {hertz:.4g} Hz, by the median of {len(intervals)} intervals between '
+            f'rows; expected {_RATES}. {advice}.'
+        )
+
+
+def _columns(
+    text: Text, stated: str, option: str, units: Mapping[str, float], count: int
+) -> tuple[Floats, str]:
+    """Return columns in SI (pulses and counts as they are), (n, count), and their unit.
+
+    Raises:
+        InputError: Not so many names with a unit, or no such column.
+
+    """
+    parts, unit = _parted(stated)
+    if unit not in units or len(parts) != count or not all(parts):
+        form = ','.join(['NAME'] * count)
+        raise InputError(
+            f'{option}: found {stated!r}, expected {form}:UNIT, with the unit one of '
+            f'{", ".join(units)}.'
+        )
+    values = np.column_stack([text.column(name, option) for name in parts])
+    return values * units[unit], unit
+
+
+def _parted(stated: str) -> tuple[list[str], str]:
+    """Part 'NAME,NAME:UNIT' into names and unit."""
+    names, _, unit = stated.rpartition(':')
+    return [name.strip() for name in names.split(',')], unit.strip()

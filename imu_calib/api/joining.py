@@ -1,0 +1,112 @@
+"""Gyros and accelerometers on topics of their own to one topic."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..bags import AnyPath, Recording, RecordingWriter, open_recording
+from ..errors import InputError
+from ..stream import Floats, ImuBlock, Stamps
+from .columns import read
+from .converted import RAW_UNITS, SI, Converted, described, write_imu
+from .named import Named
+from .progress import Progress
+
+_SILENT = 2.5
+"""Sample intervals between two samples of the accelerometers over which none is read from a line: a
+lost sample makes two, and jitter of the stamps less than a half."""
+
+
+def joined(
+    path: AnyPath,
+    target: Path,
+    gyro_topic: str,
+    accel_topic: str,
+    imu: Named | None,
+    progress: Progress,
+) -> Converted:
+    """Join two topics to one, and copy the other topics as they are.
+
+    Args:
+        path: The recording.
+        target: Folder to be made.
+        gyro_topic: Of the rates, rad/s.
+        accel_topic: Of the accelerations, m/s^2, at stamps of their own.
+        imu: Data sheet of the IMU.
+        progress: Shown with the share of the messages that were copied.
+
+    Raises:
+        InputError: The topics hold too few samples, or pulses; or the joined one is there already.
+
+    """
+    said = described(imu, set())
+    rates, forces = read(path, gyro_topic), read(path, accel_topic)
+    for columns in (rates, forces):
+        if (unit := next(iter(columns.units.values()))) in RAW_UNITS:
+            raise InputError(
+                f'{path}: {columns.topic} holds {unit}s, which lie on no line between two samples: '
+                'expected rad/s and m/s^2.'
+            )
+    if len(rates) < 2 or len(forces) < 2:
+        raise InputError(
+            f'{path}: {gyro_topic} and {accel_topic} hold {len(rates)} and '
+            f'{len(forces)} samples: expected two or more of each.'
+        )
+    gyro = np.column_stack([rates[f'angular_velocity.{a}'] for a in 'xyz'])
+    accel = np.column_stack([forces[f'linear_acceleration.{a}'] for a in 'xyz'])
+    order = np.argsort(forces.stamp, kind='stable')
+    stamps, read_at, within = _read_at(forces.stamp[order], accel[order], rates.stamp)
+    block = ImuBlock(stamps, gyro[within], read_at, 'imu_link')
+    taken = {rates.topic, forces.topic}
+    counts = {SI: len(block)}
+    with open_recording(path) as recording:
+        _refuse_taken(recording, taken)
+        data = {**recording.custom_data, **said}
+        with RecordingWriter(target, data) as writer, progress('converting') as show:
+            write_imu(writer, block, raw=False)
+            for one, messages, times in recording.messages(show):
+                if one.name not in taken:
+                    writer.write(one.name, one.type, messages, times.log, times.publish)
+                    counts[one.name] = counts.get(one.name, 0) + len(messages)
+        losses = recording.losses
+    return Converted(target, counts, (_resampling(rates.stamp, forces.stamp, within), *losses))
+
+
+def _refuse_taken(recording: Recording, taken: set[str]) -> None:
+    if any(topic.name == SI for topic in recording.topics) and SI not in taken:
+        raise InputError(f'{recording.path} has a topic {SI} already.')
+
+
+def _read_at(known: Stamps, values: Floats, wanted_at: Stamps) -> tuple[Stamps, Floats, Stamps]:
+    """Read values (n, 3) at other stamps, on straight lines between their own.
+
+    Returns:
+        Stamps that lie between two samples, the values there, and the indices of those stamps.
+
+    """
+    after = np.searchsorted(known, wanted_at, side='left')
+    exact = (after < len(known)) & (known[np.minimum(after, len(known) - 1)] == wanted_at)
+    before = np.clip(after - 1, 0, len(known) - 2)
+    apart = known[before + 1] - known[before]
+    usual = float(np.median(np.diff(known)))
+    between = (after > 0) & (after < len(known)) & (apart <= _SILENT * usual)
+    within = np.flatnonzero(exact | between)
+    at = wanted_at[within]
+    # Stamps since 1970 are exact as integers alone.
+    since = (at - known[0]).astype(float), (known - known[0]).astype(float)
+    read_at = np.column_stack([np.interp(*since, v) for v in values.T])
+    return at, read_at, within
+
+
+def _resampling(gyro: Stamps, accel: Stamps, within: Stamps) -> str:
+    """Say from which rate to which the accelerometers were read."""
+    rates = [1e9 / float(np.median(np.diff(np.sort(s)))) for s in (gyro, accel)]
+    lost = len(gyro) - len(within)
+    left = f'; {lost} samples of the gyros have no such line and are left out' if lost else ''
+    return (
+        f'The accelerometers come with {rates[1]:.4g} Hz and are read at the stamps of the gyros, '
+        f'{rates[0]:.4g} Hz, on straight lines between their samples, which smooths their noise'
+        f'{left}.'
+    )
