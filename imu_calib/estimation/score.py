@@ -331,9 +331,7 @@ class WhitenedResiduals:
         return cls(equations, np.asarray(basis), _without(left, basis), np.asarray(factor))
 
     def score(self, family: Family, patterns: Sequence[Pattern]) -> Score:
-        """Test a family by its `columns_of`: the most significant of several counts as one of so
-        many.
-        """
+        """Test a family by its `columns_of`: the most significant counts as one of so many."""
         return most_significant(self.scores(family, patterns))
 
     def scores(self, family: Family, patterns: Sequence[Pattern]) -> list[Score]:

@@ -88,10 +88,10 @@ def prior_of(design: Floats, stated: Floats, values: Floats) -> Prior:
 
 
 def _typical(design: Floats, stated: Floats, values: Floats) -> Floats:
-    """Return the variance between sessions (24,) at which half of all chi-squares are above the
-    median.
+    """Return the variance between sessions (24,), by the median of units.
 
-    A unit with a step counts as one that is above, however large the step is.
+    At it half of the units' chi-squares are above their median. A unit with a step counts as one
+    that is above, however large the step is.
     """
     plain = fit(design, np.isfinite(stated).astype(float), values)
     own = plain.freedom > 0
