@@ -3,6 +3,7 @@
 rosbags is no ROS package, and `colcon test` must do without it.
 """
 
+import gc
 import os
 import signal
 from importlib.util import find_spec
@@ -103,6 +104,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         getattr(config, 'workeroutput', {})['repeats'] = len(repeats)
     place = {name: k for k, name in enumerate(_LONG)}
     items.sort(key=lambda item: (place.get(item.path.name, len(place)), item.path))
+
+
+def pytest_collection_finish() -> None:
+    """Have thousands of tests and their modules not searched for garbage over and over."""
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
