@@ -483,7 +483,7 @@ def _record_imu(recording: Recording, world: World, unit: Unit, draw: random.Ran
         _, pushed, middle, motion = afterwards[k]
         # Samples at rest are given the same, and answer the same but for what changes with time.
         if middle is not None or given is None or given[0] is not turned or given[1] is not pushed:
-            given = turned, pushed
+            given = (turned, pushed) if middle is None else None
             beyond = [NOTHING] * 3
             if middle is not None:
                 beyond = moved.on(middle, earth, motion, (k + 1) * dt - unit.late)

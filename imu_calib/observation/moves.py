@@ -96,9 +96,9 @@ class Moves:
     attitudes: Floats
     gravity: float
     rough: RoughAnswers | None = None
-    _paths: dict[bytes, tuple[GyroPath, ...]] = field(default_factory=dict, repr=False)
+    _paths: dict[bytes, tuple[GyroPath, ...]] = field(default_factory=dict, init=False, repr=False)
     _thrusts: dict[bytes, tuple[VelocityIncrement | None, ...]] = field(
-        default_factory=dict, repr=False
+        default_factory=dict, init=False, repr=False
     )
 
     @classmethod
