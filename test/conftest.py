@@ -52,6 +52,7 @@ _LONG = (
     'test_verification.py',
     'test_bad_input.py',
     'test_stand_strangers.py',
+    'test_several_stand.py',
     'test_resume.py',
     'test_turntable_node.py',
     'test_live_session.py',
