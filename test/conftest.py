@@ -3,6 +3,7 @@
 rosbags is no ROS package, and `colcon test` must do without it.
 """
 
+import gc
 import os
 import signal
 from importlib.util import find_spec
@@ -51,6 +52,7 @@ _LONG = (
     'test_verification.py',
     'test_bad_input.py',
     'test_stand_strangers.py',
+    'test_several_stand.py',
     'test_resume.py',
     'test_turntable_node.py',
     'test_live_session.py',
@@ -103,6 +105,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         getattr(config, 'workeroutput', {})['repeats'] = len(repeats)
     place = {name: k for k, name in enumerate(_LONG)}
     items.sort(key=lambda item: (place.get(item.path.name, len(place)), item.path))
+
+
+def pytest_collection_finish() -> None:
+    """Have thousands of tests and their modules not searched for garbage over and over."""
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)

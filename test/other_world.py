@@ -146,6 +146,8 @@ class Flaw:
 
 
 SOUND = Flaw()
+NO_FLAWS = (SOUND, SOUND, SOUND)
+LEVEL = (0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,7 +204,7 @@ class World:
     latitude: float = 34.65 * DEG
     gravity: float = 9.797
     azimuth: float = 0.0
-    tilt: tuple[float, float] = (0.0, 0.0)
+    tilt: tuple[float, float] = LEVEL
     rates: tuple[float, ...] = (30 * DEG, 60 * DEG)
     turns: float = 1.0
     acceleration: float = 200 * DEG
@@ -214,7 +216,7 @@ class World:
     clock: float = 0.0
     offset: float = 0.0
     program: tuple[Stop, ...] = ()
-    flaws: tuple[Flaw, Flaw, Flaw] = (SOUND, SOUND, SOUND)
+    flaws: tuple[Flaw, Flaw, Flaw] = NO_FLAWS
     misses: tuple[Vector, Vector] = (NOTHING, NOTHING)
     damage: Damage | None = None
 
@@ -242,6 +244,13 @@ def applied(a: Matrix, v: Vector) -> Vector:
     x, y, z = v
     (c, d, e), (f, g, h), (i, j, k) = a
     return c * x + d * y + e * z, f * x + g * y + h * z, i * x + j * y + k * z
+
+
+def seen(a: Matrix, v: Vector) -> Vector:
+    """A vector from the axes that a matrix turns."""
+    x, y, z = v
+    (c, d, e), (f, g, h), (i, j, k) = a
+    return c * x + f * y + i * z, d * x + g * y + j * z, e * x + h * y + k * z
 
 
 def transposed(a: Matrix) -> Matrix:
@@ -284,8 +293,12 @@ class Motion:
         self.rate = min(self.rate, math.sqrt(way * self.acceleration))
         self.ramp = self.rate / self.acceleration
         self.end = self.start + (way / self.rate + self.ramp if way else 0.0)
+        self.after = self._angles(self.end)
 
     def angles(self, time: float) -> Vector:
+        return self.after if time >= self.end else self._angles(time)
+
+    def _angles(self, time: float) -> Vector:
         t = min(max(time - self.start, 0.0), self.end - self.start)
         left = self.end - self.start - t
         if t < self.ramp:
@@ -314,16 +327,20 @@ def joints_of(axes: str) -> Vector:
 
 def attitude(angles: Vector, world: World) -> Matrix:
     """Body to east, north, up."""
-    base = times(about(0, world.tilt[0]), about(1, world.tilt[1]))
-    if world.flaws != (SOUND, SOUND, SOUND):
-        result = times(base, about(2, world.azimuth))
+    if world.flaws is not NO_FLAWS:
+        result = times(leaning(world), about(2, world.azimuth))
         for axis, angle, flaw in zip((2, 0, 2), angles, world.flaws, strict=True):
             result = times(result, joint_turned(axis, angle, flaw))
         return result
     table = times(
         times(about(2, world.azimuth + angles[0]), about(0, angles[1])), about(2, angles[2])
     )
-    return times(base, table)
+    return table if world.tilt == LEVEL else times(leaning(world), table)
+
+
+def leaning(world: World) -> Matrix:
+    """The table's base to east, north, up."""
+    return times(about(0, world.tilt[0]), about(1, world.tilt[1]))
 
 
 def place(angles: Vector, world: World, arm: Vector) -> Vector:
@@ -331,7 +348,7 @@ def place(angles: Vector, world: World, arm: Vector) -> Vector:
     p = applied(about(2, angles[2]), arm)
     p = applied(about(0, angles[1]), _sum(world.misses[1], p))
     p = applied(about(2, world.azimuth + angles[0]), _sum(world.misses[0], p))
-    return applied(times(about(0, world.tilt[0]), about(1, world.tilt[1])), p)
+    return applied(leaning(world), p)
 
 
 def joint_turned(axis: int, reads: float, flaw: Flaw) -> Matrix:
@@ -459,34 +476,32 @@ def _record_imu(recording: Recording, world: World, unit: Unit, draw: random.Ran
     sums = [0.0] * 6
     told = [0] * 6
     pulses = [unit.gyro_pulse] * 3 + [unit.accel_pulse] * 3
-    walks = [unit.gyro_walk] * 3 + [unit.accel_walk] * 3
+    walks = [w * math.sqrt(dt) for w in [unit.gyro_walk] * 3 + [unit.accel_walk] * 3]
+    changes = unit.gyro_growth or unit.accel_growth or any(unit.gyro_drift + unit.accel_drift)
+    given: tuple[Vector, Vector] | None = None
     for k, (turned, _, _, _) in enumerate(felt(world, unit.rate)):
         _, pushed, middle, motion = afterwards[k]
-        beyond = [NOTHING] * 3
-        if middle is not None:
-            beyond = moved.on(middle, earth, motion, (k + 1) * dt - unit.late)
-        outputs = _answer(unit.gyro_m, unit.gyro_d, turned, dt)
-        if any(map(any, beyond)):
-            # Each accelerometer feels all three components where it is.
-            outputs += [
-                _answer(unit.accel_m, unit.accel_d, _sum(pushed, more), dt)[c]
-                for c, more in enumerate(beyond)
-            ]
-        else:
-            outputs += _answer(unit.accel_m, unit.accel_d, pushed, dt)
-        since = (k + 0.5) * dt
-        for c in range(3):
-            g, a = outputs[c], outputs[3 + c]
-            g += unit.gyro_growth * since * (g - unit.gyro_d[c] * dt)
-            a += unit.accel_growth * since * (a - unit.accel_d[c] * dt)
-            outputs[c] = g + unit.gyro_drift[c] * since * dt
-            outputs[3 + c] = a + unit.accel_drift[c] * since * dt
-        if unit.terms is not None:
-            added = _added(unit.terms, turned, pushed, dt)
-            outputs = [a + b for a, b in zip(outputs, added, strict=True)]
+        # Samples at rest are given the same, and answer the same but for what changes with time.
+        if middle is not None or given is None or given[0] is not turned or given[1] is not pushed:
+            given = (turned, pushed) if middle is None else None
+            beyond = [NOTHING] * 3
+            if middle is not None:
+                beyond = moved.on(middle, earth, motion, (k + 1) * dt - unit.late)
+            answers = _answer(unit.gyro_m, unit.gyro_d, turned, dt)
+            if any(map(any, beyond)):
+                # Each accelerometer feels all three components where it is.
+                answers += [
+                    _answer(unit.accel_m, unit.accel_d, _sum(pushed, more), dt)[c]
+                    for c, more in enumerate(beyond)
+                ]
+            else:
+                answers += _answer(unit.accel_m, unit.accel_d, pushed, dt)
+            added = [0.0] * 6 if unit.terms is None else _added(unit.terms, turned, pushed, dt)
+        outputs = _changed(answers, unit, (k + 0.5) * dt, dt) if changes else answers
+        outputs = [a + b for a, b in zip(outputs, added, strict=True)]
         counted = []
         for c in range(6):
-            sums[c] += outputs[c] + walks[c] * math.sqrt(dt) * draw.gauss(0, 1)
+            sums[c] += outputs[c] + walks[c] * draw.gauss(0, 1)
             total = math.floor(sums[c] / pulses[c])
             if unit.counts:
                 total = math.floor(sums[c] / dt / pulses[c] + 0.5)
@@ -537,7 +552,7 @@ class Moved:
             way = tuple(b - a for a, b in zip(self.places[c], places[c], strict=True))
             faster = tuple(b - a for a, b in zip(self.speeds[c], speeds[c], strict=True))
             coriolis = tuple(2 * v for v in _cross(earth, way))  # type: ignore[arg-type]
-            felt.append(applied(transposed(middle), _sum(faster, coriolis)))  # type: ignore[arg-type]
+            felt.append(seen(middle, _sum(faster, coriolis)))  # type: ignore[arg-type]
         self.places, self.speeds = places, speeds
         return felt
 
@@ -587,19 +602,17 @@ def _felt(
     world: World, attitudes: tuple[Matrix, Matrix, Matrix], earth: Vector, dt: float
 ) -> tuple[Vector, Vector]:
     """Integrals of angular rate and specific force over a sample, body axes."""
-    first, middle, last = attitudes
+    first, _, last = attitudes
     table = rotation_vector(times(transposed(first), last))
     # The Earth turns the east-north-up frame: Simpson's rule of its rate in body axes.
-    turned = [0.0] * 3
-    pushed = [0.0] * 3
-    for r, weight in ((first, 1 / 6), (middle, 4 / 6), (last, 1 / 6)):
-        body = transposed(r)
-        w, f = applied(body, earth), applied(body, (0.0, 0.0, world.gravity))
-        for c in range(3):
-            turned[c] += weight * w[c] * dt
-            pushed[c] += weight * f[c] * dt
-    for c in range(3):
-        turned[c] += table[c]
+    up = (0.0, 0.0, world.gravity)
+    rates = [seen(r, earth) for r in attitudes]
+    forces = [seen(r, up) for r in attitudes]
+    turned, pushed = (
+        [a / 6 * dt + 4 / 6 * b * dt + c / 6 * dt for a, b, c in zip(*three, strict=True)]
+        for three in (rates, forces)
+    )
+    turned = [t + by_table for t, by_table in zip(turned, table, strict=True)]
     return tuple(turned), tuple(pushed)  # type: ignore[return-value]
 
 
@@ -610,6 +623,20 @@ def _cross(a: Vector, b: Vector) -> Vector:
 def _answer(m: Matrix, d: Vector, given: Vector, dt: float) -> list[float]:
     extra = applied(m, given)
     return [given[c] + extra[c] + d[c] * dt for c in range(3)]
+
+
+def _changed(answers: list[float], unit: Unit, since: float, dt: float) -> list[float]:
+    """What the answers have become so long after the start."""
+    outputs = []
+    for c, answer in enumerate(answers):
+        growth, bias, drift = (
+            (unit.gyro_growth, unit.gyro_d, unit.gyro_drift)
+            if c < 3
+            else (unit.accel_growth, unit.accel_d, unit.accel_drift)
+        )
+        grown = answer + growth * since * (answer - bias[c % 3] * dt)
+        outputs.append(grown + drift[c % 3] * since * dt)
+    return outputs
 
 
 def _added(terms: Terms, turned: Vector, pushed: Vector, dt: float) -> list[float]:

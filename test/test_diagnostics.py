@@ -18,6 +18,7 @@ try:
     from imu_calib.nodes.diagnostics import Diagnostics, Level
     from imu_calib.nodes.stand_node import StandNode
     from imu_calib.nodes.turntable_node import TurntableNode
+    from imu_calib.simulation.hardware import SimulatedHardware
 except ImuCalibError as error:
     pytest.skip(str(error), allow_module_level=True)
 
@@ -137,6 +138,24 @@ def test_the_table_says_where_it_is_and_what_it_does(wire):
     assert figures['joint middle'] == '0.0000 deg, 0.000 deg/s'
     assert heard[name][-1].message == 'Nothing is started.'
     assert heard[name][-1].hardware_id == 'three_axis'
+
+
+def test_a_table_that_rests_and_is_led_lives_in_longer_steps(wire, monkeypatch):
+    advance, steps, made = SimulatedHardware.advance, [], []
+
+    def noted(self, seconds):
+        steps.append(seconds)
+        return advance(self, seconds)
+
+    monkeypatch.setattr(SimulatedHardware, 'advance', noted)
+    _, spin = wire(lambda: made.append(StandNode()) or made[0], port=free_port())
+    pace = made[0]._pace
+    assert spin(lambda: len(steps) > 2)
+    assert set(steps) == {0.1}
+    # Setpoints come; then the table is held.
+    assert spin(lambda: pace.lead(0.0) or steps[-1] == 0.2)
+    pace.follow_the_wall()
+    assert spin(lambda: steps[-1] == 0.1)
 
 
 def test_a_node_speaks_every_second_and_at_once_when_it_gets_worse(wire):

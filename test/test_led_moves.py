@@ -358,7 +358,7 @@ def fitting() -> Moves:
     velocity = (forces @ MODEL.accel.response.T + MODEL.accel.bias) * SECONDS[:, None]
     steps = VelocitySteps(velocity, np.zeros((4, 3)), np.zeros(3))
     links = (replace(moves.links[0], move=replace(moves.links[0].move, velocity_steps=steps)),)
-    return replace(moves, links=links, attitudes=attitudes, _memo={})
+    return replace(moves, links=links, attitudes=attitudes)
 
 
 def quotient(moves: Moves, changed: Any, step: float) -> Floats:
@@ -410,7 +410,7 @@ def test_slopes_by_the_clock_are_difference_quotients(counted: bool) -> None:
         steps = replace(one.velocity_steps, velocity=one.velocity_steps.velocity * more)
         faster = replace(one, seconds=seconds, turned=one.turned * more, velocity_steps=steps)
         links = (replace(m.links[0], move=faster),)
-        return replace(m, links=links, _memo={}).misclosures(MODEL, EARTH, FORCE)
+        return replace(m, links=links).misclosures(MODEL, EARTH, FORCE)
 
     slope = quotient(moves, changed, 1e-5)[0]
     found = moves.by_clock(MODEL, FORCE, counted=counted)[0]
@@ -432,7 +432,7 @@ def test_slopes_by_attitudes_are_difference_quotients() -> None:
             def changed(m: Moves, h: float, end: int = end, k: int = k) -> Floats:
                 attitudes = m.attitudes.copy()
                 attitudes[end] = attitudes[end] @ expm(cross(np.eye(3)[k]) * h)
-                return replace(m, attitudes=attitudes, _memo={}).misclosures(MODEL, EARTH, FORCE)
+                return replace(m, attitudes=attitudes).misclosures(MODEL, EARTH, FORCE)
 
             slope = quotient(moves, changed, 1e-5)[0]
             found = moves.by_attitudes(MODEL, leaning)[0, :, 0]
@@ -514,3 +514,16 @@ def test_the_last_four_models_are_remembered() -> None:
     assert moves.paths(models[0]) is first
     moves.paths(models[4])
     assert moves.paths(models[0]) is not first
+
+
+def test_accelerometers_lead_no_gyros_elsewhere_unless_these_feel_force() -> None:
+    other = replace(MODEL, accel=Triad(2 * MODEL.accel.error_matrix, np.full(3, 2e-2)))
+    moves = linked(move())
+    assert moves.paths(other) is moves.paths(MODEL)
+    ((thrust,), (others,)) = (moves.velocity_increments(m) for m in (MODEL, other))
+    assert thrust is not None
+    assert others is not None
+    assert not np.array_equal(thrust.velocity, others.velocity)
+    felt, others_felt = (replace(m, g_sensitivity=np.eye(3) * 1e-4) for m in (MODEL, other))
+    assert moves.paths(felt) is not moves.paths(others_felt)
+    assert moves.paths(felt) is not moves.paths(MODEL)

@@ -264,7 +264,7 @@ def test_a_clock_that_is_faster_shortens_moves(counted: bool) -> None:
         move = replace(move, turned=move.turned * less, seconds=seconds, velocity_steps=gained)
         links.append(replace(link, move=move))
     world = SITE.earth_rate, SITE.specific_force
-    off = replace(led, links=tuple(links), _memo={}).misclosures(model, *world) - led.misclosures(
+    off = replace(led, links=tuple(links)).misclosures(model, *world) - led.misclosures(
         model, *world
     )
     slope = led.by_clock(model, SITE.specific_force, counted=counted)

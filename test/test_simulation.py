@@ -22,6 +22,7 @@ from imu_calib.simulation import (
     SimulatedImu,
     SimulatedStand,
     SimulatedTable,
+    SimulatedUnit,
     StandOptions,
     TableOptions,
     ThermalDrift,
@@ -30,6 +31,7 @@ from imu_calib.simulation import (
     simulate,
 )
 from imu_calib.simulation.frames import FRAME, crc16, pack, unpack
+from imu_calib.simulation.hardware import SimulatedHardware
 from imu_calib.simulation.tracks import trapezoid
 from imu_calib.stream import Floats, ImuBlock, Mode, Setpoint, Units
 from imu_calib.turntable import Joint, Table, load_table
@@ -774,3 +776,19 @@ def test_hold_is_obeyed_however_old_its_stamp_is(age):
     table.command(hold, 1.2)
     assert table.rest_time <= 1.2 + braking
     assert table.advance(5.0).angles[0] < 90 * DEG
+
+
+def test_hardware_rests_until_a_setpoint_moves_it() -> None:
+    unit = SimulatedUnit('', PULSES, SensorModel(), np.eye(3), (0.0, 0.0, 0.0), None)
+    hardware = SimulatedHardware(THREE_AXIS, [unit], SITE, StandOptions(start_time=0), 0)
+    rested = []
+    for _ in range(100):
+        rested.append(hardware.rests)
+        if hardware.time > 1.0:
+            hardware.command(setpoint(Mode.POSITION, hardware.time, angles=(0, 30, 0)))
+        joints = hardware.advance(0.1).joints
+        assert rested[-1] or joints.velocity.any()
+    assert rested[0]
+    assert not all(rested)
+    assert rested[-1]
+    assert not joints.velocity.any()

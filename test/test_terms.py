@@ -118,6 +118,7 @@ def test_the_commands_take_terms_from_simulation_to_firmware(
     monkeypatch.chdir(tmp_path)
     truth = SHIPPED[0]
     text = (share_folder() / 'config' / 'plans' / 'twelve_position.yaml').read_text()
+    text = re.sub(r'rates: \[.*\]', 'rates: [20 deg/s, -20 deg/s, 60 deg/s, -60 deg/s]', text)
     (tmp_path / 'short.yaml').write_text(text.replace('dwell: 120 s', 'dwell: 25 s'))
 
     def run(*words: str, code: int = 0) -> str:

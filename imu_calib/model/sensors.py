@@ -240,6 +240,15 @@ class SensorModel:
         """Return what is the same of models that answer alike: a term of zeros is none."""
         return self._flat().tobytes()
 
+    def gyros_fingerprint(self) -> bytes:
+        """Return what is the same of models whose gyros answer alike, whatever is felt.
+
+        With terms the answers are inverted together: rounding of one triad may reach the other.
+        """
+        if self.linear and not self.gyros_feel_force:
+            return self.gyro.vector().tobytes()
+        return self.fingerprint()
+
     def _flat(self) -> Floats:
         """Return all that there can be, in the order of `_ALL`."""
         flat = np.zeros(len(_ALL))

@@ -16,10 +16,11 @@ Source: docs/mathematics.md, 'Moves' and 'Velocities of moves'; the strapdown eq
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -53,10 +54,11 @@ dwell's: beyond it a move adds less than a hundredth to what the dwell before it
 _LEVEL = np.array([1.0, 1.0, 0.0])
 """What a rotation of the axes makes of gravity: nothing along it."""
 
-
 _REMEMBERED = 4
 """Models by which the moves are led on and kept: a search looks at two solutions by turns, and at
 the step to the next from either."""
+
+Led = TypeVar('Led')
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +96,9 @@ class Moves:
     attitudes: Floats
     gravity: float
     rough: RoughAnswers | None = None
-    _memo: dict[bytes, tuple[tuple[GyroPath, ...], tuple[VelocityIncrement | None, ...]]] = field(
-        default_factory=dict, repr=False
+    _paths: dict[bytes, tuple[GyroPath, ...]] = field(default_factory=dict, init=False, repr=False)
+    _thrusts: dict[bytes, tuple[VelocityIncrement | None, ...]] = field(
+        default_factory=dict, init=False, repr=False
     )
 
     @classmethod
@@ -164,36 +167,27 @@ class Moves:
 
     def paths(self, model: SensorModel) -> tuple[GyroPath, ...]:
         """Return the moves as a model's gyros see them."""
-        return self._led(model)[0]
+        return _remembered(self._paths, model.gyros_fingerprint(), lambda: self._led(model))
 
     def velocity_increments(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
         """Return what a model's accelerometers gained; None where they do not count."""
-        return self._led(model)[1]
+        return _remembered(self._thrusts, model.fingerprint(), lambda: self._gained(model))
 
-    def _led(
-        self, model: SensorModel
-    ) -> tuple[tuple[GyroPath, ...], tuple[VelocityIncrement | None, ...]]:
-        """Lead the moves on; those of the last few models are kept.
+    def _led(self, model: SensorModel) -> tuple[GyroPath, ...]:
+        """Lead the moves on."""
+        motions = [
+            (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
+            for k in self.links
+        ]
+        return GyroPath.of_each(motions, model)
 
-        A term whose coefficients are zero leads nowhere else than none.
-        """
-        key = model.fingerprint()
-        if key not in self._memo:
-            if len(self._memo) == _REMEMBERED:
-                del self._memo[next(iter(self._memo))]
-            motions = [
-                (k.move.turned, k.move.seconds, self.gravity * self.attitudes[k.second, 2])
-                for k in self.links
-            ]
-            paths = GyroPath.of_each(motions, model)
-            gained = [link.move.velocity_steps for link in self.links]
-            known = [one for one in gained if one is not None]
-            felt = iter(
-                VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model)
-            )
-            thrusts = tuple(None if one is None else next(felt) for one in gained)
-            self._memo[key] = paths, thrusts
-        return self._memo[key]
+    def _gained(self, model: SensorModel) -> tuple[VelocityIncrement | None, ...]:
+        """Sum up what the accelerometers felt on the way."""
+        paths = self.paths(model)
+        gained = [link.move.velocity_steps for link in self.links]
+        known = [one for one in gained if one is not None]
+        felt = iter(VelocityIncrement.of_each(known, [paths[k] for k in self.with_accels], model))
+        return tuple(None if one is None else next(felt) for one in gained)
 
     def _pushes(
         self, model: SensorModel
@@ -422,6 +416,18 @@ class Moves:
         """Squares of what a rotation of the axes at the end makes of e and of R_b v, (m, 6)."""
         along = [_LEVEL * (self.gravity * seconds) ** 2 for seconds in self._seconds]
         return np.hstack([np.ones((len(self), 3)), np.array(along).reshape(-1, 3)])
+
+
+def _remembered(memo: dict[bytes, Led], key: bytes, worked_out: Callable[[], Led]) -> Led:
+    """Return what is remembered of a model, or what is worked out: the oldest is forgotten.
+
+    A term whose coefficients are zero leads nowhere else than none.
+    """
+    if key not in memo:
+        if len(memo) == _REMEMBERED:
+            del memo[next(iter(memo))]
+        memo[key] = worked_out()
+    return memo[key]
 
 
 def _telling(move: Move, rounding: Floats, rest: Segment, walk: Floats) -> Move:

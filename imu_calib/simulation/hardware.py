@@ -92,6 +92,11 @@ class SimulatedHardware:
         return self._table.advance(self.time)
 
     @property
+    def rests(self) -> bool:
+        """Whether the table rests, until a setpoint moves it."""
+        return self._table.rest_time <= self.time
+
+    @property
     def frames(self) -> tuple[int, ...]:
         """How many frames each IMU has made, those included that were not sent."""
         return tuple(line.frames for line in self._lines)

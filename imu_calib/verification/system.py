@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import scipy
@@ -122,10 +123,13 @@ class TriadSystem:
 
     @cached_property
     def evidence(self) -> Evidence:
-        """The session as it is read."""
+        """The session as it is read: one for all systems that read it alike, with what it knows."""
         factors = np.ones(6)
         factors[self.sensors.channels] = self.reading
-        return self.observed.evidence.scaled(factors)
+        known, key = self.observed.evidence.cache, ('read', tuple(factors.tolist()))
+        if key not in known:
+            known[key] = self.observed.evidence.scaled(factors)
+        return cast(Evidence, known[key])
 
     @cached_property
     def outputs(self) -> Floats:
@@ -239,8 +243,10 @@ class TriadSystem:
         """The system without moves, which are not linear in what is far off."""
         if not len(self.evidence.links):
             return self
-        evidence = replace(self.observed.evidence, moves=())
-        return replace(self, observed=replace(self.observed, evidence=evidence))
+        known, key = self.observed.evidence.cache, 'without moves'
+        if key not in known:
+            known[key] = replace(self.observed, evidence=self.observed.evidence.with_moves(()))
+        return replace(self, observed=cast(Observed, known[key]))
 
     def fit(self, values: Floats, factor: Floats) -> Fit:
         """Explain the session by a model whose parameters have errors.
