@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, BinaryIO, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -23,12 +23,12 @@ from .remote import RemotePath
 from .storage import Losses, RecordingError
 
 if TYPE_CHECKING:
-    from io import BufferedIOBase
+    from io import BufferedIOBase, FileIO
 
     from ..cdr.messages import Bytes, Indices
     from .remote import AnyPath
 
-    ByteFile: TypeAlias = BinaryIO | BufferedIOBase
+    ByteFile: TypeAlias = FileIO | BufferedIOBase
 
 _WINDOW = 1 << 22
 """Bytes read at once of messages that lie in no chunk."""
