@@ -105,7 +105,7 @@ class McapStorage:
         return topics
 
     @property
-    def custom_data(self) -> dict[str, str]:
+    def custom_data(self) -> Mapping[str, str]:
         """Contents of the metadata records; rosbag2's own record counts with its custom data."""
         merged: dict[str, str] = {}
         for name, pairs in self._catalogue.metadata.items():

@@ -192,7 +192,7 @@ class Storage(Protocol):
     end_ns: int | None
 
     @property
-    def custom_data(self) -> dict[str, str]:
+    def custom_data(self) -> Mapping[str, str]:
         """Entries that the recorder left in the file."""
 
     @property

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..budget import Source
@@ -22,6 +21,7 @@ from ..earth import EARTH_RATE
 from ..errors import NotObservable
 from ..estimation.converge import least_squares
 from ..imu import TriadSpec
+from ..late import scipy
 from ..model import Parameter, Triad
 from ..observation.components import Component, Diagonal
 from ..observation.equations import Equations
