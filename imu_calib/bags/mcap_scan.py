@@ -229,12 +229,12 @@ class _Scanner:
         channel, size = struct.unpack_from('<HI', head)
         if self.found.chunks and size == length - INDEX_HEAD and size % 16 == 0:
             chunk = self.found.chunks[-1]
-            index = {
-                **(chunk.index or {}),
-                channel: (position + RECORD_HEAD + INDEX_HEAD, size // 16),
-            }
-            counts = {key: count for key, (_, count) in index.items()}
-            self.found.chunks[-1] = replace(chunk, index=index, counts=counts)
+            index, counts = chunk.index, chunk.counts
+            if index is None or counts is None:
+                index, counts = {}, {}
+                self.found.chunks[-1] = replace(chunk, index=index, counts=counts)
+            index[channel] = position + RECORD_HEAD + INDEX_HEAD, size // 16
+            counts[channel] = size // 16
         return following
 
     def _unchunked(self, position: int) -> int | None:
