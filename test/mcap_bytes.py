@@ -6,6 +6,8 @@ import struct
 import zlib
 from dataclasses import dataclass, field
 
+from imu_calib.bags.codec import compressor
+
 MAGIC = b'\x89MCAP0\r\n'
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX = range(1, 9)
 STATISTICS, METADATA, METADATA_INDEX, OFFSET, DATA_END = 0x0B, 0x0C, 0x0D, 0x0E, 0x0F
@@ -53,12 +55,17 @@ def index(key: int, entries: list[tuple[int, int]]) -> bytes:
 
 
 def chunk(
-    content: bytes, times: tuple[int, int] = (0, 0), size: int | None = None, crc: int | None = None
+    content: bytes,
+    times: tuple[int, int] = (0, 0),
+    size: int | None = None,
+    crc: int | None = None,
+    compression: str = '',
 ) -> bytes:
-    """Build a chunk that is not compressed; its size and checksum as told, else the true ones."""
+    """Build a chunk; its size and checksum as told, else the true ones."""
     crc = zlib.crc32(content) if crc is None else crc
     head = struct.pack('<QQQI', *times, len(content) if size is None else size, crc)
-    return record(CHUNK, head + text('') + struct.pack('<Q', len(content)) + content)
+    stored = compressor(compression)(content)
+    return record(CHUNK, head + text(compression) + struct.pack('<Q', len(stored)) + stored)
 
 
 @dataclass
@@ -76,6 +83,7 @@ class Chunked:
     entries: list[bytes] = field(default_factory=list)
     counts: dict[int, int] = field(default_factory=dict)
     described: bytes = schema(1, 'a_msgs/msg/A') + channel(1, 1, '/a') + channel(2, 1, '/b')
+    compression: str = ''
 
     def describe(self) -> Chunked:
         self.content += self.described
@@ -83,7 +91,8 @@ class Chunked:
 
     def add(self, *messages: tuple[int, int, bytes], before: bytes = b'') -> Chunked:
         """Add a chunk of messages by channel, time and data, and their index."""
-        inside, listed = before, {}
+        inside = before
+        listed: dict[int, list[tuple[int, int]]] = {}
         for key, log, data in messages:
             listed.setdefault(key, []).append((log, len(inside)))
             inside += message(key, log, data)
@@ -93,15 +102,16 @@ class Chunked:
     def add_raw(
         self, inside: bytes, times: tuple[int, int], listed: dict[int, list[tuple[int, int]]]
     ) -> Chunked:
-        start, whole = len(self.content), chunk(inside, times)
+        whole = chunk(inside, times, compression=self.compression)
+        start, stored = len(self.content), len(whole) - len(chunk(b'')) - len(self.compression)
         offsets, indexes = b'', b''
         for key, some in listed.items():
             offsets += struct.pack('<HQ', key, start + len(whole) + len(indexes))
             indexes += index(key, some)
             self.counts[key] = self.counts.get(key, 0) + len(some)
         place = struct.pack('<QQQQ', *times, start, len(whole)) + block(offsets)
-        place += struct.pack('<Q', len(indexes)) + text('')
-        self.entries.append(record(CHUNK_INDEX, place + struct.pack('<QQ', *[len(inside)] * 2)))
+        place += struct.pack('<Q', len(indexes)) + text(self.compression)
+        self.entries.append(record(CHUNK_INDEX, place + struct.pack('<QQ', stored, len(inside))))
         self.content += whole + indexes
         self.places.append((start, start + len(whole), len(self.content)))
         return self

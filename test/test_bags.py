@@ -40,7 +40,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin, Writer
 
-from imu_calib.bags import RecordingError, RecordingWriter, Topic, mcap, open_recording
+from imu_calib.bags import RecordingError, RecordingWriter, Topic, mcap, mcap_chunk, open_recording
 from imu_calib.bags.merge import STRETCH_NS
 from imu_calib.bags.storage import Cache
 from imu_calib.cdr import Messages, encode_imu, part
@@ -258,7 +258,7 @@ def test_temporary_files_are_removed(tmp_path, monkeypatch):
     assert not list((tmp_path / 'scratch').iterdir())
 
 
-def test_memory_does_not_grow_with_the_length(tmp_path):
+def test_memory_does_not_grow_with_the_length(tmp_path, monkeypatch):
     def peak(seconds):
         path = write_own(tmp_path / str(seconds), {IMU: session(seconds, 400)[IMU]})
         tracemalloc.start()
@@ -269,6 +269,8 @@ def test_memory_does_not_grow_with_the_length(tmp_path):
         tracemalloc.stop()
         return size
 
+    # Twelve seconds are one stretch of what is loaded as one, fifty are four.
+    monkeypatch.setattr(mcap_chunk, 'TOGETHER', 2 << 20)
     assert peak(50) < 1.5 * peak(12)
 
 
@@ -419,25 +421,23 @@ def test_chunks_are_held_until_all_have_read_them_and_within_a_limit():
 def test_the_next_compressed_chunks_are_unpacked_while_one_is_decoded(tmp_path, monkeypatch):
     """Who waits for the thread that unpacks a chunk unpacks the one after."""
     path = write_own(tmp_path / 'bag', compression='zstd', chunk_bytes=1 << 12)
-    unpack, here = mcap.decompressor, threading.get_ident()
+    monkeypatch.setattr(mcap_chunk, 'TOGETHER', 1 << 12)
+    unpack, here = mcap._unpacked, threading.get_ident()
     begun, helped = threading.Event(), threading.Event()
     by_this_one = []
 
-    def noted(name):
-        def unpacked(content):
-            if threading.get_ident() == here:
-                by_this_one.append(begun.is_set())
-                # The first one, which nobody has begun, and one that the thread has not come to.
-                if len(by_this_one) == 2:
-                    helped.set()
-            elif not begun.is_set():
-                begun.set()
-                assert helped.wait(60.0)
-            return unpack(name)(content)
+    def noted(*chunk):
+        if threading.get_ident() == here:
+            by_this_one.append(begun.is_set())
+            # The first one, which nobody has begun, and one that the thread has not come to.
+            if len(by_this_one) == 2:
+                helped.set()
+        elif not begun.is_set():
+            begun.set()
+            assert helped.wait(60.0)
+        return unpack(*chunk)
 
-        return unpacked
-
-    monkeypatch.setattr(mcap, 'decompressor', noted)
+    monkeypatch.setattr(mcap, '_unpacked', noted)
     with open_recording(path) as recording:
         blocks = iter(recording.read({IMU: KINDS[IMU]}))
         next(blocks)

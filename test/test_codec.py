@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import types
 
 import pytest
 from backports import zstd
@@ -57,3 +58,32 @@ def test_a_missing_package_is_named(monkeypatch, compression):
 def test_an_unknown_compression_is_named():
     with pytest.raises(InputError, match="Unknown compression 'brotli'"):
         codec.decompressor('brotli')
+
+
+@pytest.fixture(params=['zstd', 'lz4'])
+def compression(request):
+    return request.param
+
+
+@pytest.mark.parametrize('size', [1, codec._PIECE, 3 * codec._PIECE + 1])
+def test_a_block_of_known_size_unpacks_into_memory(compression, size):
+    content = (CONTENT * 9)[:size]
+    memory = memoryview(bytearray(size + 1))
+    packed = codec.compressor(compression)(content)
+    assert codec.unpacked_into(memory[:size], packed, compression)
+    assert bytes(memory) == content + b'\0'
+
+
+def test_a_block_that_is_no_sound_frame_of_its_size_is_left_to_others(compression):
+    packed = codec.compressor(compression)(CONTENT)
+    for size in (len(CONTENT) - 1, len(CONTENT) + 1, 0):
+        assert not codec.unpacked_into(memoryview(bytearray(size)), packed, compression)
+    memory = memoryview(bytearray(len(CONTENT)))
+    for other in (packed[:-1], packed + packed, packed + b'x', packed[:9] + b'\xff' * 99, b''):
+        assert not codec.unpacked_into(memory, other, compression)
+
+
+def test_zstandard_unpacks_at_once(monkeypatch):
+    fake = types.SimpleNamespace(__name__='zstandard', ZstdError=ValueError)
+    monkeypatch.setattr(codec, '_zstd', lambda: fake)
+    assert not codec.unpacked_into(memoryview(bytearray(9)), b'', 'zstd')

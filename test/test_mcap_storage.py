@@ -27,17 +27,11 @@ from mcap_bytes import (
     text,
 )
 
-from imu_calib.bags import mcap
-from imu_calib.bags.mcap import (
-    McapStorage,
-    Placed,
-    Unpacked,
-    _indexed,
-    _read_with_index,
-    _with_checksum,
-)
-from imu_calib.bags.mcap_chunk import Chunk, chunk_at
-from imu_calib.bags.storage import Cache, Losses, MessageBatch
+from imu_calib.bags import mcap, mcap_chunk
+from imu_calib.bags.mcap import McapStorage, Unpacked, _tables, _with_checksum
+from imu_calib.bags.mcap_chunk import Chunk, chunk_at, stretches
+from imu_calib.bags.mcap_places import Part, Placed, indexed, located
+from imu_calib.bags.storage import Cache, Losses, Memory, MessageBatch
 from imu_calib.cdr.messages import Bytes
 
 NS = 1_000_000_000
@@ -70,11 +64,14 @@ FIRST = (1, 11 * NS, b'x'), (2, 10 * NS, b'yy'), (1, 12 * NS, b'')
 SECOND = (2, 14 * NS, b''), (2, 13 * NS, b'z')
 
 
-def two() -> Chunked:
-    return Chunked().describe().add(*FIRST).add(*SECOND)
+def two(compression: str = '') -> Chunked:
+    return Chunked(compression=compression).describe().add(*FIRST).add(*SECOND)
 
 
-def test_messages_of_a_topic_come_chunk_by_chunk(opened: Open) -> None:
+def test_messages_of_a_topic_come_chunk_by_chunk(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_chunk, 'TOGETHER', 0)
     file = two()
     found = opened(file.summed_up())
     (only,) = found.batches('/a')
@@ -89,6 +86,41 @@ def test_messages_of_a_topic_come_chunk_by_chunk(opened: Open) -> None:
     assert second.times().log.tolist() == [14 * NS, 13 * NS]
     assert found.batches('/c') == []
     assert found.losses.sentences == []
+
+
+@pytest.mark.parametrize('compression', ['', 'lz4'])
+def test_small_chunks_are_loaded_as_one(
+    opened: Open, monkeypatch: pytest.MonkeyPatch, compression: str
+) -> None:
+    ranges = reads(monkeypatch)
+    file = two(compression)
+    found = opened(file.summed_up())
+    cursors = found.storage.cursors(frozenset({'/a', '/b'}), Cache(1 << 20))
+    ((a,), (b,)) = (list(cursors[topic]) for topic in ('/a', '/b'))
+    assert a.messages.payloads() == [b'x', b'']
+    assert b.messages.payloads() == [b'yy', b'', b'z']
+    assert (a.log_ns, b.log_ns) == (11 * NS, 10 * NS)
+    assert b.times().log.tolist() == [10 * NS, 14 * NS, 13 * NS]
+    assert a.position == b.position == file.places[1][1]
+    assert len(ranges) == 1
+    assert found.losses.sentences == []
+
+
+@pytest.mark.parametrize('compression', ['', 'lz4'])
+@pytest.mark.parametrize('lost', [0, 1])
+def test_of_chunks_that_are_loaded_as_one_the_sound_ones_are_used(
+    opened: Open, compression: str, lost: int
+) -> None:
+    file = two(compression)
+    content = bytearray(file.content)
+    start, end, _ = file.places[lost]
+    # The last stored byte is one of the last message, or of what marks the end of a frame.
+    content[end - 1] ^= 0xFF
+    found = opened(bytes(content) + END)
+    assert found.payloads('/b') == ([b'yy'] if lost else [b'', b'z'])
+    assert found.payloads('/a') == ([b'x', b''] if lost else [])
+    (said,) = found.losses.sentences
+    assert said.startswith(f'a.mcap: the chunk at byte {start} ')
 
 
 def test_when_a_message_was_published_is_beside_when_it_was_logged(opened: Open) -> None:
@@ -144,9 +176,9 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     ranges: list[tuple[int, int]] = []
     read = mcap._read
 
-    def noted(file: Any, position: int, size: int) -> memoryview:
+    def noted(file: Any, position: int, size: int, *memory: Any) -> memoryview:
         ranges.append((position, size))
-        return read(file, position, size)
+        return read(file, position, size, *memory)
 
     monkeypatch.setattr(mcap, '_read', noted)
     return ranges
@@ -201,7 +233,10 @@ class Asked(Cache):
         return super().get(key, load, users)
 
 
-def test_a_chunk_is_asked_for_by_those_whose_messages_it_holds(opened: Open) -> None:
+def test_a_chunk_is_asked_for_by_those_whose_messages_it_holds(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_chunk, 'TOGETHER', 0)
     file, cache = two(), Asked()
     storage = opened(file.summed_up()).storage
     for cursor in storage.cursors(frozenset({'/a', '/b', '/c'}), cache).values():
@@ -223,12 +258,17 @@ def tables(*rows: tuple[int, int, int]) -> dict[int, np.ndarray]:
     return {k: np.array([row[1:] for row in rows if row[0] == k], np.int64) for k in keys}
 
 
+def indexed_alone(index: dict[int, np.ndarray], buffer: Bytes) -> dict[int, Placed] | None:
+    """Find the messages of a chunk that has the buffer for itself."""
+    return indexed([Part('a chunk', 0, len(buffer), index)], buffer)
+
+
 SOUND = [(1, 50, PLACES[0]), (2, 51, PLACES[1]), (1, 52, PLACES[2]), (2, 53, PLACES[3])]
 
 
 @pytest.mark.parametrize('order', [[0, 1, 2, 3], [2, 1, 0, 3], [3, 2, 1, 0]])
 def test_an_index_in_any_order_gives_messages_in_that_of_the_file(order: list[int]) -> None:
-    found = _indexed(tables(*(SOUND[k] for k in order)), BUFFER)
+    found = indexed_alone(tables(*(SOUND[k] for k in order)), BUFFER)
     assert found is not None
     for key, k in ((1, 0), (2, 1)):
         assert found[key].offset.tolist() == [PLACES[k] + HEAD, PLACES[k + 2] + HEAD]
@@ -245,7 +285,7 @@ def test_an_index_is_complete_with_or_without_records_of_other_kinds() -> None:
         one, other = message(1, 5, b'abc'), message(1, 6)
         content = before + one + between + other + after
         rows = (1, 5, len(before)), (1, 6, len(before + one + between))
-        found = _indexed(tables(*rows), np.frombuffer(content, np.uint8))
+        found = indexed_alone(tables(*rows), np.frombuffer(content, np.uint8))
         assert found is not None
         assert found[1].size.tolist() == [3, 0]
 
@@ -266,7 +306,7 @@ def test_an_index_is_complete_with_or_without_records_of_other_kinds() -> None:
     ],
 )
 def test_an_index_that_contradicts_the_chunk_is_not_used(rows: list[tuple[int, int, int]]) -> None:
-    assert _indexed(tables(*rows), BUFFER) is None
+    assert indexed_alone(tables(*rows), BUFFER) is None
 
 
 def with_length(content: bytes, place: int, length: int) -> Bytes:
@@ -275,12 +315,12 @@ def with_length(content: bytes, place: int, length: int) -> Bytes:
 
 
 def test_messages_that_overlap_or_are_too_short_are_none() -> None:
-    assert _indexed(tables(*SOUND), with_length(INSIDE, PLACES[1], 21)) is None
-    assert _indexed(tables(*SOUND), with_length(INSIDE, PLACES[1], 24)) is None
-    assert _indexed(tables(*SOUND), with_length(INSIDE, PLACES[3], 26)) is None
+    assert indexed_alone(tables(*SOUND), with_length(INSIDE, PLACES[1], 21)) is None
+    assert indexed_alone(tables(*SOUND), with_length(INSIDE, PLACES[1], 24)) is None
+    assert indexed_alone(tables(*SOUND), with_length(INSIDE, PLACES[3], 26)) is None
     # Too short by as much as another is too long.
     both = with_length(with_length(INSIDE, PLACES[0], 21).tobytes(), PLACES[1], 24)
-    assert _indexed(tables(*SOUND), both) is None
+    assert indexed_alone(tables(*SOUND), both) is None
 
 
 def test_what_lies_between_messages_is_whole_records() -> None:
@@ -293,7 +333,7 @@ def test_what_lies_between_messages_is_whole_records() -> None:
     ]:
         content = one + between + other
         rows = (1, 5, 0), (1, 6, len(one + between))
-        assert (_indexed(tables(*rows), np.frombuffer(content, np.uint8)) is not None) is sound
+        assert (indexed_alone(tables(*rows), np.frombuffer(content, np.uint8)) is not None) is sound
 
 
 def walked(opened: Open, inside: bytes) -> Opened:
@@ -414,16 +454,21 @@ def entries(*rows: tuple[int, int]) -> bytes:
     return b''.join(struct.pack('<qq', *row) for row in rows)
 
 
+def tables_of(given: Chunk, file: Noted) -> dict[int, list[list[int]]]:
+    """Read a chunk with what is near of its message index; return that."""
+    file.seek(given.start)
+    content = memoryview(file.read(given.reach - given.start))
+    found = _tables(given, content, given.start, file)
+    return {key: table.tolist() for key, table in found.items()}
+
+
 def test_a_chunk_and_the_index_behind_it_are_read_at_once() -> None:
     one, other = entries((1, 2), (3, 4)), entries((5, 6))
     content = b'..' + b'stored' + b'heads' + one + b'head' + other + b'rest'
     file = Noted(content)
     place = 2 + 6 + 5
     index = {7: (place, 2), 8: (place + 32 + 4, 1), 9: (place, 0)}
-    given = Chunk(0, 2, 6, 6, '', 0, 0, 0, index)
-    stored, found = _read_with_index(given, file)
-    assert bytes(stored) == b'stored'
-    assert {key: table.tolist() for key, table in found.items()} == {
+    assert tables_of(Chunk(2, 2, 6, 6, '', 0, 0, 0, index), file) == {
         7: [[1, 2], [3, 4]],
         8: [[5, 6]],
     }
@@ -432,16 +477,16 @@ def test_a_chunk_and_the_index_behind_it_are_read_at_once() -> None:
 
 def test_an_index_that_was_cut_is_read_up_to_its_last_whole_entry() -> None:
     content = b'stored' + entries((1, 2), (3, 4))[:-1]
-    _, found = _read_with_index(Chunk(0, 0, 6, 6, '', 0, 0, 0, {7: (6, 3)}), Noted(content))
-    assert found[7].tolist() == [[1, 2]]
+    given = Chunk(0, 0, 6, 6, '', 0, 0, 0, {7: (6, 3)})
+    assert tables_of(given, Noted(content)) == {7: [[1, 2]]}
 
 
 @pytest.mark.parametrize(('far', 'reads'), [(0, 1), (1, 2)])
 def test_an_index_far_behind_its_chunk_is_read_by_itself(far: int, reads: int) -> None:
     between = (1 << 20) - 16 + far
     file = Noted(b'stored' + bytes(between) + entries((1, 2)) + b'rest')
-    _, found = _read_with_index(Chunk(0, 0, 6, 6, '', 0, 0, 0, {7: (6 + between, 1)}), file)
-    assert found[7].tolist() == [[1, 2]]
+    given = Chunk(0, 0, 6, 6, '', 0, 0, 0, {7: (6 + between, 1)})
+    assert tables_of(given, file) == {7: [[1, 2]]}
     assert file.ranges[0] == (0, 6 if far else 6 + between + 16)
     assert file.ranges[1:] == [(6 + between, 16)] * (reads - 1)
 
@@ -451,10 +496,86 @@ def test_the_checksum_of_a_chunk_is_in_its_head() -> None:
     whole, _ = chunk_at(6, content[6 + 9 :])
     index = {1: (100, 2)}
     known = replace(whole, crc=None, index=index, counts={1: 2})
-    assert _with_checksum(known, Noted(content)) == replace(known, crc=zlib.crc32(b'inside'))
+    inside = memoryview(content)[6:]
+    assert _with_checksum(known, inside) == replace(known, crc=zlib.crc32(b'inside'))
     # Another chunk's head, and none at all, tell nothing.
     for other in (replace(known, end_ns=3), replace(known, start=7), replace(known, start=99)):
-        assert _with_checksum(other, Noted(content)).crc is None
+        assert _with_checksum(other, memoryview(content)[other.start :]).crc is None
+
+
+@pytest.mark.parametrize(
+    ('apart', 'other', 'expected'),
+    [
+        (0, '', [[0, 1], [2]]),
+        # A chunk of another compression, and one far behind what nobody wants.
+        (0, 'lz4', [[0], [1], [2]]),
+        (1 << 20, '', [[0, 1], [2]]),
+        ((1 << 20) + 1, '', [[0], [1], [2]]),
+        # Not one behind the other.
+        (-1, '', [[0], [1], [2]]),
+    ],
+)
+def test_chunks_that_lie_together_are_loaded_as_one(
+    monkeypatch: pytest.MonkeyPatch, apart: int, other: str, expected: list[list[int]]
+) -> None:
+    monkeypatch.setattr(mcap_chunk, 'TOGETHER', 20)
+    # The second one unpacks to less than is stored of it, the third is one byte too many.
+    chunks = [
+        Chunk(0, 5, 10, 10, '', 0, 0, 0),
+        Chunk(15 + apart, 20 + apart, 10, 1, other, 0, 0, 0),
+        Chunk(30 + apart, 35 + apart, 11, None, other, 0, 0, 0),
+    ]
+    found = [[chunks.index(chunk) for chunk in one.chunks] for one in stretches(chunks)]
+    assert found == expected
+
+
+def test_memory_is_lent_again_when_nobody_holds_anything_of_it() -> None:
+    memory = Memory()
+    lent = memory.lend(100)
+    place = lent.ctypes.data
+    held = np.frombuffer(lent.data[20:], np.uint8)[::2]
+    del lent
+    other = memory.lend(100)
+    assert other.ctypes.data != place
+    held[:] = 1
+    del held
+    again = memory.lend(104)
+    assert (len(again), again.ctypes.data) == (104, place)
+    # A block that is too small is given up for one that is not.
+    del again, other
+    assert len(memory.lend(1000)) == 1000
+
+
+def test_chunks_without_a_sound_index_are_walked_over_and_the_others_are_not() -> None:
+    one, other = message(1, 5, b'ab') + message(2, 6), message(1, 7, b'c')
+    buffer = np.frombuffer(b'..' + one + other + bytes(17) + one, np.uint8)
+    ends = np.cumsum([2, len(one), len(other) + 17, len(one)]).tolist()
+    of_one = tables((1, 5, 0), (2, 6, HEAD + 2))
+    parts = [
+        Part('first', ends[0], ends[1], of_one),
+        Part('second', ends[1], ends[2]),
+        Part('third', ends[2], ends[3], of_one),
+    ]
+    said: list[str] = []
+    found = located(parts, buffer, said.append)
+    assert found[1].offset.tolist() == [end + HEAD for end in ends[:3]]
+    assert found[1].size.tolist() == [2, 1, 2]
+    assert found[2].offset.tolist() == [end + 2 * HEAD + 2 for end in (ends[0], ends[2])]
+    assert (found[1].log_ns, found[2].log_ns) == (5, 6)
+    assert said == [
+        f'second holds no valid record at its byte {len(other)}; its other 17 bytes are left out.'
+    ]
+    # Entries of one chunk that lie in another are none, though messages are there.
+    astray = tables((1, 5, 0), (2, 6, HEAD + 2), (1, 7, len(one)))
+    two_of_them = [Part('first', 2, ends[1], astray), Part('second', ends[1], ends[2] - 17)]
+    assert indexed(two_of_them, buffer) is None
+    sound = [
+        Part('first', 2, ends[1], of_one),
+        Part('second', ends[1], ends[2] - 17, tables((1, 7, 0))),
+    ]
+    both = indexed(sound, buffer)
+    assert both is not None
+    assert both[1].size.tolist() == [2, 1]
 
 
 def test_a_chunk_in_memory_knows_what_it_takes() -> None:

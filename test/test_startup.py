@@ -17,6 +17,7 @@ from loopback import CHECKOUT, until
 from test_devices import NS, frame
 
 from imu_calib.cli import dispatch, listening, main, stand_session
+from imu_calib.cli.terminal import OUTPUT
 from imu_calib.cli.words import NothingComes, Words
 from imu_calib.devices import Reception, Severity, Source, choose_baud, load_format
 from imu_calib.devices.commands import Command, Commands
@@ -28,8 +29,9 @@ FOG = load_imu('fog_medium')
 OPEN = SourceState(True, False, 'It is open.')
 ENDED = SourceState(False, True, 'It was read to its end.')
 
-SLOW = ('scipy.special', 'scipy.linalg', 'scipy.optimize', 'scipy.stats', 'matplotlib')
-"""A quarter of a second of every command each, and none is used before something is solved."""
+SLOW = ('scipy', 'matplotlib')
+"""With what is used of them a quarter of a second each, and neither is before something is solved.
+"""
 
 RUNTIME = ('cyclonedds', 'rclpy')
 COMMANDS = sorted(dispatch.COMMANDS)
@@ -69,6 +71,14 @@ for words in ([], ['--help'], ['--version'], ['nonsense']):
         pass
 """
     assert not among(loaded(code), ['numpy', *(f'imu_calib.cli.{name}' for name in COMMANDS)])
+
+
+def test_a_command_makes_no_parser_of_another():
+    with pytest.raises(dispatch._WrongUsage, match=r"\(choose from '?info'?\)"):
+        dispatch.build_parser(['info']).parse_args(['plans'])
+    # Who names no command first gets all of them.
+    with pytest.raises(dispatch._WrongUsage, match='plans'):
+        dispatch.build_parser(['nonsense']).parse_args(['nonsense'])
 
 
 def test_every_command_of_the_help_has_its_options():
@@ -126,6 +136,7 @@ NEEDLESS = (
     'importlib.metadata',
     'jsonschema',
     'numpy.polynomial',
+    'rich._emoji_codes',
 )
 """Each takes about a hundredth of a second or more, and none is used to look into an .mcap."""
 
@@ -317,3 +328,8 @@ def test_a_port_that_does_not_open_yet_is_not_called_silent():
     assert stream(20.0, shut).severity is Severity.WARN
     assert stream(20.1, OPEN).severity is Severity.WARN
     assert stream(20.7, OPEN).severity is Severity.ERROR
+
+
+def test_a_word_between_colons_is_printed_as_it_is(capsys):
+    OUTPUT.print('/a:ring:b')
+    assert capsys.readouterr().out == '/a:ring:b\n'

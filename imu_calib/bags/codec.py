@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 _ZSTD_MODULES = ('compression.zstd', 'backports.zstd', 'zstandard')
 _BLOCK = 1 << 20
 """Bytes decompressed at once."""
+_PIECE = 1 << 17
+"""Bytes of a block of known size that are unpacked at once: few enough to be in the processor's
+cache when they are copied, and enough that the interpreter, which each piece needs, is seldom
+asked."""
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 
@@ -48,6 +52,41 @@ def decompressor(compression: str) -> Callable[[bytes | memoryview], bytes]:
             return _guarded(_zstandard_decompress(module))
         return _guarded(module.decompress)
     raise InputError(f'Unknown compression {compression!r}: expected none, lz4 or zstd.')
+
+
+def unpacked_into(memory: memoryview, data: bytes | memoryview, compression: str) -> bool:
+    """Unpack one compressed block into memory of the size that it is said to have.
+
+    Unpacking it at once takes fresh memory several times over, which the system clears page by
+    page: four times as long as unpacking alone.
+
+    Args:
+        memory: (size,) bytes.
+        data: The block.
+        compression: 'lz4' or 'zstd'.
+
+    Returns:
+        Whether it is one sound frame of that size; `decompressor` knows what else it may be.
+
+    """
+    module = _lz4() if compression == 'lz4' else _zstd()
+    if module.__name__ == 'zstandard':
+        return False
+    frame = module.LZ4FrameDecompressor() if compression == 'lz4' else module.ZstdDecompressor()
+    used = 0
+    try:
+        while used < len(memory):
+            piece = frame.decompress(data, min(_PIECE, len(memory) - used))
+            memory[used : used + len(piece)] = piece
+            used += len(piece)
+            data = b''
+            if not piece:
+                return False
+        # What ends a frame may still be there.
+        beyond = b'' if frame.eof else frame.decompress(b'', 1)
+    except _errors():
+        return False
+    return bool(frame.eof) and not beyond and not frame.unused_data
 
 
 def compressor(compression: str) -> Callable[[bytes], bytes]:

@@ -1,4 +1,4 @@
-"""Reads mcap storage files chunk by chunk."""
+"""Reads mcap storage files, a few chunks at a time."""
 
 from __future__ import annotations
 
@@ -6,22 +6,23 @@ import struct
 import zlib
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..cdr import Messages
 from .ahead import ReadAhead
-from .codec import CodecError, decompressor
-from .mcap_chunk import LONGEST_HEAD, Chunk, chunk_at
-from .mcap_records import MESSAGE_HEAD, RECORD_HEAD, Op, RecordError, walk
+from .codec import CodecError, decompressor, unpacked_into
+from .mcap_chunk import LONGEST_HEAD, TOGETHER, Chunk, Stretch, chunk_at, stretches
+from .mcap_places import Part, Placed, located, times_at
+from .mcap_records import RECORD_HEAD, Op, RecordError, walk
 from .mcap_scan import scan
 from .metadata import custom_data_of
 from .storage import (
     Cache,
     Losses,
+    Memory,
     MessageBatch,
-    Times,
     Topic,
     first_and_last,
 )
@@ -31,37 +32,15 @@ if TYPE_CHECKING:
 
     from ..cdr.messages import Bytes, Indices
 
-    _Stored = tuple[Chunk, memoryview, dict[int, Indices]]
-    _Content = tuple[Bytes | None, dict[int, Indices]]
+    _Stored = tuple[Stretch, memoryview, list[dict[int, Indices]]]
+    _Content = tuple[Bytes, list[Part]]
     from .mcap_scan import ByteFile
     from .remote import AnyPath
-
-_HEAD = RECORD_HEAD + MESSAGE_HEAD
-_LONGEST_INDEX = 1 << 20
-"""Bytes between a chunk and the end of its message index that are read with it at once: more than
-indices take, and little beside a chunk."""
-_HEAD_KIND = np.dtype([('op', 'u1'), ('length', '<u8'), ('channel', '<u2')])
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """Messages of one channel within a chunk.
-
-    Attributes:
-        offset: (n,) where each serialised message starts in the unpacked chunk.
-        size: (n,) bytes of each.
-        log_ns: Log time of the first.
-
-    """
-
-    offset: Indices
-    size: Indices
-    log_ns: int
 
 
 @dataclass(frozen=True, eq=False)
 class Unpacked:
-    """A chunk in memory: its bytes, and where the messages of each channel lie."""
+    """Chunks in memory: their bytes, and where the messages of each channel lie."""
 
     buffer: Bytes
     channels: dict[int, Placed]
@@ -83,7 +62,7 @@ class Unpacked:
             order = np.argsort(offset)
             offset, size = offset[order], size[order]
         log_ns = min(p.log_ns for p in placed)
-        times = partial(_times, self.buffer, offset)
+        times = partial(times_at, self.buffer, offset)
         return MessageBatch(Messages(self.buffer, offset, size), log_ns, position, times)
 
 
@@ -104,6 +83,7 @@ class McapStorage:
         self.path = path
         self.size = path.stat().st_size
         self._losses = losses
+        self._memory = Memory()
         found = scan(path, losses)
         self._catalogue = found.catalogue
         self._chunks = found.chunks
@@ -125,7 +105,7 @@ class McapStorage:
         return topics
 
     @property
-    def custom_data(self) -> dict[str, str]:
+    def custom_data(self) -> Mapping[str, str]:
         """Contents of the metadata records; rosbag2's own record counts with its custom data."""
         merged: dict[str, str] = {}
         for name, pairs in self._catalogue.metadata.items():
@@ -140,26 +120,22 @@ class McapStorage:
             for topic in topics
         }
         wanted = [ids for ids in channels.values() if ids]
-        read = [c for c in self._chunks if any(_may_hold(c, ids) for ids in wanted)]
-        ahead = ReadAhead(read, self._fetch, self._with_content)
-        return {topic: self._read(ids, wanted, cache, ahead) for topic, ids in channels.items()}
+        read = [c for c in self._chunks if any(c.may_hold(ids) for ids in wanted)]
+        together = stretches(read)
+        ahead = ReadAhead(together, self._fetch, self._with_content)
 
-    def _read(
-        self,
-        channels: frozenset[int],
-        wanted: list[frozenset[int]],
-        cache: Cache,
-        ahead: ReadAhead[_Stored, _Content],
-    ) -> Iterator[MessageBatch]:
-        for chunk in self._chunks if channels else ():
-            if not _may_hold(chunk, channels):
-                continue
-            users = sum(_may_hold(chunk, others) for others in wanted)
-            located = partial(self._located, ahead, chunk)
-            unpacked = cache.get((self.path, chunk.start), located, users)
-            stretch = unpacked.batch(channels, chunk.end)
-            if stretch is not None:
-                yield stretch
+        def batch(ids: frozenset[int], stretch: Stretch) -> MessageBatch | None:
+            if not stretch.may_hold(ids):
+                return None
+            users = sum(stretch.may_hold(others) for others in wanted)
+            load = partial(self._located, ahead, stretch)
+            return cache.get((self.path, stretch.start), load, users).batch(ids, stretch.end)
+
+        # Not generators, whose frames would hold a batch, and its memory, until the next one.
+        return {
+            topic: filter(None, map(partial(batch, ids), together if ids else ()))
+            for topic, ids in channels.items()
+        }
 
     def _counts(self) -> dict[int, int] | None:
         if self._catalogue.counts is not None:
@@ -198,56 +174,54 @@ class McapStorage:
             except RecordError as error:
                 self._losses.add(f'{self.path.name}: {error}.')
 
-    def _fetch(self, chunk: Chunk) -> _Stored:
-        """Bring a chunk into memory as it is stored."""
+    def _fetch(self, stretch: Stretch) -> _Stored:
+        """Bring chunks into memory as they are stored."""
+        first, size = stretch.start, stretch.reach - stretch.start
+        memory = None if stretch.compression else self._memory.lend(size)
         with self.path.open('rb', buffering=0) as file:
-            stored, tables = _read_with_index(chunk, file)
-            if chunk.crc is None:
-                chunk = _with_checksum(chunk, file)
-        return chunk, stored, tables
+            content = _read(file, first, size, memory)
+            tables = [_tables(chunk, content, first, file) for chunk in stretch.chunks]
+        chunks = [_with_checksum(chunk, content[chunk.start - first :]) for chunk in stretch.chunks]
+        return Stretch(tuple(chunks)), content, tables
 
     def _with_content(self, fetched: _Stored) -> _Content:
-        """Unpack a chunk that was fetched."""
-        chunk, stored, tables = fetched
-        return self._unpack(chunk, stored), tables
+        """Unpack chunks that were fetched."""
+        stretch, content, tables = fetched
+        buffer, size = np.frombuffer(content, np.uint8), stretch.size
+        together = bool(stretch.compression) and size <= TOGETHER
+        if together:
+            buffer = self._memory.lend(size)
+        parts: list[Part] = []
+        for chunk, table in zip(stretch.chunks, tables, strict=True):
+            start = chunk.data - stretch.start
+            stored, memory = content[start : start + chunk.stored], None
+            if together:
+                start = parts[-1].end if parts else 0
+                memory = buffer.data[start : start + (chunk.size or 0)]
+            unpacked = self._unpack(chunk, stored, memory)
+            if unpacked is None:
+                continue
+            if stretch.compression and not together:
+                buffer, start = unpacked, 0
+            parts.append(Part(f'{self.path.name}: {chunk}', start, start + len(unpacked), table))
+        return buffer, parts
 
-    def _located(self, ahead: ReadAhead[_Stored, _Content], chunk: Chunk) -> Unpacked:
-        """Find the messages of a chunk; the thread that unpacks goes on meanwhile."""
-        buffer, tables = ahead.load(chunk)
-        if buffer is None:
-            return Unpacked(np.empty(0, np.uint8), {})
-        placed = _indexed(tables, buffer)
-        return Unpacked(buffer, self._walked(chunk, buffer) if placed is None else placed)
+    def _located(self, ahead: ReadAhead[_Stored, _Content], stretch: Stretch) -> Unpacked:
+        """Find the messages of chunks; the thread that unpacks goes on meanwhile."""
+        buffer, parts = ahead.load(stretch)
+        return Unpacked(buffer, located(parts, buffer, self._losses.add))
 
-    def _walked(self, chunk: Chunk, buffer: Bytes) -> dict[int, Placed]:
-        """Find the messages by walking over the records."""
-        offsets, end = walk(buffer)
-        if end < len(buffer):
-            self._losses.add(
-                f'{self.path.name}: {chunk} holds no valid record at its byte {end}; '
-                f'its other {len(buffer) - end} bytes are left out.'
-            )
-        marked = offsets[buffer[offsets] == Op.MESSAGE]
-        # The head of a message reaches further than that of a record, perhaps beyond the chunk.
-        offsets = marked[marked <= len(buffer) - _HEAD]
-        heads = _heads(buffer, offsets)
-        sound = heads['length'] >= MESSAGE_HEAD
-        offsets, heads = offsets[sound], heads[sound]
-        if bad := len(marked) - len(offsets):
-            self._losses.add(f'{self.path.name}: {chunk} holds {bad} messages too short to be any.')
-        placed = {}
-        for channel in np.unique(heads['channel']).tolist():
-            mine = heads['channel'] == channel
-            first = _log_time(buffer, int(offsets[mine.argmax()]))
-            placed[channel] = _placed(offsets[mine], heads[mine], first)
-        return placed
+    def _unpack(
+        self, chunk: Chunk, stored: memoryview, memory: memoryview | None = None
+    ) -> Bytes | None:
+        """Return the bytes of a chunk, in memory of the size that it states where that is given.
 
-    def _unpack(self, chunk: Chunk, stored: memoryview) -> Bytes | None:
-        """Return the bytes of a chunk; None, and a stated loss, where they are not sound."""
+        None, and a stated loss, where they are not sound.
+        """
         if chunk.cut or len(stored) < chunk.stored:
             return self._unpack_cut(chunk, stored)
         try:
-            content = decompressor(chunk.compression)(stored) if chunk.compression else stored
+            content = _unpacked(chunk, stored, memory)
         except CodecError as error:
             self._lose(chunk, f'does not unpack ({chunk.compression}: {error})')
             return None
@@ -282,103 +256,56 @@ class McapStorage:
         self._losses.add(f'{self.path.name}: {chunk} {why}; {what} are left out.')
 
 
-def _may_hold(chunk: Chunk, channels: frozenset[int]) -> bool:
-    return chunk.counts is None or not channels.isdisjoint(chunk.counts)
+def _unpacked(chunk: Chunk, stored: memoryview, memory: memoryview | None) -> bytes | memoryview:
+    """Unpack a chunk, into memory where its size fits."""
+    if not chunk.compression:
+        return stored
+    if memory is not None and unpacked_into(memory, stored, chunk.compression):
+        return memory
+    content = decompressor(chunk.compression)(stored)
+    if memory is None or len(memory) != len(content):
+        return content
+    memory[:] = content
+    return memory
 
 
-def _read(file: ByteFile, position: int, size: int) -> memoryview:
-    """Read bytes of a file, fewer where it ends."""
+def _read(file: ByteFile, position: int, size: int, memory: Bytes | None = None) -> memoryview:
+    """Read bytes of a file, fewer where it ends; into (size,) bytes of memory where these are."""
     file.seek(position)
-    return memoryview(file.read(size))
+    if memory is None:
+        return memoryview(file.read(size))
+    content = memory.data
+    return content[: file.readinto(content)]
 
 
-def _with_checksum(chunk: Chunk, file: ByteFile) -> Chunk:
-    """Add the CRC that a chunk's own head states; none where that is no head of this chunk."""
-    head = bytes(_read(file, chunk.start + RECORD_HEAD, LONGEST_HEAD))
+def _with_checksum(chunk: Chunk, record: memoryview) -> Chunk:
+    """Add the CRC that a chunk's own record states; none where that is no head of this chunk."""
+    if chunk.crc is not None:
+        return chunk
     try:
-        found, _ = chunk_at(chunk.start, head)
+        found, _ = chunk_at(chunk.start, bytes(record[RECORD_HEAD : RECORD_HEAD + LONGEST_HEAD]))
     except (struct.error, UnicodeDecodeError):
         return chunk
     same = replace(chunk, index=None, counts=None, crc=found.crc) == found
     return replace(chunk, crc=found.crc) if same else chunk
 
 
-def _read_with_index(chunk: Chunk, file: ByteFile) -> tuple[memoryview, dict[int, Indices]]:
-    """Read a chunk and the message index behind it: (n, 2) log times and offsets by channel."""
-    index = chunk.index or {}
-    end = max([chunk.end, *(position + 16 * count for position, count in index.values())])
-    if end - chunk.end > _LONGEST_INDEX:
-        end = chunk.end
-    content = _read(file, chunk.data, end - chunk.data)
+def _tables(chunk: Chunk, content: memoryview, first: int, file: ByteFile) -> dict[int, Indices]:
+    """Return the message index of a chunk, (n, 2) log times and offsets by channel.
+
+    Args:
+        chunk: The chunk.
+        content: Bytes of the file.
+        first: Offset of the first one of them.
+        file: Where to read what lies elsewhere.
+
+    """
     tables = {}
-    for channel, (position, count) in index.items():
-        size = 16 * count
-        start = position - chunk.data
-        inside = position + size <= end
+    for channel, (position, count) in (chunk.index or {}).items():
+        start, size = position - first, 16 * count
+        inside = position + size <= chunk.reach
         stored = content[start : start + size] if inside else _read(file, position, size)
         table = np.frombuffer(stored[: len(stored) // 16 * 16], '<i8').reshape(-1, 2)
         if len(table):
             tables[channel] = table
-    return content[: chunk.stored], tables
-
-
-def _indexed(tables: dict[int, Indices], buffer: Bytes) -> dict[int, Placed] | None:
-    """Find messages by the index; None where it contradicts the chunk or leaves messages out."""
-    placed = {}
-    for channel, entries in tables.items():
-        # No order of the entries is prescribed; messages count in the order of the file.
-        table = entries
-        if (table[1:, 1] <= table[:-1, 1]).any():
-            table = entries[np.argsort(entries[:, 1])]
-            if (table[1:, 1] == table[:-1, 1]).any():
-                return None
-        offsets = np.ascontiguousarray(table[:, 1])
-        if offsets[0] < 0 or offsets[-1] > len(buffer) - _HEAD:
-            return None
-        heads = _heads(buffer, offsets)
-        if (heads['op'] != Op.MESSAGE).any() or (heads['channel'] != channel).any():
-            return None
-        placed[channel] = _placed(offsets, heads, int(table[0, 0]))
-    return placed if placed and _is_complete(placed, buffer) else None
-
-
-def _is_complete(placed: dict[int, Placed], buffer: Bytes) -> bool:
-    """Tell whether messages and records of other kinds fill the chunk, without overlap."""
-    if any((p.size < 0).any() for p in placed.values()):
-        return False
-    if sum(int(p.size.sum()) + _HEAD * len(p.size) for p in placed.values()) == len(buffer):
-        return True
-    starts = np.sort(np.concatenate([p.offset for p in placed.values()])) - _HEAD
-    ends = np.sort(np.concatenate([p.offset + p.size for p in placed.values()]))
-    starts, ends = np.append(starts, len(buffer)), np.concatenate([[0], ends])
-    for gap in np.flatnonzero(starts != ends).tolist():
-        between = buffer[int(ends[gap]) : int(starts[gap])]
-        records, end = walk(between)
-        if end != len(between) or len(records) == 0 or (between[records] == Op.MESSAGE).any():
-            return False
-    return True
-
-
-def _heads(buffer: Bytes, offsets: Indices) -> np.ndarray[Any, Any]:
-    """Gather opcode, length and channel of records."""
-    if len(buffer) < _HEAD_KIND.itemsize:
-        return np.empty(0, _HEAD_KIND)
-    last = len(buffer) - _HEAD_KIND.itemsize + 1
-    anywhere = np.ndarray((last,), f'V{_HEAD_KIND.itemsize}', buffer, 0, (1,))
-    return anywhere[offsets].view(_HEAD_KIND)
-
-
-def _placed(offsets: Indices, heads: np.ndarray[Any, Any], log_ns: int) -> Placed:
-    size = heads['length'].astype(np.int64) - MESSAGE_HEAD
-    return Placed(offsets + _HEAD, size, log_ns)
-
-
-def _times(buffer: Bytes, offset: Indices) -> Times:
-    """Read log and publish times, the last two fields of a message's head."""
-    anywhere = np.ndarray((len(buffer) - 15,), 'V16', buffer, 0, (1,))
-    pairs = anywhere[offset - 16].view('<i8').reshape(-1, 2)
-    return Times(pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64))
-
-
-def _log_time(buffer: Bytes, offset: int) -> int:
-    return int(struct.unpack_from('<Q', buffer.data, offset + RECORD_HEAD + 6)[0])
+    return tables

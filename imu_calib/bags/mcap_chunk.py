@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from .mcap_records import RECORD_HEAD, Catalogue, ChunkIndex, Fields
 from .storage import seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 CHUNK_FIELDS = 40
 """Bytes of a chunk's fields before its records: start, end, size, CRC, compression, length
@@ -15,6 +19,12 @@ LONGEST_HEAD = CHUNK_FIELDS + 16
 compression."""
 INDEX_HEAD = 6
 """Bytes of a message index before its entries: channel, bytes of entries (mcap.dev/spec)."""
+_LONGEST_INDEX = 1 << 20
+"""Bytes between a chunk and the end of its message index that are read with it at once: more than
+indices take, and little beside a chunk."""
+TOGETHER = 4 << 20
+"""Bytes of the chunks that are loaded as one: enough that the interpreter's time, which each load
+takes once, is little beside that of the bytes, and few enough to stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +65,60 @@ class Chunk:
         """Offset of the byte after the stored ones."""
         return self.data + self.stored
 
+    @property
+    def reach(self) -> int:
+        """Offset of the byte after the message index, where that is near, else as `end`."""
+        index = self.index or {}
+        reach = max([self.end, *(position + 16 * count for position, count in index.values())])
+        return reach if reach - self.end <= _LONGEST_INDEX else self.end
+
+    @property
+    def most(self) -> int:
+        """Bytes of what is stored, or of what that unpacks to."""
+        return max(self.stored, self.size or 0)
+
+    def may_hold(self, channels: frozenset[int]) -> bool:
+        """Tell whether there may be messages of some channels."""
+        return self.counts is None or not channels.isdisjoint(self.counts)
+
     def __str__(self) -> str:
         return f'the chunk at byte {self.start} ({seconds(self.start_ns, self.end_ns)})'
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Chunks of one compression, one behind the other in the file, that are loaded as one."""
+
+    chunks: tuple[Chunk, ...]
+
+    @property
+    def start(self) -> int:
+        """Offset of the first record."""
+        return self.chunks[0].start
+
+    @property
+    def end(self) -> int:
+        """Offset of the byte after the last one stored."""
+        return self.chunks[-1].end
+
+    @property
+    def reach(self) -> int:
+        """Offset of the byte after what is to be read."""
+        return max(chunk.reach for chunk in self.chunks)
+
+    @property
+    def compression(self) -> str:
+        """Of every chunk."""
+        return self.chunks[0].compression
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that the chunks take at most."""
+        return sum(chunk.most for chunk in self.chunks)
+
+    def may_hold(self, channels: frozenset[int]) -> bool:
+        """Tell whether there may be messages of some channels."""
+        return any(chunk.may_hold(channels) for chunk in self.chunks)
 
 
 def chunk_at(position: int, head: bytes) -> tuple[Chunk, int]:
@@ -123,3 +185,27 @@ def _of_summary(entry: ChunkIndex) -> Chunk:
     return Chunk(
         entry.start, data, stored, size, entry.compression, None, first, last, index, counts
     )
+
+
+def stretches(chunks: Sequence[Chunk]) -> list[Stretch]:
+    """Put chunks together that are loaded as one.
+
+    Args:
+        chunks: In the order of the file.
+
+    """
+    together: list[list[Chunk]] = []
+    size = 0
+    for chunk in chunks:
+        before = together[-1][-1] if together else None
+        size += chunk.most
+        if (
+            before is None
+            or size > TOGETHER
+            or chunk.compression != before.compression
+            or not before.end <= chunk.start <= before.end + _LONGEST_INDEX
+        ):
+            together.append([])
+            size = chunk.most
+        together[-1].append(chunk)
+    return [Stretch(tuple(several)) for several in together]

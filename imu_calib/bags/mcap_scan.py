@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, BinaryIO, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -23,12 +23,12 @@ from .remote import RemotePath
 from .storage import Losses, RecordingError
 
 if TYPE_CHECKING:
-    from io import BufferedIOBase
+    from io import BufferedIOBase, FileIO
 
     from ..cdr.messages import Bytes, Indices
     from .remote import AnyPath
 
-    ByteFile: TypeAlias = BinaryIO | BufferedIOBase
+    ByteFile: TypeAlias = FileIO | BufferedIOBase
 
 _WINDOW = 1 << 22
 """Bytes read at once of messages that lie in no chunk."""
@@ -229,12 +229,12 @@ class _Scanner:
         channel, size = struct.unpack_from('<HI', head)
         if self.found.chunks and size == length - INDEX_HEAD and size % 16 == 0:
             chunk = self.found.chunks[-1]
-            index = {
-                **(chunk.index or {}),
-                channel: (position + RECORD_HEAD + INDEX_HEAD, size // 16),
-            }
-            counts = {key: count for key, (_, count) in index.items()}
-            self.found.chunks[-1] = replace(chunk, index=index, counts=counts)
+            index, counts = chunk.index, chunk.counts
+            if index is None or counts is None:
+                index, counts = {}, {}
+                self.found.chunks[-1] = replace(chunk, index=index, counts=counts)
+            index[channel] = position + RECORD_HEAD + INDEX_HEAD, size // 16
+            counts[channel] = size // 16
         return following
 
     def _unchunked(self, position: int) -> int | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,8 @@ NAME = 'metadata.yaml'
 VERSION = 9
 """Of metadata.yaml, as rosbag2 of Jazzy writes it."""
 _KEY = 'rosbag2_bagfile_information'
+_TEXTS = 4
+"""Texts that are remembered: of a recording there are two, and it may be compared with another."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,8 @@ class Metadata:
     """
 
     files: tuple[str, ...] | None = None
-    custom_data: dict[str, str] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
+    custom_data: Mapping[str, str] = field(default_factory=dict)
+    counts: Mapping[str, int] = field(default_factory=dict)
     problem: str = ''
 
 
@@ -58,9 +61,15 @@ def read_metadata(folder: AnyPath) -> Metadata:
     if not path.is_file():
         return Metadata(problem=f'{NAME} is missing')
     try:
-        content = yaml_text.load(path.read_text(encoding='utf-8'))
+        return _metadata(path.read_text(encoding='utf-8'))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         return Metadata(problem=f'{NAME} is not YAML ({" ".join(str(error).split())[:120]})')
+
+
+# A command that looks at the topics first opens a recording twice.
+@lru_cache(maxsize=_TEXTS)
+def _metadata(text: str) -> Metadata:
+    content = yaml_text.load(text)
     information = content.get(_KEY) if isinstance(content, dict) else None
     if not isinstance(information, dict):
         information = {}
@@ -73,7 +82,8 @@ def read_metadata(folder: AnyPath) -> Metadata:
     return Metadata(names, _strings(information.get('custom_data')), counts)
 
 
-def custom_data_of(text: str) -> dict[str, str]:
+@lru_cache(maxsize=_TEXTS)
+def custom_data_of(text: str) -> Mapping[str, str]:
     """Return the custom data in the metadata that rosbag2 writes into its storage files."""
     try:
         content = yaml_text.load(text)

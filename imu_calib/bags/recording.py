@@ -319,10 +319,13 @@ def _decoded(
 ) -> Iterator[Piece]:
     """Decode one topic, file after file."""
     for base, cursor in stretches:
-        for stretch in cursor:
-            messages = _unpacked(stretch.messages, malformed)
-            for block in kind.decode(messages, malformed):
-                yield Piece(block, stretch.log_ns, base + stretch.position)
+        for batch in cursor:
+            log_ns, position = batch.log_ns, base + batch.position
+            blocks = kind.decode(_unpacked(batch.messages, malformed), malformed)
+            # The blocks share no memory with the messages: that is free for the next ones.
+            del batch
+            for block in blocks:
+                yield Piece(block, log_ns, position)
 
 
 def _as_recorded(stretch: MessageBatch, malformed: Malformed) -> tuple[Messages, Times]:

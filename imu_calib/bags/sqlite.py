@@ -18,7 +18,7 @@ from .sqlite_rows import DAMAGE, LAST_ROW, RowQueries, why
 from .storage import Cache, Described, Losses, MessageBatch, RecordingError, Times, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from ..cdr.messages import Indices, Messages
@@ -273,7 +273,7 @@ def _described(database: sqlite3.Connection, topic: str, kind: str) -> Described
     return Described(definition, language, profiles)
 
 
-def _custom_data(database: sqlite3.Connection) -> dict[str, str]:
+def _custom_data(database: sqlite3.Connection) -> Mapping[str, str]:
     """Return the custom data of the metadata table, which the schema has from version 3 on."""
     try:
         rows = database.execute('SELECT metadata FROM metadata ORDER BY id').fetchall()

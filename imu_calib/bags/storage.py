@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import threading
+import weakref
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import numpy as np
 
 from ..errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Mapping
 
-    from ..cdr.messages import Messages
+    from ..cdr.messages import Bytes, Messages
     from ..stream import Stamps
     from .remote import AnyPath
 
@@ -151,6 +155,31 @@ class Cache:
         return content  # type: ignore[return-value]
 
 
+class Memory:
+    """Lends blocks of memory, again when nobody holds anything of what was read into them.
+
+    The system clears every page of a new block, which takes longer than to read a file into it.
+    """
+
+    def __init__(self) -> None:
+        self._free: list[Bytes] = []
+        self._lock = threading.Lock()
+
+    def lend(self, size: int) -> Bytes:
+        """Return (size,) bytes of any content."""
+        with self._lock:
+            while self._free and len(self._free[-1]) < size:
+                self._free.pop()
+            block = self._free.pop() if self._free else None
+        if block is None:
+            # Stretches of a file differ a little in length.
+            block = np.empty(size + size // 8, np.uint8)
+        # What is cut from it refers to it, and it to the block.
+        lent = np.frombuffer(block.data[:size], np.uint8)
+        weakref.finalize(lent, self._free.append, block)
+        return lent
+
+
 class Storage(Protocol):
     """One storage file of a recording."""
 
@@ -163,7 +192,7 @@ class Storage(Protocol):
     end_ns: int | None
 
     @property
-    def custom_data(self) -> dict[str, str]:
+    def custom_data(self) -> Mapping[str, str]:
         """Entries that the recorder left in the file."""
 
     @property

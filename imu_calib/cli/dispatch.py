@@ -83,8 +83,10 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
     parser = _Parser(prog='imu-calib', description='Calibrate strapdown IMUs on a turntable.')
     parser.add_argument('--version', action=_Version, nargs=0, help='print the version, and end')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    for name, words in COMMANDS.items():
-        command = commands.add_parser(name, help=words)
+    # Each of the others would look for translations of its headings, in files.
+    named = [argv[0]] if argv and argv[0] in COMMANDS else COMMANDS
+    for name in named:
+        command = commands.add_parser(name, help=COMMANDS[name])
         if argv is None or name in argv:
             module = import_module(f'.{name}', __package__)
             command.description = module.__doc__

@@ -61,12 +61,13 @@ class _Errors(_Console):
         self.quiet = True
 
 
-OUTPUT = _Output(soft_wrap=True, highlight=False)
+# What people call things is no picture, though it stands between colons.
+OUTPUT = _Output(soft_wrap=True, highlight=False, emoji=False)
 if not OUTPUT.is_terminal:
     OUTPUT.width = _WIDTH_OF_A_FILE
 _WIDEST = 10_000
 """Letters of a line, more than any table has."""
-ERRORS = _Errors(stderr=True, soft_wrap=True, highlight=False)
+ERRORS = _Errors(stderr=True, soft_wrap=True, highlight=False, emoji=False)
 
 
 @contextmanager
