@@ -13,6 +13,7 @@ from typing import Any
 
 from .config import Section
 from .errors import InputError
+from .units import PPM
 
 KEY = 'clock'
 """Its section in calibration.yaml."""
@@ -37,6 +38,13 @@ class StampingClock:
     against: str
     faster: float
     std: float
+
+    def pace(self, digits: int) -> str:
+        """Say how fast it runs, in ppm to some decimal digits."""
+        parts = f'{abs(self.faster) / PPM:.{digits}f}'
+        if float(parts) == 0:
+            return f'less than {0.1**digits:.{digits}f} ppm off'
+        return f'{parts} ppm {"fast" if self.faster > 0 else "slow"}'
 
     def document(self) -> dict[str, Any]:
         """Return its section of a file."""

@@ -158,6 +158,14 @@ def test_firmware_is_told_by_which_clock_its_interval_is() -> None:
     exported = EXPORTS['c'](ExportSource(known, Path('calibration.yaml')))
     assert 'divide an interval between them by 1.000040000' in exported.text
     assert any('40.0 ppm fast' in sentence for sentence in exported.findings)
+    slow = replace(known, clock=replace(known.clock, faster=-40 * PPM))
+    exported = EXPORTS['c'](ExportSource(slow, Path('calibration.yaml')))
+    assert 'of a clock that is 40.00 ppm slow;' in exported.text
+    assert any('that is 40.0 ppm slow:' in sentence for sentence in exported.findings)
+    even = replace(known, clock=replace(known.clock, faster=-0.002 * PPM))
+    exported = EXPORTS['c'](ExportSource(even, Path('calibration.yaml')))
+    assert 'of a clock that is less than 0.01 ppm off;' in exported.text
+    assert any('that is less than 0.1 ppm off:' in sentence for sentence in exported.findings)
     counts = replace(known, imu=replace(known.imu, units=Units.COUNTS))
     exported = EXPORTS['c'](ExportSource(counts, Path('calibration.yaml')))
     assert 'fast' not in ' '.join([exported.text, *exported.findings])

@@ -140,6 +140,16 @@ def test_stamps_without_a_grid_have_no_steps_off_it() -> None:
     assert clock_steps(stamps(often)) == []
 
 
+@pytest.mark.parametrize('start', [0, 700, 970])
+def test_ticks_of_a_coarse_clock_are_no_setting(start: int) -> None:
+    # Milliseconds of samples that are 100 ppm faster than 100 Hz: every ten seconds one of 9 ms.
+    made = np.round(np.arange(3000) * PERIOD * (1 - 1e-4) + 4e-4, 3)[start:]
+    assert (np.diff(made) < 0.0095).sum() in {2, 3}
+    assert clock_steps(stamps(made[:1200])) == []
+    # A setting by another step than a tick is found among them.
+    assert clock_steps(stamps((made + 0.0043 * (np.arange(len(made)) >= 500))[:1200])) == [500]
+
+
 @pytest.mark.parametrize('count', [60, 189, 500])
 @pytest.mark.parametrize('line', [in_bunches, in_fives])
 def test_short_stretches_in_bunches_lack_nothing(

@@ -42,6 +42,7 @@ from imu_calib.estimation.search import (
     _under_own_scatter,
     search_terms,
 )
+from imu_calib.estimation.term_tests import findings
 from imu_calib.model import PARAMETERS, TERMS
 from imu_calib.model.session_terms import Course, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC
@@ -456,12 +457,16 @@ def test_a_view_that_comes_to_no_end_is_left_for_what_was_kept(
     for given, wanted, answer in (
         ([found], [[True, False]], found),
         ([None, found], [[True, False], [False]], found),
-        ([None, None], [[True, False], [False]], ()),
     ):
         asked.clear()
         answers[:] = given
         assert _shown(start, first, set()) == answer
         assert asked == wanted
+    asked.clear()
+    answers[:] = [None, None]
+    with pytest.raises(NotConverged):
+        _shown(start, first, set())
+    assert asked == [[True, False], [False]]
     # Where nothing was set aside there is one view of the session.
     answers[:] = [found]
     asked.clear()
@@ -501,6 +506,24 @@ def test_what_is_not_confirmed_is_rejected_and_the_search_begins_again(
     assert search_terms(first.equations.evidence, look=False) == (first, (), first, False)
     monkeypatch.setattr(module, '_shown', lambda *_: ())
     assert search_terms(first.equations.evidence) == (first, (), first, True)
+
+
+def test_a_search_that_comes_to_no_end_is_said_to_be_broken_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = estimated()
+
+    def refused(*_: Any) -> Any:
+        raise NotConverged('no end')
+
+    monkeypatch.setattr(_Model, 'estimate', lambda _: first)
+    whole = Search(first, (), {}, 1e-4, np.zeros((24, 24)), {}, {}, first, np.zeros((24, 24)))
+    monkeypatch.setattr(module, '_concluded', lambda *_, **__: whole)
+    monkeypatch.setattr(module, '_shown', lambda *_: ())
+    assert findings(search_terms(first.equations.evidence)) == []
+    monkeypatch.setattr(module, '_shown', refused)
+    (said,) = findings(search_terms(first.equations.evidence))
+    assert 'did not converge' in said
 
 
 def test_a_rival_counts_by_its_likelihood_and_by_how_far_parameters_are_off(

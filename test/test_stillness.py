@@ -121,6 +121,38 @@ def test_stamps_that_jitter_and_samples_that_are_lost_cost_no_turn() -> None:
     assert square < chi2.isf(1e-4, FREE.sum())
 
 
+def test_a_clock_of_milliseconds_costs_no_turn() -> None:
+    sensors = unit(3.0 * DEG)
+    held = shaky(sensors, rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03))
+    # A second per hour fast: a millisecond is left out every 3.6 s, within dwells and turns.
+    since = (held.block.stamp - held.block.stamp[0]) * (1 - 1 / 3600) * 1e-9
+    coarse = held.block.stamp[0] + np.rint(since * 1e3).astype(np.int64) * 1_000_000
+    held = replace(held, block=replace(held.block, stamp=coarse))
+    found = calibrated(held)
+    assert len(found.session.segments) == len(held.holds)
+    assert found.calibration.provenance['turns'] == len(held.holds) - 1
+    assert not any('sampling grid' in finding for finding in found.calibration.findings)
+
+
+@pytest.mark.parametrize('sizes', [(5, 16), (1, 21)], ids=str)
+def test_a_reader_that_is_kept_waiting_costs_no_turn(sizes: tuple[int, int]) -> None:
+    sensors, held = Hand(100, 3.0, 0.3, (0.05, 0.05)).session()
+    # It reads what has come since, 0.1 ms from one sample to the next.
+    ends = np.cumsum(np.random.default_rng(1).integers(*sizes, len(held.block.stamp)))
+    number = np.arange(len(held.block.stamp))
+    read = np.minimum(ends[np.searchsorted(ends, number, side='right')], len(number)) - 1
+    first = np.concatenate([[0], ends])[np.searchsorted(ends, number, side='right')]
+    stamp = held.block.stamp[read] + (number - first) * 100_000
+    found = calibrated(replace(held, block=replace(held.block, stamp=stamp)))
+    assert len(found.session.segments) == len(held.holds)
+    assert found.calibration.provenance['turns'] == len(held.holds) - 1
+    assert not any('missing' in finding for finding in found.calibration.findings)
+    wrong = found.calibration.values - in_frame_of_accelerometers(sensors).vector()
+    square = float(np.sum((wrong[FREE] / found.calibration.std[FREE]) ** 2))
+    # Timed to a sample or so, and cut by that: no normal errors, as above.
+    assert square < 2 * chi2.isf(1e-4, FREE.sum())
+
+
 def test_turns_beyond_the_range_are_left_out_and_said() -> None:
     sensors, limit = unit(3.0 * DEG), 150 * DEG
     held = shaky(sensors, rate=100, scales=SCALES, noise=(0.05 * DEG, 0.03), limit=limit)

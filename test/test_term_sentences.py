@@ -41,6 +41,7 @@ def searched(
     covariance = std**2 * np.eye(30)
     equations = SimpleNamespace(parameters=PARAMETERS, sensors=24)
     return SimpleNamespace(
+        broken_off=False,
         found=found,
         probability=probability or {},
         by_drifts=np.zeros((24, 24)) if by_drifts is None else by_drifts,

@@ -13,7 +13,6 @@ Source: docs/mathematics.md, 'Terms that are missing'; Holm 1979, Scand. J. Stat
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -95,6 +94,7 @@ class Search:
         probability: Of drifts that are off, each; empty where nothing was looked for.
         before_search: The estimate before anything was found.
         by_drifts: (n, n) what of `doubt` is of drifts that are not shown.
+        broken_off: Whether it came to no end: nothing is on though something may have to be.
 
     """
 
@@ -107,6 +107,7 @@ class Search:
     probability: Mapping[Family, float]
     before_search: Estimate
     by_drifts: Floats
+    broken_off: bool = False
 
     def shares(self) -> dict[Source, Share]:
         """Return the covariance of the parameters by source, rivals included."""
@@ -201,8 +202,13 @@ def search_terms(
     first = start.estimate()
     noisy = first.equations.own_variances.max() > SMALLEST_VARIANCE
     rejected = set[Family]()
+    broken_off = False
     while look and noisy:
-        found = _shown(start, first, rejected)
+        try:
+            found = _shown(start, first, rejected)
+        except NotConverged:
+            broken_off = True
+            break
         if not found:
             break
         try:
@@ -214,7 +220,8 @@ def search_terms(
         if len(kept) == len(found):
             return _concluded(trial, kept, first, weigh=True)
         rejected |= {one.family for one in found} - {one.family for one in kept}
-    return _concluded(first, (), first, weigh=look and noisy)
+    search = _concluded(first, (), first, weigh=look and noisy)
+    return replace(search, broken_off=True) if broken_off else search
 
 
 def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
@@ -222,17 +229,20 @@ def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found
 
     Nothing is set aside meanwhile, and again all that the first estimate set aside: a family that
     is missing makes outliers, and outliers make a family that is not there.
+
+    Raises:
+        NotConverged: Neither comes to an end with what was found.
+
     """
     as_kept = (first.without_scatter, first.state)
     views = [(_restored(start, first), first.state)]
     if first.downweighted_outputs:
         views.append(as_kept)
-    with suppress(NotConverged):
+    try:
         return _significant(start, views, rejected)
-    # What was set aside fits nothing: a move in which the samples froze, say.
-    with suppress(NotConverged):
+    except NotConverged:
+        # What was set aside fits nothing: a move in which the samples froze, say.
         return _significant(start, [as_kept], rejected)
-    return ()
 
 
 def _significant(

@@ -43,6 +43,11 @@ _TEMPERATURE_TELLS = (
 )
 """What does where it was recorded."""
 
+_BROKEN_OFF = (
+    'The search for what the session shows besides was broken off: with what it tried the least '
+    'squares did not converge. No further term is estimated, though the session may need one.'
+)
+
 _LN10 = float(np.log(10.0))
 """From natural logarithms to decimal ones."""
 
@@ -175,7 +180,8 @@ def _moved(
 
 def findings(search: Search) -> list[str]:
     """Say what was found beside what was asked for."""
-    return [*map(_found, search.found), *_likely(search)]
+    broken_off = [_BROKEN_OFF] if search.broken_off else []
+    return [*map(_found, search.found), *broken_off, *_likely(search)]
 
 
 def _likely(search: Search) -> list[str]:

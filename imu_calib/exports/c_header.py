@@ -13,7 +13,7 @@ from ..errors import NotObservable
 from ..imu import ImuSpec
 from ..model import AXES, Product, SensorModel, terms_of
 from ..stream import Floats, Units
-from ..units import DEG, PPM, STANDARD_GRAVITY
+from ..units import DEG, STANDARD_GRAVITY
 from .exported import Exported, ExportSource, always_left_out
 
 _EXACT = 1e-17
@@ -170,7 +170,7 @@ def _by_clock(calibration: Calibration) -> str:
         return ''
     return (
         f'\n * By the {_comment(clock.against)}: the {_comment(clock.name)} are of a clock that '
-        f'runs {clock.faster / PPM:+.2f} ppm fast;\n * divide an interval between them by '
+        f'is {clock.pace(2)};\n * divide an interval between them by '
         f'{1 + clock.faster:.9f}.'
     )
 

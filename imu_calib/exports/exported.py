@@ -12,7 +12,6 @@ from ..errors import InputError
 from ..imu import ImuSpec
 from ..model import Carried
 from ..stream import Units
-from ..units import PPM
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +110,7 @@ def always_left_out(calibration: Calibration, export: str) -> list[str]:
     if clock is not None and calibration.imu.units is Units.PULSES:
         sentences.append(
             f'Pulses count over seconds of the {clock.against}; the {clock.name} are of a clock '
-            f'that is {clock.faster / PPM:+.1f} ppm fast: an interval by it is to be divided by '
+            f'that is {clock.pace(1)}: an interval by it is to be divided by '
             f'{1 + clock.faster:.7f}, which the file leaves to its user.'
         )
     if calibration.changes is not None and calibration.changes.follows_temperature:

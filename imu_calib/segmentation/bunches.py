@@ -82,8 +82,13 @@ def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:
     if len(counts) < _FEWEST:
         return None
     usual = float(np.median(counts))
-    alike = float(np.mean(np.abs(counts - usual) <= 1))
-    return starts if usual > 1 and alike >= _ALIKE else None
+    if usual <= 1:
+        return None
+    # Of one size, or as many as were made since the bunch before: a reader that is kept waiting.
+    waited = np.diff(stamp[starts])[:-1]
+    expected = usual, waited / np.median(waited / counts)
+    alike = max(float(np.mean(np.abs(counts - size) <= 1)) for size in expected)
+    return starts if alike >= _ALIKE else None
 
 
 def _are_packets(counts: NDArray[np.intp], size: int) -> bool:

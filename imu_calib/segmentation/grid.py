@@ -35,6 +35,15 @@ _SURELY = 6.0
 _SELDOM = 500
 """Samples for each step off the grid: where there are more, the stamps have none."""
 
+_TICKS = 4
+"""Ticks of an interval from which on a clock that counts them is coarse: its stamps go on by one
+more or less now and then. A judgement: milliseconds at 250 Hz and less."""
+
+_ON_TICK = 0.05
+"""Of a tick: so near is a stamp to a whole number of them."""
+_ON_TICKS = 0.9
+"""Share of the steps that are whole ticks: of 20 by chance so many are once in 10^16."""
+
 _LIKE = 0.2
 """Of an interval: so near are two estimates of it. A judgement: more than samples that are missing
 make of their mean."""
@@ -155,7 +164,8 @@ def clock_steps(stamp: Stamps) -> list[int]:
         stamp: (n,) ns, increasing.
 
     Returns:
-        The first samples after each step; none where samples come in bunches.
+        The first samples after each step; none where samples come in bunches, or where stamps
+        count ticks so coarse that they go on by one more or less now and then.
 
     Source: docs/mathematics.md, 'Stamps and lost samples'.
 
@@ -176,20 +186,31 @@ def clock_steps(stamp: Stamps) -> list[int]:
     phase = np.exp(2j * np.pi * (stamp - stamp[0]) * 1e-9 / period)
     on_grid, found = np.flatnonzero(regular), []
     # Of stamps that are off in a row, a queue that is read out, the first regular one tells.
-    for place in np.unique(np.searchsorted(on_grid, np.flatnonzero(~regular))).tolist():
+    places = np.unique(np.searchsorted(on_grid, np.flatnonzero(~regular)))
+    places = places[(places >= _FEWEST) & (places <= len(on_grid) - _FEWEST)]
+    across = (stamp[on_grid[places]] - stamp[on_grid[places - 1]]) * 1e-9 / period
+    came = on_grid[places] - on_grid[places - 1]
+    for place, step, count in zip(places.tolist(), across.tolist(), came.tolist(), strict=True):
         before = phase[on_grid[max(0, place - _ALONGSIDE) : place]]
         after = phase[on_grid[place : place + _ALONGSIDE]]
-        if min(len(before), len(after)) < _FEWEST:
-            continue
         # Circular statistics: the angle of a mean, and by its length the deviation about it.
         first, second = before.mean(), after.mean()
         apart = abs(float(np.angle(second * first.conjugate()))) / (2 * np.pi)
         length = float(np.clip(min(abs(first), abs(second)), 1e-300, 1.0))
         deviation = math.sqrt(-4 * math.log(length) / min(len(before), len(after))) / (2 * np.pi)
-        across = float(stamp[on_grid[place]] - stamp[on_grid[place - 1]]) * 1e-9 / period
-        if apart > max(_OFF_GRID, _SURELY * math.hypot(deviation, across * unknown)):
+        if apart <= max(_OFF_GRID, _SURELY * math.hypot(deviation, step * unknown)):
+            continue
+        if not _is_tick(abs(step - count) * period, stamp, period):
             found.append(int(on_grid[place - 1]) + 1)
     return found if len(found) * _SELDOM <= max(len(stamp), 2 * _SELDOM) else []
+
+
+def _is_tick(step: float, stamp: Stamps, period: float) -> bool:
+    """Say whether a step, s, is one of the ticks that the stamps count."""
+    if not 0 < step * _TICKS <= period * (1 + _ON_TICK):
+        return False
+    ticks = np.diff(stamp) * 1e-9 / step
+    return bool(np.mean(np.abs(ticks - np.rint(ticks)) < _ON_TICK) >= _ON_TICKS)
 
 
 def _first_period(time: Floats) -> tuple[float, bool]:

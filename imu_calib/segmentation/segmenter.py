@@ -319,7 +319,8 @@ class Segmenter:
         attitude = None
         if self._table is not None and rest.angles is not None:
             attitude = self._table.attitude(rest.angles)
-        steps = clock_steps(stamp)
+        # Without a table a static dwell is asked for its mean alone, not for when.
+        steps = [] if self._table is None else clock_steps(stamp)
         self._off_grid.update(stamp[steps].tolist())
         edges = [0, *steps, len(stamp)]
         cuts = [k for a, b in pairwise(edges) for k in range(a, b, _LONGEST_REST)]
