@@ -252,6 +252,11 @@ class Evidence:
         """Standard deviation of the table's tilt about either level axis, rad."""
         return LEVELLED if self.table is None else self.table.level
 
+    @property
+    def encoder_step(self) -> float:
+        """The step of the encoders as turns show it, rad; 0 where none does."""
+        return max((turn.step for turn in self.turns), default=0.0)
+
     def scaled(self, factors: Floats) -> Evidence:
         """Return the session with outputs, and their noise, multiplied by (6,) factors."""
         segments = (replace(s, statistics=s.statistics.scaled(factors)) for s in self.segments)
