@@ -231,7 +231,7 @@ def _found(found: Found, table: Table | None) -> str:
             )
             return (
                 f'The session shows {_TABLE_WORDS[family.name]} ({family.name}, {chance}), by '
-                f'{found.seen / ARCSEC:.2g} arcsec where {whose}: the standard deviations allow '
+                f'{found.seen / ARCSEC:.3g} arcsec where {whose}: the standard deviations allow '
                 f'for {size} each.'
             )
         return (
