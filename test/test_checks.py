@@ -124,7 +124,7 @@ def test_turns_and_clocks_have_their_sentences() -> None:
     # Of turns that are known well enough, and of fine encoders, nothing is said.
     coarse.turns = turns[:1]
     assert encoder_finding(coarse) == []
-    coarse.turns = [SimpleNamespace(step=0.001 * DEG, rate_error=2.3e-5)]
+    coarse.turns, coarse.encoder_step = turns, 0.001 * DEG
     assert encoder_finding(coarse) == []
 
 

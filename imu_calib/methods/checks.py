@@ -225,7 +225,7 @@ def encoder_finding(evidence: Evidence) -> list[str]:
     """
     by_steps = [turn.rate_error for turn in evidence.turns if turn.step >= _COARSE_STEP]
     worst = max(by_steps, default=0.0)
-    if worst < _WELL_KNOWN_CLOCKS:
+    if evidence.encoder_step < _COARSE_STEP or worst < _WELL_KNOWN_CLOCKS:
         return []
     return [
         f'The angles of the encoders come in steps of {evidence.encoder_step / DEG:.2g} deg: the '

@@ -254,8 +254,12 @@ class Evidence:
 
     @property
     def encoder_step(self) -> float:
-        """The step of the encoders as turns show it, rad; 0 where none does."""
-        return max((turn.step for turn in self.turns), default=0.0)
+        """The step of the encoders as half of the turns show it at least, rad; else 0.
+
+        A ramp of round numbers, read at even intervals, looks coarse by chance.
+        """
+        steps = sorted(turn.step for turn in self.turns)
+        return steps[(len(steps) - 1) // 2] if steps else 0.0
 
     def scaled(self, factors: Floats) -> Evidence:
         """Return the session with outputs, and their noise, multiplied by (6,) factors."""
