@@ -138,7 +138,17 @@ CONDITIONS = {
         ('orthogonality', 'moves'),
         bound={'orthogonality': 10 * ARCSEC},
     ),
+    'orthogonality 60 arcsec': Condition(
+        'table: {orthogonality: 60 arcsec}',
+        ('orthogonality', 'moves'),
+        bound={'orthogonality': 60 * ARCSEC},
+    ),
     'wobble 2 arcsec': Condition('table: {wobble: {once: 2 arcsec, twice: 2 arcsec}}', ('wobble',)),
+    'wobble 30 arcsec': Condition(
+        'table: {wobble: {once: 30 arcsec, twice: 30 arcsec}}',
+        ('wobble',),
+        bound={'wobble': 30 * ARCSEC},
+    ),
     'encoder harmonics 3 arcsec': Condition(
         'table: {encoder: {once: 3 arcsec, twice: 3 arcsec}}', ('encoder',)
     ),
@@ -149,6 +159,7 @@ CONDITIONS = {
         'joint_states: {noise: 15 arcsec}', bound={'readings': 15 * ARCSEC}
     ),
     'encoder of 16 bits': Condition('joint_states: {resolution: 19.775390625 arcsec}'),
+    'encoder in steps of 0.05 deg': Condition('joint_states: {resolution: 0.05 deg}'),
     'joint stamps jitter 1 ms': Condition('joint_states: {jitter: 1 ms}', bound={'jitter': 1e-3}),
     'arrivals of joints 5 arcsec': Condition(
         'table: {arrivals: {joints: 5 arcsec}}', ('joints',), bound={'positioning': 5 * ARCSEC}
@@ -163,8 +174,14 @@ CONDITIONS = {
     'ramps 10 deg/s^2': Condition('table: {acceleration: 10 deg/s^2}'),
     'stamps jitter 1 ms': Condition('stamps: {jitter: 1 ms}'),
     'stamps late': Condition('stamps: {late: 1 %, delay: 20 ms}'),
+    '5 % of stamps late by 100 ms': Condition('stamps: {late: 5 %, delay: 100 ms}'),
     'stamps in bunches of 4': Condition('stamps: {bunch: 4}'),
+    'stamps in bunches of 10': Condition('stamps: {bunch: 10}'),
+    'stamps in bunches of 20': Condition('stamps: {bunch: 20}'),
+    'stamps in bunches of 50': Condition('stamps: {bunch: 50}'),
     'clock 50 ppm': Condition('stamps: {clock_rate: 50 ppm}'),
+    'clock ahead by 2 s': Condition('stamps: {clock_offset: 2 s}'),
+    'clock ahead by 20 s': Condition('stamps: {clock_offset: 20 s}'),
     'lost 0.05 %': Condition('samples: {lost: 0.05 %}'),
     'lost 0.5 %': Condition('samples: {lost: 0.5 %}'),
     'lost 2 %': Condition('samples: {lost: 2 %}'),

@@ -112,6 +112,22 @@ class Dimension(Enum):
 _QUANTITY = re.compile(r'^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*$', re.ASCII)
 
 
+def counted(number: int, noun: str, plural: str = '') -> str:
+    """Return a number with what it counts, in the singular where it is one.
+
+    Args:
+        number: How many.
+        noun: In the singular.
+        plural: Where it is not the singular with an s.
+
+    Examples:
+        >>> counted(1, 'turn'), counted(0, 'turn'), counted(2, 'is', 'are')
+        ('1 turn', '0 turns', '2 are')
+
+    """
+    return f'{number} {noun if number == 1 else plural or f"{noun}s"}'
+
+
 def parse(text: object, dimension: Dimension, key: str) -> float:
     """Turn a quantity written with its unit into SI.
 

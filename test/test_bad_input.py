@@ -534,7 +534,7 @@ def test_one_wild_stamp_costs_one_sample(cli: CommandLine, jump: int) -> None:
     stamp = good().imu.stamp.copy()
     stamp[middle_of_7()] += jump * NS
     found = cli.uses_the_rest(
-        '1 samples left out for stamps that jump', good().with_imu(stamp=stamp)
+        '1 sample left out for stamps that jump', good().with_imu(stamp=stamp)
     )
     assert any(f.startswith('1 IMU samples are missing') for f in found.findings)
 

@@ -56,7 +56,7 @@ def test_lost_samples_are_told_by_their_share() -> None:
     assert held._losses() == (
         '3 IMU samples are missing (15 %), a few at a time: what they counted is read from those '
         'around them',
-        'The stamps of the IMU are offset from the sampling grid 2 time(s), first at '
+        'The stamps of the IMU are offset from the sampling grid 2 times, first at '
         '2023-11-14 22:13:22.000 UTC: its clock was set, or it began to sample anew; what is '
         'before and after counts by itself',
         'The IMU stream was interrupted: 2.0 s are missing, from 2023-11-14 22:13:20.000 UTC',

@@ -23,6 +23,7 @@ from imu_calib.methods.checks import (
     check_axes,
     check_latitude,
     clock_finding,
+    encoder_finding,
     far_scales,
     turns_scatter_finding,
 )
@@ -116,6 +117,15 @@ def test_turns_and_clocks_have_their_sentences() -> None:
     known.turns_clock_std = 7.2e-6
     (sentence,) = clock_finding(known)
     assert 'known to 7 ppm only' in sentence
+    turns = [SimpleNamespace(step=0.05 * DEG, rate_error=e) for e in (4.9e-6, 2.3e-5)]
+    coarse: Any = SimpleNamespace(turns=turns, encoder_step=0.05 * DEG)
+    (sentence,) = encoder_finding(coarse)
+    assert 'steps of 0.05 deg: the rates of turns are known to 23 ppm at worst' in sentence
+    # Of turns that are known well enough, and of fine encoders, nothing is said.
+    coarse.turns = turns[:1]
+    assert encoder_finding(coarse) == []
+    coarse.turns, coarse.encoder_step = turns, 0.001 * DEG
+    assert encoder_finding(coarse) == []
 
 
 # Latitude
@@ -385,6 +395,8 @@ def scattering(
     drift: Floats | None = None,
     instability: Floats | None = None,
     fast: tuple[bool, bool] = (False, False),
+    step: float = 0.0,
+    untold: tuple[str, ...] = (),
 ) -> list[str]:
     """Return what is said of an estimate that found positioning errors and drifts."""
     none = np.zeros(6)
@@ -395,9 +407,11 @@ def scattering(
         fast_drift=fast,
     )
     instability = none if instability is None else instability
-    evidence = SimpleNamespace(positioning=stated, table=table, instability=instability)
+    evidence = SimpleNamespace(
+        positioning=stated, table=table, instability=instability, encoder_step=step
+    )
     found: Any = SimpleNamespace(equations=SimpleNamespace(evidence=evidence), scatter=scatter)
-    return joint._scattering(found)
+    return joint._scattering(found, untold)
 
 
 def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
@@ -411,6 +425,14 @@ def test_positioning_errors_are_told_from_a_tenth_of_what_is_stated() -> None:
     assumed = SimpleNamespace(assumed={'positioning'})
     (sentence,) = scattering(joints=3 * ARCSEC, stated=2 * ARCSEC, table=assumed)
     assert '(2 arcsec are assumed of the table)' in sentence
+    # Within a step of the encoders they do not tell; beyond it they would.
+    (sentence,) = scattering(joints=3 * ARCSEC, step=0.001 * DEG)
+    assert sentence.endswith('encoders come in steps of 0.001 deg, which hide as much.')
+    (sentence,) = scattering(joints=4 * ARCSEC, step=0.001 * DEG)
+    assert sentence.endswith('the standard deviations allow for them.')
+    (sentence,) = scattering(joints=3 * ARCSEC, untold=('joint axes that wobble (wobble)',))
+    assert 'joint axes that wobble (wobble) would look the same. A second session' in sentence
+    assert scattering(untold=('joint axes that wobble (wobble)',)) == []
     (sentence,) = scattering(stops=5 * ARCSEC)
     assert sentence.startswith('Attitude errors of the whole table, 5 arcsec about each axis')
     assert scattering(stops=0.19 * ARCSEC, stated=2 * ARCSEC) == []

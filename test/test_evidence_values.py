@@ -36,6 +36,24 @@ from imu_calib.units import ARCSEC, DEG
 CLEAN = evidence_of()
 TABLE = load_table('three_axis')
 
+# Encoders
+
+
+def test_the_step_of_the_encoders_is_what_half_of_the_turns_show() -> None:
+    turn, *_ = CLEAN.turns
+
+    def shown(*steps: float) -> float:
+        turns = tuple(replace(turn, step=step) for step in steps)
+        return replace(CLEAN, turns=turns).encoder_step
+
+    assert shown() == 0.0
+    assert shown(2e-4) == 2e-4
+    # Ramps of round numbers look coarse by chance, and steps may not show in each motion.
+    assert shown(0.0, 2e-4, 0.0) == 0.0
+    assert shown(0.0, 2e-4) == 0.0
+    assert shown(1e-4, 0.0, 1e-4) == 1e-4
+
+
 # Positions
 
 

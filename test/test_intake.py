@@ -172,9 +172,8 @@ def test_a_skewed_gyro_is_awaited() -> None:
     intake.drop_until(NS)
     assert intake.skew.stamp.tolist() == [3 * NS]
     assert intake.losses() == [
-        '1 samples left out for values of the skewed gyro that are no numbers, the first at '
-        '2.000 s',
-        '1 samples left out for stamps of the skewed gyro that jump or stand still, the first at '
+        '1 sample left out for values of the skewed gyro that are no numbers, the first at 2.000 s',
+        '1 sample left out for stamps of the skewed gyro that jump or stand still, the first at '
         '1.000 s',
     ]
     plain = StreamBuffer(TABLE, skewed=False)
@@ -190,7 +189,7 @@ def test_rows_that_came_twice_are_counted_across_blocks() -> None:
     intake.take_imu(imu())
     assert intake.losses() == [
         '2 samples dropped as duplicates, the first at 2.000 s',
-        '1 samples left out for stamps that jump or stand still, the first at 3.000 s',
+        '1 sample left out for stamps that jump or stand still, the first at 3.000 s',
     ]
     intake.finish()
     assert intake.imu.stamp.tolist() == [NS, 2 * NS, 3 * NS, 4 * NS]

@@ -60,8 +60,8 @@ def found(**given: Any) -> Any:
 
 def said(monkeypatch: pytest.MonkeyPatch, what: Any) -> list[str]:
     for name in ('_astray', '_scattering', 'temperature_finding'):
-        monkeypatch.setattr(joint, name, lambda _: [])
-    return joint._findings(what)
+        monkeypatch.setattr(joint, name, lambda *_: [])
+    return joint._findings(what, ())
 
 
 def test_a_clean_estimate_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

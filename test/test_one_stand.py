@@ -185,7 +185,7 @@ def test_a_second_without_samples_is_an_interruption() -> None:
     assert session.losses == (
         'The IMU stream was interrupted: 2.0 s are missing, from 2023-11-14 22:13:42.000 UTC',
     )
-    assert session.segments[1].notes == ('199 samples missing in 1 gap(s)',)
+    assert session.segments[1].notes == ('199 samples missing in 1 gap',)
     assert len(session.moves) == 3
     for gap, said in ((1.0, 0), (1.01, 1)):
         brief = found(only(imu, (time < 22.005) | (time > 21.995 + gap)), joint())
@@ -218,7 +218,7 @@ def test_a_clock_that_was_set_parts_a_rest() -> None:
     session = found(replace(imu, stamp=later), joint())
     assert rests(session)[1:3] == [(20.19, 22.0), (22.014, 24.754)]
     assert session.losses == (
-        'The stamps of the IMU are offset from the sampling grid 1 time(s), first at 2023-11-14 '
+        'The stamps of the IMU are offset from the sampling grid 1 time, first at 2023-11-14 '
         '22:13:42.014 UTC: its clock was set, or it began to sample anew; what is before and after '
         'counts by itself',
     )
@@ -243,14 +243,14 @@ def test_what_is_no_sample_is_counted() -> None:
     back = imu.stamp.copy()
     back[200] -= 10**9
     assert found(replace(imu, stamp=back), joint()).losses[0] == (
-        '1 samples left out for stamps that jump or stand still, the first at '
+        '1 sample left out for stamps that jump or stand still, the first at '
         '2023-11-14 22:13:21.010 UTC'
     )
     states = joint()
     silent = states.position.copy()
     silent[50] = np.nan
     assert found(imu, replace(states, position=silent)).losses == (
-        '1 samples left out for joint positions that are no numbers, the first at '
+        '1 sample left out for joint positions that are no numbers, the first at '
         '2023-11-14 22:13:21.000 UTC',
     )
 

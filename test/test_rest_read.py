@@ -99,7 +99,7 @@ def test_too_little_that_is_sound_is_said() -> None:
 def test_gaps_are_counted() -> None:
     kept = np.array([k for k in range(2000) if not (300 <= k < 307 or k == 1500)])
     found = segment(read(rates(2000)[kept], kept))
-    assert found.notes == ('8 samples missing in 2 gap(s)',)
+    assert found.notes == ('8 samples missing in 2 gaps',)
     assert found.statistics.missing == 8
 
 
@@ -108,7 +108,7 @@ def test_frozen_samples_are_left_out() -> None:
     rows[500:1000] = rows[499]
     found = segment(read(rows))
     assert found.notes[0] == 'its samples are frozen for 5.0 s, repeating one; left out'
-    assert found.notes[1] == '500 samples missing in 1 gap(s)'
+    assert found.notes[1] == '500 samples missing in 1 gap'
     assert found.statistics.samples == 1500
     brief = rates(180)
     brief[100:] = brief[99]

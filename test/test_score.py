@@ -24,7 +24,7 @@ from imu_calib.imu import load_imu
 from imu_calib.methods.joint import solve
 from imu_calib.model import PARAMETERS, SensorModel, Term, terms_of
 from imu_calib.model.session_terms import LOOKED_FOR
-from imu_calib.model.terms import ACCEL_CROSS, GYRO_ASYMMETRY
+from imu_calib.model.terms import ACCEL_CROSS, ACCEL_CUBIC, GYRO_ASYMMETRY
 from imu_calib.observation.equations import Equations
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import UNPLANNED, load_plan
@@ -278,7 +278,7 @@ def test_the_screen_says_what_a_session_cannot_show() -> None:
     # At 0 and 1 g the cubic term is the scale factor, ug for ppm.
     assert [line for line in lines if 'hold for accel_cubic = 0' in line] == [
         'K_ax, K_ay, K_az hold for accel_cubic = 0, which this session does not show: 10 ug/g^3 '
-        'would move K_ax by 10 ppm'
+        'would move K_ax by 10 ppm; to determine it takes ' + ACCEL_CUBIC.needs
     ]
     # And in the file, SI: 1 / (9.80665 m/s^2)^-2.
     kept = {test.name: test for test in found.tests}['accel_cubic'].document()

@@ -122,6 +122,7 @@ def test_what_is_off_is_every_term_course_and_error_that_the_session_can_tell_of
         *(name for name in still if name != 'gyro_cubic'),
         'zeros',
         'orthogonality',
+        'wobble',
         'encoder',
     ]
     # A dwell whose angles nobody knows says nothing of the table.
@@ -182,8 +183,8 @@ def test_scatter_is_what_is_left_once_a_family_explains_what_it_can(
     (with_term, longer), (with_error, same), (warming, drifted) = seen
     assert with_term.parameters == (*PARAMETERS, *GYRO_CUBIC.parameters)
     assert longer.tolist() == [*state[:24], 0, 0, 0, *state[24:]]
-    # Of the table's errors it alone is free: 300 arcseconds.
-    assert with_error.evidence.table.errors == TableErrors(wobble=300 * ARCSEC)
+    # Of the table's errors it is free, 300 arcseconds, and the others are as stated.
+    assert with_error.evidence.table.errors == TableErrors(zeros=1e-4, wobble=300 * ARCSEC)
     assert same is state
     assert (warming.changes, warming.time_constant) == (session_term('warm_up'), 0.25)
     # One step of the least squares from where it would be without.
@@ -254,16 +255,17 @@ def test_what_follows_the_temperature_is_not_taken_for_a_drift_that_explains_as_
 def test_errors_of_the_table_are_as_large_as_what_is_seen_by_students_t() -> None:
     model = _Model(evidence_of(), PARAMETERS)
     estimate = np.array([3e-5, 0.0, 4e-5])
-    doubts, size = _size(model, WOBBLE, score(9.0, 2, estimate=estimate))
+    doubts, size, seen = _size(model, WOBBLE, score(9.0, 2, estimate=estimate))
     # Two deviations' chance with two degrees of freedom, and the mean square of 5e-5 over both.
     wider = t.ppf(norm.cdf(2), 2) / 2
     assert doubts == ()
     assert size == pytest.approx(wider * 5e-5 / np.sqrt(2))
+    assert seen == pytest.approx(5e-5 / np.sqrt(2))
     # A term that the session determines is estimated, and so is what follows time.
-    assert _size(model, SENSES, score(9.0, 2, estimate=estimate)) == ((), 0.0)
-    assert _size(model, TREND, score(9.0, 2, estimate=estimate)) == ((), 0.0)
-    doubts, size = _size(model, OF_ACCELS, score(9.0, 2, estimate=estimate))
-    assert size == 0.0
+    assert _size(model, SENSES, score(9.0, 2, estimate=estimate)) == ((), 0.0, 0.0)
+    assert _size(model, TREND, score(9.0, 2, estimate=estimate)) == ((), 0.0, 0.0)
+    doubts, *sizes = _size(model, OF_ACCELS, score(9.0, 2, estimate=estimate))
+    assert sizes == [0.0, 0.0]
     assert [p for p, _ in doubts] == list(ACCEL_CUBIC.parameters)
     assert [v for _, v in doubts] == pytest.approx([wider * 5e-5 / np.sqrt(2)] * 3)
 

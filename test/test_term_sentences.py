@@ -11,10 +11,11 @@ import pytest
 from imu_calib.estimation import term_tests
 from imu_calib.estimation.score import Family, Score
 from imu_calib.estimation.search import Found
-from imu_calib.estimation.term_tests import TermState, TermTest, findings, summary
+from imu_calib.estimation.term_tests import TermState, TermTest, findings, summary, untold_errors
 from imu_calib.model import PARAMETERS, Parameter
 from imu_calib.model.session_terms import Course, session_term
 from imu_calib.model.terms import ACCEL_CUBIC, GYRO_ASYMMETRY, GYRO_CUBIC
+from imu_calib.table_errors import TableErrors
 from imu_calib.units import ARCSEC, DEG_H
 
 LN10 = 2.302585092994046
@@ -35,17 +36,24 @@ TO_TELL_HEAT = (
 
 
 def searched(
-    found: Any = (), probability: Any = None, std: float = 1e-6, by_drifts: Any = None, **more: Any
+    found: Any = (),
+    probability: Any = None,
+    std: float = 1e-6,
+    by_drifts: Any = None,
+    table: Any = None,
+    **more: Any,
 ) -> Any:
     """A search by 24 parameters, all known to the same deviation."""
     covariance = std**2 * np.eye(30)
-    equations = SimpleNamespace(parameters=PARAMETERS, sensors=24)
+    evidence = SimpleNamespace(table=table)
+    equations = SimpleNamespace(parameters=PARAMETERS, sensors=24, evidence=evidence)
     return SimpleNamespace(
         broken_off=False,
         found=found,
         probability=probability or {},
         by_drifts=np.zeros((24, 24)) if by_drifts is None else by_drifts,
         estimate=SimpleNamespace(covariance=covariance, equations=equations),
+        before_search=SimpleNamespace(equations=equations),
         **more,
     )
 
@@ -218,7 +226,7 @@ def test_the_screen_says_what_is_on_what_is_off_and_what_is_not_seen() -> None:
         'not significant; detectable above: gyro_asymmetry 34 ppm',
         'not observable in this session: accel_cubic',
         'K_ax, K_ay hold for accel_cubic = 0, which this session does not show: 10 ug/g^3 would '
-        'move K_ax by 10 ppm',
+        'move K_ax by 10 ppm; to determine it takes ' + ACCEL_CUBIC.needs,
     ]
     one = TermTest(
         'accel_cubic',
@@ -230,9 +238,39 @@ def test_the_screen_says_what_is_on_what_is_off_and_what_is_not_seen() -> None:
     assert summary((one,))[1:] == [
         'not significant; detectable above: accel_cubic 0.96 ug/g^3',
         'K_ax holds for accel_cubic = 0, which this session does not show: 10 ug/g^3 would move '
-        'K_ax by 2.1 ppm',
+        'K_ax by 2.1 ppm; to determine it takes ' + ACCEL_CUBIC.needs,
     ]
     assert summary(()) == ['terms: none']
+
+
+@pytest.mark.parametrize(
+    ('assumed', 'whose'),
+    [
+        ({'wobble'}, '2 arcsec are assumed of the table'),
+        ((), 'the description of the table states 2 arcsec'),
+    ],
+)
+def test_an_error_of_the_table_is_said_beside_what_was_known_of_it(
+    assumed: Any, whose: str
+) -> None:
+    table = SimpleNamespace(errors=TableErrors(wobble=2 * ARCSEC), assumed=assumed)
+    found = Found(WOBBLE, -20 * LN10, size=151 * ARCSEC, seen=110 * ARCSEC)
+    assert findings(searched((found,), table=table)) == [
+        'The session shows joint axes that wobble (wobble, by chance once in 10^20 sessions), by '
+        f'110 arcsec where {whose}: the standard deviations allow for 151 arcsec each.'
+    ]
+
+
+def test_errors_of_the_table_are_untold_where_outputs_are_too_few_to_test_them() -> None:
+    tested = score(9.0, np.ones(24), rank=9, freedom=9)
+    scores = {
+        WOBBLE: score(9.0, np.ones(24), rank=9, freedom=8),
+        Family('encoder'): tested,
+        # Nothing of it is seen.
+        Family('zeros'): score(0.0, np.ones(2), rank=0),
+        CUBIC: score(9.0, np.ones(3), rank=3, freedom=2),
+    }
+    assert untold_errors(searched(scores=scores)) == ('joint axes that wobble (wobble)',)
 
 
 def drift(**more: Any) -> TermTest:

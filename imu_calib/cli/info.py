@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table as Rows
 
 from ..api.looking import Look, look_inside, topics
-from ..units import DEG, DEG_H, STANDARD_GRAVITY
+from ..units import DEG, DEG_H, STANDARD_GRAVITY, counted
 from . import options
 from .outcome import Outcome, add_json_option
 from .terminal import OUTPUT, progress_bar, sentence_list
@@ -55,7 +55,7 @@ def _show_topics(found: Look) -> None:
         rate = '-' if topic.rate is None else f'{topic.rate:.1f}'
         rows.add_row(topic.name, topic.type, str(topic.messages), rate)
     OUTPUT.print(rows)
-    OUTPUT.print(f'\n{found.seconds:.1f} s, {found.files} file(s)')
+    OUTPUT.print(f'\n{found.seconds:.1f} s, {counted(found.files, "file")}')
     if found.compensated:
         OUTPUT.print(
             f'compensated by {found.compensated}: the compensated stream is in SI', markup=False

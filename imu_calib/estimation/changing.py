@@ -15,7 +15,12 @@ from ..errors import NotObservable
 from ..model.session_terms import Change, Course, names_of
 from ..observation.equations import Equations
 from ..observation.evidence import Evidence
-from ..observation.information import Information, determined, nominal_information
+from ..observation.information import (
+    Information,
+    determined,
+    nominal_information,
+    segments_in_words,
+)
 from ..observation.modulation import TIME_CONSTANTS, check_temperature, courses
 from ..stream import Floats
 from .converge import least_squares
@@ -88,7 +93,7 @@ def _refusal(equations: Equations, known: NDArray[np.bool_], parameters: NDArray
     named = f' ({", ".join(mine)})' if mine else ''
     evidence: Evidence = equations.evidence
     return (
-        f'{len(evidence.segments)} static dwells and {len(evidence.turns)} turns do not determine '
+        f'{segments_in_words(evidence)} do not determine '
         f'{" and ".join(names_of(equations.changes))}{named}{apart}: not observable. To determine '
         'it takes static dwells with each axis up, down and horizontal at the beginning and at the '
         'end, and turns about each axis there for what changes scale factors of gyros; or leave '

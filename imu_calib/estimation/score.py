@@ -92,9 +92,18 @@ class Family:
         """Of a term of the sensors; none for others."""
         return () if self.term is None else self.term.parameters
 
-    def freed(self, equations: Equations, size: float) -> Equations:
-        """Return equations whose table has this error alone, each of a standard deviation, rad."""
-        errors = replace(TableErrors(), **{self.name: size})
+    def freed(self, equations: Equations, size: float, *, alone: bool = False) -> Equations:
+        """Return equations whose table has this error of a standard deviation, rad.
+
+        Args:
+            equations: Without it, or with what the table's file states of it.
+            size: In place of that.
+            alone: Whether the table has no other.
+
+        """
+        table = equations.evidence.table
+        others = TableErrors() if alone or table is None else table.errors
+        errors = replace(others, **{self.name: size})
         return replace(equations, evidence=equations.evidence.with_table_errors(errors))
 
     def scatter(self, equations: Equations, state: Floats, time_constant: float) -> ExcessScatter:
@@ -159,7 +168,7 @@ def columns_of(
             base = slopes[:, len(parameters) :]
             result[family] = tuple(_changing(ideal, family, base, t) for t in times_of(family))
         elif family.term is None:
-            columns = family.freed(ideal, _TABLE).by_table(state)
+            columns = family.freed(ideal, _TABLE, alone=True).by_table(state)
             result[family] = ((columns, np.full(columns.shape[1], _TABLE)),)
         else:
             sizes = np.array([useful_limit(p) for p in family.parameters])
@@ -215,8 +224,7 @@ def families(equations: Equations) -> tuple[Family, ...]:
         found += [Family(course.value, course=course) for course in courses]
     angles = [*(s.angles for s in evidence.segments), *(t.angles for t in evidence.turns)]
     if evidence.table is not None and all(one is not None for one in angles):
-        errors = evidence.table.errors
-        found += [Family(name) for name in TABLE_ERRORS if not getattr(errors, name)]
+        found += [Family(name) for name in TABLE_ERRORS]
     return tuple(found)
 
 

@@ -64,6 +64,7 @@ class Found:
         doubts: Coefficients of a term that the session does not determine, with the standard
             deviation about zero that each is given; empty where it is estimated.
         size: Standard deviation that an error of the table is given, rad; 0 for a term.
+        seen: Root mean square of what of it the session sees, rad, likewise.
         spares: Coefficients that must spare more outputs than they are; 0 for a family that is
             significant beside all that the first estimate set aside.
         rivals: Families that explain the session as well.
@@ -74,6 +75,7 @@ class Found:
     log_p: float
     doubts: tuple[tuple[Parameter, float], ...] = ()
     size: float = 0.0
+    seen: float = 0.0
     spares: int = 0
     rivals: tuple[Family, ...] = ()
 
@@ -212,7 +214,7 @@ def search_terms(
         if not found:
             break
         try:
-            trial = start.with_found(found).estimate()
+            trial, found = _tried(start, found)
         except NotObservable:
             rejected.add(found[-1].family)
             continue
@@ -222,6 +224,26 @@ def search_terms(
         rejected |= {one.family for one in found} - {one.family for one in kept}
     search = _concluded(first, (), first, weigh=look and noisy)
     return replace(search, broken_off=True) if broken_off else search
+
+
+def _tried(start: _Model, found: tuple[Found, ...]) -> tuple[Estimate, tuple[Found, ...]]:
+    """Estimate with what was found.
+
+    Where axes are off by minutes of arc, and may be by several, what of it turns all misalignments
+    alike is hardly held: the weights follow the state, and the steps go round the minimum. There
+    errors of the table are given the size that is seen, and no allowance for so few of them.
+
+    Raises:
+        NotObservable: It comes to no end, or cannot be told apart.
+
+    """
+    try:
+        return start.with_found(found).estimate(), found
+    except NotConverged:
+        narrow = tuple(replace(one, size=one.seen) for one in found)
+        if narrow == found:
+            raise
+        return start.with_found(narrow).estimate(), narrow
 
 
 def _shown(start: _Model, first: Estimate, rejected: set[Family]) -> tuple[Found, ...]:
@@ -373,23 +395,26 @@ def _confirmed(
 
 def _size(
     model: _Model, family: Family, score: Score
-) -> tuple[tuple[tuple[Parameter, float], ...], float]:
+) -> tuple[tuple[tuple[Parameter, float], ...], float, float]:
     """Return what is given to a family that is not estimated: doubts, or the size of an error.
+
+    The last is what of the error is seen.
 
     What is not seen of it is taken to be as large as what is seen, by Student's t for as many
     directions as were seen.
     """
     if family.course is not None:
-        return (), 0.0
+        return (), 0.0, 0.0
     if family.term is not None:
         terms = (*terms_of(model.parameters), family.term)
         trial = Equations(model.evidence, parameters_of(terms), doubts=model.doubts)
         if determined(nominal_information(trial), trial.parameters).all():
-            return (), 0.0
+            return (), 0.0, 0.0
     two = float(scipy.special.ndtr(2.0))
     wider = float(scipy.special.stdtrit(score.rank, two)) / 2
-    size = wider * float(np.sqrt(score.estimate @ score.estimate / score.rank))
-    return tuple((p, size) for p in family.parameters), size if family.term is None else 0.0
+    seen = float(np.sqrt(score.estimate @ score.estimate / score.rank))
+    doubts = tuple((p, wider * seen) for p in family.parameters)
+    return doubts, *((wider * seen, seen) if family.of_table else (0.0, 0.0))
 
 
 def _concluded(

@@ -7,9 +7,10 @@ from enum import Enum
 
 import numpy as np
 
-from ..model import Parameter, Term
+from ..model import Parameter, Term, terms_of
 from ..model.session_terms import Change, Course, largest, names_of
 from ..stream import Floats
+from ..turntable import Table
 from ..units import ARCSEC
 from .search import Found, Search
 
@@ -181,7 +182,17 @@ def _moved(
 def findings(search: Search) -> list[str]:
     """Say what was found beside what was asked for."""
     broken_off = [_BROKEN_OFF] if search.broken_off else []
-    return [*map(_found, search.found), *broken_off, *_likely(search)]
+    table = search.before_search.equations.evidence.table
+    return [*(_found(one, table) for one in search.found), *broken_off, *_likely(search)]
+
+
+def untold_errors(search: Search) -> tuple[str, ...]:
+    """Name the errors of the table that the session sees and has too few outputs to test."""
+    return tuple(
+        f'{_TABLE_WORDS[family.name]} ({family.name})'
+        for family, score in search.scores.items()
+        if family.of_table and score.rank and not score.tested
+    )
 
 
 def _likely(search: Search) -> list[str]:
@@ -212,11 +223,23 @@ def _likely(search: Search) -> list[str]:
     ]
 
 
-def _found(found: Found) -> str:
+def _found(found: Found, table: Table | None) -> str:
     family = found.family
     chance = f'by chance once in 10^{max(3, round(-found.log_p / _LN10))} sessions'
     if family.of_table:
-        size = f'{found.size / ARCSEC:.2g} arcsec'
+        size = f'{found.size / ARCSEC:.3g} arcsec'
+        if table is not None and (known := getattr(table.errors, family.name)):
+            stated = f'{known / ARCSEC:.2g} arcsec'
+            whose = (
+                f'{stated} are assumed of the table'
+                if family.name in table.assumed
+                else f'the description of the table states {stated}'
+            )
+            return (
+                f'The session shows {_TABLE_WORDS[family.name]} ({family.name}, {chance}), by '
+                f'{found.seen / ARCSEC:.3g} arcsec where {whose}: the standard deviations allow '
+                f'for {size} each.'
+            )
         return (
             f'The session shows {_TABLE_WORDS[family.name]} ({chance}): the standard deviations '
             f'allow for {size} each, which the description of the table does not state '
@@ -335,5 +358,6 @@ def _held(one: TermTest, held: list[tuple[Parameter, tuple[Parameter, float]]]) 
     verb = 'holds' if len(held) == 1 else 'hold'
     return (
         f'{names} {verb} for {one.name} = 0, which this session does not show: {_AMOUNT:g} '
-        f'{unit.shown} would move {moved.name} by {by:.2g} {moved.unit.shown}'
+        f'{unit.shown} would move {moved.name} by {by:.2g} {moved.unit.shown}; to determine it '
+        f'takes {terms_of(one.parameters)[0].needs}'
     )

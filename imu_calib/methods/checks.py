@@ -36,6 +36,10 @@ _RANK = 1e-3
 digits of an encoder. Six positions show one tilt, and not the other beside the misalignments."""
 _FAR_SCALE = 0.1
 """Share: data sheets allow percents."""
+_COARSE_STEP = 2e-3 * DEG
+"""Steps of encoders that are worth a sentence, rad: 7 arcsec, 17.5 bits. A judgement: finer ones
+are no reason to buy others."""
+
 _WELL_KNOWN_CLOCKS = 5e-6
 """Of the rate: below it, K_g is known to 5 ppm all the same."""
 _OFF_POSITION = 0.02 * DEG
@@ -209,6 +213,25 @@ def clock_finding(evidence: Evidence) -> list[str]:
     return [
         f'The rate between the clocks of IMU and table is known to {std / PPM:.0f} ppm only: K_g '
         'is known no better (joint states at 20 Hz or more would improve it).'
+    ]
+
+
+def encoder_finding(evidence: Evidence) -> list[str]:
+    """Mention encoders whose steps hide what rates turns had.
+
+    Returns:
+        One sentence, or none.
+
+    """
+    by_steps = [turn.rate_error for turn in evidence.turns if turn.step >= _COARSE_STEP]
+    worst = max(by_steps, default=0.0)
+    if evidence.encoder_step < _COARSE_STEP or worst < _WELL_KNOWN_CLOCKS:
+        return []
+    return [
+        f'The angles of the encoders come in steps of {evidence.encoder_step / DEG:.2g} deg: the '
+        f'rates of turns are known to {worst / PPM:.0f} ppm at worst, and the standard deviations '
+        'of K_g allow for that (finer angles would improve it, more turns, and rates that are no '
+        'whole number of steps from one joint state to the next).'
     ]
 
 

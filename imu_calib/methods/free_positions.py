@@ -36,7 +36,7 @@ from ..observation.free import FreeEquations, led_on
 from ..observation.information import Information
 from ..observation.layout import Indices
 from ..stream import Floats
-from ..units import DEG, STANDARD_GRAVITY
+from ..units import DEG, STANDARD_GRAVITY, counted
 from .checks import check_axes
 from .free_checks import check_turns, doubts_latitude, other_latitudes, wrong_latitude
 from .solution import Solution
@@ -188,8 +188,9 @@ def solve(evidence: Evidence) -> FreeFit:
     """
     if len(evidence.segments) < FEWEST:
         raise NotObservable(
-            f'{len(evidence.segments)} holds were found; gravity needs {FEWEST} or more in '
-            'different attitudes to determine the accelerometers, 20 or more for a good result.'
+            f'{counted(len(evidence.segments), "hold was", "holds were")} found; gravity needs '
+            f'{FEWEST} or more in different attitudes to determine the accelerometers, 20 or more '
+            'for a good result.'
         )
     start = _State(*initial_equations(evidence), np.ones(3))
     model = start.equations.model(start.values)
@@ -384,7 +385,8 @@ def _check_observable(state: _State) -> None:
         if any(name[2] == 'g' for name in names):
             words.append('turn it by a quarter turn or more about different axes between holds')
         raise NotObservable(
-            f'{len(evidence.segments)} holds and {len(evidence.links)} turns do not determine '
+            f'{counted(len(evidence.segments), "hold")} and '
+            f'{counted(len(evidence.links), "turn")} do not determine '
             f'{", ".join(names)}: {"; ".join(words)}.'
         )
 

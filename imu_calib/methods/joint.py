@@ -20,7 +20,7 @@ from ..estimation.estimate import Estimate, estimate
 from ..estimation.outliers import Outlier, RejectedMove
 from ..estimation.search import Search, search_terms
 from ..estimation.temperature_change import temperature_finding
-from ..estimation.term_tests import findings, tested
+from ..estimation.term_tests import findings, tested, untold_errors
 from ..late import scipy
 from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course, names_of
@@ -35,6 +35,7 @@ from .checks import (
     check_axes,
     check_latitude,
     clock_finding,
+    encoder_finding,
     far_scales,
     turns_scatter_finding,
 )
@@ -97,7 +98,7 @@ def concluded(search: Search, terms: tuple[Term, ...], changes: tuple[Change, ..
         NotObservable: It contradicts itself.
 
     """
-    found = _concluded(search.estimate)
+    found = _concluded(search.estimate, untold_errors(search))
     return replace(
         found,
         covariance=found.covariance + search.doubt,
@@ -175,8 +176,14 @@ def _check_that_no_latitude_converges(evidence: Evidence) -> None:
         return
 
 
-def _concluded(found: Estimate) -> Solution:
-    """Hold an estimate against the world: axes, latitude, what is left over."""
+def _concluded(found: Estimate, untold: Sequence[str] = ()) -> Solution:
+    """Hold an estimate against the world: axes, latitude, what is left over.
+
+    Args:
+        found: The estimate.
+        untold: Errors of the table, in words, that positioning errors may be in truth.
+
+    """
     equations, evidence = found.equations, found.equations.evidence
     model = equations.model(found.state)
     check_axes(model.gyro.response, 'gyros', 'the turns and the Earth')
@@ -194,7 +201,12 @@ def _concluded(found: Estimate) -> Solution:
         float(earth[2]),
         float(np.sqrt(earth_covariance[2, 2])),
         found.condition,
-        (*_findings(found), *far_scales(model), *clock_finding(evidence)),
+        (
+            *_findings(found, untold),
+            *far_scales(model),
+            *clock_finding(evidence),
+            *encoder_finding(evidence),
+        ),
         found.scatter.bias_drift,
         equations.parameters,
         changes=_changes(found),
@@ -262,7 +274,7 @@ def _free_earth(plain: Equations, state: Floats) -> tuple[Floats, Floats]:
     return around.level @ (around.rate + step[-3:]), around.level @ covariance @ around.level.T
 
 
-def _findings(found: Estimate) -> list[str]:
+def _findings(found: Estimate, untold: Sequence[str]) -> list[str]:
     notes = []
     if found.outliers:
         names = ', '.join(
@@ -287,7 +299,7 @@ def _findings(found: Estimate) -> list[str]:
             f'{level / ARCSEC:.3g} arcsec to which it was taken to be level.'
         )
     notes += [_constant(found)] if found.constant else []
-    return [*notes, *temperature_finding(found), *_scattering(found)]
+    return [*notes, *temperature_finding(found), *_scattering(found, untold)]
 
 
 def _leaning(found: Estimate, outlier: Outlier) -> str:
@@ -353,8 +365,14 @@ def _ways(moves: Sequence[RejectedMove]) -> str:
     return f'from position {names}{more}'
 
 
-def _scattering(found: Estimate) -> list[str]:
-    """Say what scatters beyond the noise and beyond what table and data sheet state."""
+def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
+    """Say what scatters beyond the noise and beyond what table and data sheet state.
+
+    Args:
+        found: The estimate.
+        untold: As in `_concluded`.
+
+    """
     evidence, scatter = found.equations.evidence, found.scatter
     notes = []
     stated = f'{evidence.positioning / ARCSEC:.3g} arcsec' if evidence.positioning else 'none'
@@ -369,13 +387,19 @@ def _scattering(found: Estimate) -> list[str]:
         notes.append(
             f'Positioning errors of {joints / ARCSEC:.2g} arcsec, which encoders do not show, '
             f'explain the scatter of the residuals ({known}): the standard deviations allow for '
-            'them.'
+            f'them.{_in_steps(joints, evidence)}'
         )
     if stops > _TELLING * max(joints, evidence.positioning):
         notes.append(
             f'Attitude errors of the whole table, {stops / ARCSEC:.2g} arcsec about each axis and '
             'others at each stop, explain the scatter of the residuals: the standard deviations '
             'allow for it.'
+        )
+    if notes and untold:
+        notes[-1] += (
+            f' In so few positions {" and ".join(untold)} would look the same. A second session at '
+            'the same positions tells: the same residuals are the axes and the encoders, others '
+            'the stops. So do stops at more angles of each joint.'
         )
     for name, first, unit, symbol in (
         ('gyros', 0, DEG_H, 'deg/h'),
@@ -399,3 +423,11 @@ def _scattering(found: Estimate) -> list[str]:
                 f'description of the IMU states {stated}): the standard deviations allow for it.'
             )
     return notes
+
+
+def _in_steps(errors: float, evidence: Evidence) -> str:
+    """Say that encoders do not show positioning errors (rad) which are within their steps."""
+    step = evidence.encoder_step
+    if errors > step:
+        return ''
+    return f' The angles of the encoders come in steps of {step / DEG:.2g} deg, which hide as much.'

@@ -252,6 +252,15 @@ class Evidence:
         """Standard deviation of the table's tilt about either level axis, rad."""
         return LEVELLED if self.table is None else self.table.level
 
+    @property
+    def encoder_step(self) -> float:
+        """The step of the encoders as half of the turns show it at least, rad; else 0.
+
+        A ramp of round numbers, read at even intervals, looks coarse by chance.
+        """
+        steps = sorted(turn.step for turn in self.turns)
+        return steps[(len(steps) - 1) // 2] if steps else 0.0
+
     def scaled(self, factors: Floats) -> Evidence:
         """Return the session with outputs, and their noise, multiplied by (6,) factors."""
         segments = (replace(s, statistics=s.statistics.scaled(factors)) for s in self.segments)

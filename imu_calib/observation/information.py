@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind, Term
 from ..stream import Floats
+from ..units import counted
 from .equations import Equations
 from .evidence import Evidence
 
@@ -25,8 +26,9 @@ and a session without noise that rests on the levelling of the table has 3e-10."
 _MIXED = 1e-4
 """Length of the part of a parameter, a column of norm one, in directions that count as not
 determined: rounding of 1e-14 turns those that just count (`_SINGULAR`) by as much."""
-_MEANINGLESS = 0.01
-"""Standard deviation of a scale factor or a misalignment (rad) that is of no use."""
+_MEANINGLESS = {ParameterKind.SCALE_FACTOR_ERROR: 0.01, ParameterKind.MISALIGNMENT: 0.01}
+"""Standard deviations, of ratios and in rad, that are of no use: of what has no largest amount that
+an IMU may have."""
 
 _USEFUL = 0.02
 """Share of the largest coefficient of a term that any IMU may have: of ratios it leaves 0.1 %."""
@@ -181,7 +183,7 @@ def useful_limit(parameter: Parameter) -> float:
     if parameter.kind is ParameterKind.BIAS:
         return np.inf
     limit = parameter.unit.limit
-    return _MEANINGLESS if limit is None else _USEFUL * limit
+    return _MEANINGLESS[parameter.kind] if limit is None else _USEFUL * limit
 
 
 def _deviations(information: Information, parameters: tuple[Parameter, ...]) -> Floats:
@@ -201,13 +203,15 @@ def undetermined_in_words(evidence: Evidence, term: Term, lost: Sequence[Paramet
     others = [p.name for p in lost if p not in term.parameters]
     apart = f' apart from {", ".join(others)}' if others else ''
     return (
-        f'{_found(evidence)} do not determine {term.name} ({", ".join(mine)}){apart}: not '
-        f'observable. To determine it takes {term.needs}; or leave it out (`terms`).'
+        f'{segments_in_words(evidence)} do not determine {term.name} ({", ".join(mine)}){apart}: '
+        f'not observable. To determine it takes {term.needs}; or leave it out (`terms`).'
     )
 
 
-def _found(evidence: Evidence) -> str:
-    return f'{len(evidence.segments)} static dwells and {len(evidence.turns)} turns'
+def segments_in_words(evidence: Evidence) -> str:
+    """Say how many static dwells and turns there are."""
+    dwells = counted(len(evidence.segments), 'static dwell')
+    return f'{dwells} and {counted(len(evidence.turns), "turn")}'
 
 
 def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
@@ -237,7 +241,9 @@ def unobservable_in_words(evidence: Evidence, lost: NDArray[np.bool_]) -> str:
                 left -= set(names)
     rest = [p.name for p in PARAMETERS if p.name in left]
     if rest:
-        words.append(f'{_found(evidence)} do not determine {", ".join(rest)}: not observable')
+        words.append(
+            f'{segments_in_words(evidence)} do not determine {", ".join(rest)}: not observable'
+        )
     missing = evidence.missing_positions()
     tail = f' (missing: position {", ".join(missing)})' if missing else ''
     text = '; '.join(words)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..late import scipy
 from ..stream import Floats, Stamps
 
 _LAG = 240
@@ -31,6 +32,20 @@ _ALIKE = 0.75
 """Share of bunches that are of one size, give or take a sample: a reader that polls gets one more
 or less, and samples that are held up by chance queue in all sizes. A judgement."""
 
+_QUEUED = 0.05
+"""Share of steps that are short from which on samples queue: of stamps with a jitter of a fifth of
+an interval a tenth is so short, and what is late by itself is seen as that. A judgement."""
+
+_NEARLY = 0.2
+"""Of the mean step: so near to it is the interval, unless samples come in bunches or one in six is
+missing."""
+
+_AHEAD = 512
+"""Samples of which the earliest tells: more than a line is held up without one that is in time,
+five seconds at 100 Hz, and so few that an interval that is known to a ten-thousandth errs by a
+twentieth of one over them. Of 40 simulated streams of 75 s, one sample in twenty late by 100 ms,
+three were late for longer than 128."""
+
 _LARGEST = 0.9
 """Quantile of the sizes that is the size of whole packets: a few are two that came together."""
 
@@ -38,16 +53,18 @@ _LARGEST = 0.9
 def spread(stamp: Stamps) -> Stamps:
     """Spread the samples of each bunch evenly over the time since the one before.
 
+    Those that queue behind one that is held up by chance go back to when they were made.
+
     Args:
         stamp: (n,) ns, increasing.
 
     Returns:
-        (n,) ns, increasing; `stamp` itself where samples do not come in bunches.
+        (n,) ns, increasing; `stamp` itself where samples come one by one.
 
     """
     starts = _bunches(stamp)
     if starts is None:
-        return stamp
+        return _out_of_queue(stamp)
     counts = np.diff(starts, append=len(stamp))
     came = (stamp[starts] - stamp[0]).astype(float)
     whole, passed = counts[1:-1], np.diff(came)[:-1]
@@ -66,6 +83,26 @@ def spread(stamp: Stamps) -> Stamps:
     each = np.repeat((came - begins) / slots, counts)
     made = np.rint(np.repeat(begins, counts) + number * each).astype(np.int64)
     return np.asarray(stamp[0] + made)
+
+
+def _out_of_queue(stamp: Stamps) -> Stamps:
+    """Return when samples were made that queue behind those that are late by chance, (n,) ns.
+
+    Nothing comes before it is made, and each is made an interval after the one before, or more
+    where some are missing: the earliest of the next stamps, less the intervals to it, tells.
+    """
+    steps = np.diff(stamp)
+    if not len(steps):
+        return stamp
+    mean = float(steps.mean())
+    short = steps < SHORT * mean
+    interval = float(np.median(steps[~short]))
+    if short.mean() < _QUEUED or abs(interval - mean) > _NEARLY * mean:
+        return stamp
+    line = np.arange(len(stamp)) * interval
+    late = (stamp - stamp[0]) - line
+    earliest = scipy.ndimage.minimum_filter1d(late, _AHEAD, mode='nearest', origin=-(_AHEAD // 2))
+    return np.asarray(stamp[0] + np.rint(line + earliest).astype(np.int64))
 
 
 def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..instants import at
 from ..stream import Floats, ImuBlock, JointBlock, Setpoint, SetpointBlock, SkewBlock, Stamps
 from ..turntable import Table
+from ..units import counted
 from .buffer import RowBuffer
 from .order import Ordered, StampOrder
 
@@ -133,7 +134,7 @@ class StreamBuffer:
     def losses(self, ahead: int = 0) -> list[str]:
         """Say what was lost, in sentences, where the IMU's clock is `ahead` (ns) of the table's."""
         lost = [
-            f'{count} samples {_how(what)}, the first at {at(first)}'
+            f'{counted(count, "sample")} {_how(what)}, the first at {at(first)}'
             for what, (count, first) in self._dropped.items()
         ]
         if self._table is None:

@@ -59,13 +59,16 @@ _ENCODER = 1e-3 * DEG
 """Least departure that counts, rad. A judgement: 3.6 arcsec for an encoder's error within the turn,
 which it does not state."""
 
-_COARSEST = 0.02 * DEG
-"""Largest step that is taken for that of an encoder, rad: 72 arcsec, 14 bits a turn. Angles that
-differ by more without exception are few, not rounded."""
+_COARSEST = 0.2 * DEG
+"""Largest step that is taken for that of an encoder, rad: 11 bits a turn. Nobody calibrates by
+less."""
 
-_IN_TIME = 0.2
-"""Scatter below this share of a step says that samples come in time with the steps: errors of
-rounding are else uniform and scatter by 1 / sqrt(12) = 0.29 of one."""
+_EVENLY = 0.02 * DEG
+"""Least difference, rad, from which on angles that all differ alike may be those of a fine encoder
+at one rate, read at even intervals: ramps must show other multiples. 72 arcsec, 14 bits a turn."""
+
+_HALVINGS = 40
+"""Of an interval of slopes: to 10^-12 of it."""
 
 _BLOCKS = 16
 """Of the angles of a line, whose means show errors in common (docs/mathematics.md, 'Rate test')."""
@@ -123,6 +126,7 @@ class Plateau:
         before: How long before `start` the angles still show no departure, s.
         after: How long after `end`, s.
         unseen: Departure that they would not show there, rad.
+        step: Of the encoder, rad; 0 where its angles show none.
 
     """
 
@@ -133,6 +137,7 @@ class Plateau:
     before: float
     after: float
     unseen: float
+    step: float = 0.0
 
     @property
     def turned(self) -> float:
@@ -152,6 +157,7 @@ class WholeTurns:
         rate_error: Standard deviation of the mean rate over them, relative.
         spare: How long before and after the turns the rate is surely the same, s: less than the
             line shows, for the onset of ramps and for clocks that are yet to be compared.
+        step: Of the encoder, rad; 0 where its angles show none.
 
     """
 
@@ -161,6 +167,7 @@ class WholeTurns:
     angle: float
     rate_error: float
     spare: float
+    step: float = 0.0
 
 
 def find_turns(motion: Motion) -> list[WholeTurns]:
@@ -305,8 +312,10 @@ def _step(angle: Floats) -> float:
         return 0.0
     for share in _SHARES:
         steps = near * share / least
-        if np.all(np.abs(steps - np.rint(steps)) < _WHOLE):
-            return least / share
+        whole = np.rint(steps)
+        if np.all(np.abs(steps - whole) < _WHOLE):
+            others = np.count_nonzero(whole != np.median(whole))
+            return least / share if least < _EVENLY or others >= _FEWEST else 0.0
     return 0.0
 
 
@@ -330,9 +339,53 @@ def _trimmed(line: _Line, time: Floats, angle: Floats, first: int, last: int) ->
         return None
     fitted = _Line.through(time[sure], angle[sure], line.step)
     unseen = float(line.limit(np.array([begin, end])).max())
+    hidden = _hidden_by_steps(fitted, time[sure], angle[sure])
+    slope_std = max(fitted.slope_std, hidden)
     return Plateau(
-        begin + before, end - after, fitted.slope, fitted.slope_std, before, after, unseen
+        begin + before, end - after, fitted.slope, slope_std, before, after, unseen, line.step
     )
+
+
+def _hidden_by_steps(line: _Line, time: Floats, angle: Floats) -> float:
+    """Return how far off a line's slope is by the encoder's steps alone, rad/s, as a deviation.
+
+    Where samples come in time with the steps, or nearly so, all readings err alike for long: no
+    scatter shows it. What is known of the slope is that some line of it comes within half a step
+    of all readings; which offset does so is as likely as any other. 0 where readings scatter by
+    more than steps do: that is seen.
+
+    Source: docs/mathematics.md, 'Rate test'.
+    """
+    # Of readings within a step the scatter is half of it at most.
+    if line.noise > line.step:
+        return 0.0
+    apart = time - line.time
+    left = angle - line.angle - line.slope * apart
+
+    def spread(slope: float) -> float:
+        return float(np.ptp(left - slope * apart))
+
+    # Convex in the slope: its least is found first, then where it is a step on either side.
+    reach = 2 * line.step / float(np.ptp(time))
+    low, high = -reach, reach
+    for _ in range(_HALVINGS):
+        third = (high - low) / 3
+        if spread(low + third) < spread(high - third):
+            high -= third
+        else:
+            low += third
+    best = (low + high) / 2
+    if spread(best) > line.step:
+        return 0.0
+    ends = []
+    for outside in (-reach, reach):
+        inside, beyond = best, best + 2 * outside
+        for _ in range(_HALVINGS):
+            middle = (inside + beyond) / 2
+            inside, beyond = (middle, beyond) if spread(middle) <= line.step else (inside, middle)
+        ends.append(inside)
+    # Of an interval whose ends have one offset each, and whose middle has most.
+    return float(np.hypot(np.mean(ends), (ends[1] - ends[0]) / np.sqrt(24)))
 
 
 @dataclass(frozen=True)
@@ -368,8 +421,7 @@ class _Line:
 
         What scatters in common for a while (an encoder's error that repeats with the turn) does
         not average like noise: the means of blocks scatter by more, and the slope is then as
-        uncertain as they are. Where samples come in time with the steps of the encoder, its
-        error hardly scatters at all: its ends are then off by two errors even within a step.
+        uncertain as they are.
         """
         n, middle, mean = len(time), float(time.mean()), float(angle.mean())
         centred = time - middle
@@ -381,8 +433,6 @@ class _Line:
         departure = max(step, _ENCODER)
         smoothed = int(np.clip((_LEAVES * noise / departure) ** 2, 1, max(1.0, within)))
         slope_std = float(np.sqrt(_variance(left, noise**2) / spread))
-        if noise < _IN_TIME * step:
-            slope_std = max(slope_std, step / float(np.sqrt(6) * np.ptp(time)))
         return cls(n, middle, spread, mean, slope, slope_std, step, noise, smoothed)
 
     def limit(self, time: Floats) -> Floats:
@@ -433,4 +483,5 @@ def _whole_turns(plateau: Plateau, joint: int, origin: float) -> WholeTurns | No
         float(np.copysign(count * _TURN, plateau.rate)),
         float(np.hypot(plateau.rate_std / rate, hidden / (count * _TURN))),
         max(0.0, _SURE * (sure - seconds) / 2 - _CLOCKS_APART),
+        plateau.step,
     )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..stream import Floats, Stamps
+from ..units import counted
 from .cleaning import Sound, find_step, sound_samples
 from .repeated_samples import repeating_a_turn, repeating_samples
 from .segment import Segment, Statistics
@@ -116,14 +117,14 @@ def _sound_statistics(
     """Estimate over the sound part of a static dwell; a text says why there is none."""
     notes = list(sound.notes)
     if saturated.any():
-        notes.append(f'{saturated.sum()} samples are saturated')
+        notes.append(f'{counted(int(saturated.sum()), "sample is", "samples are")} saturated')
     kept = samples.at(sound.mask)
     if len(kept.stamp) * samples.period < _SHORTEST_REST:
         return '; '.join(notes) or 'too little of it was quiet'
     gaps = gap_free(samples.stamp, samples.period)
     missing = _missing(samples, gaps)
     if missing:
-        notes.append(f'{missing} samples missing in {len(gaps) - 1} gap(s)')
+        notes.append(f'{counted(missing, "sample")} missing in {counted(len(gaps) - 1, "gap")}')
     statistics = statistics_at_rest(kept, walk)
     step = find_step(statistics, walk)
     if step is not None:

@@ -155,6 +155,7 @@ class Turn:
             they are slow.
         angles: (k,) mean joint angles, rad; None without joint states.
         joint: Which of them turns.
+        step: Of its encoder, rad, by its angles; 0 where they show none.
 
     """
 
@@ -172,6 +173,7 @@ class Turn:
     level: float = 0.0
     angles: Floats | None = None
     joint: int | None = None
+    step: float = 0.0
 
     def variance(self, walk: Floats, north_rate: float, response: Floats | None = None) -> Floats:
         """Return the variances of the gyros' means, (3,): noise, level Earth rate, error of `up`.

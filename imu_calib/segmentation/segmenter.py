@@ -24,7 +24,7 @@ from ..stream import (
     TemperatureBlock,
 )
 from ..turntable import Table
-from ..units import DEG
+from ..units import DEG, counted
 from .apart import FARTHEST, offset_by_pattern
 from .bridging import LONGEST, Bridged, bridged
 from .buffer import RowBuffer
@@ -502,8 +502,8 @@ class Segmenter:
             )
         if self._frozen[0]:
             lost.append(
-                f'The samples are frozen in {self._frozen[0]} motion(s) of the table, repeating '
-                f'one, first at {at(self._frozen[1])}: the motions are left out'
+                f'The samples are frozen in {counted(self._frozen[0], "motion")} of the table, '
+                f'repeating one, first at {at(self._frozen[1])}: left out'
             )
         if self._clocks_unknown:
             lost.append(
@@ -512,9 +512,10 @@ class Segmenter:
             )
         if self._off_grid:
             lost.append(
-                f'The stamps of the IMU are offset from the sampling grid {len(self._off_grid)} '
-                f'time(s), first at {at(min(self._off_grid))}: its clock was set, or it began to '
-                'sample anew; what is before and after counts by itself'
+                'The stamps of the IMU are offset from the sampling grid '
+                f'{counted(len(self._off_grid), "time")}, first at {at(min(self._off_grid))}: its '
+                'clock was set, or it began to sample anew; what is before and after counts by '
+                'itself'
             )
         lost += _interruptions(self._interruptions)
         if self._table is not None and self._joints is not None and self._joints.silent:

@@ -138,6 +138,7 @@ def _read_turn(
         each=(each if skewed is not None else each[:, :3]) if count > 1 else None,
         angles=angles,
         joint=turns.joint,
+        step=turns.step,
     )
 
 

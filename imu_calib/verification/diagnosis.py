@@ -39,11 +39,14 @@ _LARGEST_ROTATION = 3 * DEG
 """rad: the equations are linear, and leave out half the square of it, a thousandth."""
 _NO_SENSE = 1.0 * DEG
 """Noise over signal from which on accelerometers tell no direction."""
-_WIDE = 0.2
-"""Ratios before anything is known of a unit."""
+_WIDE = {ParameterKind.SCALE_FACTOR_ERROR: 0.2, ParameterKind.MISALIGNMENT: 0.2}
+"""Ratios, and rad, before anything is known of a unit: of what has no largest amount that any may
+have."""
 _WIDE_BIAS = {'g': 0.05, 'a': 0.5}
 _WIDE_G = 1e-3
 """s/m: g-sensitivity before anything is known of a unit."""
+_OF_TERMS = {term.kind for term in TERMS} - {ParameterKind.G_SENSITIVITY}
+"""Kinds of which nothing is known but their words."""
 _ALL_BUT_ZERO = 1e-9
 """By how much a factor that is one may differ from it: what rounding leaves is far below, any wrong
 unit far above."""
@@ -335,10 +338,12 @@ def _width(parameter: Parameter) -> float:
         return _WIDE_BIAS[parameter.triad]
     if parameter.kind is ParameterKind.G_SENSITIVITY:
         return _WIDE_G
-    return parameter.unit.limit or _WIDE
+    limit = parameter.unit.limit
+    return _WIDE[parameter.kind] if limit is None else limit
 
 
 def _words(kind: ParameterKind) -> tuple[str, str]:
     """Say when parameters of a kind are let go of, and why."""
-    other = f'the {kind.value.words} is another', 'It has moved, or is that of another unit.'
-    return _FREED.get(kind, other)
+    if kind in _OF_TERMS:
+        return f'the {kind.value.words} is another', 'It has moved, or is that of another unit.'
+    return _FREED[kind]

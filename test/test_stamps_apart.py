@@ -1,0 +1,170 @@
+"""Stamps far from when samples were made: queues, clocks seconds apart; samples that freeze."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from sessions import Named, calibrate, quick_plan, session, stand
+from test_calibration_session import recut
+
+from imu_calib.plan import Plan
+from imu_calib.segmentation.apart import offset_by_pattern
+from imu_calib.segmentation.bunches import spread
+from imu_calib.segmentation.motion import Motion
+from imu_calib.simulation.options import Delivery
+from imu_calib.stream import Floats, ImuBlock, JointBlock, Stamps
+from imu_calib.turntable import Joint, Table
+from imu_calib.units import DEG
+
+START = 1_700_000_000 * 10**9
+TABLE = Table('bench', (Joint('a', (1.0, 0.0, 0.0)), Joint('b', (0.0, 0.0, 1.0))))
+INTERVAL = 0.01
+
+# Queues
+
+
+def queue(seed: int, late: float, delay: float, jitter: float = 0.0) -> tuple[Stamps, Floats]:
+    """Stamps of 40 s at 100 Hz of which a share is held up, and when samples were made, s."""
+    rng = np.random.default_rng(seed)
+    made = INTERVAL * np.arange(1, 4001)
+    held = rng.exponential(delay, len(made)) * (rng.random(len(made)) < late)
+    behind = 20e-6 * np.arange(len(made))
+    came = np.maximum.accumulate(made + held + jitter * rng.standard_normal(len(made)) - behind)
+    return START + np.rint((came + behind) * 1e9).astype(np.int64), made
+
+
+@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize(('late', 'delay'), [(0.05, 0.1), (0.05, 0.05), (0.02, 0.2)])
+def test_a_queue_goes_back_to_when_its_samples_were_made(
+    late: float, delay: float, seed: int
+) -> None:
+    stamp, made = queue(seed, late, delay)
+    off = (spread(stamp) - START) * 1e-9 - made
+    assert ((stamp - START) * 1e-9 - made).max() > 20 * INTERVAL
+    # But for the last, of which nothing that follows tells; 20 us are what a queue is read out by.
+    assert np.abs(off[:-512]).max() < 1e-4
+
+
+def test_what_is_missing_is_no_queue() -> None:
+    stamp, made = queue(1, 0.05, 0.1)
+    kept = np.delete(np.arange(4000), np.r_[700:703, 2000:2020])
+    off = (spread(stamp[kept]) - START) * 1e-9 - made[kept]
+    assert np.abs(off[:-512]).max() < 1e-4
+
+
+def test_stamps_that_come_one_by_one_stay() -> None:
+    alone, _ = queue(1, 0.01, 0.02)
+    assert spread(alone) is alone
+    jittery, _ = queue(1, 0.0, 0.1, jitter=1.5e-3)
+    assert spread(jittery) is jittery
+    assert len(spread(alone[:1])) == 1
+
+
+# Clocks apart
+
+
+def motion(start: float, rate: float, seconds: float) -> Motion:
+    """Joint b turns at a rate, deg/s, for so long, with half a second of ramp at both ends."""
+    time = np.arange(start - 1, start + seconds + 1, INTERVAL)
+    knots = [start, start + 0.5, start + seconds - 0.5, start + seconds]
+    speed = rate * DEG * np.interp(time, knots, [0, 1, 1, 0])
+    stamp = START + np.rint(time * 1e9).astype(np.int64)
+    angle = np.cumsum(speed) * INTERVAL
+    return Motion(
+        int(stamp[0]), int(stamp[-1]), stamp, np.column_stack([np.zeros_like(angle), angle])
+    )
+
+
+def by_gyros(motions: list[Motion], ahead: float, factor: float = 1.0) -> tuple[Stamps, Floats]:
+    """The angle that gyros turned, whose clock is ahead, with a bias and a misalignment."""
+    time = np.arange(-80.0, 250.0, INTERVAL)
+    table = np.zeros(len(time))
+    for one in motions:
+        table += np.interp(time, (one.stamp - START) * 1e-9, one.position[:, 1])
+    turned = factor * table[:, None] * [0.002, 0.0, 1.0] + time[:, None] * [1e-4, 0.0, -2e-4]
+    return START + np.rint((time + ahead) * 1e9).astype(np.int64), turned
+
+
+DIFFERENT = [motion(70, 30, 4), motion(90, 20, 12), motion(120, 60, 7), motion(131, 10, 9)]
+
+
+@pytest.mark.parametrize('ahead', [-57.3, -20.0, 0.0, 2.0, 20.0, 57.3])
+@pytest.mark.parametrize('factor', [1.0, 1.01])
+def test_motions_tell_how_far_clocks_are_apart(ahead: float, factor: float) -> None:
+    found = offset_by_pattern(DIFFERENT, TABLE, START, *by_gyros(DIFFERENT, ahead, factor))
+    assert found == pytest.approx(ahead, abs=0.1)
+
+
+def test_nothing_tells_where_no_offset_or_more_than_one_makes_motions_alike() -> None:
+    # Beyond a minute, of gyros that answer half, of other motions.
+    for ahead, factor in ((75.0, 1.0), (2.0, 0.5)):
+        gyros = by_gyros(DIFFERENT, ahead, factor)
+        assert offset_by_pattern(DIFFERENT, TABLE, START, *gyros) is None
+    others = by_gyros([motion(65, 40, 15)], 2.0)
+    assert offset_by_pattern(DIFFERENT, TABLE, START, *others) is None
+    # The same motion every twenty seconds: one of them, whose joint states begin with it, is seen
+    # at four offsets. All of them, or one before which the table stood for long, at one.
+    alike = [motion(start, 30, 4) for start in (70, 90, 110, 130)]
+    gyros = by_gyros(alike, 2.0)
+    assert offset_by_pattern(alike[1:2], TABLE, alike[1].start, *gyros) is None
+    assert offset_by_pattern(alike, TABLE, START, *gyros) == pytest.approx(2.0, abs=0.1)
+
+
+# Sessions
+
+
+@cache
+def plan() -> Plan:
+    return quick_plan('twelve_position', 8.0)
+
+
+def held_up() -> list[Named]:
+    late = Delivery(late=0.05, delay=0.1)
+    return list(session(plan(), stand(delivery=late), seed=1))
+
+
+def apart() -> list[Named]:
+    return list(session(plan(), stand(clock_offset=20.0), seed=1))
+
+
+def bunched() -> list[Named]:
+    return list(session(plan(), stand(delivery=Delivery(bunch=20)), seed=1))
+
+
+@pytest.mark.parametrize('of', [held_up, apart, bunched])
+def test_cuts_and_interleaving_do_not_change_a_bit(of: object) -> None:
+    assert callable(of)
+    blocks = of()
+    whole = calibrate(blocks, plan()).calibration.to_yaml()
+    for seed in (1, 2):
+        assert calibrate(recut(blocks, seed), plan()).calibration.to_yaml() == whole
+
+
+def test_counts_that_freeze_within_a_motion_leave_it_out_and_are_named() -> None:
+    blocks = list(session(plan(), seed=1))
+    joints = [b for _, b in blocks if isinstance(b, JointBlock)]
+    stamp = np.concatenate([b.stamp for b in joints])
+    moving = np.any(np.diff(np.concatenate([b.position for b in joints]), axis=0) != 0, axis=1)
+    # The first motion between two dwells, from before it begins until after it ends.
+    edges = np.flatnonzero(np.diff(moving.astype(int)))
+    begin, end = stamp[edges[:2]] + np.array([-(10**8), 3 * 10**8])
+    last: tuple[Floats, Floats] | None = None
+    frozen: list[Named] = []
+    for name, block in blocks:
+        if isinstance(block, ImuBlock):
+            gyro, accel = block.gyro.copy(), block.accel.copy()
+            for k in np.flatnonzero((block.stamp >= begin) & (block.stamp <= end)).tolist():
+                if last is None:
+                    last = gyro[k].copy(), accel[k].copy()
+                gyro[k], accel[k] = last
+            frozen.append((name, replace(block, gyro=gyro, accel=accel)))
+        else:
+            frozen.append((name, block))
+    found = calibrate(frozen, plan()).calibration
+    said = [f for f in found.findings if 'frozen in' in f]
+    assert len(said) == 1, found.findings
+    assert said[0].startswith('The samples are frozen in 1 motion of the table, repeating one')
+    assert not [f for f in found.findings if 'clocks that jump' in f]
