@@ -284,7 +284,7 @@ def test_changes_that_a_session_does_not_tell_go_or_are_refused() -> None:
     with pytest.raises(NotObservable) as refused:
         changing.with_changes(Equations(few), session_term('trend:D_g'))
     text = str(refused.value)
-    assert text.startswith('1 static dwells and 0 turns do not determine trend (D_gx, D_gy, D_gz)')
+    assert text.startswith('1 static dwell and 0 turns do not determine trend (D_gx, D_gy, D_gz)')
     assert ' apart from K_gx, ' in text
     assert text.endswith('leave it out (`terms`).')
 

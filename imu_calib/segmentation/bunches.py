@@ -33,8 +33,16 @@ _ALIKE = 0.75
 or less, and samples that are held up by chance queue in all sizes. A judgement."""
 
 _QUEUED = 0.05
-"""Share of steps that are short from which on samples queue: of stamps with a jitter of a fifth of
-an interval a tenth is so short, and what is late by itself is seen as that. A judgement."""
+"""Share of steps that are short from which on samples queue: what is late by itself is seen as
+that. A judgement."""
+
+_IN_ROW = 0.5
+"""Share of the short steps that follow another: of a queue all but the first one. Jitter makes two
+in a row where a stamp is a whole interval nearer to the last but one, which is rare."""
+
+_DRIFT = 0.1
+"""Of the interval: as far may stamps that are led by it be off for its error after `_AHEAD`
+samples. It is a tenth of what tells one sample from the next."""
 
 _NEARLY = 0.2
 """Of the mean step: so near to it is the interval, unless samples come in bunches or one in six is
@@ -96,8 +104,17 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
         return stamp
     mean = float(steps.mean())
     short = steps < SHORT * mean
-    interval = float(np.median(steps[~short]))
-    if short.mean() < _QUEUED or abs(interval - mean) > _NEARLY * mean:
+    apart = steps[~short]
+    interval = float(np.median(apart))
+    # Standard deviation of a median, by the median deviation of Gaussian steps.
+    error = 1.86 * float(np.median(np.abs(apart - interval))) / len(apart) ** 0.5
+    in_row = np.count_nonzero(short[1:] & short[:-1])
+    if (
+        short.mean() < _QUEUED
+        or in_row < _IN_ROW * np.count_nonzero(short)
+        or abs(interval - mean) > _NEARLY * mean
+        or error * _AHEAD > _DRIFT * interval
+    ):
         return stamp
     line = np.arange(len(stamp)) * interval
     late = (stamp - stamp[0]) - line
