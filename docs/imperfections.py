@@ -6,7 +6,7 @@ delete the file to begin anew. What an earlier state of the package refused, or 
 run again.
 
 Usage: python docs/imperfections.py [--seeds 2] [--jobs 1] [--rows imperfections.jsonl]
-       python docs/imperfections.py --only 'stamps late' --seeds 5
+       python docs/imperfections.py --only late steps --seeds 5 --page docs/some.md
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
+from datetime import date
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -261,8 +262,8 @@ def widening(rows: list[dict[str, Any]], perfect: list[dict[str, Any]], kind: st
     return f'{ratio:.2f} ({beside})'
 
 
-def page(rows: list[dict[str, Any]]) -> str:
-    """Return the page."""
+def page(rows: list[dict[str, Any]], *, some: bool = False) -> str:
+    """Return the page; `some` where it is of some conditions alone."""
     counts = Counter((r['condition'], r['grade']) for r in rows).values()
     fewest, most = min(counts), max(counts)
     many = f'{most} seeds each' if fewest == most else f'{fewest} to {most} seeds each'
@@ -276,8 +277,9 @@ def page(rows: list[dict[str, Any]]) -> str:
                 'present one has not run those again.'
             )
     else:
-        code = f'All {len(rows)} sessions were run by the package as it is beside this page.'
-    lines = [HEAD.format(dwell=DWELL, seeds=many, code=code, total=_total(rows))]
+        code = f'All {len(rows)} sessions were run by the package of {date.today():%-d %B %Y}.'
+    which = 'some ' if some else ''
+    lines = [HEAD.format(which=which, dwell=DWELL, seeds=many, code=code, total=_total(rows))]
     for condition in CONDITIONS:
         for grade in GRADES:
             these = [r for r in rows if (r['condition'], r['grade']) == (condition, grade)]
@@ -328,7 +330,7 @@ def _total(rows: list[dict[str, Any]]) -> str:
 
 
 HEAD = """\
-# What sessions say on imperfect stands
+# What sessions say on {which}imperfect stands
 
 Written by `docs/imperfections.py`: sessions of {dwell:g} s per position of three units of
 [config/imus](../config/imus), {seeds}, calibrated by what `imu-calib calibrate` does by default.
@@ -367,14 +369,15 @@ def main() -> None:
     parser.add_argument('--scheduler', metavar='ADDRESS', help='of a Dask cluster')
     parser.add_argument('--rows', type=Path, default=Path('imperfections.jsonl'))
     parser.add_argument('--grades', nargs='+', choices=GRADES, default=list(GRADES))
-    parser.add_argument('--only', default='', help='conditions whose names hold this')
+    parser.add_argument('--only', nargs='+', default=[''], help='conditions whose names hold these')
+    parser.add_argument('--page', type=Path, help='where it goes; whole: beside this script')
     a = parser.parse_args()
     wanted = [
         (condition, grade, seed)
         for seed in range(a.seeds)
         for condition in CONDITIONS
         for grade in a.grades
-        if a.only in condition
+        if any(part in condition for part in a.only)
     ]
     run(wanted, a.rows, a.jobs, a.scheduler)
     rows = [
@@ -382,9 +385,11 @@ def main() -> None:
         for r in rows_of(a.rows).values()
         if r['condition'] in CONDITIONS and r['file'] == CONDITIONS[r['condition']].file
     ]
-    if not a.only:
-        text = page([r for r in rows if r['seed'] < a.seeds])
-        Path(__file__).with_suffix('.md').write_text(text, encoding='utf-8')
+    whole = a.only == [''] and a.grades == list(GRADES)
+    target = a.page or (Path(__file__).with_suffix('.md') if whole else None)
+    if target is not None:
+        text = page([r for r in rows if r['seed'] < a.seeds], some=not whole)
+        target.write_text(text, encoding='utf-8')
 
 
 if __name__ == '__main__':

@@ -25,6 +25,7 @@ from imu_calib.imu import load_imu
 from imu_calib.instants import at, iso
 from imu_calib.reports.attitudes import Stand, attitudes, cube, stands
 from imu_calib.reports.budget import budget_section
+from imu_calib.reports.html import bullets, paragraph
 from imu_calib.reports.page import Contents, page
 from imu_calib.reports.provenance import provenance
 from imu_calib.reports.thermal_page import thermal_page
@@ -256,3 +257,10 @@ def test_every_source_of_uncertainty_can_be_drawn(result: Result) -> None:
         more = budget.with_share(source, large)
         found = budget_section(replace(result.calibration, budget=more))
         assert source.heading in found[0]
+
+
+def test_names_of_keywords_are_set_as_code():
+    said = ['State `imu_topic`, or <none>.']
+    expected = 'State <code>imu_topic</code>, or &lt;none&gt;.'
+    assert bullets(said) == f'<ul><li>{expected}</li></ul>'
+    assert paragraph(said[0]) == f'<p>{expected}</p>'

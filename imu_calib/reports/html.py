@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 
@@ -62,12 +63,12 @@ def section(title: str, *content: str, kind: str = '') -> str:
 
 def paragraph(text: str, kind: str = '') -> str:
     """Return a paragraph of plain text."""
-    return tag('p', escape(text), class_=kind or None)
+    return tag('p', _sentence(text), class_=kind or None)
 
 
 def bullets(sentences: Sequence[str]) -> str:
     """Return a list of plain texts; empty without any."""
-    return tag('ul', ''.join(tag('li', escape(s)) for s in sentences)) if sentences else ''
+    return tag('ul', ''.join(tag('li', _sentence(s)) for s in sentences)) if sentences else ''
 
 
 def facts(pairs: Sequence[tuple[str, str]]) -> str:
@@ -77,3 +78,8 @@ def facts(pairs: Sequence[tuple[str, str]]) -> str:
         for name, value in pairs
     )
     return tag('dl', inside)
+
+
+def _sentence(text: str) -> str:
+    """Return plain text in which the names of keywords, `imu_topic`, are set as code."""
+    return re.sub('`([a-z_]+)`', r'<code>\1</code>', escape(text))
