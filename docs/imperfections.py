@@ -6,7 +6,7 @@ delete the file to begin anew. What an earlier state of the package refused, or 
 run again.
 
 Usage: python docs/imperfections.py [--seeds 2] [--jobs 1] [--rows imperfections.jsonl]
-       python docs/imperfections.py --only late steps --seeds 5 --page docs/some.md
+       python docs/imperfections.py --only late steps --seeds 5 --page PAGE
 """
 
 from __future__ import annotations

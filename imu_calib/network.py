@@ -96,6 +96,10 @@ def kept_to(interface: str) -> dict[str, str]:
     return own
 
 
+_PARTICIPANTS = 10
+"""Ports of a domain that are looked at: a stand has five nodes, and a few who watch."""
+
+
 def own_domain() -> int:
     """Return a domain that is free on this machine, and keep it for this process.
 
@@ -122,9 +126,11 @@ def _claim(domain: int) -> socket.socket | None:
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         claim.bind(f'\0imu_calib_domain_{domain}')
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            # Of the first participant (RTPS, 9.6.1.1).
-            probe.bind(('127.0.0.1', 7410 + 250 * domain))
+        # Whoever took the domain first may have ended before others that are still on it.
+        for participant in range(_PARTICIPANTS):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                # Of each participant (RTPS, 9.6.1.1).
+                probe.bind(('127.0.0.1', 7410 + 250 * domain + 2 * participant))
     except OSError:
         claim.close()
         return None

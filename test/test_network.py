@@ -148,12 +148,13 @@ def _is_free(domain):
         return False
 
 
-def test_a_domain_is_taken_where_a_program_of_others_is_on_it(monkeypatch):
+@pytest.mark.parametrize('which', [0, 1, 4])
+def test_a_domain_is_taken_where_a_program_of_others_is_on_it(which, monkeypatch):
     domain = network.own_domain()
     network._claims.pop().close()
     monkeypatch.setattr(network, '_DOMAINS', [domain])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
-        participant.bind(('127.0.0.1', 7410 + 250 * domain))
+        participant.bind(('127.0.0.1', 7410 + 250 * domain + 2 * which))
         with pytest.raises(InputError, match='All ROS domains'):
             network.own_domain()
     assert network.own_domain() == domain
