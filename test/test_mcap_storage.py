@@ -29,7 +29,7 @@ from mcap_bytes import (
 
 from imu_calib.bags import mcap, mcap_chunk
 from imu_calib.bags.mcap import McapStorage, Unpacked, _tables, _with_checksum
-from imu_calib.bags.mcap_chunk import Chunk, chunk_at, stretches
+from imu_calib.bags.mcap_chunk import Chunk, chunk_at, grouped
 from imu_calib.bags.mcap_places import Part, Placed, indexed, located
 from imu_calib.bags.storage import Cache, Losses, Memory, MessageBatch
 from imu_calib.cdr.messages import Bytes
@@ -525,7 +525,7 @@ def test_chunks_that_lie_together_are_loaded_as_one(
         Chunk(15 + apart, 20 + apart, 10, 1, other, 0, 0, 0),
         Chunk(30 + apart, 35 + apart, 11, None, other, 0, 0, 0),
     ]
-    found = [[chunks.index(chunk) for chunk in one.chunks] for one in stretches(chunks)]
+    found = [[chunks.index(chunk) for chunk in one.chunks] for one in grouped(chunks)]
     assert found == expected
 
 

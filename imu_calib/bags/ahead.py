@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from concurrent.futures import Future, ThreadPoolExecutor
 
-    from .mcap_chunk import Stretch
+    from .mcap_chunk import ChunkGroup
 
 Stored = TypeVar('Stored')
 Content = TypeVar('Content')
@@ -29,7 +29,7 @@ class ReadAhead(Generic[Stored, Content]):
     that asks: what reads them knows of no other.
 
     Args:
-        stretches: In the order in which they will be asked for.
+        groups: In the order in which they will be asked for.
         fetch: Reads what is stored of one.
         unpack: Makes its content of that.
 
@@ -37,28 +37,28 @@ class ReadAhead(Generic[Stored, Content]):
 
     def __init__(
         self,
-        stretches: Sequence[Stretch],
-        fetch: Callable[[Stretch], Stored],
+        groups: Sequence[ChunkGroup],
+        fetch: Callable[[ChunkGroup], Stored],
         unpack: Callable[[Stored], Content],
     ) -> None:
         self._fetch, self._unpack = fetch, unpack
-        self._following = {one.start: after for one, after in pairwise(stretches)}
+        self._following = {one.start: after for one, after in pairwise(groups)}
         self._begun: dict[int, tuple[Stored, Future[Content]]] = {}
         self._pool: ThreadPoolExecutor | None = None
 
-    def load(self, stretch: Stretch) -> Content:
+    def load(self, group: ChunkGroup) -> Content:
         """Return a chunk, and begin with those that follow it."""
-        stored, future = self._begun.pop(stretch.start, None) or (self._fetch(stretch), None)
-        self._begin(stretch)
+        stored, future = self._begun.pop(group.start, None) or (self._fetch(group), None)
+        self._begin(group)
         if future is None or future.cancel():
             return self._unpack(stored)
         if not future.done():
-            self._help(stretch)
+            self._help(group)
         return future.result()
 
-    def _begin(self, stretch: Stretch) -> None:
+    def _begin(self, group: ChunkGroup) -> None:
         """Hand over the chunks that follow one."""
-        for after in self._after(stretch):
+        for after in self._after(group):
             if after.start in self._begun:
                 continue
             try:
@@ -72,11 +72,11 @@ class ReadAhead(Generic[Stored, Content]):
             self._pool = self._pool or ThreadPoolExecutor(1, 'unpacking')
             self._begun[after.start] = stored, self._pool.submit(self._unpack, stored)
 
-    def _help(self, stretch: Stretch) -> None:
+    def _help(self, group: ChunkGroup) -> None:
         """Unpack a chunk that follows one and that the thread has not come to."""
         from concurrent.futures import Future
 
-        for after in self._after(stretch):
+        for after in self._after(group):
             begun = self._begun.get(after.start)
             if begun is not None and begun[1].cancel():
                 unpacked: Future[Content] = Future()
@@ -84,11 +84,11 @@ class ReadAhead(Generic[Stored, Content]):
                 self._begun[after.start] = begun[0], unpacked
                 return
 
-    def _after(self, stretch: Stretch) -> Iterator[Stretch]:
+    def _after(self, group: ChunkGroup) -> Iterator[ChunkGroup]:
         """Yield the compressed chunks that follow one without another in between."""
         for _ in range(_AHEAD):
-            following = self._following.get(stretch.start)
+            following = self._following.get(group.start)
             if following is None or not following.compression:
                 return
-            stretch = following
-            yield stretch
+            group = following
+            yield group

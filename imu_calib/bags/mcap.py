@@ -13,7 +13,7 @@ import numpy as np
 from ..cdr import Messages
 from .ahead import ReadAhead
 from .codec import CodecError, decompressor, unpacked_into
-from .mcap_chunk import LONGEST_HEAD, TOGETHER, Chunk, Stretch, chunk_at, stretches
+from .mcap_chunk import LONGEST_HEAD, TOGETHER, Chunk, ChunkGroup, chunk_at, grouped
 from .mcap_places import Part, Placed, located, times_at
 from .mcap_records import RECORD_HEAD, Op, RecordError, walk
 from .mcap_scan import scan
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from ..cdr.messages import Bytes, Indices
 
-    _Stored = tuple[Stretch, memoryview, list[dict[int, Indices]]]
+    _Stored = tuple[ChunkGroup, memoryview, list[dict[int, Indices]]]
     _Content = tuple[Bytes, list[Part]]
     from .mcap_scan import ByteFile
     from .remote import AnyPath
@@ -121,15 +121,15 @@ class McapStorage:
         }
         wanted = [ids for ids in channels.values() if ids]
         read = [c for c in self._chunks if any(c.may_hold(ids) for ids in wanted)]
-        together = stretches(read)
+        together = grouped(read)
         ahead = ReadAhead(together, self._fetch, self._with_content)
 
-        def batch(ids: frozenset[int], stretch: Stretch) -> MessageBatch | None:
-            if not stretch.may_hold(ids):
+        def batch(ids: frozenset[int], group: ChunkGroup) -> MessageBatch | None:
+            if not group.may_hold(ids):
                 return None
-            users = sum(stretch.may_hold(others) for others in wanted)
-            load = partial(self._located, ahead, stretch)
-            return cache.get((self.path, stretch.start), load, users).batch(ids, stretch.end)
+            users = sum(group.may_hold(others) for others in wanted)
+            load = partial(self._located, ahead, group)
+            return cache.get((self.path, group.start), load, users).batch(ids, group.end)
 
         # Not generators, whose frames would hold a batch, and its memory, until the next one.
         return {
@@ -174,26 +174,26 @@ class McapStorage:
             except RecordError as error:
                 self._losses.add(f'{self.path.name}: {error}.')
 
-    def _fetch(self, stretch: Stretch) -> _Stored:
+    def _fetch(self, group: ChunkGroup) -> _Stored:
         """Bring chunks into memory as they are stored."""
-        first, size = stretch.start, stretch.reach - stretch.start
-        memory = None if stretch.compression else self._memory.lend(size)
+        first, size = group.start, group.reach - group.start
+        memory = None if group.compression else self._memory.lend(size)
         with self.path.open('rb', buffering=0) as file:
             content = _read(file, first, size, memory)
-            tables = [_tables(chunk, content, first, file) for chunk in stretch.chunks]
-        chunks = [_with_checksum(chunk, content[chunk.start - first :]) for chunk in stretch.chunks]
-        return Stretch(tuple(chunks)), content, tables
+            tables = [_tables(chunk, content, first, file) for chunk in group.chunks]
+        chunks = [_with_checksum(chunk, content[chunk.start - first :]) for chunk in group.chunks]
+        return ChunkGroup(tuple(chunks)), content, tables
 
     def _with_content(self, fetched: _Stored) -> _Content:
         """Unpack chunks that were fetched."""
-        stretch, content, tables = fetched
-        buffer, size = np.frombuffer(content, np.uint8), stretch.size
-        together = bool(stretch.compression) and size <= TOGETHER
+        group, content, tables = fetched
+        buffer, size = np.frombuffer(content, np.uint8), group.size
+        together = bool(group.compression) and size <= TOGETHER
         if together:
             buffer = self._memory.lend(size)
         parts: list[Part] = []
-        for chunk, table in zip(stretch.chunks, tables, strict=True):
-            start = chunk.data - stretch.start
+        for chunk, table in zip(group.chunks, tables, strict=True):
+            start = chunk.data - group.start
             stored, memory = content[start : start + chunk.stored], None
             if together:
                 start = parts[-1].end if parts else 0
@@ -201,14 +201,14 @@ class McapStorage:
             unpacked = self._unpack(chunk, stored, memory)
             if unpacked is None:
                 continue
-            if stretch.compression and not together:
+            if group.compression and not together:
                 buffer, start = unpacked, 0
             parts.append(Part(f'{self.path.name}: {chunk}', start, start + len(unpacked), table))
         return buffer, parts
 
-    def _located(self, ahead: ReadAhead[_Stored, _Content], stretch: Stretch) -> Unpacked:
+    def _located(self, ahead: ReadAhead[_Stored, _Content], group: ChunkGroup) -> Unpacked:
         """Find the messages of chunks; the thread that unpacks goes on meanwhile."""
-        buffer, parts = ahead.load(stretch)
+        buffer, parts = ahead.load(group)
         return Unpacked(buffer, located(parts, buffer, self._losses.add))
 
     def _unpack(

@@ -86,7 +86,7 @@ class Chunk:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class ChunkGroup:
     """Chunks of one compression, one behind the other in the file, that are loaded as one."""
 
     chunks: tuple[Chunk, ...]
@@ -187,7 +187,7 @@ def _of_summary(entry: ChunkIndex) -> Chunk:
     )
 
 
-def stretches(chunks: Sequence[Chunk]) -> list[Stretch]:
+def grouped(chunks: Sequence[Chunk]) -> list[ChunkGroup]:
     """Put chunks together that are loaded as one.
 
     Args:
@@ -208,4 +208,4 @@ def stretches(chunks: Sequence[Chunk]) -> list[Stretch]:
             together.append([])
             size = chunk.most
         together[-1].append(chunk)
-    return [Stretch(tuple(several)) for several in together]
+    return [ChunkGroup(tuple(several)) for several in together]
