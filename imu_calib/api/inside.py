@@ -20,7 +20,7 @@ from ..segmentation.segmented import Segmented
 from ..segmentation.without_joint_states import up_by_accelerometers
 from ..stream import Block
 from ..turntable import TURN
-from ..units import DEG, DEG_H
+from ..units import DEG, DEG_H, counted
 from .opening import Opened
 from .progress import Progress
 
@@ -191,8 +191,7 @@ def _what_decides(session: Segmented, labelled: Labelled, setup: Setup, *, free:
         from ..methods.free_positions import ESTIMATES
 
         count, dwells = len(ESTIMATES), len(session.segments)
-        plural = '' if dwells == 1 else 's'
-        return f'{dwells} static dwell{plural}: not all {count} parameters are observable'
+        return f'{counted(dwells, "static dwell")}: not all {count} parameters are observable'
     from ..calibrator import Calibrator
     from ..estimation.fit import check_observable
     from ..observation.equations import Equations

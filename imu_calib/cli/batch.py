@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from ..api.progress import Show
 from ..errors import NotObservable
 from ..fleet.running import batch
+from ..units import counted
 from ..workers import MEMORY
 from . import options
 from .outcome import Outcome
@@ -71,12 +72,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
     done = batch(
         arguments.sources, arguments.catalogue, **keywords, progress=begun, connected=_say_where
     )
-    plural = '' if done.recordings == 1 else 's'
     units = done.calibrated + done.failed + done.known
     several = '' if units == done.recordings else f' of {units} units'
     before = f' ({done.known_failed} failed)' if done.known_failed else ''
     OUTPUT.print(
-        f'{done.recordings} recording{plural}{several} in {done.seconds:.1f} s: '
+        f'{counted(done.recordings, "recording")}{several} in {done.seconds:.1f} s: '
         f'{done.calibrated} calibrated, {done.failed} failed, {done.known} done before{before}'
     )
     OUTPUT.print(f'written to {done.catalogue}', markup=False)

@@ -6,6 +6,7 @@ import argparse
 
 from ..api.converting import convert
 from ..api.looking import Topic, topics
+from ..units import counted
 from . import options
 from .terminal import OUTPUT, progress_bar, sentence_list
 
@@ -60,7 +61,6 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _line(topic: Topic, seconds: float) -> str:
-    plural = '' if topic.messages == 1 else 's'
     intervals = topic.messages - 1
     rate = f' in {seconds:.1f} s, {intervals / seconds:.4g} Hz' if intervals > 0 < seconds else ''
-    return f'{topic.messages} message{plural} on {topic.name}{rate}'
+    return f'{counted(topic.messages, "message")} on {topic.name}{rate}'
