@@ -99,9 +99,22 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
     Nothing comes before it is made, and each is made an interval after the one before, or more
     where some are missing: the earliest of the next stamps, less the intervals to it, tells.
     """
-    steps = np.diff(stamp)
-    if not len(steps):
+    interval = _interval_in_queue(np.diff(stamp))
+    if interval is None:
         return stamp
+    line = np.arange(len(stamp)) * interval
+    late = (stamp - stamp[0]) - line
+    earliest = scipy.ndimage.minimum_filter1d(late, _AHEAD, mode='nearest', origin=-(_AHEAD // 2))
+    return np.asarray(stamp[0] + np.rint(line + earliest).astype(np.int64))
+
+
+def _interval_in_queue(steps: Stamps) -> float | None:
+    """Return the interval of samples that queue now and then, ns, by the steps of their stamps.
+
+    None where they do not queue, or where it is known too badly to lead stamps by.
+    """
+    if not len(steps):
+        return None
     mean = float(steps.mean())
     short = steps < SHORT * mean
     apart = steps[~short]
@@ -109,17 +122,9 @@ def _out_of_queue(stamp: Stamps) -> Stamps:
     # Standard deviation of a median, by the median deviation of Gaussian steps.
     error = 1.86 * float(np.median(np.abs(apart - interval))) / len(apart) ** 0.5
     in_row = np.count_nonzero(short[1:] & short[:-1])
-    if (
-        short.mean() < _QUEUED
-        or in_row < _IN_ROW * np.count_nonzero(short)
-        or abs(interval - mean) > _NEARLY * mean
-        or error * _AHEAD > _DRIFT * interval
-    ):
-        return stamp
-    line = np.arange(len(stamp)) * interval
-    late = (stamp - stamp[0]) - line
-    earliest = scipy.ndimage.minimum_filter1d(late, _AHEAD, mode='nearest', origin=-(_AHEAD // 2))
-    return np.asarray(stamp[0] + np.rint(line + earliest).astype(np.int64))
+    queues = short.mean() >= _QUEUED and in_row >= _IN_ROW * np.count_nonzero(short)
+    known = abs(interval - mean) <= _NEARLY * mean and error * _AHEAD <= _DRIFT * interval
+    return interval if queues and known else None
 
 
 def _bunches(stamp: Stamps) -> NDArray[np.intp] | None:

@@ -67,8 +67,8 @@ _EVENLY = 0.02 * DEG
 """Least difference, rad, from which on angles that all differ alike may be those of a fine encoder
 at one rate, read at even intervals: ramps must show other multiples. 72 arcsec, 14 bits a turn."""
 
-_HALVINGS = 40
-"""Of an interval of slopes: to 10^-12 of it."""
+_FINELY = 1e-6
+"""Of the interval in which a slope is sought: how finely; a deviation wants no more."""
 
 _BLOCKS = 16
 """Of the angles of a line, whose means show errors in common (docs/mathematics.md, 'Rate test')."""
@@ -367,23 +367,15 @@ def _hidden_by_steps(line: _Line, time: Floats, angle: Floats) -> float:
 
     # Convex in the slope: its least is found first, then where it is a step on either side.
     reach = 2 * line.step / float(np.ptp(time))
-    low, high = -reach, reach
-    for _ in range(_HALVINGS):
-        third = (high - low) / 3
-        if spread(low + third) < spread(high - third):
-            high -= third
-        else:
-            low += third
-    best = (low + high) / 2
+    best = scipy.optimize.minimize_scalar(
+        spread, bounds=(-reach, reach), method='bounded', options={'xatol': _FINELY * reach}
+    ).x
     if spread(best) > line.step:
         return 0.0
-    ends = []
-    for outside in (-reach, reach):
-        inside, beyond = best, best + 2 * outside
-        for _ in range(_HALVINGS):
-            middle = (inside + beyond) / 2
-            inside, beyond = (middle, beyond) if spread(middle) <= line.step else (inside, middle)
-        ends.append(inside)
+    ends = [
+        scipy.optimize.brentq(lambda slope: spread(slope) - line.step, best, best + outside)
+        for outside in (-2 * reach, 2 * reach)
+    ]
     # Of an interval whose ends have one offset each, and whose middle has most.
     return float(np.hypot(np.mean(ends), (ends[1] - ends[0]) / np.sqrt(24)))
 
