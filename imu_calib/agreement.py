@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from .calibration import Calibration
 from .gravity import gravity_deviation, same_place, without_gravity
-from .late import scipy
 from .model import Parameter, indices_of
 from .stream import Floats
 

@@ -29,9 +29,8 @@ FOG = load_imu('fog_medium')
 OPEN = SourceState(True, False, 'It is open.')
 ENDED = SourceState(False, True, 'It was read to its end.')
 
-SLOW = ('scipy', 'matplotlib')
-"""With what is used of them a quarter of a second each, and neither is before something is solved.
-"""
+SLOW = ('scipy.special', 'scipy.linalg', 'scipy.optimize', 'scipy.stats', 'matplotlib')
+"""A quarter of a second of every command each, and none is used before something is solved."""
 
 RUNTIME = ('cyclonedds', 'rclpy')
 COMMANDS = sorted(dispatch.COMMANDS)

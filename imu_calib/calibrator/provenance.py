@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from ..instants import iso
-from ..late import scipy
 from ..methods.cross_check import Comparison
 from ..methods.solution import Solution
 from ..model import terms_of

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from ..budget import Share, Source
-from ..late import scipy
 from ..model import PARAMETERS, Parameter
 from ..model.motion import motion_parameters
 from ..model.session_terms import Change

@@ -24,10 +24,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..budget import Source
-from ..late import scipy
 from ..model import BIASES, indices_of
 from ..observation.components import Component, Dense, Diagonal
 from ..observation.equations import Equations

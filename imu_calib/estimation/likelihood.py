@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..stream import Floats
 
 _BLOCK = 32

@@ -16,10 +16,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from ..budget import Share, Source
 from ..errors import NotObservable
-from ..late import scipy
 from ..model import PARAMETERS, Parameter, indices_of, parameters_of, terms_of
 from ..model.session_terms import Change, Course
 from ..observation.equations import Equations

@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..budget import Share, Source
 from ..errors import NotObservable
-from ..late import scipy
 from ..observation.common_errors import (
     SHARED,
     TABLE_STATE,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..model import TRIADS, ParameterKind
 from ..model.session_terms import Course, change
 from ..observation.modulation import temperatures, warms

@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..stream import Floats
 from .score import Family, Score
 

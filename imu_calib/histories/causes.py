@@ -6,8 +6,8 @@ Source: docs/history.md, 'Steps'; the turn as in docs/mathematics.md, 'Free of f
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..model import PARAMETER_NAMES, PARAMETERS, ParameterKind
 from ..stream import Floats
 from .patterns import turned

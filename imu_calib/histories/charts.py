@@ -9,8 +9,8 @@ false alarms are then those of a process whose mean and scatter are known. Sourc
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..stream import Floats
 from .blocks import SIZE, Block
 from .prior import Prior

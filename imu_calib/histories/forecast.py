@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..stream import Floats
 from .blocks import Block
 from .prior import Prior

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from ..late import scipy
 from ..stream import Floats
 
 FEWEST = 15

@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..stream import Floats
 from .lines import fit
 

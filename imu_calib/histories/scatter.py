@@ -8,9 +8,9 @@ repeatability'.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from ..late import scipy
 from ..stream import Floats
 from .lines import fit
 

@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from ..late import scipy
 from ..model import PARAMETER_NAMES, PARAMETERS
 from ..stream import Floats
 from .crossed import Effects, crossed, reproducibility

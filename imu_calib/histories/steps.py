@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..stream import Floats
 from .blocks import SIZE, Block
 from .lines import Fit, fit, line_design

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..budget import Share, Shares, Source, total
 from ..earth import EARTH_RATE
 from ..errors import Contradiction, InputError
-from ..late import scipy
 from ..model import AXES, PARAMETERS, Parameter, ParameterKind, SensorModel
 from ..observation.equations import Equations
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from ..late import scipy
 from ..model import Parameter, indices_of
 from ..stream import Floats
 from .solution import Solution

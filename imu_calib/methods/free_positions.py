@@ -16,12 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from ..budget import Share, Shares
 from ..errors import InputError, NotObservable
 from ..estimation.converge import least_squares
 from ..estimation.estimate import shares
-from ..late import scipy
 from ..model import (
     G_SENSITIVITY,
     PARAMETERS,

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from ..changes import Changes
 from ..errors import Contradiction, NotObservable
@@ -21,7 +22,6 @@ from ..estimation.outliers import Outlier, RejectedMove
 from ..estimation.search import Search, search_terms
 from ..estimation.temperature_change import temperature_finding
 from ..estimation.term_tests import findings, tested, untold_errors
-from ..late import scipy
 from ..model import Term, parameters_of
 from ..model.session_terms import Change, Course, names_of
 from ..observation.equations import Equations

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from ..errors import NotObservable
-from ..late import scipy
 from ..model import AXES
 from ..observation.evidence import SMALLEST_VARIANCE, Evidence, vertical_axis
 from ..stream import Floats

@@ -10,9 +10,9 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
+import scipy
 
 from ..budget import Share, Source
-from ..late import scipy
 from ..model import Parameter, ParameterKind
 from ..stream import Floats
 from ..units import ARCMIN, DEG

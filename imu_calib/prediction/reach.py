@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..calibrator import Setup
 from ..errors import InputError, NotObservable
-from ..late import scipy
 from ..methods import JOINT, method
 from ..model import SensorModel
 from ..observation.equations import Equations

@@ -8,11 +8,11 @@ from datetime import datetime, timedelta
 from html import escape
 
 import numpy as np
+import scipy
 
 from ..calibration import Calibration
 from ..errors import InputError
 from ..gravity import same_place, without_gravity
-from ..late import scipy
 from ..model import Parameter
 from ..stream import Floats
 from .html import named_rows, paragraph, table

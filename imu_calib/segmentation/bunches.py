@@ -9,9 +9,9 @@ known (docs/mathematics.md, 'Stamps and lost samples').
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from ..late import scipy
 from ..stream import Floats, Stamps
 
 _LAG = 240

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from ..late import scipy
 from ..rotations import angle_between
 from ..stream import Floats, Stamps
 from ..units import DEG

@@ -8,9 +8,9 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..earth import EARTH_RATE
-from ..late import scipy
 from ..stream import Floats
 from .lengths import propagated
 from .system import Fit, TriadSystem

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..errors import NotObservable
-from ..late import scipy
 from ..model import TERMS, Parameter, ParameterKind, Term
 from ..stream import Floats
 from ..units import ARCMIN, DEG, PPM

@@ -13,11 +13,11 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..calibration import Calibration
 from ..earth import Site
 from ..gravity import gravity_covariance, same_place, without_gravity
-from ..late import scipy
 from ..model import Parameter, ParameterKind, SensorModel, indices_of, terms_of
 from ..model.motion import has_motion_terms
 from ..segmentation.segmented import Move

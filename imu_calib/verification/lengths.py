@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from ..earth import EARTH_RATE, Site
-from ..late import scipy
 from ..model import AXES, Parameter, SensorModel
 from ..observation.evidence import SMALLEST_VARIANCE
 from ..stream import Floats

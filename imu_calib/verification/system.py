@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..budget import Source
@@ -22,7 +23,6 @@ from ..earth import EARTH_RATE
 from ..errors import NotObservable
 from ..estimation.converge import least_squares
 from ..imu import TriadSpec
-from ..late import scipy
 from ..model import Parameter, Triad
 from ..observation.components import Component, Diagonal
 from ..observation.equations import Equations
