@@ -1,7 +1,7 @@
 """The joint estimate over many seeds of a twelve-position session, against the Cramer-Rao bound.
 
-Every session is simulated and cut whole, and solved twice: with the moves between rests, against
-the bound that knows them, and without, against the bound of rests and turns alone. Printed are the
+Every session is simulated and cut whole, and solved twice: with the moves between dwells, against
+the bound that knows them, and without, against the bound of dwells and turns alone. Printed are the
 root-mean-square error over the bound (random walk and quantisation of the full stream, azimuth and
 tilts unknown) of all parameters together and of each, that of the closed form beside it, and
 whether the normalised errors are standard normal. A perfect estimator stays below the limits 99

@@ -66,7 +66,7 @@ TESTS = {
         'segment_values',
         'rest_tolerance',
         'intake',
-        'rest_read',
+        'dwell_read',
         'one_motion',
         'one_stand',
         'sample_grid',

@@ -45,7 +45,7 @@ OWN = 'gyro_asymmetry,gyro_rate_dependence,accel_quadratic'
 """The terms that the unit has."""
 
 AT_REST = tuple(term for term in TERMS if not term.moving)
-"""The ten that rests and turns show."""
+"""The ten that dwells and turns show."""
 
 SHOWN = {
     'truth': ('the truth: its noise is left', COLOURS[2], '4 3'),

@@ -1,4 +1,4 @@
-"""How long a solve takes: thirty rests, thirty turns and all terms together, on one core.
+"""How long a solve takes: thirty dwells, thirty turns and all terms together, on one core.
 
 A session of the plan full_model with the twelve positions after it is simulated and cut, and solved
 by the joint estimate. Counted is processor time, of one thread: a machine that is busy takes longer
@@ -42,12 +42,12 @@ from imu_calib.simulation import simulate
 from imu_calib.turntable import load_table
 
 ALLOWED = 2.0
-RESTS = 30
+DWELLS = 30
 DWELL = 30.0
 
 
 def evidence() -> Evidence:
-    """Return a session of thirty rests with turns at five rates in both senses about each axis."""
+    """Return a session of thirty dwells with turns at five rates in both senses about each axis."""
     full, twelve = quick_plan('full_model', DWELL), quick_plan('twelve_position', DWELL)
     more = [replace(p, rate_test=None) for p in twelve.positions]
     plan = replace(full, positions=(*full.positions, *more))
@@ -65,9 +65,9 @@ def main() -> int:
     parser.add_argument('--profile', action='store_true', help='say where the time goes')
     chosen = parser.parse_args()
     session = evidence()
-    rests, turns, moves = len(session.segments), len(session.turns), len(session.links)
+    dwells, turns, moves = len(session.segments), len(session.turns), len(session.links)
     solution = joint.solve(session, terms=TERMS)  # loads what is loaded once
-    print(f'{rests} rests, {turns} turns, {moves} moves, {len(solution.parameters)} parameters')
+    print(f'{dwells} dwells, {turns} turns, {moves} moves, {len(solution.parameters)} parameters')
     if chosen.profile:
         with cProfile.Profile() as profile:
             joint.solve(session, terms=TERMS)
@@ -82,7 +82,7 @@ def main() -> int:
         taken.append(time.process_time() - begin)
     median = float(np.median(taken))
     print(f'{median:.2f} s of one core ({min(taken):.2f} to {max(taken):.2f}), allowed {ALLOWED} s')
-    return 0 if rests == RESTS and median <= ALLOWED else 1
+    return 0 if dwells == DWELLS and median <= ALLOWED else 1
 
 
 if __name__ == '__main__':

@@ -250,7 +250,7 @@ root of the mean square with the standard error that the scatter from session to
 FOOT = """
 A ratio of errors to deviations has the value of the same units by themselves beside it: noise is
 drawn once for both, and few draws are as far off one in both. The two grades draw the same numbers,
-and are no second draw of it. Each channel's noise is estimated from the blocks of its rests, some
+and are no second draw of it. Each channel's noise is estimated from the blocks of its dwells, some
 forty degrees of freedom, and by Student's t the ratio is expected to be 1.02 to 1.03 where that
 noise limits ([mathematics](mathematics.md#16-uncertainty-budget)).
 The encoder of this table errs by nothing while it turns. The deviation of its rate that is taken

@@ -159,12 +159,12 @@ def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> 
     assert looked.inside is not None
     session = anyhow(24, 1)
     holds = session.holds
-    assert len(looked.inside.rests) == pytest.approx(24, abs=1)
-    for rest in looked.inside.rests:
-        middle = rest.at + rest.seconds / 2
+    assert len(looked.inside.dwells) == pytest.approx(24, abs=1)
+    for dwell in looked.inside.dwells:
+        middle = dwell.at + dwell.seconds / 2
         mine = np.flatnonzero((holds[:, 0] < middle) & (middle < holds[:, 1]))
         assert len(mine) == 1
-        assert rest.heading is None
+        assert dwell.heading is None
     assert looked.inside.contradictions == ()
 
 

@@ -273,7 +273,7 @@ def test_a_tilted_table_does_what_the_budget_says_of_it() -> None:
         tilted = state.copy()
         tilted[equations.sensors + which] += LEVELLED
         outputs = equations.predict(tilted)
-        at_rest = outputs[equations.layout.rest]
+        at_rest = outputs[equations.layout.dwell]
         segments = tuple(
             replace(s, statistics=replace(s.statistics, mean=row))
             for s, row in zip(evidence.segments, at_rest, strict=True)

@@ -104,7 +104,7 @@ def test_joints_that_stop_err_once_for_all_units(units: Any, states: Any) -> Non
                     lean[own, :, 0] = table.joint_axis(joint, ANGLES[k])
             # Of the turn the middle and inner joints are where they stopped last, in its mean.
             wanted = equations.by_attitude_errors(state, lean, np.zeros((1, 3, 1)))[:, 0] * size
-            rows = equations.layout.rest.ravel()
+            rows = equations.layout.dwell.ravel()
             np.testing.assert_allclose(column[rows], wanted[rows], atol=1e-18)
 
 

@@ -288,13 +288,13 @@ def test_turns_are_read_by_the_table_where_it_times_them() -> None:
 
 def test_other_moves_or_errors_keep_what_rests_say() -> None:
     held = replace(CLEAN, table=TABLE)
-    attitudes, arms = held.rest_attitudes, held.arms
+    attitudes, arms = held.dwell_attitudes, held.arms
     without = held.with_moves(())
-    assert without.rest_attitudes is attitudes
+    assert without.dwell_attitudes is attitudes
     assert without.arms is arms
     errors = replace(TABLE.errors)
     other = held.with_table_errors(errors)
-    assert other.rest_attitudes is attitudes
+    assert other.dwell_attitudes is attitudes
     assert held.with_table_errors(errors) is other
     with pytest.raises(ValueError, match='no table'):
         CLEAN.with_table_errors(errors)

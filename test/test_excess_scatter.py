@@ -267,7 +267,7 @@ def test_variances_of_positioning_errors_begin_at_a_tenth_of_what_noise_hides() 
     site, rest = SimpleNamespace(gravity=10.0), np.arange(12).reshape(2, 6)
     equations: Any = SimpleNamespace(
         own_variances=own,
-        layout=SimpleNamespace(rest=rest),
+        layout=SimpleNamespace(dwell=rest),
         evidence=SimpleNamespace(site=site, links=[], walk=None),
     )
     half_decades = [10 ** (-1 + k / 2) for k in range(15)]
@@ -411,7 +411,7 @@ def test_gyros_and_accelerometers_are_cut_out_with_their_slopes_and_their_noise(
     for first, found in zip((0, 3), _triads(equations, state, 1000.0), strict=True):
         rows = layout.gyros if first == 0 else layout.accels
         assert found.rows.tolist() == rows.tolist()
-        assert found.typical == np.median(equations.own_variances[layout.rest[:, first]])
+        assert found.typical == np.median(equations.own_variances[layout.dwell[:, first]])
         assert found.stated == pytest.approx((2e-7 if first == 0 else 3e-5) ** 2)
         odds = np.array([1 / 3, 1 / 3, 1 / 3, 1000]) / 1001
         assert np.exp(found.log_odds) == pytest.approx(odds)

@@ -77,7 +77,7 @@ class Linear:
         return self, values + step
 
 
-LAYOUT = OutputLayout(rests=2, moves=3)
+LAYOUT = OutputLayout(dwells=2, moves=3)
 
 
 def state(left: Floats, columns: Floats | None = None, layout: OutputLayout = LAYOUT) -> _State:
@@ -154,7 +154,7 @@ def sized(*sizes: float) -> Floats:
 def test_a_turn_far_out_of_the_usual_is_found(
     sizes: tuple[float, ...], limit: float, wanted: int | None
 ) -> None:
-    layout = OutputLayout(rests=2, moves=len(sizes))
+    layout = OutputLayout(dwells=2, moves=len(sizes))
     left = sized(*sizes)
     assert _outstanding_turn(state(left, None, layout), left, limit) == wanted
 
@@ -269,7 +269,7 @@ def clear(
         lost: An unknown that nothing sees.
 
     """
-    layout = OutputLayout(rests=10, moves=10)
+    layout = OutputLayout(dwells=10, moves=10)
     columns = np.zeros((90, 26))
     # The last hold's accelerometers and the last turn see nothing.
     for row in range(90):

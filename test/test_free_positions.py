@@ -257,7 +257,7 @@ def test_a_plain_loop_over_the_samples_predicts_the_same() -> None:
         rate, force = hold.attitude.T @ earth, hold.attitude.T @ [0, 0, SITE.gravity]
         gyro = model.gyro.response @ rate + model.gyro.bias
         accel = model.accel.response @ force + model.accel.bias
-        assert predicted[equations.layout.rest[k]] == pytest.approx([*gyro, *accel], rel=1e-12)
+        assert predicted[equations.layout.dwell[k]] == pytest.approx([*gyro, *accel], rel=1e-12)
         move = next((m for m in evidence.moves if m.end == hold.start), None)
         if move is None:
             continue

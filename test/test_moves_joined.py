@@ -156,10 +156,10 @@ def read(
     """Rest up to a sample, motion up to another, rest from there on: the moves."""
     reader = MoveReader(sensor, by_hand=by_hand)
     delivered = rows / PERIOD
-    reader.rest(samples(rows[:begin]), delivered[:begin], [rest(1, begin - 5)])
+    reader.dwell(samples(rows[:begin]), delivered[:begin], [rest(1, begin - 5)])
     reader.motion(samples(rows[begin:end], begin), delivered[begin:end])
     after = found or [rest(end + 4, len(rows))]
-    reader.rest(samples(rows[end:], end), delivered[end:], after)
+    reader.dwell(samples(rows[end:], end), delivered[end:], after)
     return reader.finish(period)
 
 
@@ -217,14 +217,14 @@ def test_a_hand_may_turn_by_twenty_degrees_a_sample() -> None:
 def test_a_gap_ends_a_move() -> None:
     rows = motion(100)
     reader = MoveReader(SENSOR)
-    reader.rest(samples(rows[:20]), rows[:20], [rest(1, 15)])
+    reader.dwell(samples(rows[:20]), rows[:20], [rest(1, 15)])
     reader.motion(samples(rows[22:80], 22), rows[22:80])
-    reader.rest(samples(rows[80:], 80), rows[80:], [rest(84, 100)])
+    reader.dwell(samples(rows[80:], 80), rows[80:], [rest(84, 100)])
     assert reader.finish(PERIOD) == ()
     # The next one begins anew.
     more = motion(60, 2)
     reader.motion(samples(more[:40], 100), more[:40])
-    reader.rest(samples(more[40:], 140), more[40:], [rest(144, 160)])
+    reader.dwell(samples(more[40:], 140), more[40:], [rest(144, 160)])
     (move,) = reader.finish(PERIOD)
     assert (move.start, move.end) == (1_000_000_000, 1_440_000_000)
 
@@ -234,18 +234,18 @@ def test_a_jerk_of_three_steps_is_no_move() -> None:
         reader = MoveReader(SENSOR)
         rows = np.zeros((20 + 10 * steps + 20, 6))
         end = 20 + 10 * steps
-        reader.rest(samples(rows[:20]), rows[:20], [rest(1, 20)])
+        reader.dwell(samples(rows[:20]), rows[:20], [rest(1, 20)])
         reader.motion(samples(rows[20:end], 20), rows[20:end])
-        reader.rest(samples(rows[end:], end), rows[end:], [rest(end + 1, end + 20)])
+        reader.dwell(samples(rows[end:], end), rows[end:], [rest(end + 1, end + 20)])
         assert len(reader.finish(PERIOD)) == moves
 
 
 def test_samples_that_a_rest_has_had_are_passed_over() -> None:
     rows = motion(100)
     reader = MoveReader(SENSOR)
-    reader.rest(samples(rows[:20]), rows[:20], [rest(1, 15)])
+    reader.dwell(samples(rows[:20]), rows[:20], [rest(1, 15)])
     # A second beside the motion is looked at on either side.
     reader.motion(samples(rows[10:90], 10), rows[10:90])
-    reader.rest(samples(rows[80:], 80), rows[80:], [rest(93, 100)])
+    reader.dwell(samples(rows[80:], 80), rows[80:], [rest(93, 100)])
     (move,) = reader.finish(PERIOD)
     assert move.duration == pytest.approx((92 - 15) * PERIOD)

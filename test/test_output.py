@@ -257,7 +257,7 @@ def test_a_comparison_is_a_document(program: Program, folder: Path) -> None:
 def test_a_look_is_a_document(program: Program, folder: Path) -> None:
     result = program('info', folder / 'one')['result']
     assert [t['name'] for t in result['topics']] == ['/imu/pulses']
-    assert len(result['inside']['rests']) == 30
+    assert len(result['inside']['dwells']) == 30
     assert result['inside']['missing'] is None
 
 

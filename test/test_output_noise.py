@@ -151,10 +151,10 @@ def test_each_output_has_walk_pulses_and_encoders_of_its_own() -> None:
     noise, pulses = summed(evidence, Source.NOISE), summed(evidence, Source.QUANTISATION)
     encoders = summed(evidence, Source.ENCODER_NOISE)
     for k, s in enumerate(evidence.segments):
-        np.testing.assert_allclose(noise[layout.rest[k]], walk**2 / 120)
-        np.testing.assert_allclose(pulses[layout.rest[k]], np.arange(1.0, 7) * 1e-16 * (k + 1))
+        np.testing.assert_allclose(noise[layout.dwell[k]], walk**2 / 120)
+        np.testing.assert_allclose(pulses[layout.dwell[k]], np.arange(1.0, 7) * 1e-16 * (k + 1))
         across = (gravity * 1e-6 * k) ** 2 * (1 - s.attitude[2] ** 2)  # type: ignore[index]
-        np.testing.assert_allclose(encoders[layout.rest[k]], [0, 0, 0, *across], atol=1e-30)
+        np.testing.assert_allclose(encoders[layout.dwell[k]], [0, 0, 0, *across], atol=1e-30)
     for k, t in enumerate(evidence.turns):
         both = np.append(layout.turn[k], layout.turn_accels[k])
         np.testing.assert_allclose(noise[both], walk**2 / t.statistics.duration)
@@ -183,8 +183,8 @@ def test_what_has_no_noise_keeps_the_smallest_variance() -> None:
 def test_inflation_is_scatter_by_channels() -> None:
     evidence = held()
     inflation = np.ones(len(evidence.layout))
-    inflation[evidence.layout.rest[:, 1]] = 5.0
-    inflation[evidence.layout.rest[0, 3]] = 3.0
+    inflation[evidence.layout.dwell[:, 1]] = 5.0
+    inflation[evidence.layout.dwell[0, 3]] = 3.0
     own = sum(
         summed(evidence, source)
         for source in (Source.NOISE, Source.QUANTISATION, Source.ENCODER_NOISE)

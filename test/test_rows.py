@@ -25,7 +25,7 @@ def test_values_are_where_the_indices_say(
     rest, turn, move = (k + np.random.default_rng(k).random(s) for k, s in enumerate(shapes))
     joined = rows.joined(rest, turn, move)
     assert joined.shape == (len(rows), 2)
-    assert np.array_equal(joined[rows.rest], rest)
+    assert np.array_equal(joined[rows.dwell], rest)
     assert np.array_equal(joined[rows.turn], turn[:, :3])
     assert np.array_equal(joined[rows.turn_accels], turn[list(counts[3]), 3:])
     assert np.array_equal(joined[rows.move], move[:, :3])
@@ -41,7 +41,7 @@ def test_gyros_and_accelerometers_share_out_all_outputs() -> None:
 
 def test_each_output_is_of_one_rest_turn_or_move() -> None:
     rows = OutputLayout(3, 3, 2, (0, 2), (1,))
-    assert rows.segment[rows.rest].tolist() == [[k] * 6 for k in range(3)]
+    assert rows.segment[rows.dwell].tolist() == [[k] * 6 for k in range(3)]
     assert rows.segment[rows.turn].tolist() == [[k] * 3 for k in (3, 4, 5)]
     assert rows.segment[rows.move].tolist() == [[k] * 3 for k in (6, 7)]
     assert rows.segment[rows.turn_accels].tolist() == [[k] * 3 for k in (3, 5)]

@@ -186,7 +186,7 @@ def noisy(evidence: Evidence, seed: int) -> Evidence:
     deviations = np.sqrt(equations.own_variances)
     noise = np.random.default_rng(seed).standard_normal(len(deviations)) * deviations
     rows = equations.layout
-    segments = tuple(moved(s, noise[rows.rest[k]]) for k, s in enumerate(evidence.segments))
+    segments = tuple(moved(s, noise[rows.dwell[k]]) for k, s in enumerate(evidence.segments))
     turns = tuple(
         moved(t, np.append(noise[rows.turn[k]], np.zeros(3))) for k, t in enumerate(evidence.turns)
     )

@@ -18,10 +18,10 @@ from imu_calib.imu import load_imu
 from imu_calib.rotations import rotation
 from imu_calib.segmentation.cleaning import find_step, sound_samples
 from imu_calib.segmentation.clock import ClockSample, fit_clock, seen_by_gyros
+from imu_calib.segmentation.dwells import read_dwell
 from imu_calib.segmentation.motion import JointTracker, Motion, Rest
 from imu_calib.segmentation.order import StampOrder
 from imu_calib.segmentation.plateau import find_turns
-from imu_calib.segmentation.rests import read_rest
 from imu_calib.segmentation.segment import Statistics
 from imu_calib.segmentation.segmented import Rejected
 from imu_calib.segmentation.sensor import Sensor
@@ -250,11 +250,11 @@ def test_a_dwell_that_repeats_a_sample_of_the_turn_before_is_none(sound: int) ->
     values = np.tile(frozen, (count, 1))
     values[count - sound :] = np.rint(rng.normal([0.0, 0, 0, 10, 0, 0], 0.7, (sound, 6)))
     read = [sensor, sensor.samples(stamp, values), values]
-    (found,) = read_rest(*read, np.zeros(3), np.eye(3))
+    (found,) = read_dwell(*read, np.zeros(3), np.eye(3))
     assert isinstance(found, Rejected)
     assert re.search(rf'frozen for 3\.[{7 - sound // 10}] s, repeating one$', found.reason)
     # Held by hand it may turn as evenly.
-    assert not any('frozen' in str(one) for one in read_rest(*read, None, None))
+    assert not any('frozen' in str(one) for one in read_dwell(*read, None, None))
 
 
 def stated_walk(setup: Setup) -> Floats:

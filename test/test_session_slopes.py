@@ -65,7 +65,7 @@ def test_outputs_are_those_of_plain_rotations(units: Units) -> None:
     equations, state = at(evidence)
     predicted, faster = equations.predict(state), 1 + FASTER * (units is Units.PULSES)
     rate, force = world()
-    for rows, segment in zip(equations.layout.rest, evidence.segments, strict=True):
+    for rows, segment in zip(equations.layout.dwell, evidence.segments, strict=True):
         w, f = segment.attitude.T @ rate, segment.attitude.T @ force
         gyro = MODEL.gyro.response @ w + MODEL.gyro.bias + MODEL.g_sensitivity @ f
         accel = MODEL.accel.response @ f + MODEL.accel.bias
@@ -107,7 +107,7 @@ def test_the_earth_rate_and_the_latitude_enter_as_they_turn() -> None:
     evidence = some()
     equations, state = at(evidence)
     by_rate = equations.by_rate(state)
-    for rows, segment in zip(equations.layout.rest, evidence.segments, strict=True):
+    for rows, segment in zip(equations.layout.dwell, evidence.segments, strict=True):
         wanted = MODEL.gyro.response @ segment.attitude.T
         np.testing.assert_allclose(by_rate[rows[:3]], wanted, atol=1e-12)
         assert not by_rate[rows[3:]].any()
@@ -135,7 +135,7 @@ def test_a_unit_that_turned_in_its_mount_reads_as_attitudes_the_other_way() -> N
     for k in range(3):
         # The body's axes turn: what stands still turns the other way in them.
         turned = Rotation.from_rotvec(np.eye(3)[k] * 1e-6).as_matrix()
-        for rows, segment in zip(equations.layout.rest, evidence.segments, strict=True):
+        for rows, segment in zip(equations.layout.dwell, evidence.segments, strict=True):
             seen = [
                 np.append(
                     *MODEL.predict(t @ segment.attitude.T @ rate, t @ segment.attitude.T @ force)

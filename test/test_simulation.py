@@ -783,7 +783,7 @@ def test_hardware_rests_until_a_setpoint_moves_it() -> None:
     hardware = SimulatedHardware(THREE_AXIS, [unit], SITE, StandOptions(start_time=0), 0)
     rested = []
     for _ in range(100):
-        rested.append(hardware.rests)
+        rested.append(hardware.at_rest)
         if hardware.time > 1.0:
             hardware.command(setpoint(Mode.POSITION, hardware.time, angles=(0, 30, 0)))
         joints = hardware.advance(0.1).joints

@@ -190,7 +190,7 @@ _TOPIC = [
     _key('rate', _UNKNOWN, 'messages a second'),
 ]
 _SIX = array(_NUMBER, 6, 6, 'list of 6 numbers')
-_REST = [
+_DWELL = [
     _key('at', _NUMBER, 's from the start of the recording'),
     _key('seconds', _NUMBER, 'how long'),
     _key('missing', whole(0), 'samples'),
@@ -209,7 +209,7 @@ _TURN = [
 ]
 _LATITUDE = array(_NUMBER, 2, 2, 'list of 2 numbers')
 _INSIDE = [
-    _key('rests', _rows(_REST), 'static dwells'),
+    _key('dwells', _rows(_DWELL), 'static dwells'),
     _key('turns', _rows(_TURN), 'whole turns'),
     _key('plan', _TEXT, 'its name; empty without one'),
     _key('missing', _maybe(_TEXTS), 'of the plan; `null` where none has to be kept to'),
@@ -440,7 +440,7 @@ TABLES: Tables = {
     'info': _INFO,
     'topics': _TOPIC,
     'inside': _INSIDE,
-    'rests': _REST,
+    'dwells': _DWELL,
     'turns': _TURN,
     'report': _REPORT,
     'history': _HISTORY,

@@ -35,7 +35,7 @@ UNUSED = 'not used'
 
 
 @dataclass(frozen=True)
-class Rest:
+class Dwell:
     """A static dwell.
 
     Attributes:
@@ -60,7 +60,7 @@ class Rest:
 
 @dataclass(frozen=True)
 class Turned:
-    """A measurement of whole turns: as for `Rest`; the rate in rad/s, counter-clockwise."""
+    """A measurement of whole turns: as for `Dwell`; the rate in rad/s, counter-clockwise."""
 
     at: float
     seconds: float
@@ -75,7 +75,7 @@ class Inside:
     """What the streams of a recording contain.
 
     Attributes:
-        rests: Static dwells.
+        dwells: Static dwells.
         turns: Whole turns.
         plan: Name; empty without one.
         missing: What of the plan is not there; None where no plan has to be kept to.
@@ -87,7 +87,7 @@ class Inside:
 
     """
 
-    rests: tuple[Rest, ...]
+    dwells: tuple[Dwell, ...]
     turns: tuple[Turned, ...]
     plan: str
     missing: tuple[str, ...] | None
@@ -120,7 +120,7 @@ def inside(opened: Opened, progress: Progress) -> Inside:
     if seen is not None and found is not None and contradicts(*seen, setup.site.latitude):
         contradictions.insert(0, _other_latitude(seen, found, setup))
     return Inside(
-        tuple(_rests(session, labelled, setup.plan, zero, free=free)),
+        tuple(_dwells(session, labelled, setup.plan, zero, free=free)),
         tuple(_turns(labelled, setup.plan, zero)),
         setup.plan.name if setup.plan.is_stated else '',
         None if free or not setup.plan.is_stated else tuple(_missing(labelled, setup.plan)),
@@ -204,9 +204,9 @@ def _what_decides(session: Segmented, labelled: Labelled, setup: Setup, *, free:
     return _determined(setup)
 
 
-def _rests(
+def _dwells(
     session: Segmented, labelled: Labelled, plan: Plan, zero: int, *, free: bool
-) -> list[Rest]:
+) -> list[Dwell]:
     """List every static dwell: when, how long, how the unit stood, and what the plan calls it."""
     names = {s.start: str(s.position) for s in labelled.segments}
     known = {p.id for p in plan.positions}
@@ -223,7 +223,7 @@ def _rests(
         elif name not in known:
             name = ''
         rows.append(
-            Rest(
+            Dwell(
                 (segment.start - zero) * 1e-9,
                 float(segment.statistics.duration),
                 int(segment.statistics.missing),

@@ -64,7 +64,7 @@ def _show_topics(found: Look) -> None:
 
 def _show(inside: Inside) -> None:
     OUTPUT.print('\ntimes: s from the start of the recording\n')
-    OUTPUT.print(_rests(inside))
+    OUTPUT.print(_dwells(inside))
     OUTPUT.print()
     OUTPUT.print(_outputs(inside))
     if inside.turns:
@@ -94,18 +94,18 @@ def _table(*headings: str) -> Rows:
     return rows
 
 
-def _rests(inside: Inside) -> Rows:
+def _dwells(inside: Inside) -> Rows:
     """List every static dwell: when, how long, how the unit stood, and what the plan calls it."""
     rows = _table('dwell', 'at, s', 'for, s', 'missing', 'up', 'heading, deg', 'position')
-    for k, rest in enumerate(inside.rests):
+    for k, dwell in enumerate(inside.dwells):
         rows.add_row(
             str(k + 1),
-            f'{rest.at:.1f}',
-            f'{rest.seconds:.1f}',
-            str(rest.missing),
-            rest.up,
-            '-' if rest.heading is None else f'{rest.heading:.2f}',
-            rest.position or '-',
+            f'{dwell.at:.1f}',
+            f'{dwell.seconds:.1f}',
+            str(dwell.missing),
+            dwell.up,
+            '-' if dwell.heading is None else f'{dwell.heading:.2f}',
+            dwell.position or '-',
         )
     return rows
 
@@ -113,11 +113,11 @@ def _rests(inside: Inside) -> Rows:
 def _outputs(inside: Inside) -> Rows:
     """List what the sensors read at every dwell."""
     rows = _table('dwell', 'fx, g', 'fy, g', 'fz, g', 'wx', 'wy', 'wz, deg/h')
-    for k, rest in enumerate(inside.rests):
+    for k, dwell in enumerate(inside.dwells):
         rows.add_row(
             str(k + 1),
-            *(f'{v / STANDARD_GRAVITY:.4f}' for v in rest.mean[3:]),
-            *(f'{v / DEG_H:.2f}' for v in rest.mean[:3]),
+            *(f'{v / STANDARD_GRAVITY:.4f}' for v in dwell.mean[3:]),
+            *(f'{v / DEG_H:.2f}' for v in dwell.mean[:3]),
         )
     return rows
 

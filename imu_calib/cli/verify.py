@@ -6,9 +6,9 @@ import argparse
 
 from ..api.verifying import verified
 from ..reports.verification import (
+    dwell_table,
     limits_line,
     moved_table,
-    rest_table,
     triad_lines,
     turn_table,
     verdict_line,
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def _show(verification: Verification) -> None:
-    for table in (rest_table(verification), turn_table(verification)):
+    for table in (dwell_table(verification), turn_table(verification)):
         if table is not None:
             OUTPUT.print(table)
             OUTPUT.print()

@@ -317,7 +317,7 @@ def _variances(equations: Equations) -> Floats:
     From a tenth of what the noise of the sharpest outputs hides.
     """
     evidence = equations.evidence
-    at_rest = equations.own_variances[equations.layout.rest[:, 3:]]
+    at_rest = equations.own_variances[equations.layout.dwell[:, 3:]]
     sharpest = float(np.median(at_rest)) / evidence.site.gravity**2
     if len(evidence.links):
         sharpest = min(sharpest, float(np.median(evidence.links.variances(evidence.walk)[:, :3])))
@@ -495,7 +495,9 @@ def _triad(
     )
     slopes = 1 / np.sqrt(slope_variances)
     both = scipy.linalg.block_diag(project, np.diag(slopes))
-    typical = float(np.median(equations.own_variances[equations.layout.rest[:, first : first + 3]]))
+    typical = float(
+        np.median(equations.own_variances[equations.layout.dwell[:, first : first + 3]])
+    )
     stated = float(evidence.instability[first] ** 2)
 
     def seen_by(kernel: Floats, variance: float) -> Floats:

@@ -87,7 +87,7 @@ class RejectedMove:
 def moves_that_fit(
     resting: Equations, state: Floats, moves: tuple[Move, ...]
 ) -> tuple[Evidence, tuple[RejectedMove, ...]]:
-    """Choose the moves that rests and turns bear out: return the session with them.
+    """Choose the moves that dwells and turns bear out: return the session with them.
 
     A gyro beyond its range, one that does not answer in proportion, or a table whose joints are
     not what they are said to be, is off by many times the noise in what takes seconds: such a move
@@ -110,7 +110,7 @@ def moves_that_fit(
             return evidence, ()
         if _count(fitting) <= _count(kept):
             return evidence.with_moves(fitting), astray
-        # Moves show positioning errors that rests hide in their noise: with those, others may.
+        # Moves show positioning errors that dwells hide in their noise: with those, others may.
         kept = fitting
         moved = replace(resting, evidence=evidence.with_moves(kept))
         scatter = replace(scatter, positioning=excess(moved, state).positioning)
@@ -206,7 +206,7 @@ def candidates(evidence: Evidence, *, turns: bool) -> list[tuple[str, NDArray[np
     """Name what may be an outlier as a whole: three outputs of one kind at a time."""
     rows = evidence.layout
     found = []
-    for segment, mine in zip(evidence.segments, rows.rest, strict=True):
+    for segment, mine in zip(evidence.segments, rows.dwell, strict=True):
         found.append((f'the gyros at position {segment.position}', mine[:3]))
         found.append((f'the accelerometers at position {segment.position}', mine[3:]))
     turned = [

@@ -123,8 +123,8 @@ class Joined:
         estimates: Of each unit that took part, by its place.
         table: What they found of the table.
         contradicting: Those that were left out, the worst first.
-        partial: Units that saw less than half of the rests: their place, how many they saw, and how
-            many there are.
+        partial: Units that saw less than half of the dwells: their place, how many they saw, and
+            how many there are.
 
     """
 

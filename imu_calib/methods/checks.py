@@ -348,7 +348,7 @@ def _left_by_weighted_fit(evidence: Evidence, model: SensorModel, variances: Flo
 
     """
     equations = Equations(replace(evidence, turns=(), moves=()))
-    state, rows = equations.nominal(), equations.layout.rest[:, 3:].ravel()
+    state, rows = equations.nominal(), equations.layout.dwell[:, 3:].ravel()
     state[: equations.sensors] = model.values(PARAMETERS)
     tilts = [equations.sensors + which for which in (Nuisance.TILT_X, Nuisance.TILT_Y)]
     free = np.array([k for k, p in enumerate(PARAMETERS) if p.triad == 'a'] + tilts, dtype=np.intp)

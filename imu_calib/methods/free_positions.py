@@ -127,7 +127,7 @@ class _State:
     def groups(self) -> tuple[Indices, ...]:
         """Which outputs scatter alike: see `FreeFit.scatter`."""
         rows = self.equations.layout
-        return rows.rest[:, 3:].ravel(), rows.rest[:, :3].ravel(), rows.move.ravel()
+        return rows.dwell[:, 3:].ravel(), rows.dwell[:, :3].ravel(), rows.move.ravel()
 
     def rows(self) -> tuple[Floats, Floats]:
         """Return derivatives and residuals in standard deviations."""
@@ -220,7 +220,7 @@ def solve(evidence: Evidence) -> FreeFit:
         equations.model(values),
         parameters,
         of_all(information.covariance[sensors, sensors], 0.0),
-        (equations.outputs - equations.predict(values))[equations.layout.rest],
+        (equations.outputs - equations.predict(values))[equations.layout.dwell],
         information.condition,
         state.scatter,
         state.rejected_moves,

@@ -98,10 +98,10 @@ class Gains:
                 column += BIAS + 1
             if parameter.triad == 'g':
                 gain = self._gyro[parameter.row, column]
-                row[where.rest[:, parameter.row]] = gain[:s]
+                row[where.dwell[:, parameter.row]] = gain[:s]
                 row[where.turn[:, parameter.row]] = gain[s:]
             elif self._accel is not None:
-                row[where.rest[:, 3 + parameter.row]] = self._accel[parameter.row, column]
+                row[where.dwell[:, 3 + parameter.row]] = self._accel[parameter.row, column]
             else:
                 row[:] = np.nan
         return rows

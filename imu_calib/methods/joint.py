@@ -231,7 +231,7 @@ def _changes(found: Estimate) -> Changes | None:
 
 def _residuals(found: Estimate) -> tuple[Residual, ...]:
     equations, evidence = found.equations, found.equations.evidence
-    rest = equations.layout.rest
+    rest = equations.layout.dwell
     left = (equations.outputs - equations.predict(found.state))[rest]
     std = np.linalg.norm(equations.factor(found.state), axis=1)[rest]
     return tuple(
@@ -309,7 +309,7 @@ def _leaning(found: Estimate, outlier: Outlier) -> str:
     for less: two, as noise does.
     """
     equations = found.equations
-    if not any(np.array_equal(rows, outlier.rows) for rows in equations.layout.rest[:, 3:]):
+    if not any(np.array_equal(rows, outlier.rows) for rows in equations.layout.dwell[:, 3:]):
         return ''
     force = equations.predict(found.state)[outlier.rows]
     # Channels lie along their axes but for milliradians, and so does what is off.

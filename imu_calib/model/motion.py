@@ -24,7 +24,7 @@ from .sensors import SensorModel
 from .terms import DELAY, SIZE_EFFECT, Term
 
 OF_MOTION = frozenset({ParameterKind.PLACE, ParameterKind.DELAY})
-"""Kinds of parameters that rests do not show, and whole turns do not tell."""
+"""Kinds of parameters that dwells do not show, and whole turns do not tell."""
 
 
 MOTION = (*SIZE_EFFECT.parameters, *DELAY.parameters)

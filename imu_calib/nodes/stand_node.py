@@ -41,7 +41,7 @@ from .frame_server import FrameServer, Lines
 _STEP = 0.1
 """s of simulated time at once."""
 _STEP_AT_REST = 0.2
-"""s at once while the table rests and is led: what a step costs all nodes is paid half as often.
+"""s at once while the table is at rest and led: what a step costs all nodes is paid half as often.
 With `_AHEAD` it is less than the age at which the table refuses a setpoint."""
 _AHEAD = 0.25
 """s that the simulation may be ahead of its leader's last setpoint."""
@@ -202,8 +202,8 @@ class StandNode(ros.Node):
             self._pace.lead((setpoint.stamp - self._epoch) * 1e-9)
 
     def _advance(self) -> None:
-        rests = self._pace.led and self._hardware.rests
-        output = self._hardware.advance(_STEP_AT_REST if rests else _STEP)
+        at_rest = self._pace.led and self._hardware.at_rest
+        output = self._hardware.advance(_STEP_AT_REST if at_rest else _STEP)
         # The line before the clock: what a frame is stamped with is then never early.
         self._lines.send(output.lines)
         now = self._epoch + round(self._hardware.time * 1e9)

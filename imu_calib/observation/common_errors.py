@@ -156,8 +156,8 @@ class CommonTable:
         reading = np.array([s.attitude_error for s in evidence.segments])
         noise = self._leans(k, reading, inward)
         turning = self._turning_leans(k, np.array([t.up_error for t in evidence.turns]), inward)
-        rest_only = np.zeros((len(evidence.turns), 3, stops.shape[2]))
-        of_rests = unit.by_attitude_errors(state, noise, rest_only)
+        only_dwells = np.zeros((len(evidence.turns), 3, stops.shape[2]))
+        of_dwells = unit.by_attitude_errors(state, noise, only_dwells)
         of_turns = unit.by_attitude_errors(
             state, np.zeros((len(evidence.segments), 3, turning.shape[2])), turning
         )
@@ -166,8 +166,8 @@ class CommonTable:
             table,
             latitude,
             rates,
-            unit.by_attitude_errors(state, stops, rest_only),
-            np.hstack([of_rests, of_turns]),
+            unit.by_attitude_errors(state, stops, only_dwells),
+            np.hstack([of_dwells, of_turns]),
         ]
 
     def _leans(self, k: int, sizes: Floats, inward: Floats) -> Floats:
@@ -190,8 +190,8 @@ def shares_a_table(equations: Equations) -> bool:
 def rests_seen(units: Sequence[Equations]) -> tuple[list[int], int]:
     """Return how many of the table's dwells each unit saw, and how many there are in all."""
     evidences = [unit.evidence for unit in units]
-    rests = _alike([_times(e, e.segments) for e in evidences])
-    return [len(np.unique(mine)) for mine in rests], _count(rests)
+    dwells = _alike([_times(e, e.segments) for e in evidences])
+    return [len(np.unique(mine)) for mine in dwells], _count(dwells)
 
 
 @dataclass(frozen=True, eq=False)

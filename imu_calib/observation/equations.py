@@ -152,7 +152,7 @@ class Equations(SessionModel):
     def _of_moves(self, led: Floats) -> Floats:
         """Return values (m, 6, ...) of moves in the order of the outputs, those of others zero."""
         at_rest, turned = (
-            np.zeros((count, *led.shape[1:])) for count in (self.layout.rests, self.layout.turns)
+            np.zeros((count, *led.shape[1:])) for count in (self.layout.dwells, self.layout.turns)
         )
         return self.layout.joined(at_rest, turned, led)
 

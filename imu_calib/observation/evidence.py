@@ -36,7 +36,7 @@ _AXIS_TOLERANCE = 0.05
 error of a table and less than half of the 45 deg to the next attitude of any plan."""
 _REMEMBERED = 21
 """Seven at each of three states: the last step, and two from which the next fits start."""
-_OF_RESTS = {'rest_attitudes', 'turn_inputs', 'headings', 'arms'}
+_OF_DWELLS = {'dwell_attitudes', 'turn_inputs', 'headings', 'arms'}
 """What of a session follows from its dwells and turns alone."""
 
 _QUARTZ = 50e-6
@@ -80,7 +80,7 @@ class Evidence:
         thermal: (2, 2) scale factor and bias per K of gyros and of accelerometers, by the data
             sheet, standard deviations, 1/K and SI/K; 0 where not stated.
         free: Whether the attitudes are unknown: they are estimated, and moves join them.
-        coarse: Whether velocities of moves count that tell next to nothing beside the rests: where
+        coarse: Whether velocities of moves count that tell next to nothing beside the dwells: where
             parameters are sought that only motion shows.
 
     """
@@ -145,7 +145,7 @@ class Evidence:
 
         Whatever is worked out of these alone is kept.
         """
-        return self._but(_OF_RESTS | {'leaning', 'positioning_leans'}, moves=moves)
+        return self._but(_OF_DWELLS | {'leaning', 'positioning_leans'}, moves=moves)
 
     def with_table_errors(self, errors: TableErrors) -> Evidence:
         """Return the session on its table with other errors: no more than `leaning` is by them.
@@ -158,7 +158,7 @@ class Evidence:
             raise ValueError('no table, and none of its errors')
         key = 'table', errors
         if key not in self.cache:
-            kept = _OF_RESTS | {'positioning_leans', 'links', 'layout', 'state_cache'}
+            kept = _OF_DWELLS | {'positioning_leans', 'links', 'layout', 'state_cache'}
             self.cache[key] = self._but(kept, table=replace(self.table, errors=errors))
         return cast(Evidence, self.cache[key])
 
@@ -178,7 +178,7 @@ class Evidence:
         return {}
 
     @cached_property
-    def rest_attitudes(self) -> Floats:
+    def dwell_attitudes(self) -> Floats:
         """The attitudes at rest, as `attitudes` returns them."""
         return self.attitudes()
 

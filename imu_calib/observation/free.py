@@ -95,10 +95,10 @@ class FreeEquations(Equations):
         by_level = self.by_rate(state)[:, :2] * self._level_rate
         same = run[:, None] == np.arange(self.runs.max(initial=-1) + 1)
         result[:, self.north] = (same[:, :, None] * by_level[:, None]).reshape(len(run), -1)
-        rests = len(self.runs)
-        about = np.zeros((rests, 3, rests, 3))
-        about[np.arange(rests), :, np.arange(rests)] = self._to_body
-        turned = self._leaning(state, about.reshape(rests, 3, -1), np.zeros((0, 3, 3 * rests)))
+        dwells = len(self.runs)
+        about = np.zeros((dwells, 3, dwells, 3))
+        about[np.arange(dwells), :, np.arange(dwells)] = self._to_body
+        turned = self._leaning(state, about.reshape(dwells, 3, -1), np.zeros((0, 3, 3 * dwells)))
         result[:, self.north.stop :] = turned[:, self._sought]
         return result
 

@@ -23,7 +23,7 @@ class OutputLayout:
     """The layout of a session's outputs.
 
     Attributes:
-        rests: Their number.
+        dwells: Their number.
         turns: Likewise.
         moves: Likewise.
         turns_with_accels: Which of the turns have accelerometers that count.
@@ -31,7 +31,7 @@ class OutputLayout:
 
     """
 
-    rests: int
+    dwells: int
     turns: int = 0
     moves: int = 0
     turns_with_accels: tuple[int, ...] = ()
@@ -40,27 +40,27 @@ class OutputLayout:
     def __len__(self) -> int:
         """Return the number of outputs."""
         threes = self.turns + self.moves + len(self.turns_with_accels) + len(self.moves_with_accels)
-        return 6 * self.rests + 3 * threes
+        return 6 * self.dwells + 3 * threes
 
     @cached_property
-    def rest(self) -> Indices:
+    def dwell(self) -> Indices:
         """Of the dwells, (s, 6): gyros, then accelerometers."""
-        return np.arange(6 * self.rests).reshape(-1, 6)
+        return np.arange(6 * self.dwells).reshape(-1, 6)
 
     @cached_property
     def turn(self) -> Indices:
         """Of the turns' gyros, (t, 3)."""
-        return 6 * self.rests + np.arange(3 * self.turns).reshape(-1, 3)
+        return 6 * self.dwells + np.arange(3 * self.turns).reshape(-1, 3)
 
     @cached_property
     def move(self) -> Indices:
         """Of the moves' angles, (m, 3)."""
-        return 6 * self.rests + 3 * self.turns + np.arange(3 * self.moves).reshape(-1, 3)
+        return 6 * self.dwells + 3 * self.turns + np.arange(3 * self.moves).reshape(-1, 3)
 
     @cached_property
     def turn_accels(self) -> Indices:
         """Of the turns' accelerometers, (f, 3)."""
-        before = 6 * self.rests + 3 * (self.turns + self.moves)
+        before = 6 * self.dwells + 3 * (self.turns + self.moves)
         return before + np.arange(3 * len(self.turns_with_accels)).reshape(-1, 3)
 
     @cached_property
@@ -77,19 +77,19 @@ class OutputLayout:
     @cached_property
     def gyros(self) -> Indices:
         """Of all that gyros gave, in groups of three: dwells, turns, moves."""
-        return np.concatenate([self.rest[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
+        return np.concatenate([self.dwell[:, :3].ravel(), self.turn.ravel(), self.move.ravel()])
 
     @cached_property
     def accels(self) -> Indices:
         """Of all that accelerometers gave, in groups of three: dwells, turns, moves."""
-        parts = (self.rest[:, 3:], self.turn_accels, self.velocity)
+        parts = (self.dwell[:, 3:], self.turn_accels, self.velocity)
         return np.concatenate([part.ravel() for part in parts])
 
     @cached_property
     def channels(self) -> Indices:
         """Which channel each output is of, 0 to 5; an axis of a move counts as one."""
         result = np.empty(len(self), dtype=np.intp)
-        result[self.rest] = np.arange(6)
+        result[self.dwell] = np.arange(6)
         result[self.turn] = result[self.move] = np.arange(3)
         result[self.turn_accels] = result[self.velocity] = np.arange(3, 6)
         return result
@@ -98,30 +98,30 @@ class OutputLayout:
     def segment(self) -> Indices:
         """Which dwell, turn or move each output is of: these counted on in this order."""
         result = np.empty(len(self), dtype=np.intp)
-        result[self.rest] = np.arange(self.rests)[:, None]
-        result[self.turn] = self.rests + np.arange(self.turns)[:, None]
-        moves = self.rests + self.turns + np.arange(self.moves)[:, None]
+        result[self.dwell] = np.arange(self.dwells)[:, None]
+        result[self.turn] = self.dwells + np.arange(self.turns)[:, None]
+        moves = self.dwells + self.turns + np.arange(self.moves)[:, None]
         result[self.move] = moves
         result[self.turn_accels] = (
-            self.rests + np.array(self.turns_with_accels, dtype=np.intp)[:, None]
+            self.dwells + np.array(self.turns_with_accels, dtype=np.intp)[:, None]
         )
         result[self.velocity] = moves[list(self.moves_with_accels)]
         return result
 
-    def joined(self, rest: Floats, turn: Floats, move: Floats) -> Floats:
+    def joined(self, dwell: Floats, turn: Floats, move: Floats) -> Floats:
         """Return values in the order of the outputs.
 
         Args:
-            rest: (s, 6, ...).
+            dwell: (s, 6, ...).
             turn: (t, 6, ...): of turns whose accelerometers do not count they are left out.
             move: (m, 6, ...), angles, then velocities: likewise.
 
         """
         parts = (
-            (rest, self.rest),
+            (dwell, self.dwell),
             (turn[:, :3], self.turn),
             (move[:, :3], self.move),
             (turn[list(self.turns_with_accels), 3:], self.turn_accels),
             (move[list(self.moves_with_accels), 3:], self.velocity),
         )
-        return np.concatenate([part.reshape(at.size, *rest.shape[2:]) for part, at in parts])
+        return np.concatenate([part.reshape(at.size, *dwell.shape[2:]) for part, at in parts])

@@ -171,7 +171,7 @@ def unknown_north(evidence: Evidence, ups: Floats, response: Floats) -> Componen
     shares = np.array([*(by_hand for _ in segments), *(t.level for t in turns)])
     across = np.eye(3) - ups[:, :, None] * ups[:, None, :]
     square = (shares * evidence.site.north_rate)[:, None, None] ** 2 / 2
-    rows = np.vstack([evidence.layout.rest[:, :3], evidence.layout.turn])
+    rows = np.vstack([evidence.layout.dwell[:, :3], evidence.layout.turn])
     some = shares > 0
     blocks = Blocks(rows[some], (response @ across @ response.T * square)[some])
     return Component(Source.NORTH, blocks)

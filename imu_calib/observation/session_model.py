@@ -139,7 +139,7 @@ class SessionModel:
 
     @property
     def _attitudes(self) -> Floats:
-        return self.evidence.rest_attitudes
+        return self.evidence.dwell_attitudes
 
     @property
     def _turning(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -204,7 +204,7 @@ class SessionModel:
         return predicted
 
     def _answers(self, model: SensorModel, inputs: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return what rests (s, 6) and turns (t, 6) read by the table's clock.
+        """Return what dwells (s, 6) and turns (t, 6) read by the table's clock.
 
         Args:
             model: The sensors.

@@ -57,7 +57,7 @@ _ANYHOW = Skewed(np.full((1, 3), 1 / math.sqrt(3)), np.zeros(1))
 
 
 @dataclass(frozen=True, eq=False)
-class _Rest:
+class _Dwell:
     """The table stands at one attitude, from `start` to `end` (s since the first step).
 
     `course` leads there from the rest before, where nothing is turned in between.
@@ -102,25 +102,25 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
             f'The IMU {setup.imu.id} states no angle_random_walk or no velocity_random_walk: '
             'there is nothing to predict from.'
         )
-    rests, turnings = _course(setup)
+    dwells, turnings = _course(setup)
     stated = setup.table.azimuth if setup.table is not None else None
     heading = (stated or 0.0) if azimuth is None else azimuth
     # The attitudes of a session are those of the table's own idea of north.
     world = rotation(UP, (stated or 0.0) - heading)
     earth, force = world @ setup.site.earth_rate, setup.site.specific_force
     segments = []
-    for rest in rests:
-        body = rest.attitude.T
+    for dwell in dwells:
+        body = dwell.attitude.T
         mean = np.concatenate(truth.predict(body @ earth, body @ force))
-        statistics = reading(setup.imu, mean, rest.end - rest.start)
+        statistics = reading(setup.imu, mean, dwell.end - dwell.start)
         segments.append(
             Segment(
-                nanoseconds(rest.start),
-                nanoseconds(rest.end),
+                nanoseconds(dwell.start),
+                nanoseconds(dwell.end),
                 statistics,
-                rest.attitude,
-                rest.position,
-                rest.angles,
+                dwell.attitude,
+                dwell.position,
+                dwell.angles,
             )
         )
     turns = []
@@ -159,11 +159,11 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
     else:
         moves = [
             move
-            for before, after, rest in zip(segments, segments[1:], rests[1:], strict=False)
-            if rest.course is not None
+            for before, after, dwell in zip(segments, segments[1:], dwells[1:], strict=False)
+            if dwell.course is not None
             and setup.table is not None
             and _followed(
-                move := ideal_move(before, after, rest.course, setup.table, truth, (earth, force)),
+                move := ideal_move(before, after, dwell.course, setup.table, truth, (earth, force)),
                 setup.imu,
             )
         ]
@@ -186,7 +186,7 @@ def expected(setup: Setup, truth: SensorModel, azimuth: float | None = None) -> 
     )
 
 
-def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
+def _course(setup: Setup) -> tuple[list[_Dwell], list[_Turning]]:
     """Say when the unit would stand and when it would turn."""
     if setup.plan.by_hand:
         return _by_hand(setup)
@@ -194,7 +194,7 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
     if table is None:
         raise InputError(f'Plan {setup.plan.name} needs a table.')
     steps = setup.plan.steps(table)
-    rests: list[_Rest] = []
+    dwells: list[_Dwell] = []
     turnings: list[_Turning] = []
     standing = 0.0
     at: Floats | None = None
@@ -219,15 +219,15 @@ def _course(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
             course = None
             if at is not None and not np.array_equal(at, visit.angles):
                 course = joint_course(table, at, visit.angles)
-            rests.append(_Rest(step.position, attitude, *span, visit.angles, course))
+            dwells.append(_Dwell(step.position, attitude, *span, visit.angles, course))
             at = visit.angles
         else:
             at = None
-    return rests, turnings
+    return dwells, turnings
 
 
-def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
-    rests, turnings, now = [], [], 0.0
+def _by_hand(setup: Setup) -> tuple[list[_Dwell], list[_Turning]]:
+    dwells, turnings, now = [], [], 0.0
     for position in setup.plan.positions:
         if position.rate_test is not None:
             turns = position.rate_test.turns
@@ -237,9 +237,9 @@ def _by_hand(setup: Setup) -> tuple[list[_Rest], list[_Turning]]:
             turnings.append(_Turning(position.id, position.up, now, seconds, rate))
             now += seconds + _BY_HAND_STILL
         if position.dwell:
-            rests.append(_Rest(position.id, position.attitude, now, now + position.dwell))
+            dwells.append(_Dwell(position.id, position.attitude, now, now + position.dwell))
         now += position.dwell + BY_HAND_MOVE
-    return rests, turnings
+    return dwells, turnings
 
 
 def _followed(move: Move, spec: ImuSpec) -> bool:
@@ -260,15 +260,15 @@ def bias_drift_covariance(evidence: Evidence, spec: ImuSpec) -> Floats:
         spec: Bias instabilities.
 
     """
-    rests, turns = evidence.segments, evidence.turns
+    dwells, turns = evidence.segments, evidence.turns
     moves = [link.move for link in evidence.links.links]
-    spans = [(s.start, s.end) for s in rests]
+    spans = [(s.start, s.end) for s in dwells]
     spans += [(t.start, t.end) for t in turns]
     spans += [(m.start, m.end) for m in moves]
     begin, end = (np.array(spans).reshape(-1, 2).T) * 1e-9
     none = np.zeros((len(spans), 3, 3)), np.zeros(len(spans), dtype=bool)
     means = BiasDrift.over(begin, end - begin, *none).of_one(STATED_TIME)
-    askew = [len(rests) + k for k, t in enumerate(turns) if t.skewed is not None]
+    askew = [len(dwells) + k for k, t in enumerate(turns) if t.skewed is not None]
     rows = evidence.layout
     channel = [*rows.channels.tolist(), *[6] * len(askew)]
     which = np.concatenate([rows.segment, np.array(askew, dtype=int)])

@@ -212,8 +212,8 @@ def _blocks(setup: Setup, truth: SensorModel, choices: list[Attitude]) -> tuple[
     jacobian, variances = equations.jacobian(state), equations.own_variances
     rows = jacobian / np.sqrt(variances)[:, None]
     each, turned = (
-        rows[equations.layout.rest],
-        np.delete(rows, equations.layout.rest.ravel(), axis=0),
+        rows[equations.layout.dwell],
+        np.delete(rows, equations.layout.dwell.ravel(), axis=0),
     )
     prior = equations.prior_rows(state)[:, :-1]
     rest = turned.T @ turned + prior.T @ prior

@@ -145,7 +145,7 @@ def _shorter(
     walked = np.array([evidence.walk**2 * s.statistics.walk_gain for s in evidence.segments])
     counted = np.array([s.statistics.quantisation_variance for s in evidence.segments])
     square = found.std[rows] ** 2
-    by_segment = np.ascontiguousarray(weights[:, evidence.layout.rest])
+    by_segment = np.ascontiguousarray(weights[:, evidence.layout.dwell])
     walk_part = np.einsum('ksc,sc->ks', by_segment, walked)
     count_part = np.einsum('ksc,sc->ks', by_segment, counted)
     fixed = square - (walk_part + count_part).sum(axis=1)

@@ -53,7 +53,7 @@ def limits_line(verification: Verification) -> str:
     )
 
 
-def rest_table(verification: Verification) -> Table | None:
+def dwell_table(verification: Verification) -> Table | None:
     """Return the static dwells, worst first; None without any."""
     return _table(verification, _AT_REST)
 

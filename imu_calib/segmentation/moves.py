@@ -81,7 +81,7 @@ class MoveReader:
         if self._open is not None:
             self._add(samples, delivered, len(samples.stamp))
 
-    def rest(
+    def dwell(
         self, samples: Samples, delivered: Floats, found: Sequence[Segment | Rejected | MountShift]
     ) -> None:
         """Take the samples of a dwell, and what was found in it, in order."""

@@ -30,6 +30,7 @@ from .bridging import LONGEST, Bridged, bridged
 from .buffer import RowBuffer
 from .bunches import spread
 from .clock import ClockFit, ClockSample, ShareSeen, clock_sample, fit_clock, seen_by_gyros
+from .dwells import read_dwell
 from .grid import clock_steps
 from .intake import StreamBuffer
 from .motion import JointTracker, Motion, Rest
@@ -37,7 +38,6 @@ from .moves import MoveReader
 from .order import Ordered
 from .pace import Pace
 from .repeated_samples import Repetition
-from .rests import read_rest
 from .segment import Segment, Turn
 from .segmented import FreeMotion, MountShift, Move, Rejected, Segmented
 from .sensor import Sensor
@@ -331,10 +331,10 @@ class Segmenter:
             whole = bridged(came, self._sensor.walk)
             self._note_lost(whole, start, end)
             delivered = whole.values(values[piece])
-            found = read_rest(
+            found = read_dwell(
                 self._sensor, whole.samples, delivered, rest.angles, attitude, rest.angle_error
             )
-            self._moves.rest(whole.samples, delivered, found)
+            self._moves.dwell(whole.samples, delivered, found)
             self._take(found)
 
     def _motion(self, motion: Motion) -> None:

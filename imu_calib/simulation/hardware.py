@@ -92,8 +92,8 @@ class SimulatedHardware:
         return self._table.advance(self.time)
 
     @property
-    def rests(self) -> bool:
-        """Whether the table rests, until a setpoint moves it."""
+    def at_rest(self) -> bool:
+        """Whether the table is at rest, until a setpoint moves it."""
         return self._table.rest_time <= self.time
 
     @property

@@ -148,7 +148,7 @@ class TriadSystem:
         """Those of the joint estimate, where attitudes are known."""
         rows = self.evidence.layout
         biases = np.zeros(len(rows))
-        biases[rows.rest] = (self.bias_drift * self.reading) ** 2
+        biases[rows.dwell] = (self.bias_drift * self.reading) ** 2
         seconds = np.array([m.move.duration for m in self.evidence.links.links]).reshape(-1, 1)
         biases[rows.move] = (self.bias_drift * self.reading * seconds) ** 2
         biases[rows.velocity] = (
@@ -174,7 +174,7 @@ class TriadSystem:
             return np.zeros(len(self.outputs) * (2 if self.gyros else 1), dtype=np.intp)
         rows = self.evidence.layout
         of_moves = np.isin(self._mine, rows.moving)
-        return np.where(self._mine < rows.rest.size, 0, np.where(of_moves, 2, 1))
+        return np.where(self._mine < rows.dwell.size, 0, np.where(of_moves, 2, 1))
 
     @property
     def _widened(self) -> Floats:
@@ -196,7 +196,7 @@ class TriadSystem:
         return np.concatenate([free, np.full(3 if self.mount_free else 0, True)])
 
     def spread(self, values: Floats) -> Floats:
-        """Return the covariances of what rests, turns and moves read, whatever the parameters.
+        """Return the covariances of what dwells, turns and moves read, whatever the parameters.
 
         What is known beforehand but not exactly counts: clock, heading, tilt.
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imu_calib.imu import ImuSpec, TriadSpec
-from imu_calib.segmentation.rests import read_rest
+from imu_calib.segmentation.dwells import read_dwell
 from imu_calib.segmentation.segment import Segment
 from imu_calib.segmentation.segmented import MountShift, Rejected
 from imu_calib.segmentation.sensor import Sensor
@@ -35,8 +35,8 @@ def read(
     stamp = (np.asarray(kept) + 1) * 10_000_000
     samples = Samples(stamp, rows * 0.01, np.zeros(6), 0.01, np.zeros(6))
     if by_table:
-        return read_rest(SENSOR, samples, rows, ANGLES, ATTITUDE, 1e-5)
-    return read_rest(SENSOR, samples, rows, None, None)
+        return read_dwell(SENSOR, samples, rows, ANGLES, ATTITUDE, 1e-5)
+    return read_dwell(SENSOR, samples, rows, None, None)
 
 
 def segment(found: list[Segment | Rejected | MountShift]) -> Segment:

@@ -16,13 +16,13 @@ from .segmented import MountShift, Rejected
 from .sensor import Sensor
 from .statistics import Samples, gap_free, statistics_at_rest
 
-_SHORTEST_REST = 1.0
+_SHORTEST_DWELL = 1.0
 """s: a shorter one tells less than its settling costs."""
 _MOSTLY = 0.5
 """Share of saturated samples."""
 
 
-def read_rest(  # noqa: PLR0911 (each names another reason)
+def read_dwell(  # noqa: PLR0911 (each names another reason)
     sensor: Sensor,
     samples: Samples,
     values: Floats,
@@ -48,7 +48,7 @@ def read_rest(  # noqa: PLR0911 (each names another reason)
 
     """
     stamp = samples.stamp
-    if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_REST:
+    if len(stamp) < 2 or (stamp[-1] - stamp[0]) * 1e-9 < _SHORTEST_DWELL:
         return []
     saturated = sensor.saturated(values, samples)
     # The end of a range repeats itself, too.
@@ -60,7 +60,7 @@ def read_rest(  # noqa: PLR0911 (each names another reason)
         seconds = frozen.sum() * samples.period
         note = f'its samples are frozen for {seconds:.1f} s, repeating one'
         kept = samples.at(~frozen), values[~frozen]
-        rest = read_rest(sensor, *kept, angles, attitude, attitude_error)
+        rest = read_dwell(sensor, *kept, angles, attitude, attitude_error)
         if not rest:
             return [Rejected(int(stamp[0]), int(stamp[-1]), note)]
         return [_with_note(f'{note}; left out', thing) for thing in rest]
@@ -70,11 +70,11 @@ def read_rest(  # noqa: PLR0911 (each names another reason)
     if sound.mount_shift is not None and angles is not None:
         start, stop = sound.mount_shift.start, sound.mount_shift.stop
         return [
-            *read_rest(
+            *read_dwell(
                 sensor, samples.part(0, start), values[:start], angles, attitude, attitude_error
             ),
             MountShift(int(stamp[start]), sound.mount_shift.angle),
-            *read_rest(
+            *read_dwell(
                 sensor,
                 samples.part(stop, len(stamp)),
                 values[stop:],
@@ -119,7 +119,7 @@ def _sound_statistics(
     if saturated.any():
         notes.append(f'{counted(int(saturated.sum()), "sample is", "samples are")} saturated')
     kept = samples.at(sound.mask)
-    if len(kept.stamp) * samples.period < _SHORTEST_REST:
+    if len(kept.stamp) * samples.period < _SHORTEST_DWELL:
         return '; '.join(notes) or 'too little of it was quiet'
     gaps = gap_free(samples.stamp, samples.period)
     missing = _missing(samples, gaps)
@@ -130,7 +130,7 @@ def _sound_statistics(
     if step is not None:
         between, what = step
         kept = _longer_part(kept, between)
-        if len(kept.stamp) * samples.period < _SHORTEST_REST:
+        if len(kept.stamp) * samples.period < _SHORTEST_DWELL:
             return f'the unit was moved: {what}'
         statistics = statistics_at_rest(kept, walk)
         notes.append(f'{what}: the unit was moved; only the longer part is used')
