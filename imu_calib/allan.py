@@ -11,7 +11,6 @@ random walk N (-1/2), bias instability B (flat, at 0.664 B) and rate random walk
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -21,9 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .stream import Floats
-
-FLICKER_FLOOR = math.sqrt(2 * math.log(2) / math.pi)
-"""Allan deviation of bias instability over its coefficient B: 0.664 (IEEE Std 952, eq. C.10)."""
 
 _OVERLAP = 16
 """Clusters overlap by 15 of 16 parts."""

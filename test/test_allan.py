@@ -11,7 +11,6 @@ import pytest
 from sessions import at_one_rate, calibrate, paper_imu, quick_plan, session, stand
 
 from imu_calib.allan import (
-    FLICKER_FLOOR,
     allan_sums,
     cluster_sizes,
     counter_share,
@@ -156,7 +155,9 @@ def test_the_curve_is_flat_where_bias_instability_rules() -> None:
     rng = np.random.default_rng(5)
     rates = np.column_stack([flicker(rng, 131072) for _ in range(6)])
     floor = np.sqrt(allan_sums([rates * PERIOD], PERIOD).variance[4:10])
-    assert floor == pytest.approx(np.full((6, 6), FLICKER_FLOOR), rel=0.15)
+    # Over its coefficient B: IEEE Std 952, eq. C.10.
+    flat = np.sqrt(2 * np.log(2) / np.pi)
+    assert floor == pytest.approx(np.full((6, 6), flat), rel=0.15)
 
 
 def test_noise_that_does_not_show_is_bounded_not_invented() -> None:

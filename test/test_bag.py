@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hand_sessions import spread_holds
 
 import imu_calib
 from imu_calib.api.simulating import serialised
@@ -23,7 +24,6 @@ from imu_calib.errors import InputError
 from imu_calib.imu import read_imu
 from imu_calib.methods.free_positions import FREE, in_frame_of_accelerometers
 from imu_calib.share import named_file
-from imu_calib.simulation.hand import anyhow
 from imu_calib.stream import ImuBlock
 from imu_calib.units import DEG, STANDARD_GRAVITY
 
@@ -41,7 +41,7 @@ accelerometer: {velocity_random_walk: 300 ug/sqrt(Hz)}
 def recorded(folder: Path, topic: str, holds: int = 24, scale: tuple[float, float] = (1, 1)) -> str:
     """A recording of a driver that publishes SI, times something where it does not."""
     unit = read_imu(Section.parse(UNIT, 'the unit'))
-    session = anyhow(holds, 1)
+    session = spread_holds(holds, 1)
     site = Site.at(LATITUDE * DEG, HEIGHT)
     with RecordingWriter(folder) as writer:
         for block in session.blocks(unit, TRUTH.model, site, seed=1):
@@ -157,7 +157,7 @@ def test_info_ends_with_2_where_a_topic_is_not_there(
 def test_info_tells_times_from_the_start_and_attitudes_in_the_hand(bag: str) -> None:
     looked = imu_calib.look(bag, Stated(latitude=LATITUDE))
     assert looked.inside is not None
-    session = anyhow(24, 1)
+    session = spread_holds(24, 1)
     holds = session.holds
     assert len(looked.inside.dwells) == pytest.approx(24, abs=1)
     for dwell in looked.inside.dwells:

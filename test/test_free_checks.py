@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_sessions import spread_holds
 from sessions import SITE
 from test_free_positions import calibrator, held, result, unit
 
@@ -12,7 +13,6 @@ from imu_calib.methods.free_positions import in_frame_of_accelerometers, is_clea
 from imu_calib.model import G_SENSITIVITY
 from imu_calib.observation.evidence import Evidence
 from imu_calib.plan import load_plan
-from imu_calib.simulation.hand import anyhow
 from imu_calib.stream import Floats
 from imu_calib.units import DEG, DEG_H
 
@@ -108,6 +108,6 @@ def test_another_hemisphere_is_no_g_sensitivity() -> None:
 def test_the_screen_names_the_terms_that_were_estimated() -> None:
     coefficients = np.full(9, 0.2 * DEG / 9.81)
     model = unit(4).with_values(G_SENSITIVITY.parameters, coefficients)
-    found = calibrator(anyhow(30, 4), model, 4).finish()
+    found = calibrator(spread_holds(30, 4), model, 4).finish()
     assert found.terms == ('terms: g_sensitivity',)
     assert result(0).terms == ('terms: none',)

@@ -223,10 +223,10 @@ def test_a_path_is_the_product_of_its_steps() -> None:
 @pytest.mark.parametrize('count', [1, 2, 3, 4, 5, 8, 9])
 def test_vectors_are_followed_through_any_number_of_steps(count: int) -> None:
     vectors = np.random.default_rng(count).standard_normal((count, 3))
-    whole, after = chained(vectors)
+    (whole,), after = chained(vectors, [count])
     wanted = np.eye(3)
     for k in range(count - 1, -1, -1):
-        np.testing.assert_allclose(after[k], wanted, atol=1e-12)
+        np.testing.assert_allclose(after[..., k], wanted, atol=1e-12)
         wanted = wanted @ expm(-cross(vectors[k]))
     np.testing.assert_allclose(whole, wanted, atol=1e-12)
 

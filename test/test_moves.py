@@ -70,13 +70,14 @@ def test_steps_lead_where_the_motion_went() -> None:
     assert len(steps.turned) < 0.7 * len(angles)
     assert steps.counts.sum() == len(angles)
     assert np.linalg.norm(steps.turned, axis=1).max() < 2 * STEP_ANGLE
-    whole, _ = chained(steps.turned)
+    (whole,), _ = chained(steps.turned, [len(steps.turned)])
     off = whole @ attitude
     assert np.abs(off - np.eye(3)).max() < 0.1 * ARCSEC
     # Sums of angles alone, without what their changing directions add, end far off.
     first = np.concatenate([[0], np.cumsum(steps.counts)[:-1]]).astype(int)
     plain = np.add.reduceat(increments[:, :3], first)
-    assert np.abs(chained(plain)[0] @ attitude - np.eye(3)).max() > 5 * ARCSEC
+    (whole,), _ = chained(plain, [len(plain)])
+    assert np.abs(whole @ attitude - np.eye(3)).max() > 5 * ARCSEC
 
 
 @pytest.mark.parametrize('by_hand', [False, True])

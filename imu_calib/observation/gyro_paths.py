@@ -115,29 +115,22 @@ def _led(
     rates, _ = model.compensate(outputs, accel)
     counts = [len(each) for each in seconds]
     steps = rates * np.concatenate(seconds)[:, None]
-    wholes, after = _chained(steps, counts)
+    wholes, after = chained(steps, counts)
     middles = np.moveaxis(product(after, rotations_last(-steps / 2)), -1, 0)
     ends = np.cumsum(counts)[:-1]
     return list(zip(np.split(rates, ends), np.split(middles, ends), wholes, strict=True))
 
 
-def chained(vectors: Floats) -> tuple[Floats, Floats]:
-    """Follow a vector that stands still in the world through (n, 3) rotation vectors, rad.
+def chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
+    """Follow vectors that stand still in the world through m motions, one after the other.
+
+    Args:
+        vectors: (n, 3) rotation vectors of the intervals, rad.
+        counts: (m,) how many intervals each motion has.
 
     Returns:
-        (3, 3) that takes the vector's components from the start to the end, and (n, 3, 3) from
-        the end of each interval to the end.
-
-    """
-    wholes, after = _chained(vectors, [len(vectors)])
-    return wholes[0], np.moveaxis(after, -1, 0)
-
-
-def _chained(vectors: Floats, counts: Sequence[int]) -> tuple[Floats, Floats]:
-    """Follow vectors through motions of so many of (n, 3) rotation vectors each; see `chained`.
-
-    Returns:
-        (m, 3, 3), one for each motion, and (3, 3, n) to the end of its own.
+        (m, 3, 3) that take a vector's components from the start of each motion to its end, and
+        (3, 3, n) from the end of each interval to the end of its motion.
 
     """
     ends = np.cumsum(counts)

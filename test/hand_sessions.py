@@ -1,0 +1,63 @@
+"""Sessions by hand whose holds are spread evenly, for the tests: yaw, pitch and roll at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imu_calib.simulation.hand import AXES, PAUSE, HandSession, directions
+from imu_calib.simulation.motion import Motion
+from imu_calib.simulation.tracks import Track, side_by_side, trapezoid
+from imu_calib.stream import Floats
+from imu_calib.units import DEG
+
+
+def by_hand(
+    angles: Floats,
+    seconds: Floats,
+    *,
+    rate: float = 180 * DEG,
+    acceleration: float = 720 * DEG,
+) -> HandSession:
+    """Lay out a session: yaw, pitch and roll all at once from hold to hold.
+
+    Args:
+        angles: (n, 3) yaw, pitch and roll of the holds, rad; beyond half a turn they unwind.
+        seconds: (n,) how long each hold lasts.
+        rate: Of the fastest angle, rad/s.
+        acceleration: rad/s^2.
+
+    """
+    tracks = [Track.standing(0.0, angles[0, k : k + 1]) for k in range(3)]
+    now, holds = 0.0, []
+    for k, hold in enumerate(seconds):
+        holds.append((now, now + float(hold)))
+        now += float(hold)
+        if k + 1 < len(seconds):
+            moves = [
+                trapezoid(now, float(a), float(b), rate, acceleration)
+                for a, b in zip(angles[k], angles[k + 1], strict=True)
+            ]
+            tracks = [track.followed_by(move) for track, move in zip(tracks, moves, strict=True)]
+            now = max(move.end for move in moves) + PAUSE
+    motion = Motion(np.eye(3), AXES, np.zeros(3), np.eye(3), side_by_side(tracks))
+    return HandSession(motion, np.array(holds), now)
+
+
+def spread_holds(
+    holds: int, seed: int = 0, shortest: float = 2.0, longest: float = 4.0
+) -> HandSession:
+    """Lay out holds whose directions of up are spread evenly, as a guided person would hold them.
+
+    Args:
+        holds: How many.
+        seed: Of headings, order and lengths.
+        shortest: Shortest hold, s.
+        longest: Longest hold, s.
+
+    """
+    rng = np.random.default_rng(seed)
+    up = directions(holds, rng)
+    pitch, roll = -np.arcsin(up[:, 0]), np.arctan2(up[:, 1], up[:, 2])
+    yaw = rng.uniform(-np.pi, np.pi, holds)
+    seconds = rng.uniform(shortest, longest, holds)
+    return by_hand(np.column_stack([yaw, pitch, roll]), seconds)
