@@ -161,11 +161,11 @@ CONDITIONS = {
     'encoder of 16 bits': Condition('joint_states: {resolution: 19.775390625 arcsec}'),
     'encoder in steps of 0.05 deg': Condition('joint_states: {resolution: 0.05 deg}'),
     'joint stamps jitter 1 ms': Condition('joint_states: {jitter: 1 ms}', bound={'jitter': 1e-3}),
-    'arrivals of joints 5 arcsec': Condition(
-        'table: {arrivals: {joints: 5 arcsec}}', ('joints',), bound={'positioning': 5 * ARCSEC}
+    'positioning errors of joints 5 arcsec': Condition(
+        'table: {positioning: {joints: 5 arcsec}}', ('joints',), bound={'positioning': 5 * ARCSEC}
     ),
-    'arrivals of stops 2 arcsec': Condition(
-        'table: {arrivals: {tilt: 2 arcsec, heading: 2 arcsec}}',
+    'attitude errors of stops 2 arcsec': Condition(
+        'table: {positioning: {tilt: 2 arcsec, heading: 2 arcsec}}',
         ('stops', 'joints'),
         bound={'stops': 2 * ARCSEC},
     ),

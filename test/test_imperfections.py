@@ -332,6 +332,11 @@ def test_a_file_that_says_nothing_changes_nothing() -> None:
     assert read('{}') == EXACT
 
 
+def test_a_file_of_the_first_version_is_read() -> None:
+    text = 'table: {positioning: {joints: 1 arcsec, tilt: 2 arcsec, heading: 3 arcsec}}'
+    assert read(text.replace('positioning', 'arrivals')) == read(text) != EXACT
+
+
 def test_the_shipped_file_holds_every_key() -> None:
     options = load_imperfections('laboratory', EXACT, TABLE, 7)
     assert options.true == TrueTable.drawn(

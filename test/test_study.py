@@ -82,7 +82,7 @@ def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
         # Cheap gyros whose biases drift as stated were said to see north elsewhere.
         ('tilt 20 arcsec, six positions', 'mems_counts', 3),
         # A rest that leaned did not fit, and nobody said how.
-        ('arrivals of stops 2 arcsec', 'fog_medium', 0),
+        ('attitude errors of stops 2 arcsec', 'fog_medium', 0),
         # By chance a session seemed calm, and the drift of the data sheet was taken back.
         ('perfect', 'mems_counts', 7),
         pytest.param('g_sensitivity', 'fog_navigation', 0, marks=pytest.mark.repeats),

@@ -35,7 +35,7 @@ _TILT = [
     Key('north', quantity(D.ANGLE), 'about north', '0 arcsec'),
 ]
 _HARMONICS = [_size('once', 'once per turn'), _size('twice', 'twice per turn')]
-_ARRIVALS = [
+_POSITIONING = [
     _size(
         'joints',
         'by which a joint stops wrong, unseen by its encoder until it moves again',
@@ -75,9 +75,9 @@ _TABLE = [
         '0 arcsec',
     ),
     Key(
-        'arrivals',
-        mapping(_ARRIVALS, words=_BELOW),
-        "errors of the stops; replaces `positioning` of the table's file",
+        'positioning',
+        mapping(_POSITIONING, words=_BELOW),
+        "errors of joints and table at each stop; replaces `positioning` of the table's file",
         None,
         "`positioning` of the table's file",
     ),
@@ -231,7 +231,7 @@ KEYS = [
 TABLES: Tables = {
     'imperfections': KEYS,
     'table': _TABLE,
-    'arrivals': _ARRIVALS,
+    'positioning': _POSITIONING,
     'joint_states': _JOINT_STATES,
     'stamps': _STAMPS,
     'samples': _SAMPLES,

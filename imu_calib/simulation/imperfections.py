@@ -95,17 +95,19 @@ def _table(part: Section, options: StandOptions, table: Table | None, seed: int)
         )
         tilt.finish()
         options = replace(options, tilt=both)
-    if part.has('arrivals'):
-        arrivals = part.section('arrivals')
+    # Files of version 0.1.0 call them arrivals.
+    key = 'positioning' if part.has('positioning') else 'arrivals'
+    if part.has(key):
+        positioning = part.section(key)
         options = replace(
             options,
             # The file says it all: not the table's description as well.
             positioning_error=0.0,
-            stop_error=_size(arrivals, 'joints'),
-            stop_tilt=_size(arrivals, 'tilt'),
-            stop_heading=_size(arrivals, 'heading'),
+            stop_error=_size(positioning, 'joints'),
+            stop_tilt=_size(positioning, 'tilt'),
+            stop_heading=_size(positioning, 'heading'),
         )
-        arrivals.finish()
+        positioning.finish()
     if table is None or sizes == TableSizes():
         return options
     return replace(options, true=TrueTable.drawn(table, sizes, seed))
