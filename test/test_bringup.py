@@ -117,7 +117,7 @@ def test_in_a_namespace_the_robots_topics_carry_rates(folder, tmp_path):
         message = net.ask('topic', 'echo', '--no-daemon', '--once', *_TYPED)
         assert 'frame_id: base_imu' in message
         assert '- -1.0' in message
-        net.says('launch', 'comes in and goes out')
+        net.says('launch', 'is received and compensated')
         net.stop('source')
         net.stop('launch')
 

@@ -124,7 +124,7 @@ def test_nothing_is_recorded_before_the_clock_begins_and_nothing_is_lost(monkeyp
     with Bench(monkeypatch, tmp_path) as bench:
         bench.states.publish(M.TurntableState(plan='twelve_position'))
         all_came = bench.send(EPOCH)
-        assert bench.until(lambda: 'Nothing has come on /clock yet' in bench.words.get('time', ''))
+        assert bench.until(lambda: 'is no message on /clock yet' in bench.words.get('time', ''))
         assert bench.until(lambda: bench.node._turntable._unrecorded)
         assert bench.count == 0
         bench.tell(EPOCH)

@@ -130,7 +130,7 @@ def test_live_and_offline_give_the_same_bytes(monkeypatch, tmp_path, file):
         assert bench.until(lambda: len(bench.payloads) >= COUNT)
         expected = offline(tmp_path, file, block(), '--frame-id', 'base_imu')
         assert [bytes(p) for p in bench.payloads] == expected
-        assert bench.until(lambda: bench.said('stream', 'comes in and goes out'))
+        assert bench.until(lambda: bench.said('stream', 'is received and compensated'))
         assert bench.said('calibration', 'unit.yaml is applied')
         figures = {v.key: v.value for v in bench.words['stream'].values}
         assert figures['sample interval'] == '1.000000 ms'
@@ -144,7 +144,7 @@ def test_a_sample_that_is_no_number_is_left_out_live_and_offline(monkeypatch, tm
     with Bench(monkeypatch, calibration=file) as bench:
         bench.send(encode_imu(broken).payloads())
         assert bench.until(lambda: len(bench.payloads) >= COUNT - 2)
-        assert bench.until(lambda: bench.said('range', 'no numbers'))
+        assert bench.until(lambda: bench.said('range', 'not numbers'))
         assert [bytes(p) for p in bench.payloads] == offline(tmp_path, file, broken)
 
 
@@ -295,7 +295,7 @@ def test_a_message_holds_what_the_file_holds():
     for key in ('random_walk', 'highest_rate', 'temperature'):
         assert again.provenance[key] == calibration.provenance[key]
     message.parameter_names = list(message.parameter_names)[1:]
-    with pytest.raises(InputError, match='do not belong to a model'):
+    with pytest.raises(InputError, match='do not match a model'):
         calibration_of(message)
 
 
@@ -323,9 +323,9 @@ def test_a_combined_calibration_waits_for_the_temperature_and_says_where_it_ends
         warm = TemperatureBlock(STAMP[:1], np.array([35.0]))
         bench.temperatures.publish(encode_temperatures(warm).payloads()[0])
         assert bench.until(lambda: len(bench.payloads) == 500)
-        assert bench.until(lambda: bench.said('range', 'colder or warmer'))
+        assert bench.until(lambda: bench.said('range', 'temperature outside'))
         assert bench.words['range'].level in {b'\x01', 1}
-        assert bench.until(lambda: bench.said('temperature', 'comes in'))
+        assert bench.until(lambda: bench.said('temperature', 'is received'))
         figures = {v.key: v.value for v in bench.words['temperature'].values}
         assert figures['temperature'] == '35.00 degC'
 

@@ -54,7 +54,7 @@ def led(session, monkeypatch):
         session.controller = session.table.controller
         session.executor.add_node(session.controller)
         says = session.watcher.says
-        assert session.until(lambda: says('controller', 0, 'takes goals'))
+        assert session.until(lambda: says('controller', 0, 'accepts goals'))
         assert session.until(lambda: session.node._sequencer.feedback is not None)
         return session
 
@@ -100,7 +100,7 @@ def test_a_plan_that_starts_by_itself_waits_for_its_controller(session, monkeypa
     session.executor.add_node(controller)
     says = session.watcher.says
     assert session.until(lambda: says('controller', 2, 'No controller serves'))
-    assert session.until(lambda: says('joint states', 0, 'come in'))
+    assert session.until(lambda: says('joint states', 0, 'are received'))
     controller.serve()
     session.reaches(Phase.DONE)
     assert session.ends_stopped()
@@ -153,7 +153,7 @@ def test_a_goal_that_somebody_else_cancels_stops_the_table(led):
     assert session.until(client.service_is_ready)
     # No identity and no time mean all goals.
     client.call_async(service.Request())
-    assert stops(session, 'cancels a goal, which was not asked for here')
+    assert stops(session, 'cancels a goal without being asked to')
 
 
 def test_a_controller_that_does_not_answer_is_a_fault(led):
@@ -161,7 +161,7 @@ def test_a_controller_that_does_not_answer_is_a_fault(led):
     session.executor.remove_node(session.controller)
     assert session.press('start')[0]
     session.reaches(Phase.PAUSED)
-    assert 'does not answer a goal for 0.5 s' in session.watcher.states[-1].reason
+    assert 'has not answered a goal within 0.5 s' in session.watcher.states[-1].reason
 
 
 def test_nothing_starts_without_a_controller(session):

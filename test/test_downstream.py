@@ -135,7 +135,7 @@ def test_nobody_downstream_has_anything_to_complain_about(run):
 def test_a_sample_that_is_no_number_ends_nobody(run):
     assert np.isfinite([message['orientation'] for message in run.imu]).all()
     figures = run.aggregated['/Calibration stand/Compensation/compensator_node: range'][2]
-    assert figures['values that are no numbers'] == '1'
+    assert figures['values that are not numbers'] == '1'
 
 
 def test_the_monitor_groups_what_the_nodes_say(run):
@@ -143,7 +143,7 @@ def test_the_monitor_groups_what_the_nodes_say(run):
     group = f'{head}/Compensation'
     assert run.aggregated[group][0] == 0
     level, sentence, figures = run.aggregated[f'{group}/compensator_node: stream']
-    assert (level, sentence) == (0, '/driver/raw comes in and goes out.')
+    assert (level, sentence) == (0, '/driver/raw is received and compensated.')
     assert {'in', 'out', 'sample interval', 'left out'} <= set(figures)
     # Groups that nobody speaks for on a robot are no error.
     for other in ('Table', 'IMU', 'Calibration'):

@@ -385,7 +385,7 @@ def test_the_program_ends_clean_and_says_what_is_wrong(bench, tmp_path):
 
 def test_simulated_time_before_the_first_clock_message_opens_nothing(bench):
     bench.open(use_sim_time='true')
-    assert bench.until(lambda: bench.listener.heard('clock', 1, 'Nothing has come on /clock'))
+    assert bench.until(lambda: bench.listener.heard('clock', 1, 'There is no message on /clock'))
     assert not bench.node._source.state.open
 
 

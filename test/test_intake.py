@@ -172,7 +172,8 @@ def test_a_skewed_gyro_is_awaited() -> None:
     intake.drop_until(NS)
     assert intake.skew.stamp.tolist() == [3 * NS]
     assert intake.losses() == [
-        '1 sample left out for values of the skewed gyro that are no numbers, the first at 2.000 s',
+        '1 sample left out for values of the skewed gyro that are not numbers, the first at 2.000 '
+        's',
         '1 sample left out for stamps of the skewed gyro that jump or stand still, the first at '
         '1.000 s',
     ]

@@ -345,7 +345,7 @@ class Words:
     [
         (1, 'is stamped 3600 s behind /turntable/joint_states: they are of two clocks'),
         (-1, 'is stamped 3600 s ahead of /turntable/joint_states: they are of two clocks'),
-        (0, 'comes in.'),
+        (0, 'is received.'),
     ],
 )
 def test_an_imu_of_another_clock_than_the_tables_is_an_error_at_once(tmp_path, wire, later, words):

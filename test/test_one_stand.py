@@ -233,7 +233,7 @@ def test_what_is_no_sample_is_counted() -> None:
     broken[[100, 101]] = np.nan
     session = found(replace(imu, gyro=broken), joint())
     assert session.losses[0] == (
-        '2 samples left out for values that are no numbers (NaN or infinite), the first at '
+        '2 samples left out for values that are not numbers (NaN or infinite), the first at '
         '2023-11-14 22:13:21.010 UTC'
     )
     twice = only(imu, np.sort(np.append(np.arange(4000), [100, 300])))
@@ -250,8 +250,8 @@ def test_what_is_no_sample_is_counted() -> None:
     silent = states.position.copy()
     silent[50] = np.nan
     assert found(imu, replace(states, position=silent)).losses == (
-        '1 sample left out for joint positions that are no numbers, the first at '
-        '2023-11-14 22:13:21.000 UTC',
+        '1 sample left out for joint positions that are not numbers, the first at 2023-11-14 '
+        '22:13:21.000 UTC',
     )
 
 

@@ -100,7 +100,7 @@ def test_the_table_stands_when_the_launcher_alone_is_ended(number, tmp_path):
         # The table is no child of the launcher, and outlives it.
         executable = str(PACKAGE / 'lib' / 'imu_calib' / 'stand_node')
         net.start('table', net.ros(executable, '--ros-args', *table))
-        net.says('table', 'wait for a reader')
+        net.says('table', 'No program reads the frames')
         net.start('launch', net.ros('ros2', 'launch', 'imu_calib', 'stand.launch.py', *words))
         net.says('launch', 'Turning: step', seconds=120)
         launcher = net.processes.pop('launch')

@@ -139,7 +139,7 @@ def test_the_tool_of_ros_cancels_a_goal_of_a_node_without_ros(tmp_path):
             file.write_text(yaml.safe_dump({name: {'ros__parameters': parameters[name]}}))
             words = ['-m', f'imu_calib.nodes.{name}', '--ros-args', '--params-file', str(file)]
             net.start(name, [sys.executable, *words], **alone)
-        net.says('turntable_node', 'Joint states come in.')
+        net.says('turntable_node', 'Joint states are received.')
         net.start('refused', net.ros('ros2', *GOAL, '{plan: another}'))
         assert net.processes.pop('refused').wait(timeout=patience()) == 0
         net.start('goal', net.ros('ros2', *GOAL, '{plan: short}'))

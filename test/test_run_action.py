@@ -32,7 +32,7 @@ class Client:
             kind.Impl.FeedbackMessage, f'{ACTION}/_action/feedback', self.feedback.append, 10
         )
         assert session.until(self.client.server_is_ready)
-        assert session.until(lambda: session.watcher.says('joint states', 0, 'come in'))
+        assert session.until(lambda: session.watcher.says('joint states', 0, 'are received'))
 
     def ask(self, **goal):
         """Send a goal; return its handle when it is answered."""

@@ -420,7 +420,7 @@ def test_no_plan_starts_while_the_calibrator_cannot_go_on():
     stand = Stand(rules=SUPERVISED)
     stand.tick()
     stand.sequencer.set_calibrator_present(True)
-    stand.sequencer.set_calibrator_fault('The calibrator cannot go on: the disk is full.')
+    stand.sequencer.set_calibrator_fault('The calibrator has failed: the disk is full.')
     with pytest.raises(InputError, match='the disk is full'):
         stand.sequencer.start()
     # One that has finished stops nothing, and takes no new plan either.

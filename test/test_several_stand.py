@@ -102,7 +102,7 @@ def test_the_table_starts_when_every_unit_is_heard(stood):
 def test_a_unit_that_falls_silent_stops_nothing_and_is_named(stood):
     assert stood.silent
     assert stood.goes_on
-    assert stood.stand.said('unit_C3', 'silent while the table is not')
+    assert stood.stand.said('unit_C3', 'silent, but the table is not')
 
 
 def test_a_unit_is_left_out_once(stood):

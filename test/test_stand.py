@@ -52,7 +52,7 @@ def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journ
             stops(stand, 'calibrator', 'silent')
             stand.words.clear()
             stand.start('calibrator_node')
-            assert stand.wait(lambda: stand.said('goes on from'))
+            assert stand.wait(lambda: stand.said('is resumed from'))
             resumes(stand)
         final = finishes(stand)
         assert 'interrupted' in final.status_text
@@ -72,7 +72,7 @@ def done_without_its_leader_ends_no_session(stand):
             output.publish(spoofed_done(stand))
             stand.wait(lambda: False, 0.05)
         assert stand.wait(
-            lambda: stand.said('turntable state', 'ends nothing', f'to {steps} of short')
+            lambda: stand.said('turntable state', 'is ignored', f'to {steps} of short')
         )
     assert not [c for c in stand.calibrations if c.status != c.PROVISIONAL]
     assert stand.progress[-1].state != Progress.FINISHED

@@ -333,7 +333,7 @@ def test_no_start_while_the_calibrator_cannot_go_on(session):
         session.watcher.progress.publish(kind(plan='tiny', state=state, text=text))
 
     say(kind.FAILED, 'the disk is full.')
-    words = 'The calibrator cannot go on: the disk is full.'
+    words = 'The calibrator has failed: the disk is full.'
     assert session.until(lambda: session.press('start') == (False, words))
     say(kind.FINISHED)
     assert session.until(lambda: 'has finished its session' in session.press('start')[1])
@@ -474,9 +474,9 @@ def test_where_a_stop_could_not_be_kept_the_table_stays_stopped(session):
     session.reaches(Phase.ABORTED)
     started, why = session.press('start')
     assert not started
-    assert f'cannot be kept in {session.folder / "state"}' in why
+    assert f'cannot be saved in {session.folder / "state"}' in why
     assert not session.press('release')[0]
-    assert session.until(lambda: session.watcher.says('stop', 2, 'cannot be kept'))
+    assert session.until(lambda: session.watcher.says('stop', 2, 'cannot be saved'))
     (session.folder / 'state').unlink()
     assert session.press('release')[0]
     assert not session.until(lambda: session.watcher.phase is not Phase.ABORTED, 0.3)

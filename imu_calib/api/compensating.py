@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 _RAW, _RATES, _CALIBRATED = '/pulses', '/data_raw', '/data_calibrated'
 _WORDS = {
-    Mark.GYRO_RANGE: 'a gyro at the end of its range (covariance -1: no estimate)',
-    Mark.ACCEL_RANGE: 'an accelerometer at the end of its range (covariance -1: no estimate)',
-    Mark.RATE: 'faster than the unit was turned when it was calibrated',
-    Mark.TEMPERATURE: 'colder or warmer than it was calibrated at; the nearest was used',
+    Mark.GYRO_RANGE: 'a saturated gyro (covariance -1: no estimate)',
+    Mark.ACCEL_RANGE: 'a saturated accelerometer (covariance -1: no estimate)',
+    Mark.RATE: 'rotation faster than in the calibration',
+    Mark.TEMPERATURE: 'temperature outside that of the calibration; the nearest was used',
     Mark.PARITY: 'four gyros that contradict each other',
-    Mark.NO_NUMBER: 'values that are no numbers (left out)',
+    Mark.NO_NUMBER: 'values that are not numbers (left out)',
 }
 
 

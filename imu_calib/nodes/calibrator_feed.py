@@ -80,7 +80,7 @@ class CalibratorFeed:
             return ''
         lost = ', '.join(p.name for p in skewed_parameters(1))
         return (
-            f'Nothing comes on {self._topics[Kind.SKEW]}, while {self._topics[Kind.IMU]} does: '
-            f'{lost} cannot be determined. Let the driver publish it (imu_node: a device file with '
-            'the field skew), and call ~/reset.'
+            f'There are no messages on {self._topics[Kind.SKEW]}, but there are on '
+            f'{self._topics[Kind.IMU]}: {lost} cannot be determined. Let the driver publish it '
+            '(imu_node: a device file with the field skew), and call ~/reset.'
         )

@@ -142,7 +142,7 @@ class CalibratorNode(ros.Node):
             results.begin()
         held = sessions.held
         path = sessions.journal.path
-        resumed = f'The session goes on from {path}, which holds {held} messages.'
+        resumed = f'The session is resumed from {path}, which holds {held} messages.'
         if held:
             self._diagnostics.report('journal', Level.WARN, resumed)
         else:
@@ -162,11 +162,14 @@ class CalibratorNode(ros.Node):
             self._diagnostics.report(
                 'time',
                 Level.WARN,
-                f'The clock jumped back by {back:.3g} s: the recording goes on with its last time.',
+                f'The clock jumped back by {back:.3g} s: messages are recorded with the time '
+                'before the jump until it is reached again.',
             )
         elif now == 0:
             self._diagnostics.report(
-                'time', Level.WARN, 'Nothing has come on /clock yet: nothing is taken in.'
+                'time',
+                Level.WARN,
+                'There is no message on /clock yet: until there is one, all data are ignored.',
             )
         else:
             self._diagnostics.report('time', Level.OK, 'The clock runs.')
@@ -275,7 +278,9 @@ class CalibratorNode(ros.Node):
         if response.success:
             sessions.end()
             topic = self.resolve_topic_name('calibration')
-            response.message = f'The session is being solved; the result comes on {topic}.'
+            response.message = (
+                f'The calibration is being computed; it will be published on {topic}.'
+            )
         return response
 
     def _sentence(self) -> str:

@@ -60,7 +60,7 @@ class CalibratorProgress:
                 'calibrator',
                 Level.ERROR,
                 f'The calibrator expects plan {progress.plan or "(no name)"}, the table runs '
-                f'{sequencer.plan.name}: its progress does not count.',
+                f'{sequencer.plan.name}: its progress is ignored.',
             )
             return False
         sequencer.set_calibrator_fault(fault)
@@ -87,12 +87,12 @@ class CalibratorProgress:
 def _fault_of(progress: Any) -> str:
     """Return what keeps the calibrator from taking a session in; empty where nothing does."""
     if progress.state == progress.FAILED:
-        return f'The calibrator cannot go on: {progress.text}'
+        return f'The calibrator has failed: {progress.text}'
     if progress.state == progress.FINISHED:
         return 'The calibrator has finished its session: call ~/reset of calibrator_node first.'
     if _lacks_units(progress):
         # One that is not heard would have every step to be run again.
-        return f'Not every unit is heard: {progress.text}'
+        return f'Some units send no samples: {progress.text}'
     return ''
 
 

@@ -37,12 +37,12 @@ _GHOST = 15.0
 _STALE = 10.0
 """s without a temperature: ten times the period of the slowest thermometers in use, 1 Hz."""
 _WORDS = {
-    Mark.GYRO_RANGE: 'a gyro at the end of its range',
-    Mark.ACCEL_RANGE: 'an accelerometer at the end of its range',
-    Mark.RATE: 'faster than the unit was turned when it was calibrated',
-    Mark.TEMPERATURE: 'colder or warmer than it was calibrated at',
+    Mark.GYRO_RANGE: 'a saturated gyro',
+    Mark.ACCEL_RANGE: 'a saturated accelerometer',
+    Mark.RATE: 'rotation faster than in the calibration',
+    Mark.TEMPERATURE: 'temperature outside that of the calibration',
     Mark.PARITY: 'four gyros that contradict each other',
-    Mark.NO_NUMBER: 'values that are no numbers',
+    Mark.NO_NUMBER: 'values that are not numbers',
 }
 
 
@@ -64,19 +64,25 @@ class CompensatorNode(ros.ManagedNode):
     def __init__(self) -> None:
         super().__init__('compensator_node')
         file = declare(
-            self, 'calibration', '', 'file; read again when it changes; empty: the topic instead'
+            self,
+            'calibration',
+            '',
+            'file of the calibration, loaded again when it changes; empty: from the topic',
         )
         follow = declare(
-            self, 'follow_topic', False, 'take what comes on the topic calibration beside the file'
+            self, 'follow_topic', False, 'also use calibrations published on the topic calibration'
         )
         self._serial = declare(
             self, 'serial_number', '', 'of the unit; calibrations of others are refused'
         )
         self._frame_id = declare(
-            self, 'frame_id', '', "frame of the output; empty: the input's own"
+            self, 'frame_id', '', 'frame of the output; empty: that of the input'
         )
         autostart = declare(
-            self, 'autostart', True, 'Configure and activate at the start, not by a manager.'
+            self,
+            'autostart',
+            True,
+            'Configure and activate at the start, without a lifecycle manager.',
         )
         self._file = user_path(file) if file else None
         # A file that is named is a choice: a message from elsewhere must not replace it.
@@ -220,7 +226,9 @@ class CompensatorNode(ros.ManagedNode):
         self._offered = message
         topic = self.resolve_topic_name('calibration')
         if message.status == messages.ImuCalibration.INCOMPLETE:
-            text = f'What {topic} offers is incomplete and is not used. {message.status_text}'
+            text = (
+                f'The calibration on {topic} is incomplete and is not used. {message.status_text}'
+            )
             self._diagnostics.report('calibration offered', Level.WARN, text)
         if message.status != messages.ImuCalibration.VALID:
             return
@@ -359,11 +367,11 @@ class CompensatorNode(ros.ManagedNode):
             'without calibration': str(self._unused),
             'malformed': str(self._malformed.count),
         }
-        level, text = Level.OK, f'{topic} comes in and goes out.'
+        level, text = Level.OK, f'{topic} is received and compensated.'
         compensator = self._compensator
         if compensator is not None:
             figures['sample interval'] = f'{compensator.period * 1e3:.6f} ms'
-            figures['odd steps between stamps'] = str(compensator.odd_steps)
+            figures['irregular intervals between stamps'] = str(compensator.odd_steps)
             figures['waiting'] = str(compensator.waiting)
             figures['left out'] = str(compensator.dropped)
         if second.work:
@@ -378,9 +386,9 @@ class CompensatorNode(ros.ManagedNode):
         elif self._malformed.count:
             level, text = Level.ERROR, f'{topic}: {self._malformed.reason}'
         elif not second.taken:
-            level, text = Level.WARN, f'Nothing comes in on {topic}.'
+            level, text = Level.WARN, f'There are no messages on {topic}.'
         elif compensator is not None and not second.given:
-            level, text = Level.WARN, f'{topic} comes in, but nothing goes out.'
+            level, text = Level.WARN, f'{topic} is received, but nothing is published.'
         self._diagnostics.report('stream', level, text, **figures)
 
     def _report_range(self) -> None:
@@ -390,7 +398,7 @@ class CompensatorNode(ros.ManagedNode):
         counts = self._compensator.counts
         fresh = [m for m in Mark if counts[m] > self._counted[m]]
         self._counted = {mark: counts[mark] for mark in Mark}
-        level, text = Level.OK, 'All samples are within what was calibrated.'
+        level, text = Level.OK, 'All samples are within the range of the calibration.'
         if fresh:
             level = Level.WARN
             text = f'In the last second: {", ".join(_WORDS[mark] for mark in fresh)}.'
@@ -405,11 +413,17 @@ class CompensatorNode(ros.ManagedNode):
             return
         topic = self.resolve_topic_name('imu/temperature')
         figures = {'temperature': f'{compensator.celsius:.2f} degC'}
-        level, text = Level.OK, f'{topic} comes in.'
+        level, text = Level.OK, f'{topic} is received.'
         if compensator.waits_for_temperature:
-            level, text = Level.ERROR, f'The calibration needs {topic}: nothing is published.'
+            level, text = (
+                Level.ERROR,
+                f'The calibration needs {topic}, which has no messages: nothing is published.',
+            )
         elif time.monotonic() - self._heard_temperature > _STALE:
-            level, text = Level.WARN, f'{topic} is silent: its last value counts on.'
+            level, text = (
+                Level.WARN,
+                f'There are no new messages on {topic}: its last value is used.',
+            )
         self._diagnostics.report('temperature', level, text, **figures)
 
 

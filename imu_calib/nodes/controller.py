@@ -95,11 +95,11 @@ class Controller:
         self._sequencer.forbid('controller', missing, awaited=True)
         if self._asked_at is not None and now - self._asked_at > _ANSWER_TIMEOUT:
             self._asked_at = None
-            self._fail(f'does not answer a goal for {_ANSWER_TIMEOUT:g} s')
+            self._fail(f'has not answered a goal within {_ANSWER_TIMEOUT:g} s')
         diagnostics.report(
             'controller',
             Level.ERROR if missing or self._fault else Level.OK,
-            missing or self._fault or 'The joint_trajectory_controller takes goals.',
+            missing or self._fault or 'The joint_trajectory_controller accepts goals.',
         )
 
     def _on_answer(self, number: int, future: Any) -> None:
@@ -125,7 +125,7 @@ class Controller:
         if violated is None and number != self._number:
             return
         cancelled = answer.status == GoalStatus.CANCELED
-        ends = 'cancels a goal, which was not asked for here' if cancelled else 'aborts a goal'
+        ends = 'cancels a goal without being asked to' if cancelled else 'aborts a goal'
         words = ': '.join(filter(None, (violated, result.error_string)))
         self._fail(f'{ends}: {words}' if words else ends)
 

@@ -125,7 +125,7 @@ def calibration_of(message: Any) -> Calibration:
         raise InputError(
             f'A calibration of {message.imu_id or "no name"} cannot be used: its units '
             f'({message.units}), parameters ({len(message.parameter_names)}) and covariance '
-            f'({covariance.size} numbers) do not belong to a model of {size}.'
+            f'({covariance.size} numbers) do not match a model with {size} parameters.'
         )
     vector = np.array([getattr(message, name.lower()) for name in PARAMETER_NAMES])
     if not np.isfinite(vector[:12]).all():

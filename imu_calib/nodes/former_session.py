@@ -43,8 +43,8 @@ class FormerSession:
         return (
             f'Stamps on {intake.topic} begin at {at(first)}, {(last - first) * 1e-9:.0f} s before '
             f'the end of the journal {self._journal}: the clock was set back, or a simulation '
-            'began anew. Up to then nothing could be used. Set the clock right, or give another '
-            'journal, and start again.'
+            'began anew. Samples before that time are ignored. Set the clock right, or give '
+            'another journal, and start again.'
         )
 
     def gap(self, first: int) -> str:

@@ -43,7 +43,7 @@ class HandNode(ros.Node):
         super().__init__('hand_node')
         self._hardware = self._read_hardware()
         self._speed = declare(
-            self, 'speed', 0.0, 'times the wall clock at most; 0: as fast as is followed', lower=0.0
+            self, 'speed', 0.0, 'most times real time; 0: as fast as the nodes follow', lower=0.0
         )
         port = declare(self, 'port', 5760, 'TCP port that serves frames', lower=1, upper=65535)
         self._line = FrameServer(port)
@@ -65,7 +65,7 @@ class HandNode(ros.Node):
         self._line.close()
         self.get_logger().info(
             f'{self._hardware.holds} holds; the IMU made {self._hardware.frames} frames, '
-            f'{self._line.dropped} bytes of them met no reader'
+            f'{self._line.dropped} bytes of them were not read'
         )
         return []
 
@@ -76,10 +76,12 @@ class HandNode(ros.Node):
         height = declare(self, 'height', 0.0, 'm above the ellipsoid')
         gravity = declare(self, 'gravity', math.nan, 'm/s^2; nan: normal gravity')
         drifting = declare(self, 'bias_instability', False, 'whether the biases drift')
-        rate = declare(self, 'sample_rate', 0.0, 'of the IMU, Hz; 0: its own', lower=0.0)
+        rate = declare(
+            self, 'sample_rate', 0.0, 'sample rate of the IMU, Hz; 0: as its file says', lower=0.0
+        )
         seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
         start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
-        wrong = declare(self, 'imperfections', '', 'name or file of what is wrong; empty: nothing')
+        wrong = declare(self, 'imperfections', '', 'name or file of the imperfections; empty: none')
         options = StandOptions(bias_instability=drifting, sample_rate=rate or None)
         if wrong:
             options = load_imperfections(wrong, options, None, seed)
@@ -135,7 +137,7 @@ class HandNode(ros.Node):
 
     def _report(self) -> None:
         connected = self._line.connected
-        waits = f'The frames wait for a reader on port {self._line.port}.'
+        waits = f'No program reads the frames on port {self._line.port} yet.'
         text = 'The frames are read.' if connected else waits
         level = Level.OK if connected else Level.WARN
         frames = str(self._hardware.frames)

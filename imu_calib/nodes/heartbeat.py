@@ -26,7 +26,7 @@ class Heartbeat:
             node,
             'stop_required',
             False,
-            'Whether nothing moves without a heartbeat on the topic heartbeat (std_msgs/Bool).',
+            'Whether every motion requires a heartbeat on the topic heartbeat (std_msgs/Bool).',
         )
         self._timeout = declare(
             node,
@@ -50,7 +50,7 @@ class Heartbeat:
             return ''
         if self._steady.now().nanoseconds * 1e-9 - self._heard_at > self._timeout:
             return (
-                f'No heartbeat on {self._topic} for {self._timeout:g} s: the table stands, and '
+                f'No heartbeat on {self._topic} for {self._timeout:g} s: the table is stopped, and '
                 'nothing starts without one (stop_required).'
             )
         return '' if self._clear else f'The heartbeat on {self._topic} says stop.'

@@ -66,7 +66,10 @@ class ImuNode(ManagedNode):
             self, 'gap_timeout', GAP_TIMEOUT, 'Longest time without a frame, s.', lower=0.01
         )
         autostart = declare(
-            self, 'autostart', True, 'Configure and activate at the start, not by a manager.'
+            self,
+            'autostart',
+            True,
+            'Configure and activate at the start, without a lifecycle manager.',
         )
         self._simulated = bool(self.get_parameter('use_sim_time').value)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -167,7 +170,7 @@ class ImuNode(ManagedNode):
         """Take what has come, publish it, and say how it goes."""
         if not self._started:
             if self._now() == 0:
-                self._diagnostics.report('clock', Level.WARN, 'Nothing has come on /clock yet.')
+                self._diagnostics.report('clock', Level.WARN, 'There is no message on /clock yet.')
                 return
             self._source.start()
             self._started = True

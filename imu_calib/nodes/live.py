@@ -208,7 +208,7 @@ class LiveSession:
     def flush(self) -> None:
         """Secure what came in, and try again what a full disk refused."""
         if not self.over and not self._keeper.flush():
-            self.fail(f'{self.trouble} The memory takes no more either.')
+            self.fail(f'{self.trouble} The buffer in memory is full, too.')
 
     def table_done(self, stamp: int) -> None:
         """Note that the table ran its plan to the end, at a stamp in ns."""
@@ -308,7 +308,7 @@ class LiveSession:
             self.phase = SessionPhase.FINISHED
             self.calibration = self._with_notes(review.result.calibration)
         else:
-            self.fail(f'The session cannot be kept: {self.trouble}')
+            self.fail(f'The session cannot be saved: {self.trouble}')
 
     def _with_notes(self, calibration: Calibration) -> Calibration:
         provenance = {'recording': self.journal.path.name, **calibration.provenance}

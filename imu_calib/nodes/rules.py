@@ -31,7 +31,7 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
         * declare(
             'arrival_tolerance',
             default.arrival / DEG,
-            'A joint has arrived that stands so close to its goal, deg.',
+            'Largest distance from its goal at which a joint has arrived, deg.',
             lower=1e-6,
             upper=1.0,
         ),
@@ -39,7 +39,7 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
         * declare(
             'overshoot_tolerance',
             default.overshoot / DEG,
-            'How far a joint may pass its goal or stray from its way, deg.',
+            'Largest overshoot of a goal, and deviation from the path, of a joint, deg.',
             lower=1e-5,
             upper=10.0,
         ),
@@ -52,18 +52,18 @@ def declare_rules(declare: Callable[..., Any]) -> Rules:
         supervised=declare(
             'supervised',
             default.supervised,
-            'Whether a calibrator must be heard; it says what is to be repeated.',
+            'Whether a calibrator is required; it asks for steps to be repeated.',
         ),
         repeats=declare(
             'repeats',
             default.repeats,
-            'How often a step is repeated at most if the calibrator asks for it.',
+            'Largest number of times that a step is repeated when the calibrator asks for it.',
             lower=0,
         ),
         repeat_wait=declare(
             'repeat_wait',
             default.repeat_wait,
-            'How long the end of the plan waits for the calibrator, s of the joint states.',
+            'Longest wait for the calibrator at the end of the plan, s of the joint states.',
             lower=0.0,
         ),
     )

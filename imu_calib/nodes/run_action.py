@@ -98,7 +98,8 @@ class RunAction:
         """Reject a second goal: the first one goes on."""
         if self._goal is not None:
             self._node.get_logger().warning(
-                'A second goal for run_calibration is rejected: one is being run. Cancel it first.'
+                'A second goal for run_calibration is rejected: the first one is still running. '
+                'Cancel it first.'
             )
         return self._goal is None
 
@@ -170,7 +171,9 @@ class RunAction:
             self._end(GoalStatus.SUCCEEDED, progress.text)
         elif now - self._since > (self._goal.request.result_timeout or _RESULT_TIMEOUT):
             waited = now - self._since
-            self._end(GoalStatus.ABORTED, f'The plan is done; no result came for {waited:.0f} s.')
+            self._end(
+                GoalStatus.ABORTED, f'The plan is done; no result came within {waited:.0f} s.'
+            )
 
     @property
     def _has_result(self) -> bool:

@@ -83,7 +83,7 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
 
     """
     plan = declare(node, 'plan', 'twelve_position', 'name or file of the plan that is run')
-    imu = declare(node, 'imu', 'fog_medium', "name or file: what the IMU's numbers mean")
+    imu = declare(node, 'imu', 'fog_medium', 'name or file of the IMU')
     table = declare(node, 'table', 'three_axis', 'name or file of the turntable')
     latitude = declare(node, 'latitude', math.nan, 'deg, negative in the south; required')
     latitude_std = declare(node, 'latitude_std', math.nan, 'deg; nan: 0.01')
@@ -100,7 +100,10 @@ def declared_setup(node: Node) -> tuple[Setup, dict[str, str]]:
     )
     method = declare(node, 'method', '', 'the estimator; empty: joint where it applies')
     wanted = declare(
-        node, 'terms', AUTO_TERMS, 'that the joint estimate adds; auto: those that show'
+        node,
+        'terms',
+        AUTO_TERMS,
+        'terms that the joint estimate adds; auto: those that are significant',
     )
     named, changes = split_terms(wanted)
     terms, look = named_terms(named), asks_for_search(wanted)

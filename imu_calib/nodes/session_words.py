@@ -33,7 +33,7 @@ def session_sentence(session: LiveSession) -> str:
     words = {
         SessionPhase.WAITING: f'Waiting for {imu.topic}.',
         SessionPhase.COLLECTING: f'{known} of {len(session.parameters)} parameters are determined.',
-        SessionPhase.DETERMINED: f'{known} parameters are determined, and still improve.',
+        SessionPhase.DETERMINED: f'{known} parameters are determined, and still improving.',
         SessionPhase.FINISHED: f'{known} parameters are determined.',
         SessionPhase.FAILED: session.failure,
     }
@@ -135,9 +135,9 @@ def _report_imu(
 ) -> None:
     imu, joints = session.intakes[Kind.IMU], session.intakes.get(Kind.JOINTS)
     figures = {'samples': str(imu.count), 'malformed': str(imu.malformed.count)}
-    level, text = Level.OK, f'{imu.topic} comes in.'
+    level, text = Level.OK, f'{imu.topic} is received.'
     if imu.newest is None:
-        level, text = Level.WARN, f'Nothing has come in on {imu.topic} yet.'
+        level, text = Level.WARN, f'There is no message on {imu.topic} yet.'
     elif joints is None and not session.over:
         if time.monotonic() - imu.heard > max(_SILENCE_BY_HAND, imu_timeout):
             level, text = Level.ERROR, f'{imu.topic} is silent.'
@@ -145,14 +145,14 @@ def _report_imu(
         behind = (joints.newest - imu.newest) * 1e-9
         figures['behind the table'] = f'{behind:.3f} s'
         if not is_fed(session, imu_timeout):
-            level, text = Level.ERROR, f'{imu.topic} is silent while the table is not.'
+            level, text = Level.ERROR, f'{imu.topic} is silent, but the table is not.'
         elif abs(behind) > _APART:
             side = 'behind' if behind > 0 else 'ahead of'
             level = Level.ERROR
             text = (
                 f'{imu.topic} is stamped {abs(behind):.0f} s {side} {joints.topic}: they are of '
-                'two clocks, and no sample counts. Synchronise the clocks, or stamp the samples as '
-                'they arrive.'
+                'two clocks, and no sample can be used. Synchronise the clocks, or stamp the '
+                'samples as they arrive.'
             )
     if imu.malformed.count:
         level, text = Level.ERROR, f'{imu.topic}: {imu.malformed.reason}'
@@ -166,9 +166,9 @@ def _report_joint_states(
     joints = session.intakes.get(Kind.JOINTS)
     if joints is None:
         return
-    level, text = Level.OK, f'{joints.topic} comes in.'
+    level, text = Level.OK, f'{joints.topic} is received.'
     if not joints.count:
-        level, text = Level.WARN, f'Nothing has come in on {joints.topic} yet.'
+        level, text = Level.WARN, f'There is no message on {joints.topic} yet.'
     if joints.malformed.count:
         level, text = Level.ERROR, f'{joints.topic}: {joints.malformed.reason}'
     figures = {
@@ -178,7 +178,7 @@ def _report_joint_states(
     }
     if joints.ignored and not joints.count and session.setup.table is not None:
         names = ', '.join(session.setup.table.names)
-        text = f'{joints.topic} names no message with all joints of the table ({names}) yet.'
+        text = f'No message on {joints.topic} has all joints of the table ({names}) yet.'
     diagnostics.report('joint states', level, text, **figures)
 
 
@@ -187,15 +187,15 @@ def _report_skew(session: LiveSession, diagnostics: Diagnostics | PartOfDiagnost
     skew = session.intakes.get(Kind.SKEW)
     if skew is None:
         return
-    level, text = Level.OK, f'{skew.topic} comes in.'
+    level, text = Level.OK, f'{skew.topic} is received.'
     if session.without_skew:
         level = Level.WARN
         text = (
-            f"Nothing has come on {skew.topic}, though the IMU's file has a skewed_gyro: the "
+            f"There is no message on {skew.topic}, though the IMU's file has a skewed_gyro: the "
             'session goes on without it.'
         )
     elif not skew.count:
-        level, text = Level.WARN, f'Nothing has come in on {skew.topic} yet.'
+        level, text = Level.WARN, f'There is no message on {skew.topic} yet.'
     if skew.malformed.count:
         level, text = Level.ERROR, f'{skew.topic}: {skew.malformed.reason}'
     diagnostics.report('skewed gyro', level, text, samples=str(skew.count))

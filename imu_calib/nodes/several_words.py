@@ -85,7 +85,10 @@ def _state(sessions: Sessions, imu_timeout: float) -> tuple[SessionPhase, str]:
     known = [0 if s.review is None else int((s.review.std > 0).sum()) for s in running]
     least = running[known.index(min(known))]
     reached = f'{min(known)} of {len(least.parameters)} parameters'
-    return phase, f'{len(sessions.open)} units; the least, {_name(least)}, has {reached}.'
+    return (
+        phase,
+        f'{len(sessions.open)} units; of the last, {_name(least)}, {reached} are determined.',
+    )
 
 
 def _name(session: LiveSession) -> str:

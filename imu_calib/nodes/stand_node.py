@@ -64,7 +64,7 @@ class StandNode(ros.Node):
         super().__init__('stand_node')
         self._hardware = self._read_hardware()
         speed = declare(
-            self, 'speed', 0.0, 'times the wall clock at most; 0: as fast as is followed', lower=0.0
+            self, 'speed', 0.0, 'most times real time; 0: as fast as the nodes follow', lower=0.0
         )
         self._pace = _Pace(speed)
         port = declare(
@@ -107,9 +107,9 @@ class StandNode(ros.Node):
             for name, angle in zip(self._hardware.names, state.angles, strict=True)
         )
         self.get_logger().info(
-            f'the table {"stands" if state.at_rest else "moves"}: {angles}; '
-            f'the IMU made {_joined(self._hardware.frames)} frames, {self._lines.dropped} bytes of '
-            'them met no reader'
+            f'the table {"stands" if state.at_rest else "moves"}: {angles}; the IMU made '
+            f'{_joined(self._hardware.frames)} frames, {self._lines.dropped} bytes of them were '
+            'not read'
         )
         return []
 
@@ -127,7 +127,9 @@ class StandNode(ros.Node):
         offset = declare(self, 'clock_offset', 0.0, 'device clock minus host clock, s')
         drift = declare(self, 'clock_drift', 0.0, 'how much faster the device clock runs, ppm')
         joints = declare(self, 'joint_state_rate', 100.0, 'Hz', lower=0.1, upper=10_000.0)
-        rate = declare(self, 'sample_rate', 0.0, 'of the IMU, Hz; 0: its own', lower=0.0)
+        rate = declare(
+            self, 'sample_rate', 0.0, 'sample rate of the IMU, Hz; 0: as its file says', lower=0.0
+        )
         start = declare(self, 'start', 0.0, 'when the simulated time begins, s', lower=0.0)
         options = StandOptions(
             azimuth=azimuth * DEG,
@@ -142,7 +144,7 @@ class StandNode(ros.Node):
         )
         site = Site.at(latitude * DEG, height, None if math.isnan(gravity) else gravity)
         seed = declare(self, 'seed', 0, 'of all randomness', lower=0)
-        wrong = declare(self, 'imperfections', '', 'name or file of what is wrong; empty: nothing')
+        wrong = declare(self, 'imperfections', '', 'name or file of the imperfections; empty: none')
         if wrong:
             options = load_imperfections(wrong, options, table, seed)
         self._epoch = options.start_time
@@ -222,7 +224,7 @@ class StandNode(ros.Node):
         text = (
             'The frames are read.'
             if self._lines.unread is None
-            else f'The frames wait for a reader on port {self._lines.unread}.'
+            else f'No program reads the frames on port {self._lines.unread} yet.'
         )
         self._diagnostics.report(
             'IMU',

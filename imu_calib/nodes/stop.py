@@ -94,7 +94,7 @@ class StopRecord:
             work()
         except OSError as error:
             self._trouble = (
-                f'The emergency stop cannot be kept in {self.path.parent} '
+                f'The emergency stop cannot be saved in {self.path.parent} '
                 f'({error.strerror or error}): the table stays stopped. Make that folder writable, '
                 'or give another one as parameter state_folder.'
             )
@@ -134,8 +134,8 @@ def state_folder(given: str) -> Path:
         root = Path(base) if base.startswith('/') else user_path('~/.local/state')
     except InputError:
         raise InputError(
-            'Parameter state_folder: this user has no home folder to keep a pressed stop in; give '
-            'a folder without ~.'
+            'Parameter state_folder: this user has no home folder in which a pressed stop could be '
+            'saved; give a folder without ~.'
         ) from None
     return root / 'imu_calib'
 

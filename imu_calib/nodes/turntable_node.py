@@ -63,13 +63,14 @@ class TurntableNode(Node):
         super().__init__('turntable_node')
         plan = load_plan(declare(self, 'plan', 'twelve_position', 'Name or file of the plan.'))
         table = load_table(declare(self, 'table', 'three_axis', 'Name or file of the table.'))
-        self._autostart = declare(self, 'autostart', False, 'Start as soon as all are there.')
+        self._autostart = declare(
+            self, 'autostart', False, 'Start the plan as soon as all nodes are there.'
+        )
         resume = declare(
             self,
             'resume',
             False,
-            'Whether only those steps are run that the calibrator lacks: its session is gone on '
-            'with.',
+            "Whether to resume the calibrator's session: only the steps that it lacks are run.",
         )
         self._watchdog = declare(
             self,
@@ -93,7 +94,7 @@ class TurntableNode(Node):
             self,
             'state_folder',
             '',
-            'Where a pressed stop is kept; empty: $XDG_STATE_HOME/imu_calib.',
+            'Folder in which a pressed stop is saved; empty: $XDG_STATE_HOME/imu_calib.',
         )
         self._sequencer = Sequencer(plan, table, declare_rules(partial(declare, self)))
         if resume:
@@ -300,7 +301,7 @@ class TurntableNode(Node):
         self._diagnostics.report(
             'joint states',
             Level.WARN if fault else Level.OK,
-            fault or 'Joint states come in.',
+            fault or 'Joint states are received.',
             **{
                 'last heard': f'{self._published_at - self._fed_at:.3f} s ago',
                 'malformed': f'{self._malformed.count} messages',
@@ -331,7 +332,7 @@ class TurntableNode(Node):
         words = self._heartbeat.words
         self._sequencer.forbid('heartbeat', words)
         self._diagnostics.report(
-            'heartbeat', Level.ERROR if words else Level.OK, words or 'The heartbeat comes in.'
+            'heartbeat', Level.ERROR if words else Level.OK, words or 'The heartbeat is received.'
         )
 
     def _on_foreign(self, name: str, payload: bytes) -> None:

@@ -66,7 +66,7 @@ class StreamBuffer:
         stamp = block.stamp
         self.samples += len(stamp)
         values = np.hstack([block.gyro, block.accel])
-        what = 'values that are no numbers (NaN or infinite)'
+        what = 'values that are not numbers (NaN or infinite)'
         rows = self._once(*self._finite(what, stamp, values))
         self._add_imu(self._imu_order.take(*rows))
 
@@ -75,7 +75,7 @@ class StreamBuffer:
         # It goes the way of an IMU whose first channel it is.
         imu = block.as_imu()
         values = np.hstack([imu.gyro, imu.accel])
-        what = 'values of the skewed gyro that are no numbers'
+        what = 'values of the skewed gyro that are not numbers'
         self._add_skew(self._skew_order.take(*self._finite(what, block.stamp, values)))
 
     def take_joints(self, block: JointBlock) -> Ordered:
@@ -92,7 +92,7 @@ class StreamBuffer:
             return self._joint_order.take(block.stamp[:0], np.empty((0, len(self._table.names))))
         self._of_the_table += len(joints)
         self._beside.update(set(block.names) - set(joints.names))
-        what = 'joint positions that are no numbers'
+        what = 'joint positions that are not numbers'
         rows = self._finite(what, joints.stamp, joints.position)
         return self._counted(self._joint_order.take(*rows))
 
