@@ -77,8 +77,8 @@ def _on_workers(
         for number, outcome in outcomes(client, function, tasks):
             if isinstance(outcome, WorkerDied):
                 raise InputError(
-                    f'task {number + 1} of {len(tasks)}: the worker died of it, and so did another:'
-                    ' their memory did not do, or a library crashes.'
+                    f'task {number + 1} of {len(tasks)}: two workers ended while they ran it: it '
+                    'needs more memory than they have, or a library crashes.'
                 )
             early[number] = outcome
             while following in early:

@@ -404,7 +404,7 @@ def test_a_text_file_by_the_name_of_a_recording(cli: CommandLine, tmp_path: Path
     (tmp_path / 'notes.mcap').write_text('hello\n' * 100)
     cli.refuses(
         2,
-        r"notes.mcap is no recording of rosbag2 \(mcap or sqlite3\): it starts with b'hello",
+        r"notes.mcap is not a recording of rosbag2 \(mcap or sqlite3\): it starts with b'hello",
         tmp_path / 'notes.mcap',
     )
 
@@ -539,7 +539,7 @@ def test_one_wild_stamp_costs_one_sample(cli: CommandLine, jump: int) -> None:
     assert any(f.startswith('1 IMU samples are missing') for f in found.findings)
 
 
-APART = r'Position 7, 8, .*: left out, the gyros do not see the motion beside it .*clocks that j'
+APART = r'Position 7, 8, .*: left out, the gyros do not show the motion next to it .*clocks that j'
 
 
 @pytest.mark.parametrize('jump', [-5, 5])
@@ -573,7 +573,7 @@ def test_a_small_jump_of_the_clocks_is_found_and_bridged(cli: CommandLine, jump:
 
 def test_clocks_that_are_apart(cli: CommandLine) -> None:
     stamp = good().imu.stamp + 100 * NS
-    cli.refuses(1, 'the gyros do not see the motion beside it', good().with_imu(stamp=stamp))
+    cli.refuses(1, 'the gyros do not show the motion next to it', good().with_imu(stamp=stamp))
 
 
 @pytest.mark.parametrize(('offset', 'where'), [(5, 'ahead of'), (-25, 'behind')])

@@ -54,11 +54,11 @@ def test_lost_samples_are_told_by_their_share() -> None:
     held._off_grid = {START + 9 * NS, START + 2 * NS}
     held._interruptions = [(START, START + 2 * NS)]
     assert held._losses() == (
-        '3 IMU samples are missing (15 %), a few at a time: what they counted is read from those '
-        'around them',
-        'The stamps of the IMU are offset from the sampling grid 2 times, first at '
-        '2023-11-14 22:13:22.000 UTC: its clock was set, or it began to sample anew; what is '
-        'before and after counts by itself',
+        '3 IMU samples are missing (15 %), a few at a time: what they counted is interpolated from '
+        'those around them',
+        'The stamps of the IMU are offset from the sampling grid 2 times, first at 2023-11-14 '
+        '22:13:22.000 UTC: its clock was set, or it restarted sampling; the data before and after '
+        'are used separately',
         'The IMU stream was interrupted: 2.0 s are missing, from 2023-11-14 22:13:20.000 UTC',
         'There are no joint states of table bench',
     )
@@ -96,8 +96,8 @@ def beside(angles: list[float], times: list[float]) -> list[float]:
     gone = [(r.start // NS, r.end // NS) for r in held._rejected]
     assert gone == [(m - 6, m + 6) for m in middles if m not in kept]
     reason = (
-        'the gyros do not see the motion beside it that the joint states show '
-        '(clocks that jump, or are a second or so apart)'
+        'the gyros do not show the motion next to it that the joint states show (clocks that jump, '
+        'or are about a second apart)'
     )
     assert {r.reason for r in held._rejected} <= {reason}
     return kept

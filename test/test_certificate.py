@@ -176,7 +176,7 @@ def test_what_is_missing_is_named_with_its_clause_and_not_invented(
     assert 'calibrated (' not in said
     assert main([*command, '--draft']) == 0
     page = target.read_text(encoding='utf-8')
-    assert 'This is a draft and no certificate' in page and 'DRAFT' in page
+    assert 'This is a draft, not a certificate' in page and 'DRAFT' in page
     assert rows(page)['customer'] == ['MISSING'] and rows(page)['received'] == ['MISSING']
     assert rows(page)['calibrated'] == ['2023-11-14'] and rows(page)['serial number'] == ['A1234']
     assert 'A &lt;lab&gt; &amp; sons' in page and '<lab>' not in page

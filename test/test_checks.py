@@ -242,13 +242,11 @@ def test_a_position_far_out_of_the_rest_is_named() -> None:
     usual = [residual(name, 2.0) for name in 'abcd']
     # Five times 1.4826 times the usual two.
     assert _outstanding([*usual, residual('e', 14.8)]) == []
-    assert _outstanding([*usual, residual('e', 14.9)]) == [
-        'Stands out from the rest: position e (15 sigma).'
-    ]
+    assert _outstanding([*usual, residual('e', 14.9)]) == ['Outlier: position e (15 sigma).']
     still = [residual(name, 0.1) for name in 'abcd']
     assert _outstanding([*still, residual('e', 4.9)]) == []
     assert _outstanding([*still, residual('e', 5.1), residual('f', 8.0)]) == [
-        'Stands out from the rest: position e (5 sigma), f (8 sigma).'
+        'Outliers: positions e (5 sigma), f (8 sigma).'
     ]
     assert _outstanding([]) == []
 
@@ -451,7 +449,7 @@ def test_drifts_are_told_beside_what_the_data_sheet_states() -> None:
     assert scattering(drift=drift, instability=drift / 1.09) == []
     swift = np.repeat([0.0, 70 * MICRO_G], 3)
     (sentence,) = scattering(drift=swift, fast=(False, True))
-    assert 'accelerometers scatter from rest to rest by 70 ug' in sentence
+    assert 'accelerometers scatter from dwell to dwell by 70 ug' in sentence
     assert 'accel_cross' in sentence
 
 

@@ -107,7 +107,7 @@ def samples_until(seconds):
 @pytest.mark.parametrize(
     ('name', 'content', 'sentence'),
     [
-        ('a.mcap', b'', 'a.mcap is no recording of rosbag2 (mcap or sqlite3): it is empty'),
+        ('a.mcap', b'', 'a.mcap is not a recording of rosbag2 (mcap or sqlite3): it is empty'),
         ('a.db3', b'', 'a.db3 is empty: expected a sqlite3 file'),
         ('a.mcap', b'just some text\n' * 9, "(mcap or sqlite3): it starts with b'just som'"),
         ('a.mcap', b'\x89MCAP0\r\n', 'no topics'),
@@ -205,7 +205,7 @@ def test_a_broken_file_of_a_split_recording_leaves_the_others(tmp_path):
     (path / 'bag_1.mcap').write_text('no recording')
     blocks, losses = read(path)
     assert_same(blocks, SESSION)
-    assert 'bag_1.mcap is no recording of rosbag2' in losses[1]
+    assert 'bag_1.mcap is not a recording of rosbag2' in losses[1]
 
 
 @pytest.mark.parametrize('compression', ['', 'zstd', 'lz4'])

@@ -176,7 +176,7 @@ def test_a_gap_that_the_counter_cannot_tell_is_said_and_stamps_begin_anew():
     arrival = bunched(made)
     clock = DeviceClock(None, SHORT, 1 / rate)
     stamps = stamped(clock, made, arrival, counter=numbers % 128, set_by=np.zeros_like(made))
-    assert 'the counter does not tell by how much' in clock.last_jump.reason
+    assert 'the counter does not show by how much' in clock.last_jump.reason
     assert clock.jumps == 1
     right = np.r_[0:3000, 4100:7000]
     # The least delay of a second of bunches; 100 ppm of four seconds.

@@ -174,7 +174,7 @@ def test_a_batch_gives_what_calibrate_gives(recordings: Path, done: Path) -> Non
         assert newest.read_text() == (done / row['calibration']).read_text()
     lost = found['broken.mcap']
     assert lost['status'] == 'failed' and lost['exit_code'] == 2
-    assert 'is no recording of rosbag2' in lost['error']
+    assert 'is not a recording of rosbag2' in lost['error']
     assert np.isnan(lost['K_gx'] or np.nan)
 
 
@@ -292,7 +292,7 @@ def test_older_columns_are_filled_in_and_newer_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r'found version 4 .* expected 3 or older'):
         Catalogue(tmp_path / 'c').table()
     part.write_bytes(b'PAR1 no more')
-    with pytest.raises(InputError, match='is no part of a catalogue'):
+    with pytest.raises(InputError, match='is not a part of a catalogue'):
         Catalogue(tmp_path / 'c').table()
 
 
@@ -357,7 +357,7 @@ def test_a_recording_that_kills_its_worker_is_a_row(tmp_path: Path) -> None:
     assert ended.failed == 4
     found = {Path(row['recording']).name: row for row in rows(tmp_path / 'c')}
     assert found['poison']['exit_code'] == LOST
-    assert 'The worker died of this recording' in found['poison']['error']
+    assert 'Two workers ended while they calibrated this recording' in found['poison']['error']
     assert (tmp_path / 'poison.begun').read_text() == '..'
 
 

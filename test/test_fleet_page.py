@@ -237,7 +237,7 @@ def test_wrong_usage_gets_a_sentence(
 ) -> None:
     out = ['-o', str(tmp_path / 'page.html')]
     for words, said in (
-        ([str(tmp_path), *out], 'is no catalogue'),
+        ([str(tmp_path), *out], 'is not a catalogue'),
         ([str(catalogue), '-o', str(tmp_path / 'no' / 'page.html')], 'does not exist'),
         ([str(catalogue), *out, '--on', 'soon'], "--on: found 'soon', expected a date"),
         ([str(catalogue), *out, '--ahead', '-1'], 'expected 0 days or more'),

@@ -259,7 +259,7 @@ def test_a_mount_shift_and_a_repair_are_told_apart() -> None:
     assert set(shift.parameters) == set(turn)
     # Turned about Z by what one misalignment gets; scatter of 1.12 before and after.
     assert shift.rotation[2] / SCALE[index('E_gxy')] == pytest.approx(8.0, abs=2.0)
-    assert any('Step between' in s and 'the mount shifted' in s for s in first.findings)
+    assert any('Step between' in s and 'a mount shift' in s for s in first.findings)
     (repair,) = second.steps
     assert repair.index == 6 and repair.cause is Cause.UNIT
     assert dict(zip(repair.parameters, repair.size, strict=True)).keys() == {'K_gz', 'D_gz'}
@@ -359,7 +359,7 @@ def test_a_type_without_limits_and_a_number_of_two_types() -> None:
     found = look_back(joined(sessions(rng, 2, 3), other), LIMITS)
     said = ' '.join(found.findings)
     assert 'No specification of mems is known' in said
-    assert 'Serial number F000 is there as fog and mems: taken for 2 units' in said
+    assert 'Serial number F000 occurs with the types fog and mems: counted as 2 units' in said
     assert [(u.imu, u.serial) for u in found.units if u.serial == 'F000'] == [
         ('fog', 'F000'),
         ('mems', 'F000'),

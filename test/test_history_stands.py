@@ -180,7 +180,7 @@ def test_stands_used_one_after_the_other_are_not_told_from_drift() -> None:
     values = made.values + np.outer(np.arange(40) % 2, 50 * SCALE)
     found = look_back(replace(made, date=date, stand=stand, values=values), LIMITS)
     assert found.stands.shifts == ()
-    assert any('cannot be told from what units drift' in s for s in found.findings)
+    assert any('cannot be separated from the drift of the units' in s for s in found.findings)
 
 
 def test_effects_of_a_balanced_design_are_differences_of_means() -> None:

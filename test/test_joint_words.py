@@ -108,7 +108,7 @@ def test_what_counts_for_less_is_named_with_its_size(monkeypatch: pytest.MonkeyP
         SimpleNamespace(name=name, chi_square=square) for name, square in (('a', 36.0), ('b', 81.0))
     ]
     assert said(monkeypatch, found(outliers=outliers)) == [
-        'Does not fit the rest and counts for less: a (6 sigma), b (9 sigma, leaning).'
+        'Outliers, given less weight: a (6 sigma), b (9 sigma, leaning).'
     ]
 
 

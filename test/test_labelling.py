@@ -160,8 +160,8 @@ def test_a_unit_that_is_not_in_its_mount_is_told_by_its_accelerometers() -> None
     assert names(found) == ['a', 'a']
     (gone,) = found.rejected
     assert (gone.start, gone.end) == (60 * NS, 70 * NS)
-    assert gone.reason.startswith('the accelerometers see up ')
-    assert gone.reason.endswith('and agree with them at most other dwells')
+    assert gone.reason.startswith('the vertical by the accelerometers is ')
+    assert gone.reason.endswith('and within their errors at most other dwells')
     # Less are its errors.
     near = rest(60, leaning, up=rotation(X, 19 * DEG) @ leaning[2])
     assert len(label(session(*sound, near), plan(), TABLE).segments) == 3

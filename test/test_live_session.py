@@ -249,7 +249,7 @@ def test_a_finished_journal_and_one_of_another_plan_are_not_gone_on_with(tmp_pat
 def test_a_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / 'letters').mkdir()
     (tmp_path / 'letters' / 'to_whom.txt').write_text('it may concern')
-    with pytest.raises(InputError, match='no recording'):
+    with pytest.raises(InputError, match='not a recording'):
         begin(tmp_path / 'letters')
 
 

@@ -130,7 +130,9 @@ def test_what_is_no_mcap_says_what_it_starts_with(scanned: Scanned, content: byt
     what = f'starts with {content[:8]!r}' if content else 'is empty'
     with pytest.raises(RecordingError) as refused:
         scanned(content)
-    assert str(refused.value) == f'a.mcap is no recording of rosbag2 (mcap or sqlite3): it {what}.'
+    assert (
+        str(refused.value) == f'a.mcap is not a recording of rosbag2 (mcap or sqlite3): it {what}.'
+    )
 
 
 def damaged(content: bytes, place: int, other: bytes) -> bytes:

@@ -59,7 +59,7 @@ def test_a_stream_without_noise_is_solved_to_rounding_and_claims_no_more(name: s
 
 
 def test_turns_and_moves_are_claimed_as_well_as_their_samples_hold_them() -> None:
-    """At 50 Hz a turn at 70 deg/s is no whole number of samples, and joints start within one."""
+    """At 50 Hz a turn at 70 deg/s is not a whole number of samples, and joints start within one."""
     plan = at_one_rate(quick_plan('optimised_twelve', 12.0))
     odd = RateTest((70 * DEG, -70 * DEG), turns=1)
     plan = replace(

@@ -152,8 +152,8 @@ def test_a_few_lost_samples_are_read_from_those_around_them() -> None:
     time = when(imu)
     session = found(only(imu, (time < 10) | (time > 10.055)), joint())
     assert session.losses == (
-        '6 IMU samples are missing (0.15 %), a few at a time: '
-        'what they counted is read from those around them',
+        '6 IMU samples are missing (0.15 %), a few at a time: what they counted is interpolated '
+        'from those around them',
     )
     assert len(session.turns) == 1
     assert session.turns[0].statistics.mean[2] == pytest.approx(60 * DEG)
@@ -219,8 +219,8 @@ def test_a_clock_that_was_set_parts_a_rest() -> None:
     assert rests(session)[1:3] == [(20.19, 22.0), (22.014, 24.754)]
     assert session.losses == (
         'The stamps of the IMU are offset from the sampling grid 1 time, first at 2023-11-14 '
-        '22:13:42.014 UTC: its clock was set, or it began to sample anew; what is before and after '
-        'counts by itself',
+        '22:13:42.014 UTC: its clock was set, or it restarted sampling; the data before and after '
+        'are used separately',
     )
     turning = found(replace(imu, stamp=imu.stamp + 4_000_000 * (when(imu) > 10)), joint())
     assert 'first at 2023-11-14 22:13:30.014 UTC' in turning.losses[0]
@@ -294,7 +294,7 @@ def test_gyros_that_do_not_turn_with_the_table_read_no_turn() -> None:
 
     session = found(gyros(stopped), joint())
     (gone,) = session.rejected
-    assert gone.reason == 'the gyros do not turn steadily while the joint states do'
+    assert gone.reason == 'the gyros show no steady rate while the joint states do'
 
 
 def test_ramps_alone_are_no_turn() -> None:
@@ -321,8 +321,8 @@ def test_rests_beside_a_motion_that_gyros_do_not_see_are_left_out() -> None:
     assert rests(session) == [RESTS[0], (36.18, 39.99)]
     assert [since(r.start) for r in session.rejected] == [20.19, 28.19]
     assert {r.reason for r in session.rejected} == {
-        'the gyros do not see the motion beside it that the joint states show (clocks that jump, '
-        'or are a second or so apart)'
+        'the gyros do not show the motion next to it that the joint states show (clocks that jump, '
+        'or are about a second apart)'
     }
 
     def dull(rates: Floats, time: Floats) -> None:
@@ -380,7 +380,8 @@ def test_clocks_that_do_not_meet_are_said_to_be_two() -> None:
         assert session.losses == (
             f'The IMU is stamped from 2023-11-14 {times} UTC, the table from 2023-11-14 '
             '22:13:20.000 UTC to 2023-11-14 22:14:00.000 UTC: they are of two clocks, and no '
-            'sample has an attitude. Synchronise the clocks, or stamp the samples as they arrive',
+            'sample can be given an attitude. Synchronise the clocks, or stamp the samples as they '
+            'arrive',
         )
 
 
@@ -392,7 +393,7 @@ def test_a_unit_that_falls_silent_is_missed_after_ten_seconds(end: float, said: 
     if end == 27.0:
         assert session.losses == (
             'The joint states go on for 13.0 s after the last IMU sample, 2023-11-14 22:13:47.000 '
-            'UTC: the IMU fell silent, or its clock is no longer that of the table',
+            'UTC: the IMU stopped sending, or its clock no longer agrees with that of the table',
         )
         assert rests(session) == RESTS[:2]
 

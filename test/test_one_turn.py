@@ -177,7 +177,7 @@ def test_samples_must_be_sound_between_the_cuts_alone() -> None:
     fast = delivered()
     rows = fast.increments.copy()
     rows[-1000:, 2] *= 1.2
-    unsteady = 'the gyros do not turn steadily while the joint states do'
+    unsteady = 'the gyros show no steady rate while the joint states do'
     assert reason(replace(fast, increments=rows)) == unsteady
 
 

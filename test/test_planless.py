@@ -227,7 +227,7 @@ def test_a_rest_out_of_the_mount_is_left_out() -> None:
 
     result = calibrate(map(lies, recorded(plan, seed=2)), UNPLANNED)
     assert len(result.labelled.segments) == 19
-    assert any('the accelerometers see up' in f for f in result.calibration.findings)
+    assert any('the vertical by the accelerometers' in f for f in result.calibration.findings)
     assert np.abs(errors(result)).max() < 4.5
 
 

@@ -255,7 +255,7 @@ def test_what_is_not_there_gets_a_sentence(
 
     monkeypatch.setattr(s3fs.S3FileSystem, '_info', refused)
     assert main(['info', f'{bucket}/rec']) == 2
-    assert 'no right to read it (Forbidden)' in capsys.readouterr().err
+    assert 'reading it is not permitted (Forbidden)' in capsys.readouterr().err
 
 
 def test_a_url_asks_for_the_library(
@@ -276,7 +276,7 @@ def test_a_full_disk_gets_a_sentence(
 
     monkeypatch.setattr(os, 'pwrite', full)
     assert main(['calibrate', f'{bucket}/rec']) == 2
-    assert 'Let TMPDIR name a folder with room for' in capsys.readouterr().err
+    assert 'Set TMPDIR to a folder with room for' in capsys.readouterr().err
 
 
 def test_nothing_of_it_stays_here(

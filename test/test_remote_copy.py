@@ -194,7 +194,7 @@ def test_who_has_no_right_is_told_at_once(
     files: Files, pauses: list[float], error: Exception
 ) -> None:
     files.errors = [error]
-    with pytest.raises(InputError, match=r'no right to read it \(refused\)'):
+    with pytest.raises(InputError, match=r'reading it is not permitted \(refused\)'):
         copy(files).read(0, 4)
     assert not pauses
 

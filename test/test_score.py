@@ -112,7 +112,7 @@ CASES = {
         LEANING,
     ),
 }
-BLAMED = ('drift by', 'scatter', 'not fit', 'elsewhere', 'counts for less', 'arrive', 'tilted')
+BLAMED = ('drift by', 'scatter', 'given less weight', 'elsewhere', 'arrive', 'tilted')
 """Words of the findings that blame something else."""
 
 

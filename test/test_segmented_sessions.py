@@ -161,7 +161,7 @@ def test_an_imu_of_another_clock_than_the_tables_is_said_to_be_that() -> None:
     begin = next(b.stamp[0] for _, b in blocks if isinstance(b, ImuBlock))
 
     with pytest.raises(
-        NotObservable, match='they are of two clocks, and no sample has an attitude'
+        NotObservable, match='they are of two clocks, and no sample can be given an attitude'
     ):
         calibrate(
             [

@@ -292,7 +292,7 @@ def test_a_warm_up_fades_at_a_rate_that_is_found(warming: tuple[Evidence, Floats
     assert np.diag(shares[Source.TIME_CONSTANT].covariance)[21] > 0
 
 
-BLAMED = ('drift by', 'scatter', 'not fit', 'elsewhere', 'counts for less')
+BLAMED = ('drift by', 'scatter', 'given less weight', 'elsewhere')
 """Words of the findings that blame something else."""
 
 

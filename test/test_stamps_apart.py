@@ -171,7 +171,7 @@ def test_counts_that_freeze_within_a_motion_leave_it_out_and_are_named() -> None
         else:
             frozen.append((name, block))
     found = calibrate(frozen, plan()).calibration
-    said = [f for f in found.findings if 'frozen in' in f]
+    said = [f for f in found.findings if 'are frozen' in f]
     assert len(said) == 1, found.findings
-    assert said[0].startswith('The samples are frozen in 1 motion of the table, repeating one')
+    assert said[0].startswith('The samples are frozen (one is repeated) in 1 motion of the table')
     assert not [f for f in found.findings if 'clocks that jump' in f]

@@ -31,7 +31,7 @@ def test_an_imu_whose_node_is_killed_that_falls_silent_and_sends_garbage(tmp_pat
         assert stand.reaches(State.DWELLING, step=15)
         stand.fault('garbage 500')
         finishes(stand)
-        assert stand.said('imu_node', 'Bytes come that are no frames')
+        assert stand.said('imu_node', 'Bytes are received that belong to no frame')
 
 
 def test_calibrator_and_leader_are_killed_and_the_session_goes_on_from_its_journal(tmp_path):

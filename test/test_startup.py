@@ -294,7 +294,7 @@ def test_bytes_without_a_frame_are_another_device_after_a_greeting():
     reception.take([Chunk(b'U' * 44 * 10, 10 * NS, 10 * NS)], 10 * NS, 10.7)
     word = told(reception, 10.7)
     assert word.severity is Severity.ERROR
-    assert word.text.startswith('Bytes come, but no frame of the format simulated')
+    assert word.text.startswith('Bytes are received, but no frame of the format simulated')
 
 
 @pytest.mark.parametrize('data', [b'', b'U' * 100])

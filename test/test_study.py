@@ -74,7 +74,7 @@ def test_a_wrong_name_counts_unless_the_right_one_stands_beside_it() -> None:
 @pytest.mark.parametrize(
     ('condition', 'grade', 'seed'),
     [
-        # Scatter from rest to rest was called a drift of the biases, and joints that miss.
+        # Scatter from dwell to dwell was called a drift of the biases, and joints that miss.
         ('floor shakes', 'fog_medium', 0),
         # Noise that few blocks know was taken as known: what is more than it seems was called
         # scatter of the accelerometers, joints and stops.

@@ -368,10 +368,10 @@ def test_a_urdf_of_another_table_or_no_urdf_is_refused(tmp_path):
     table = load_table('three_axis')
     file = tmp_path / 'mine.urdf'
     for text, words in (
-        ('<robot name="x"><link name="base"/></robot>', 'outer, middle, inner lack'),
-        ('<robot', 'is no XML'),
+        ('<robot name="x"><link name="base"/></robot>', 'outer, middle, inner missing'),
+        ('<robot', 'is not XML'),
         ('<robot><link name="a"/><link name="b"/></robot>', '2 links without a parent'),
-        ('<robot><link/></robot>', 'is no URDF'),
+        ('<robot><link/></robot>', 'is not a URDF'),
     ):
         file.write_text(text)
         with pytest.raises(InputError, match=words):

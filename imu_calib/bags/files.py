@@ -83,7 +83,7 @@ def find_files(path: AnyPath, losses: Losses) -> Found:
     if not present:
         held = ', '.join(sorted(p.name for p in path.iterdir())[:8]) or 'nothing'
         raise RecordingError(
-            f'{path} is no recording: expected *.mcap or *.db3 files, found {held}.'
+            f'{path} is not a recording: expected *.mcap or *.db3 files, found {held}.'
         )
     if metadata.files is None:
         names = ', '.join(p.name for p in present)

@@ -96,7 +96,7 @@ class _Scanner:
         if magic != MAGIC:
             what = f'starts with {magic!r}' if magic else 'is empty'
             raise RecordingError(
-                f'{self.name} is no recording of rosbag2 (mcap or sqlite3): it {what}.'
+                f'{self.name} is not a recording of rosbag2 (mcap or sqlite3): it {what}.'
             )
 
     def _read(self, position: int, size: int) -> bytes:

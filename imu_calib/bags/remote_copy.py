@@ -112,8 +112,8 @@ class Copy:
                 view, start = view[written:], start + written
         except OSError as error:
             raise InputError(
-                f'{self._url}: what is read of it is kept in {self.path.parent} meanwhile, which '
-                f'cannot be written ({error.strerror}). Let TMPDIR name a folder with room for '
+                f'{self._url}: the parts that are read are kept in {self.path.parent}, which '
+                f'cannot be written ({error.strerror}). Set TMPDIR to a folder with room for '
                 f'{self.size / 1e6:.0f} MB.'
             ) from None
 

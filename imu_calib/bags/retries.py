@@ -37,7 +37,7 @@ def tried(url: str, request: Callable[[], Result]) -> Result:
                 raise
             if _is_refusal(lost):
                 raise InputError(
-                    f'{url}: no right to read it ({lost}). Credentials come from where the '
+                    f'{url}: reading it is not permitted ({lost}). Credentials come from where the '
                     'protocol looks for them (AWS_PROFILE, AWS_ACCESS_KEY_ID and so on for s3).'
                 ) from None
     raise InputError(

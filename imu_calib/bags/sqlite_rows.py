@@ -136,7 +136,11 @@ class RowQueries:
 
 def why(error: Exception) -> str:
     """Return what is wrong with a damaged file, in words."""
-    return 'it states a length beyond all memory' if isinstance(error, MemoryError) else str(error)
+    return (
+        'it states a length beyond the memory of this machine'
+        if isinstance(error, MemoryError)
+        else str(error)
+    )
 
 
 def _first_row(

@@ -249,7 +249,7 @@ class HandCalibrator:
             findings.append(f'{len(segments) - 1 - turns} turns are lost (gaps, saturation).')
         if fit.rejected_moves:
             names = ', '.join(f'{k + 1} to {k + 2}' for k in fit.rejected_moves)
-            findings.append(f'Turns that do not fit the rest are left out: from hold {names}.')
+            findings.append(f'Outliers, left out: turns from hold {names}.')
         findings += [f'{loss}.' for loss in session.losses]
         solution = Solution(
             fit.model,

@@ -88,7 +88,7 @@ def _head(certificate: Certificate) -> str:
 def _draft(certificate: Certificate) -> str:
     if not certificate.draft:
         return ''
-    words = 'This is a draft and no certificate.'
+    words = 'This is a draft, not a certificate.'
     if certificate.missing:
         words += f' Missing: {"; ".join(certificate.missing)}.'
     return tag('div', escape(words), class_='draft')

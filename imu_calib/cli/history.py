@@ -128,9 +128,10 @@ def _of_units(found: History, on: np.datetime64) -> list[str]:
     for imu, one in found.populations.items():
         apart = sorted({outlier.serial for outlier in one.outliers})
         if apart:
-            said.append(f'Apart from the other units of {imu}: {listed(apart, 12)}.')
+            said.append(f'Unlike the other units of {imu}: {listed(apart, 12)}.')
         said += [
-            f'Lot {lot.lot} of {imu} is apart in {lot.parameter}, by {lot.units} units.'
+            f'Lot {lot.lot} of {imu} ({lot.units} units) differs from the other lots in '
+            f'{lot.parameter}.'
             for lot in one.lots
         ]
     rate = 100 * found.rules.false_alarm

@@ -29,15 +29,15 @@ _READS = 3
 _PART_OF_A_TURN = 8
 """A delay tells turns of a counter if it is whole turns within an eighth: for a turn of 128 ms
 16 ms, the time for which a USB adapter holds bytes back (latency timer of FTDI's)."""
-_LOST = 'Frames are missing in whole turns of the counter: the host saw time go by.'
+_LOST = "Frames are missing, whole turns of the counter: the host's clock shows that time passed."
 _NOT_LOST = 'Frames that were counted as missing were only late.'
 _SET = "The host's clock was set, not the device's; stamps follow it."
 _JUMPED = "The device's clock jumped against the host's."
-_MISSING = 'Samples are missing: the host saw time go by without them.'
-_EARLY = "Samples came before they could be made: the host's clock was set."
+_MISSING = "Samples are missing: the host's clock shows that time passed without them."
+_EARLY = "Samples arrived before they can have been made: the host's clock was set."
 _UNCLEAR = (
-    'Frames are missing, or a clock was set: the counter does not tell by how much. Stamps begin '
-    'anew by the time of arrival.'
+    'Frames are missing, or a clock was set: the counter does not show by how much. Stamps restart '
+    'from the time of arrival.'
 )
 _HOST_STEP = 10.0 * _NS
 """ns by which arrivals must be late at least before a host counts as suspended. A judgement: no

@@ -56,7 +56,7 @@ class Number:
 
     @property
     def modulus(self) -> int | None:
-        """How many values it has, None where it is no whole number."""
+        """How many values it has, None where it is not a whole number."""
         if not self.is_whole:
             return None
         return 1 << (8 * self.size if self.bits is None else self.bits[1])

@@ -308,8 +308,8 @@ def _check(section: Section, frame: _Frame, constants: int) -> FrameCheck | None
         raise InputError(f'{check.key("covers")}: the checksum cannot cover itself.')
     if not fits(algorithm, covered[1] + 1 - covered[0]):
         raise InputError(
-            f'{check.key("covers")}: {covered[1] + 1 - covered[0]} bytes are no whole words, which '
-            'the sum is of.'
+            f'{check.key("covers")}: {covered[1] + 1 - covered[0]} bytes are not a whole number of '
+            'words, of which the checksum is the sum.'
         )
     padding = check.whole('padding', 0, 64, 0)
     check.finish()

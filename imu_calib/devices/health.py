@@ -208,11 +208,14 @@ class Health:
             happened = {
                 'lost': (counts.lost > seen.lost, 'Frames are lost on the way.'),
                 'bad': (counts.bad > seen.bad, 'Frames are damaged on the way.'),
-                'skipped': (counts.skipped > seen.skipped, 'Bytes come that are no frames.'),
+                'skipped': (
+                    counts.skipped > seen.skipped,
+                    'Bytes are received that belong to no frame.',
+                ),
                 'repeated': (counts.repeated > seen.repeated, 'Frames come twice.'),
                 'unusable': (
                     counts.unusable > seen.unusable,
-                    'Frames come with channels that are no numbers.',
+                    'Frames are received with channels that are not numbers.',
                 ),
             }
             for name, (new, text) in happened.items():
@@ -261,7 +264,7 @@ class Health:
         begun = now if self._begun is None else self._begun
         late = (now - begun) / _NS - self._gap_timeout
         if self._bytes and late > _GREETING:
-            return Severity.ERROR, 'Bytes come, but no frame yet.'
+            return Severity.ERROR, 'Bytes are received, but no frame yet.'
         if not self._bytes and late > 0:
             return Severity.ERROR, (
                 'No frame has come since the start. Is the device on, connected, and set to send '
@@ -275,9 +278,9 @@ class Health:
             return PartStatus(
                 'format',
                 Severity.ERROR,
-                f'{what} no frame of the format {self._format.name}: this is another '
-                'device, it is set up otherwise, or the baud rate is another one. Check the '
-                "device's file, and at its top how the device is to be set up.",
+                f'{what} no frame of the format {self._format.name}: this is another device, it is '
+                "configured differently, or the baud rate is wrong. Check the device's file, and "
+                'at its top how the device is to be set up.',
             )
         if self._misfit:
             return PartStatus('format', Severity.ERROR, self._misfit)
@@ -290,7 +293,7 @@ class Health:
         first, last = self._first_bytes, self._last_bytes
         enough = self._bytes >= _STRANGE * self._format.length
         if first is not None and enough and steady - first >= _GREETING:
-            return 'Bytes come, but'
+            return 'Bytes are received, but'
         # What was read a moment ago may not have been taken yet.
         if state.ended and last is not None and steady - last >= _GREETING:
             return f'{state.text} It holds'
@@ -316,7 +319,7 @@ class Health:
             return PartStatus('clock', severity, f'{last.reason}{by}{when}', figures)
         certain = 0.0 if drift is None else abs(drift.ppm) - 3 * drift.std
         if certain > _DRIFT_TOLERANCE and clock.drift_counts:
-            text = 'The device counts time or samples otherwise than the host.'
+            text = "The device's count of time or samples drifts against the host's clock."
             return PartStatus('clock', Severity.WARN, text, figures)
         settled = clock.offset is not None
         text = 'Stamps follow the device.' if settled else 'The offset of the clock is not known.'

@@ -40,8 +40,10 @@ _ADVICE = {
     'lists the serial ports that are there.',
     errno.EACCES: 'this user may not open it. Join the group that owns it '
     '(sudo usermod -aG dialout $USER) and log in anew.',
-    errno.ENOTTY: 'this is no serial port. Name the one where the IMU is; ls -l /dev/serial/by-id '
-    'lists those that are there.',
+    errno.ENOTTY: (
+        'this is not a serial port. Name the one where the IMU is; ls -l /dev/serial/by-id lists '
+        'those that are there.'
+    ),
     errno.EBUSY: 'another program holds it. End that one.',
     errno.ECONNREFUSED: 'nothing listens there. Switch the device on, and check host and port.',
     errno.EHOSTUNREACH: 'the host does not answer. Check address, cable and network.',

@@ -104,7 +104,8 @@ class Catalogue:
                 self._rows.mkdir(parents=True, exist_ok=True)
         elif not self._rows.is_dir():
             raise InputError(
-                f'{self.folder}: is no catalogue (no folder rows in it): imu-calib batch makes one.'
+                f'{self.folder}: is not a catalogue (it has no folder rows): imu-calib batch makes '
+                'one.'
             )
 
     def keys(self, *, failed: bool = True) -> frozenset[str]:
@@ -289,7 +290,7 @@ def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
         with part.open('rb') as file:
             found = pq.read_table(file, columns=columns)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f'{part}: is no part of a catalogue ({error}).') from None
+        raise InputError(f'{part}: is not a part of a catalogue ({error}).') from None
     said = (found.schema.metadata or {}).get(_VERSION_KEY, b'')
     if not said.isdigit() or int(said) > VERSION:
         raise InputError(

@@ -153,7 +153,7 @@ def run(job: Job, known: frozenset[str] = frozenset()) -> Done:
     except ImuCalibError as error:
         sentence, code = str(error), error.exit_code
     except MemoryError:
-        sentence, code = 'The memory of a worker does not do for this recording.', DEFECT
+        sentence, code = 'A worker has too little memory for this recording.', DEFECT
     except Exception as error:
         # One recording does not end a batch: an unforeseen error is a row as well.
         sentence = f'Unforeseen error ({type(error).__name__}: {error}): please report it.'
@@ -244,8 +244,8 @@ def lost(job: Job) -> Done:
     except ImuCalibError:
         key, sha256 = '', ''
     sentence = (
-        'The worker died of this recording, and so did another: its memory did not do, or the '
-        'recording crashes the reader. Run it alone with imu-calib calibrate.'
+        'Two workers ended while they calibrated this recording: it needs more memory than they '
+        'have, or it crashes the reader. Run it alone with imu-calib calibrate.'
     )
     return _none_of(job, key, sha256, sentence, LOST)
 

@@ -132,9 +132,9 @@ def _stands(
 def _of_serials(units: Mapping[tuple[str, str], list[int]]) -> list[str]:
     count = Counter(serial for _, serial in units)
     return [
-        f'Serial number {serial} is there as '
-        f'{listed([imu for imu, other in units if other == serial])}: taken for '
-        f'{count[serial]} units.'
+        f'Serial number {serial} occurs with the types '
+        f'{listed([imu for imu, other in units if other == serial])}: counted as {count[serial]} '
+        'units.'
         for serial in sorted(count)
         if count[serial] > 1
     ]
@@ -158,8 +158,8 @@ def _of_covariances(by_type: Mapping[str, list[list[int]]], sessions: Sessions) 
         lacking = int(np.sum((values & ~(np.isfinite(stated) & (stated >= 0))).any(axis=1)))
         if lacking == len(rows):
             found.append(
-                f'No session of {imu} states a standard deviation: all scatter is taken for that '
-                'between sessions.'
+                f'No session of {imu} states a standard deviation: all scatter is attributed to '
+                'changes between sessions.'
             )
         elif lacking:
             found.append(

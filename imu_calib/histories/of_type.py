@@ -238,11 +238,11 @@ def _forecast(due: Due, u: int, newest: np.datetime64, limit: Floats, lines: Lin
         reason = 'No specification is known: nothing says when it is due.'
     elif not determined.any():
         reason = (
-            'Its sessions do not tell how it drifts, nor do enough units of its type: nothing says '
-            'when it is due.'
+            'Neither its sessions nor the units of its type are enough to estimate its drift: '
+            'nothing says when it is due.'
         )
     elif not np.isfinite(due.unit[u]):
-        reason = 'It is within its specification beyond the horizon, as far as it can be told.'
+        reason = 'By all that is known it stays within its specification beyond the horizon.'
     none = bool(reason)
     return Forecast(
         limit=limit,

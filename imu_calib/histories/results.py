@@ -334,7 +334,7 @@ class UnitHistory:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A unit apart from the others of its type.
+    """A unit unlike the others of its type.
 
     Attributes:
         serial: Its number.
@@ -352,7 +352,7 @@ class Outlier:
 
 @dataclass(frozen=True)
 class LotShift:
-    """A lot apart from the others of its type.
+    """A lot unlike the others of its type.
 
     Attributes:
         lot: Its name.

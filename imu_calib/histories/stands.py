@@ -83,8 +83,8 @@ def judge_stands(
         if not all(one.comparable for one in group.effects if one.freedom):
             findings.append(
                 f'Stands {listed([every[k] for k in mine])}: they were used one after the other, '
-                'and what a stand adds cannot be told from what units drift. Bring units back to a '
-                'stand on which they were.'
+                'and the offset of a stand cannot be separated from the drift of the units. Bring '
+                'units back to a stand on which they were.'
             )
     findings += _apart([[every[k] for k in g] for g in groups], int(np.sum(~known)), len(names))
     return Stands(
@@ -307,22 +307,22 @@ def _apart(groups: list[list[str]], unknown: int, sessions: int) -> list[str]:
     if not sessions:
         return []
     if unknown == sessions:
-        return ['No session says on which stand it was: what is of a stand is taken for a unit.']
+        return ['No session says on which stand it was: offsets of stands are attributed to units.']
     found = []
     if unknown:
         found.append(
-            f'{unknown} of {sessions} sessions do not say on which stand they were: they tell '
-            'nothing of stands.'
+            f'{unknown} of {sessions} sessions do not say on which stand they were: they are not '
+            'used to compare stands.'
         )
     if len(groups) == 1 and len(groups[0]) == 1:
         found.append(
-            f'All sessions were on one stand, {groups[0][0]}: what it adds to every unit cannot be '
-            'told from the units. Calibrate some of them on another.'
+            f'All sessions were on one stand, {groups[0][0]}: its offset cannot be separated from '
+            'the errors of the units. Calibrate some of them on another.'
         )
     if len(groups) > 1:
         parts = '; '.join(listed(group) for group in groups)
         found.append(
-            f'No unit links these stands: {parts}. What a stand adds cannot be told from its units '
-            'there: calibrate some units on both sides.'
+            f'No unit links these stands: {parts}. The offset of a stand cannot be separated from '
+            'the errors of its units: calibrate some units on both sides.'
         )
     return found

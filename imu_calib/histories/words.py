@@ -116,7 +116,7 @@ def step_sentence(step: Step) -> str:
         for name, size in zip(step.parameters, step.size, strict=True)
     ]
     looks = (
-        'gyros and accelerometers turned alike: the mount shifted'
+        'gyros and accelerometers turned by the same angle: a mount shift'
         if step.cause is Cause.MOUNT
         else 'the unit itself changed (a repair, a shock)'
     )

@@ -413,7 +413,8 @@ def _outstanding(residuals: Sequence[Residual]) -> list[str]:
     names = [
         f'{r.position} ({w:.0f} sigma)' for r, w in zip(residuals, worst, strict=True) if w > limit
     ]
-    return [f'Stands out from the rest: position {", ".join(names)}.'] if names else []
+    plural = 's' * (len(names) > 1)
+    return [f'Outlier{plural}: position{plural} {", ".join(names)}.'] if names else []
 
 
 def _off_positions(evidence: Evidence) -> list[str]:

@@ -281,7 +281,8 @@ def _findings(found: Estimate, untold: Sequence[str]) -> list[str]:
             f'{o.name} ({np.sqrt(o.chi_square):.0f} sigma{_leaning(found, o)})'
             for o in found.outliers
         )
-        notes.append(f'Does not fit the rest and counts for less: {names}.')
+        plural = 's' * (len(found.outliers) > 1)
+        notes.append(f'Outlier{plural}, given less weight: {names}.')
     notes += _astray(found)
     if found.turns_scatter > 1:
         notes.append(turns_scatter_finding(found.turns_scatter))
@@ -410,12 +411,12 @@ def _scattering(found: Estimate, untold: Sequence[str] = ()) -> list[str]:
             stated = f'{stated_of / unit:.3g} {symbol}' if stated_of else 'none'
             if scatter.fast_drift[first // 3]:
                 notes.append(
-                    f'The {name} scatter from rest to rest by {drift / unit:.2g} {symbol}, '
-                    'more than their noise, and swifter than biases drift (the description of '
-                    f'the IMU states {stated} for those): the standard deviations allow for it. A '
-                    'floor that shakes does so, and so do errors that follow the attitude and are '
-                    f'too small to be told ({_OF_ATTITUDE[name]}). A second session tells: the '
-                    'same residuals at the same positions are the attitude.'
+                    f'The {name} scatter from dwell to dwell by {drift / unit:.2g} {symbol}, more '
+                    'than their noise, and swifter than biases drift (the description of the IMU '
+                    f'states {stated} for those): the standard deviations allow for it. A floor '
+                    'that shakes does so, and so do errors that follow the attitude and are too '
+                    f'small to be told ({_OF_ATTITUDE[name]}). A second session tells: the same '
+                    'residuals at the same positions are the attitude.'
                 )
                 continue
             notes.append(

@@ -18,6 +18,6 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f'{package}.action'), name)
     except (ImportError, AttributeError) as error:
         raise InputError(
-            f'The action {package}/action/{name} is not there: {error}. Install the package '
-            f'{package} (rosdep install --from-paths src --ignore-src), or build it anew.'
+            f'The action {package}/action/{name} is not installed: {error}. Install the package '
+            f'{package} (rosdep install --from-paths src --ignore-src), or rebuild it.'
         ) from error

@@ -113,8 +113,8 @@ def _warn_of_namesakes(node: Any) -> None:
     same = [n for n in node.get_node_names_and_namespaces() if n == own]
     if len(same) > 1:
         node.get_logger().warning(
-            f'{len(same)} nodes are called {node.get_fully_qualified_name()}; '
-            'name one of them otherwise with --ros-args -r __node:=NAME.'
+            f'{len(same)} nodes are called {node.get_fully_qualified_name()}; rename one of them '
+            'with --ros-args -r __node:=NAME.'
         )
 
 

@@ -67,14 +67,14 @@ def change_note(calibration: Calibration) -> str:
         mean = calibration.provenance['temperature']['mean']
         return (
             f'K, E and D are those of {mean:.2f} degC, the mean of the session; compensation adds '
-            'what follows the temperature, as far as the session saw it.'
+            'what follows the temperature, within the range of the session.'
         )
     fading = ''
     if np.isfinite(changes.time_constant):
         fading = f' The warm-up fades with {changes.time_constant:.0f} s.'
     return (
-        'K, E and D are those of the mean over the session. How they changed in it is past, and no '
-        f'part of compensation.{fading}'
+        'K, E and D are those of the mean over the session. Their course during the session is not '
+        f'part of the compensation.{fading}'
     )
 
 

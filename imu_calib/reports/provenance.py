@@ -85,7 +85,7 @@ def _terms(facts: Facts) -> str:
     if 'terms' not in facts:
         return ''
     found = _listed('terms')(facts) or 'none'
-    return f'{found} (looked for in the session)' if facts.get('terms_looked_for') else found
+    return f'{found} (found by a search)' if facts.get('terms_looked_for') else found
 
 
 def _closed_form(facts: Facts) -> str:

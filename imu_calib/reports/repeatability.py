@@ -249,14 +249,14 @@ def repeatability_notes(rows: Sequence[RepeatedParameter]) -> str:
     drifting = [r.parameter.name for r in rows if 'drifts' in _verdict(r)]
     scattering = [r.parameter.name for r in rows if 'scatters' in _verdict(r)]
     sentences = [
-        f'{count} calibrations; spread is the standard deviation of their values, stated std what '
-        'they say of themselves. "Scatters": less than one in a thousand such sets would spread so '
-        'far if the stated deviations were all there is. Error bars are two standard deviations.'
+        f'{count} calibrations; spread is the standard deviation of their values, stated std is '
+        'the one that they state. "Scatters": fewer than one in a thousand such sets would spread '
+        'so far if the stated deviations were complete. Error bars are two standard deviations.'
     ]
     if rows[0].days is None:
-        sentences.append('Not all of them say when they were recorded: no drift is looked for.')
+        sentences.append('Not all of them state when they were recorded: drift is not evaluated.')
     elif rows[0].drift is None:
-        sentences.append('A drift needs three different dates.')
+        sentences.append('To evaluate drift takes calibrations of three different dates.')
     if drifting:
         sentences.append(f'Drifting by more than three standard deviations: {", ".join(drifting)}.')
     if scattering:

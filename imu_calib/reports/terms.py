@@ -11,9 +11,9 @@ from ..model.session_terms import SESSION_TERMS, Change, Course, largest, sessio
 from .html import paragraph, table
 
 _NOTE = (
-    'A term that is off was tested: one coefficient alone, as large as stated, would have been '
-    'found nine times in ten. One that the session does not show may be there: the parameter that '
-    'it would move is stated.'
+    'A term that is "off" was tested and is not significant: a single coefficient of the stated '
+    'size would have been found nine times in ten. A term that the session does not show may still '
+    'be present: the parameter that it would bias is stated.'
 )
 
 

@@ -28,7 +28,7 @@ def verdict_line(verification: Verification) -> str:
     """Return the outcome in one line."""
     words = {
         Verdict.PASS: 'ACCEPTED: the recording is consistent with the calibration.',
-        Verdict.MARGINAL: 'MARGINAL, accepted: the recording casts a doubt on the calibration.',
+        Verdict.MARGINAL: 'MARGINAL, accepted: the recording casts doubt on the calibration.',
         Verdict.FAIL: 'REJECTED: the recording contradicts the calibration.',
     }
     return words[verification.verdict]

@@ -161,14 +161,14 @@ class StreamBuffer:
         if end - ahead < first or last < begin - ahead:
             return [
                 f'The IMU is stamped from {at(begin)} to {at(end)}, the table from {at(first)} to '
-                f'{at(last)}: they are of two clocks, and no sample has an attitude. Synchronise '
-                'the clocks, or stamp the samples as they arrive'
+                f'{at(last)}: they are of two clocks, and no sample can be given an attitude. '
+                'Synchronise the clocks, or stamp the samples as they arrive'
             ]
         if last - (end - ahead) > _APART:
             return [
                 f'The joint states go on for {(last - end + ahead) * 1e-9:.1f} s after the last '
-                f'IMU sample, {at(end)}: the IMU fell silent, or its clock is no longer that of '
-                'the table'
+                f'IMU sample, {at(end)}: the IMU stopped sending, or its clock no longer agrees '
+                'with that of the table'
             ]
         return []
 

@@ -135,8 +135,8 @@ def _with_own_names(labelled: Labelled, plan: Plan) -> Labelled:
             passing.append(segment)
         elif in_mount and off >= UP_TOLERANCE:
             reason = (
-                f'the accelerometers see up {off / DEG:.0f} deg off where the encoders have it, '
-                'and agree with them at most other dwells'
+                f'the vertical by the accelerometers is {off / DEG:.0f} deg off that by the '
+                'encoders, and within their errors at most other dwells'
             )
             rejected.append(Rejected(segment.start, segment.end, reason))
         else:
@@ -238,7 +238,7 @@ def _check_plan(setpoints: Sequence[Setpoint], plan: Plan) -> None:
         ran = ', '.join(sorted({s.plan for s in setpoints}))
         raise InputError(
             f'The setpoints of the recording are of plan {ran} with positions {", ".join(names)}; '
-            f'plan {plan.name} has {", ".join(known)}.'
+            f'plan {plan.name} has {", ".join(known)}. Give the plan that was run.'
         )
 
 

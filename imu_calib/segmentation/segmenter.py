@@ -447,8 +447,8 @@ class Segmenter:
         for segment in self._segments:
             if beside_unseen((segment.start + segment.end) / 2):
                 reason = (
-                    'the gyros do not see the motion beside it that the joint states show '
-                    '(clocks that jump, or are a second or so apart)'
+                    'the gyros do not show the motion next to it that the joint states show '
+                    '(clocks that jump, or are about a second apart)'
                 )
                 self._rejected.append(Rejected(segment.start, segment.end, reason))
             else:
@@ -462,7 +462,7 @@ class Segmenter:
 
     def _drop_all(self) -> None:
         """Drop what was cut by clocks that are not known: it is of other positions and rates."""
-        reason = 'by no offset of the clocks do the gyros see the motions of the table'
+        reason = 'no clock offset brings the motions by the gyros and by the table into agreement'
         self._rejected += [Rejected(s.start, s.end, reason) for s in self._segments]
         self._rejected += [Rejected(t.start, t.end, reason, turn=True) for t in self._turns]
         self._segments, self._turns, self._slips = [], [], []
@@ -492,30 +492,30 @@ class Segmenter:
             ahead = 'ahead of' if self._apart_ns > 0 else 'behind'
             lost.append(
                 f'The clock of the IMU is {abs(self._apart_ns) * 1e-9:.1f} s {ahead} that of the '
-                'table, by the pattern of the motions: samples are read by it'
+                'table, by the pattern of the motions: the stamps are corrected by it'
             )
         if self._lost:
             share = self._lost / (self._intake.samples + self._lost)
             lost.append(
                 f'{self._lost} IMU samples are missing ({100 * share:.2g} %), a few at a time: '
-                'what they counted is read from those around them'
+                'what they counted is interpolated from those around them'
             )
         if self._frozen[0]:
             lost.append(
-                f'The samples are frozen in {counted(self._frozen[0], "motion")} of the table, '
-                f'repeating one, first at {at(self._frozen[1])}: left out'
+                f'The samples are frozen (one is repeated) in {counted(self._frozen[0], "motion")} '
+                f'of the table, first at {at(self._frozen[1])}: left out'
             )
         if self._clocks_unknown:
             lost.append(
-                'The gyros do not see the motions of the table: no offset of its clock up to '
-                f'{FARTHEST:.0f} s makes the first ones alike'
+                'The gyros do not show the motions of the table: no clock offset up to '
+                f'{FARTHEST:.0f} s brings the first ones into agreement'
             )
         if self._off_grid:
             lost.append(
                 'The stamps of the IMU are offset from the sampling grid '
                 f'{counted(len(self._off_grid), "time")}, first at {at(min(self._off_grid))}: its '
-                'clock was set, or it began to sample anew; what is before and after counts by '
-                'itself'
+                'clock was set, or it restarted sampling; the data before and after are used '
+                'separately'
             )
         lost += _interruptions(self._interruptions)
         if self._table is not None and self._joints is not None and self._joints.silent:

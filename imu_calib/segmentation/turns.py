@@ -161,7 +161,7 @@ def _unusable(seen: Around, inside: slice, start: float, end: float) -> str:
     if reason := _unreadable(seen, inside):
         return reason
     if not _steady(part):
-        return 'the gyros do not turn steadily while the joint states do'
+        return 'the gyros show no steady rate while the joint states do'
     return ''
 
 

@@ -62,7 +62,7 @@ def pack(
         skew: (n,) what a skewed gyro counted; the frames are `SKEWED_FRAME`s with it.
 
     Raises:
-        InputError: A value is no whole number within 32 bits.
+        InputError: A value is not a whole number within 32 bits.
 
     """
     frames = np.zeros(len(samples), dtype=FRAME if skew is None else SKEWED_FRAME)

@@ -171,7 +171,7 @@ def plan(shown: Snapshot) -> str:
         )
     if shown.repeats:
         again = ', '.join(str(k + 1) for k in shown.repeats)
-        text += tag('p', escape(f'Too little data came of step {again}: to be run again.'))
+        text += tag('p', escape(f'Too little data was received in step {again}: to be run again.'))
     return text
 
 

@@ -63,9 +63,9 @@ def exposure(host: str) -> str:
     if is_loopback(host):
         return ''
     return (
-        f'The page is served at {host}, without encryption: who reaches that interface sees '
-        'the session, and who reads along reads a token. Use a network of your own, or the '
-        'loopback interface and ssh -L.'
+        f'The page is served at {host}, without encryption: whoever can reach that interface sees '
+        'the session, and whoever can read the traffic reads a token. Use a network of your own, '
+        'or the loopback interface and ssh -L.'
     )
 
 
@@ -114,17 +114,17 @@ class Guard:
             return 'The page is not served under this name: use the address that was printed.'
         socket_asked = scope['type'] == 'websocket'
         if len(origins) > 1 or any(not _same(origin, hosts[0]) for origin in origins):
-            return 'Another page may not speak to this one.'
+            return 'Requests from another page are refused.'
         if socket_asked and not origins:
             # Every browser names the origin of a websocket (RFC 6455, section 10.2).
-            return 'A websocket without an origin is not taken.'
+            return 'A websocket without an origin is refused.'
         if headers.get('sec-fetch-site', [''])[0] in _FAR and (
             socket_asked
             or scope['method'] not in _SAFE
             or headers.get('sec-fetch-mode', [''])[0] != 'navigate'
             or headers.get('sec-fetch-dest', [''])[0] != 'document'
         ):
-            return 'Another page may not speak to this one.'
+            return 'Requests from another page are refused.'
         return ''
 
     def _is_ours(self, value: str) -> bool:

@@ -106,7 +106,7 @@ def table_shape(table: Table, urdf: str = '') -> Link:
     if lacking := [name for name in table.names if name not in found]:
         raise InputError(
             f'{path}: found the joints {", ".join(sorted(found - {""})) or "none"}, expected those '
-            f'of table {table.name}: {", ".join(lacking)} lack.'
+            f'of table {table.name}: {", ".join(lacking)} missing.'
         )
     return base
 
@@ -118,11 +118,11 @@ def _of_urdf(path: Path) -> Link:
     except OSError as error:
         raise InputError(f'{path}: cannot be read ({error.strerror}).') from None
     except (ElementTree.ParseError, UnicodeDecodeError) as error:
-        raise InputError(f'{path}: is no XML: {error}.') from None
+        raise InputError(f'{path}: is not XML: {error}.') from None
     try:
         return _robot(robot)
     except (KeyError, ValueError, AttributeError, RecursionError) as error:
-        raise InputError(f'{path}: is no URDF that can be shown: {error!r}.') from None
+        raise InputError(f'{path}: is not a URDF that can be shown: {error!r}.') from None
 
 
 def _robot(robot: ElementTree.Element) -> Link:

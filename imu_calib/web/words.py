@@ -53,7 +53,9 @@ def headline(shown: Snapshot) -> Headline:
     if not shown.expected.table:
         return _in_the_hand(shown)
     if shown.table is None:
-        return Headline(Severity.WARN, 'Waiting for the table', 'turntable_node was not heard yet.')
+        return Headline(
+            Severity.WARN, 'Waiting for the table', 'turntable_node has not been heard yet.'
+        )
     if shown.table_silent:
         return Headline(
             Severity.ERROR,
@@ -66,7 +68,7 @@ def headline(shown: Snapshot) -> Headline:
 
 def _in_the_hand(shown: Snapshot) -> Headline:
     if not shown.progress:
-        return Headline(Severity.WARN, 'Waiting', 'calibrator_node was not heard yet.')
+        return Headline(Severity.WARN, 'Waiting', 'calibrator_node has not been heard yet.')
     return Headline(Severity.OK, shown.progress)
 
 

@@ -165,11 +165,11 @@ def _file(path: Path) -> list[tuple[str, str, Any]]:
 def _nodes(path: Path, prefix: str, content: Any) -> Iterator[tuple[str, str, Any]]:
     """Yield the parameters of every node of a file."""
     if not isinstance(content, dict):
-        raise InputError(f'{path}: {prefix or "the file"} is no mapping of nodes.')
+        raise InputError(f'{path}: {prefix or "the file"} is not a mapping of nodes.')
     for key, value in content.items():
         if key == 'ros__parameters':
             if not isinstance(value, dict):
-                raise InputError(f'{path}: {prefix}: ros__parameters is no mapping.')
+                raise InputError(f'{path}: {prefix}: ros__parameters is not a mapping.')
             for name, leaf in _leaves('', value):
                 yield prefix, name, leaf
         else:

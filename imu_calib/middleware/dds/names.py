@@ -29,7 +29,8 @@ def check_node_name(name: str) -> str:
     """
     if not _NODE.fullmatch(name):
         raise InputError(
-            f'{name!r} is no node name: letters, digits and underscores, no digit first.'
+            f'{name!r} is not a valid node name: expected letters, digits and underscores, no '
+            'digit first.'
         )
     return name
 
@@ -38,12 +39,12 @@ def namespace_of(text: str) -> str:
     """Return a namespace with its leading and without a trailing slash.
 
     Raises:
-        InputError: It is no namespace.
+        InputError: It is not a valid namespace.
 
     """
     name = '/' + text.strip('/')
     if not _TOPIC.fullmatch(name):
-        raise InputError(f'{text!r} is no namespace.')
+        raise InputError(f'{text!r} is not a valid namespace.')
     return name
 
 
@@ -65,7 +66,7 @@ def expand(name: str, namespace: str, node: str) -> str:
 
     """
     if not name or not _TOPIC.fullmatch(name):
-        raise InputError(f'{name!r} is no name of a topic or service.')
+        raise InputError(f'{name!r} is not a valid name of a topic or service.')
     if name.startswith('/'):
         return name
     if name.startswith('~'):

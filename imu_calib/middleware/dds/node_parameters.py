@@ -122,7 +122,7 @@ def type_of(value: Any) -> ParameterType:
             return _ARRAY_OF[kind]
         if value and all(isinstance(v, bytes) for v in value):
             return ParameterType.BYTE_ARRAY
-    raise TypeError(f'{value!r} is no value of a parameter.')
+    raise TypeError(f'{value!r} is not a valid value of a parameter.')
 
 
 class Parameter:

@@ -356,7 +356,7 @@ def _outliers(fleet: Fleet) -> Iterator[Matter]:
     sentences = []
     if seen:
         sentences.append(
-            f'{count(len(seen), "unit is", "units are")} apart from the others of the type.'
+            f'{count(len(seen), "unit is", "units are")} unlike the others of the type.'
         )
     for imu, lot in lots:
         shift = quantity(lot.shift, lot.parameter, sign=True)
@@ -366,7 +366,7 @@ def _outliers(fleet: Fleet) -> Iterator[Matter]:
         )
     headings = ['unit', 'value', 'distance, robust std']
     flag = Flag.OUTLIER if seen else None
-    yield Matter('Apart from the others', 'plain', sentences, headings, cells, flag)
+    yield Matter('Unlike the others of their type', 'plain', sentences, headings, cells, flag)
 
 
 def remarks(fleet: Fleet) -> str:

@@ -44,7 +44,7 @@ class Flag(Enum):
     DRIFTS = State('drifts', 'marginal', 'has a significant trend')
     DUE = State('due', 'marginal', 'is to be recalibrated soon')
     MARGINAL = State('marginal', 'marginal', 'a limit lies within the uncertainty')
-    OUTLIER = State('outlier', 'plain', 'apart from the others of its type')
+    OUTLIER = State('outlier', 'plain', 'unlike the others of its type')
     UNJUDGED = State('not calibrated', 'plain', 'none of its recordings gave a calibration')
 
 
